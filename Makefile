@@ -1,0 +1,35 @@
+# One door for every chore; each target makes the environment it needs in .venv.
+PYTHON ?= python3.11
+PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
+SOURCES = $(shell find src csrc -name '*.py' -o -name '*.pyi' -o -name '*.pyx' -o -name '*.[ch]' -o -name '*.j2')
+
+.PHONY: demo test check format bench study clean
+
+.venv/installed: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOURCES)
+	test -x .venv/bin/python || $(PYTHON) -m venv .venv
+	test .venv/dependencies -nt requirements-dev.txt || $(PIP) install -r requirements-dev.txt
+	touch .venv/dependencies
+	$(PIP) install --no-build-isolation --no-deps --force-reinstall .
+	touch $@
+
+demo: .venv/installed
+	.venv/bin/pmfid demo --out demo-report
+
+test: .venv/installed
+	.venv/bin/python -m pytest
+
+check: .venv/installed
+	.venv/bin/ruff format --check .
+	.venv/bin/ruff check .
+	.venv/bin/mypy
+	.venv/bin/python -m pytest -q tests/test_architecture.py
+
+format: .venv/installed
+	.venv/bin/ruff format .
+	.venv/bin/ruff check --fix .
+
+bench: .venv/installed
+	.venv/bin/python -m pytest benchmarks --benchmark-only --benchmark-sort=name
+
+clean:
+	rm -rf .venv build demo-report

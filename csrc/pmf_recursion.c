@@ -1,0 +1,329 @@
+/* Recursive least squares and recursive instrumental variables in information form.
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * Kept are the sums that define the estimate, discounted by the forgetting factor,
+ *     W = sum zeta phi^T,  Z = sum zeta zeta^T,  v = sum zeta z          (least squares: zeta = phi, Z = W)
+ * and theta is moved by  theta += R^-1 W^T Z^-1 zeta (z - phi^T theta),  R = W^T Z^-1 W + regularisation,
+ * which without the regularisation is exactly theta = W^-1 v. Kept as sums, nothing can lose its symmetry or
+ * wind up: without excitation W decays, and the regularisation, a small part of the largest information seen
+ * (Levenberg-Marquardt recursive least squares, Ljung and Soderstrom 1983), slows theta in just those directions that
+ * are hardly excited; where it is all there is in some direction, theta is held and the status says so. With
+ * forgetting = 1 there is none, and theta equals the batch solution.
+ *
+ * Every loop has a fixed number of turns: n_parameters is a constant of the configuration.
+ */
+#include "pmf.h"
+
+#define N PMF_MAX_PARAMETERS
+#define SATURATED 0xffffffffU
+
+#ifdef PMF_FLOAT32
+#define PIVOT_FLOOR PMF_R(1e-6)
+#define TINY PMF_R(1e-30)
+#else
+#define PIVOT_FLOOR PMF_R(1e-14)
+#define TINY PMF_R(1e-200)
+#endif
+#define POOR PMF_R(20.0)    /* information below POOR times the regularisation is called poor */
+#define FREEZE PMF_R(1e-3)  /* and below FREEZE times it there is nothing left worth forgetting */
+#define PEAK_LEAK PMF_R(0.01)
+#define SKIPPED_INNOVATIONS 4U /* innovations of a fresh estimate say nothing of the noise */
+
+/* Lower half of a symmetric matrix = L D L^T. Returns the smallest pivot relative to its diagonal entry. */
+static inline real_t factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], real_t inverse[N])
+{
+    real_t scaled[N], smallest = PMF_R(1.0);
+    uint32_t i, j, k;
+    for (i = 0; i < p; ++i) {
+        real_t pivot = matrix[i][i], floor = PIVOT_FLOOR * matrix[i][i] + TINY;
+        for (j = 0; j < i; ++j) {
+            real_t sum = matrix[i][j];
+            for (k = 0; k < j; ++k) {
+                sum -= scaled[k] * lower[j][k];
+            }
+            scaled[j] = sum;
+            lower[i][j] = sum * inverse[j];
+            pivot -= sum * lower[i][j];
+        }
+        if (pivot < smallest * matrix[i][i] || matrix[i][i] <= TINY) {
+            smallest = matrix[i][i] > TINY ? pivot / matrix[i][i] : PMF_R(0.0);
+        }
+        inverse[i] = PMF_R(1.0) / (pivot > floor ? pivot : floor);
+    }
+    return smallest;
+}
+
+static inline void forward(uint32_t p, real_t lower[N][N], real_t x[N])
+{
+    uint32_t i, j;
+    for (i = 1; i < p; ++i) {
+        for (j = 0; j < i; ++j) {
+            x[i] -= lower[i][j] * x[j];
+        }
+    }
+}
+
+static inline void backward(uint32_t p, real_t lower[N][N], real_t x[N])
+{
+    uint32_t i, j;
+    for (i = p; i-- > 1U;) {
+        for (j = 0; j < i; ++j) {
+            x[j] -= lower[i][j] * x[i];
+        }
+    }
+}
+
+static inline void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
+                              const real_t *column, uint32_t p, uint32_t instrumental)
+{
+    real_t f = state->frozen != 0U ? PMF_R(1.0) : config->forgetting;
+    const real_t *zeta = instrumental != 0U ? &column[p + 1U] : column;
+    uint32_t i, j;
+    for (i = 0; i < p; ++i) {
+        for (j = 0; j < (instrumental != 0U ? p : i + 1U); ++j) {
+            state->cross[i][j] = f * state->cross[i][j] + zeta[i] * column[j];
+        }
+        if (instrumental != 0U) {
+            for (j = 0; j <= i; ++j) {
+                state->square[i][j] = f * state->square[i][j] + zeta[i] * zeta[j];
+            }
+        }
+        state->right[i] = f * state->right[i] + zeta[i] * column[p];
+    }
+    state->mass = f * state->mass + (PMF_R(1.0) - f);
+    state->updates += state->updates < SATURATED ? 1U : 0U;
+}
+
+/* information = W^T Z^-1 W (lower half), move = W^T Z^-1 move; smallest relative pivot of Z. */
+static inline real_t project(pmf_recursion_state_t *state, uint32_t p, real_t information[N][N], real_t move[N])
+{
+    real_t lower[N][N], inverse[N], half[N][N], scaled[N], pivot;
+    uint32_t i, j, k;
+    pivot = factorise(p, state->square, lower, inverse);
+    for (i = 0; i < p; ++i) {
+        for (j = 0; j < p; ++j) {
+            real_t sum = state->cross[i][j];
+            for (k = 0; k < i; ++k) {
+                sum -= lower[i][k] * half[k][j];
+            }
+            half[i][j] = sum;
+        }
+    }
+    forward(p, lower, move);
+    for (i = 0; i < p; ++i) {
+        scaled[i] = move[i] * inverse[i];
+    }
+    for (i = 0; i < p; ++i) {
+        real_t sum = PMF_R(0.0);
+        for (k = 0; k < p; ++k) {
+            sum += half[k][i] * scaled[k];
+        }
+        move[i] = sum;
+    }
+    for (k = 0; k < p; ++k) {
+        for (i = 0; i < p; ++i) {
+            real_t weighted = half[k][i] * inverse[k];
+            for (j = 0; j <= i; ++j) {
+                information[i][j] = (k == 0U ? PMF_R(0.0) : information[i][j]) + weighted * half[k][j];
+            }
+        }
+    }
+    return pivot;
+}
+
+/* Adds the regularisation and says whether there is information left to forget. */
+static inline void regularise(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p,
+                              real_t information[N][N])
+{
+    real_t leak = PEAK_LEAK * (PMF_R(1.0) - config->forgetting);
+    uint32_t i;
+    state->frozen = 1U;
+    for (i = 0; i < p; ++i) {
+        real_t now = information[i][i], leaked = state->peak[i] - leak * now;
+        state->peak[i] = now > leaked ? now : leaked;
+        if (now > FREEZE * config->regularization * state->peak[i]) {
+            state->frozen = 0U;
+        }
+        information[i][i] = now + state->mass * config->regularization * state->peak[i];
+    }
+}
+
+/* Diagonal of P = (L D L^T)^-1, and whether a parameter's own information is little more than the regularisation. */
+static inline uint32_t judge(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p)
+{
+    real_t threshold = POOR * state->mass * config->regularization;
+    uint32_t i, j, k, poor = 0U;
+    for (i = 0; i < p; ++i) {
+        real_t unit[N], sum = state->inverse_pivot[i];
+        unit[i] = PMF_R(1.0);
+        for (j = i + 1U; j < p; ++j) {
+            unit[j] = PMF_R(0.0);
+            for (k = i; k < j; ++k) {
+                unit[j] -= state->factor[j][k] * unit[k];
+            }
+            sum += unit[j] * unit[j] * state->inverse_pivot[j];
+        }
+        state->variance_factor[i] = sum;
+        if (PMF_R(1.0) < sum * threshold * state->peak[i] || state->peak[i] <= TINY) {
+            poor = 1U;
+        }
+    }
+    return poor != 0U ? (uint32_t)PMF_POOR_EXCITATION : 0U;
+}
+
+static inline void note_innovation(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
+{
+    real_t f = state->frozen != 0U ? PMF_R(1.0) : config->forgetting;
+    if (state->started > SKIPPED_INNOVATIONS && state->frozen == 0U) {
+        state->weight = f * state->weight + PMF_R(1.0);
+        state->innovation_square = f * state->innovation_square + state->innovation * state->innovation;
+        state->innovation_variance = state->innovation_square / state->weight;
+    }
+}
+
+/* What theta shall be moved by, before the gain: from the right-hand side while the estimate is young (nothing
+ * of the first solution's rounding stays), from the innovation afterwards (rounding of the sums does not enter). */
+static inline void residual(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state,
+                            const real_t *zeta, uint32_t p, uint32_t instrumental, real_t move[N])
+{
+    uint32_t i, j;
+    for (i = 0; i < p; ++i) {
+        if (state->started > config->residual_updates) {
+            move[i] = zeta[i] * state->innovation;
+        } else {
+            move[i] = state->right[i];
+            for (j = 0; j < p; ++j) {
+                move[i] -= (instrumental == 0U && j > i ? state->cross[j][i] : state->cross[i][j]) * state->theta[j];
+            }
+        }
+    }
+}
+
+static inline void solve_and_move(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
+{
+    uint32_t i;
+    forward(p, state->factor, move);
+    for (i = 0; i < p; ++i) {
+        move[i] *= state->inverse_pivot[i];
+    }
+    backward(p, state->factor, move);
+    for (i = 0; i < p; ++i) {
+        state->theta[i] += move[i];
+    }
+}
+
+static inline uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
+                              const real_t *column, uint32_t p, uint32_t instrumental)
+{
+    real_t information[N][N], move[N], pivot = PMF_R(1.0), own;
+    uint32_t i, j, status;
+    state->innovation = column[p];
+    for (i = 0; i < p; ++i) {
+        state->innovation -= column[i] * state->theta[i];
+    }
+    accumulate(config, state, column, p, instrumental);
+    residual(config, state, instrumental != 0U ? &column[p + 1U] : column, p, instrumental, move);
+    if (instrumental != 0U) {
+        pivot = project(state, p, information, move);
+    } else {
+        for (i = 0; i < p; ++i) {
+            for (j = 0; j <= i; ++j) {
+                information[i][j] = state->cross[i][j];
+            }
+        }
+    }
+    regularise(config, state, p, information);
+    own = factorise(p, information, state->factor, state->inverse_pivot);
+    status = judge(config, state, p);
+    if (state->started == 0U) {
+        pivot = own < pivot ? own : pivot;
+        if (state->updates < config->min_updates || !(pivot > config->pivot)) {
+            state->innovation = PMF_R(0.0);
+            return PMF_STARTING | PMF_POOR_EXCITATION;
+        }
+    }
+    state->started += state->started < SATURATED ? 1U : 0U;
+    if (status == 0U || state->started == 1U) { /* else the noise alone would carry theta away in a long while */
+        solve_and_move(state, p, move);
+    }
+    note_innovation(config, state);
+    return status != 0U && instrumental != 0U ? status | PMF_COMPENSATION_HELD : status;
+}
+
+/* The same code with the number of parameters as a constant: loops unroll, the bits stay. */
+static uint32_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
+{
+#if PMF_MAX_PARAMETERS >= 5
+    switch (config->n_parameters * 2U + config->instrumental) {
+    case 6: return update(config, state, column, 3U, 0U);
+    case 7: return update(config, state, column, 3U, 1U);
+    case 8: return update(config, state, column, 4U, 0U);
+    case 9: return update(config, state, column, 4U, 1U);
+    case 10: return update(config, state, column, 5U, 0U);
+    default: break;
+    }
+#endif
+    return update(config, state, column, config->n_parameters, config->instrumental);
+}
+
+static int finite_state(const pmf_recursion_state_t *state, uint32_t p)
+{
+    real_t sum = state->innovation_square;
+    uint32_t i;
+    for (i = 0; i < p; ++i) {
+        sum += state->theta[i] + state->peak[i] + state->variance_factor[i] + state->right[i];
+    }
+    return sum - sum == PMF_R(0.0);
+}
+
+/* Forget everything but the last finite estimate. */
+static void restart(pmf_recursion_state_t *state, const real_t theta[N], uint32_t p)
+{
+    uint32_t i;
+    pmf_clear(state, (uint32_t)sizeof *state);
+    for (i = 0; i < p; ++i) {
+        state->theta[i] = theta[i];
+    }
+}
+
+uint32_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
+                            const real_t *column)
+{
+    uint32_t p = config->n_parameters, i, status;
+    real_t theta[N];
+    for (i = 0; i < p; ++i) {
+        theta[i] = state->theta[i];
+    }
+    status = dispatch(config, state, column);
+    if (!finite_state(state, p)) {
+        restart(state, theta, p);
+        status = PMF_RESET | PMF_STARTING;
+    }
+    return status;
+}
+
+void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
+{
+    const pmf_recursion_state_t *recursion = &state->recursion;
+    uint32_t n = config->recursion.n_parameters, i, j, k, column;
+    for (column = 0; column < n; ++column) {
+        real_t x[N];
+        for (i = 0; i < n; ++i) {
+            x[i] = i == column ? PMF_R(1.0) : PMF_R(0.0);
+            for (k = 0; k < i; ++k) {
+                x[i] -= recursion->factor[i][k] * x[k];
+            }
+        }
+        for (i = 0; i < n; ++i) {
+            x[i] *= recursion->inverse_pivot[i];
+        }
+        for (j = n; j-- > 0U;) {
+            for (k = j + 1U; k < n; ++k) {
+                x[j] -= recursion->factor[k][j] * x[k];
+            }
+        }
+        for (i = 0; i < n; ++i) { /* symmetric to the last bit: the lower half is copied */
+            p[i * n + column] = i >= column ? x[i] : p[column * n + i];
+        }
+    }
+}

@@ -1,0 +1,55 @@
+"""Physical parameters of a drive from its input and a coarse encoder, while it runs."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pmfid._kernel64 import Estimate as Estimate
+    from pmfid.encoder import Encoder as Encoder
+    from pmfid.encoder import quantize as quantize
+    from pmfid.errors import NotIdentifiableError as NotIdentifiableError
+    from pmfid.errors import PmfidError as PmfidError
+    from pmfid.errors import UsageError as UsageError
+    from pmfid.estimators.batch import BCLS as BCLS
+    from pmfid.estimators.batch import LS as LS
+    from pmfid.estimators.batch import Fit as Fit
+    from pmfid.estimators.bcrls import BCRLS as BCRLS
+    from pmfid.estimators.recursive import Track as Track
+    from pmfid.estimators.rls import RLS as RLS
+    from pmfid.models.drive import Drive as Drive
+    from pmfid.status import Status as Status
+
+#: Public name -> module. Modules are imported when a name is used: `pmfid --help` stays quick.
+_PUBLIC = {
+    "BCLS": "pmfid.estimators.batch",
+    "BCRLS": "pmfid.estimators.bcrls",
+    "Drive": "pmfid.models.drive",
+    "Encoder": "pmfid.encoder",
+    "Estimate": "pmfid._kernel64",
+    "Fit": "pmfid.estimators.batch",
+    "LS": "pmfid.estimators.batch",
+    "NotIdentifiableError": "pmfid.errors",
+    "PmfidError": "pmfid.errors",
+    "RLS": "pmfid.estimators.rls",
+    "Status": "pmfid.status",
+    "Track": "pmfid.estimators.recursive",
+    "UsageError": "pmfid.errors",
+    "quantize": "pmfid.encoder",
+}
+
+__version__ = "0.1.0"
+__all__ = sorted(_PUBLIC)  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'pmfid' has no attribute {name!r}")
+    value = getattr(import_module(_PUBLIC[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

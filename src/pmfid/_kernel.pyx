@@ -1,0 +1,203 @@
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
+"""Thin binding of the C kernel; compiled twice, as `_kernel64` and `_kernel32`."""
+
+from cpython.bytes cimport PyBytes_FromStringAndSize
+from libc.stdint cimport int64_t, uint32_t
+from libc.string cimport memcpy
+cimport numpy as cnp
+import numpy as np
+
+cnp.import_array()
+
+cdef extern from "pmf.h":
+    ctypedef double real_t
+    enum:
+        PMF_MAX_STAGES
+        PMF_MAX_TAPS
+        PMF_MAX_PARAMETERS
+        PMF_MAX_COLUMNS
+    ctypedef struct pmf_encoder_config_t:
+        real_t velocity_per_count, position_gain, velocity_gain, smooth_end, smooth_start
+        uint32_t count_mask, max_change, standstill_samples
+    ctypedef struct pmf_stage_t:
+        uint32_t source
+        real_t a, b0, b1
+    ctypedef struct pmf_tap_t:
+        uint32_t node
+        real_t weight
+    ctypedef struct pmf_network_config_t:
+        uint32_t n_stages, n_columns
+        pmf_stage_t stage[PMF_MAX_STAGES]
+        uint32_t tap_end[PMF_MAX_COLUMNS]
+        pmf_tap_t tap[PMF_MAX_TAPS]
+    ctypedef struct pmf_network_state_t:
+        real_t column[PMF_MAX_COLUMNS]
+    ctypedef struct pmf_recursion_config_t:
+        uint32_t n_parameters, instrumental, min_updates, residual_updates
+        real_t forgetting, regularization, pivot
+    ctypedef struct pmf_recursion_state_t:
+        real_t theta[PMF_MAX_PARAMETERS]
+        real_t variance_factor[PMF_MAX_PARAMETERS]
+        real_t innovation, innovation_variance
+        uint32_t started
+    ctypedef struct pmf_config_t:
+        uint32_t settle_samples
+        pmf_encoder_config_t encoder
+        pmf_network_config_t network
+        pmf_recursion_config_t recursion
+    ctypedef struct pmf_state_t:
+        uint32_t status
+        pmf_network_state_t network
+        pmf_recursion_state_t recursion
+    void pmf_init(const pmf_config_t *, pmf_state_t *) nogil
+    uint32_t pmf_step(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
+    uint32_t pmf_filter(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
+    void pmf_covariance_factor(const pmf_config_t *, const pmf_state_t *, real_t *) nogil
+
+
+cdef inline object _vector(const real_t *source, Py_ssize_t n):
+    cdef cnp.npy_intp shape = n
+    cdef object array = cnp.PyArray_SimpleNew(1, &shape, cnp.NPY_DOUBLE)
+    cdef double *target = <double *> cnp.PyArray_DATA(<cnp.ndarray> array)
+    cdef Py_ssize_t i
+    for i in range(n):
+        target[i] = source[i]
+    return array
+
+
+cdef class Estimate:
+    """What one sample left: a snapshot that later steps do not change.
+
+    theta: (p,) parameters; theta_cov: (p, p) covariance = innovation variance times P; theta_std: (p,) its
+    diagonal's root; innovation: a priori error [unit of the target]; innovation_variance; status: `Status` bits.
+    """
+
+    cdef real_t _theta[PMF_MAX_PARAMETERS]
+    cdef real_t _factor[PMF_MAX_PARAMETERS * PMF_MAX_PARAMETERS]
+    cdef real_t _diagonal[PMF_MAX_PARAMETERS]
+    cdef Py_ssize_t _n
+    cdef readonly double innovation
+    cdef readonly double innovation_variance
+    cdef readonly unsigned int status
+
+    @property
+    def theta(self):
+        return _vector(self._theta, self._n)
+
+    @property
+    def theta_cov(self):
+        if self.innovation_variance == 0.0:  # no innovation has been counted yet: nothing is known
+            return np.diag(np.full(self._n, np.inf))
+        return self.innovation_variance * _vector(self._factor, self._n * self._n).reshape(self._n, self._n)
+
+    @property
+    def theta_std(self):
+        if self.innovation_variance == 0.0:
+            return np.full(self._n, np.inf)
+        return np.sqrt(_vector(self._diagonal, self._n) * self.innovation_variance)
+
+    def __repr__(self):
+        return f"Estimate(theta={self.theta}, theta_std={self.theta_std}, status={self.status})"
+
+
+cdef class Kernel:
+    """One configured kernel with its state.
+
+    stages: rows (source, a, b0, b1); columns: per column a list of (node, weight);
+    encoder, recursion: the fields of the C structures by name. Raises ValueError where a size is exceeded.
+    """
+
+    cdef pmf_config_t config
+    cdef pmf_state_t state
+
+    dtype = np.dtype(np.float32 if sizeof(real_t) == 4 else np.float64)
+
+    def __init__(self, stages, columns, encoder, recursion, settle_samples):
+        cdef pmf_network_config_t *net = &self.config.network
+        n_taps = sum(len(column) for column in columns)
+        if len(stages) > PMF_MAX_STAGES or n_taps > PMF_MAX_TAPS or len(columns) > PMF_MAX_COLUMNS \
+                or recursion["n_parameters"] > PMF_MAX_PARAMETERS:
+            raise ValueError(
+                f"the equation needs {len(stages)} stages, {n_taps} taps and {recursion['n_parameters']} parameters; the "
+                f"kernel holds {PMF_MAX_STAGES}, {PMF_MAX_TAPS} and {PMF_MAX_PARAMETERS}; use a lower order")
+        self.config.encoder = encoder
+        self.config.recursion = recursion
+        self.config.settle_samples = settle_samples
+        net.n_stages, net.n_columns = len(stages), len(columns)
+        for i, (source, a, b0, b1) in enumerate(stages):
+            net.stage[i].source, net.stage[i].a, net.stage[i].b0, net.stage[i].b1 = source, a, b0, b1
+        tap = 0
+        for i, column in enumerate(columns):
+            for node, weight in column:
+                net.tap[tap].node, net.tap[tap].weight = node, weight
+                tap += 1
+            net.tap_end[i] = tap
+        pmf_init(&self.config, &self.state)
+
+    def reset(self):
+        """Back to the state before the first sample."""
+        pmf_init(&self.config, &self.state)
+
+    cdef Estimate _snapshot(self):
+        cdef Estimate estimate = Estimate.__new__(Estimate)
+        cdef Py_ssize_t n = self.config.recursion.n_parameters
+        estimate._n = n
+        memcpy(estimate._theta, self.state.recursion.theta, n * sizeof(real_t))
+        memcpy(estimate._diagonal, self.state.recursion.variance_factor, n * sizeof(real_t))
+        pmf_covariance_factor(&self.config, &self.state, estimate._factor)
+        estimate.innovation = self.state.recursion.innovation
+        estimate.innovation_variance = self.state.recursion.innovation_variance
+        estimate.status = self.state.status
+        return estimate
+
+    def step(self, double u, long long counts):
+        """One sample in, one `Estimate` out."""
+        pmf_step(&self.config, &self.state, <real_t> u, <uint32_t> counts)
+        return self._snapshot()
+
+    def estimate(self):
+        """The present estimate."""
+        return self._snapshot()
+
+    def run(self, const double[::1] u, const int64_t[::1] counts):
+        """u, counts: (n,) -> theta (n, p), diagonal of P (n, p), innovation (n,), its variance (n,), status (n,)."""
+        cdef Py_ssize_t n = u.shape[0], p = self.config.recursion.n_parameters, k, i
+        cdef double[:, ::1] theta = np.empty((n, p))
+        cdef double[:, ::1] factor = np.empty((n, p))
+        cdef double[::1] innovation = np.empty(n)
+        cdef double[::1] variance = np.empty(n)
+        cdef uint32_t[::1] status = np.empty(n, np.uint32)
+        cdef pmf_recursion_state_t *recursion = &self.state.recursion
+        with nogil:
+            for k in range(n):
+                status[k] = pmf_step(&self.config, &self.state, <real_t> u[k], <uint32_t> counts[k])
+                for i in range(p):
+                    theta[k, i] = recursion.theta[i]
+                    factor[k, i] = recursion.variance_factor[i]
+                innovation[k] = recursion.innovation
+                variance[k] = recursion.innovation_variance
+        return (np.asarray(theta), np.asarray(factor), np.asarray(innovation), np.asarray(variance),
+                np.asarray(status))
+
+    def filter(self, const double[::1] u, const int64_t[::1] counts):
+        """Encoder and filters alone. u, counts: (n,) -> columns (n, c) and status (n,)."""
+        cdef Py_ssize_t n = u.shape[0], c = self.config.network.n_columns, k, i
+        cdef double[:, ::1] columns = np.empty((n, c))
+        cdef uint32_t[::1] status = np.empty(n, np.uint32)
+        with nogil:
+            for k in range(n):
+                status[k] = pmf_filter(&self.config, &self.state, <real_t> u[k], <uint32_t> counts[k])
+                for i in range(c):
+                    columns[k, i] = self.state.network.column[i]
+        return np.asarray(columns), np.asarray(status)
+
+    def get_state(self):
+        """The state as bytes."""
+        return PyBytes_FromStringAndSize(<char *> &self.state, sizeof(pmf_state_t))
+
+    def set_state(self, bytes state):
+        """Restores what `get_state` gave; raises ValueError for a state of another size."""
+        if len(state) != sizeof(pmf_state_t):
+            raise ValueError(f"a state of this kernel has {sizeof(pmf_state_t)} bytes, got {len(state)}; "
+                             "take it from the same version and precision")
+        memcpy(&self.state, <char *> state, sizeof(pmf_state_t))

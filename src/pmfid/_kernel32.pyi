@@ -1,0 +1,2 @@
+from pmfid._kernel64 import Estimate as Estimate
+from pmfid._kernel64 import Kernel as Kernel

@@ -1,0 +1,46 @@
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+class Estimate:
+    @property
+    def theta(self) -> NDArray[np.float64]: ...
+    @property
+    def theta_cov(self) -> NDArray[np.float64]: ...
+    @property
+    def theta_std(self) -> NDArray[np.float64]: ...
+    @property
+    def innovation(self) -> float: ...
+    @property
+    def innovation_variance(self) -> float: ...
+    @property
+    def status(self) -> int: ...
+
+class Kernel:
+    dtype: np.dtype[np.floating]
+    def __init__(
+        self,
+        stages: Sequence[tuple[int, float, float, float]],
+        columns: Sequence[Sequence[tuple[int, float]]],
+        encoder: Mapping[str, float],
+        recursion: Mapping[str, float],
+        settle_samples: int,
+    ) -> None: ...
+    def reset(self) -> None: ...
+    def step(self, u: float, counts: int) -> Estimate: ...
+    def estimate(self) -> Estimate: ...
+    def run(
+        self, u: NDArray[np.float64], counts: NDArray[np.int64]
+    ) -> tuple[
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.uint32],
+    ]: ...
+    def filter(
+        self, u: NDArray[np.float64], counts: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.uint32]]: ...
+    def get_state(self) -> bytes: ...
+    def set_state(self, state: bytes) -> None: ...

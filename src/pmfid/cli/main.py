@@ -1,0 +1,138 @@
+"""The command `pmfid`. Everything heavy is imported inside the commands: `--help` answers at once."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pmfid import __version__
+from pmfid.errors import NotIdentifiableError, PmfidError
+
+EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
+
+
+class Group(click.Group):
+    """Turns every error that is meant for people into one line and an exit code."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except PmfidError as error:
+            click.echo(f"pmfid: {error}", err=True)
+            ctx.exit(EXIT_NOT_IDENTIFIABLE if isinstance(error, NotIdentifiableError) else EXIT_USAGE)
+        except OSError as error:
+            click.echo(
+                f"pmfid: {error.filename or 'output'}: {error.strerror}; choose another place", err=True
+            )
+            ctx.exit(EXIT_USAGE)
+        except KeyboardInterrupt:
+            click.echo("pmfid: interrupted", err=True)
+            ctx.exit(130)
+
+
+@click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__)
+def main() -> None:
+    """Mass and friction of a drive from its input and a coarse encoder."""
+
+
+@main.command()
+@click.argument("record", type=click.Path(path_type=Path))
+@click.option(
+    "--config",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="AXIS.toml",
+    help="What the record holds, the encoder, the model, the estimator.",
+)
+@click.option(
+    "--method",
+    type=click.Choice(["ls", "bcls", "rls", "bcrls"]),
+    help="Least squares or bias-compensated least squares, off-line or recursive.",
+)
+@click.option(
+    "--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; its inverse is their time constant."
+)
+@click.option("--order", type=int, help="Stages of the filters.")
+@click.option("--forgetting", type=float, help="Weight of the past per sample, in (0, 1].")
+@click.option("--resolution", type=float, metavar="STEP", help="Unit of position per count.")
+@click.option(
+    "--quantize",
+    type=float,
+    metavar="STEP",
+    help="Floor the position to this coarser step first: what if the encoder were cheaper?",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Write report.html, result.json and track.parquet there.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+def identify(
+    record: Path, config: Path, quantize: float | None, out: Path | None, as_json: bool, **options: Any
+) -> None:
+    """Identify the parameters of RECORD, a CSV, Parquet or MATLAB .mat file.
+
+    Exit code 0: an estimate; 2: wrong usage or unreadable input; 3: the data cannot identify the parameters.
+    """
+    from pmfid.session.config import load_axis
+    from pmfid.session.pipeline import identify as run
+    from pmfid.session.records import read_record
+
+    sections = {"resolution": "encoder"}
+    axis = load_axis(
+        config, {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()}
+    )
+    data = read_record(record, axis, quantize)
+    with _progress(data.u.size, quiet=as_json) as progress:
+        result = run(data, axis, progress)
+    if out is not None:
+        from pmfid.report.record import write_result
+
+        write_result(out, result)
+    if as_json:
+        import json
+
+        click.echo(json.dumps(result.to_json(), allow_nan=False))
+    else:
+        from pmfid.cli.tables import print_result
+
+        print_result(result, out)
+
+
+@main.command()
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("demo-report"),
+    show_default=True,
+    metavar="DIR",
+    help="Where the report goes.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of the input and the start phase.",
+)
+def demo(out: Path, seed: int) -> None:
+    """Watch a cart's mass step with four encoders: RLS against BCRLS, on-line, beside the truth."""
+    from rich.console import Console
+
+    from pmfid.studies.demo import demo_table, run_demo, write_demo
+
+    result = run_demo(seed=seed)
+    Console().print(demo_table(result))
+    write_demo(out, result)
+    click.echo(f"\nreport: {out / 'report.html'}\nrecord: {out / 'cart.csv'}")
+
+
+def _progress(samples: int, quiet: bool) -> Any:
+    from pmfid.cli.tables import progress_bar
+
+    return progress_bar(samples, quiet or not sys.stderr.isatty())

@@ -1,0 +1,50 @@
+"""What the terminal shows: the table of a result, and progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pmfid.session.pipeline import Result
+
+#: Shorter runs are over before a bar could be read.
+PROGRESS_FROM = 1_000_000
+
+
+def print_result(result: Result, out: Path | None) -> None:
+    """The parameters with their standard deviations, the fit, and what to mind."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{result.record.name}: {result.estimator.method}, {result.record.u.size} samples")
+    for heading in ("parameter", "value", "std", "unit"):
+        table.add_column(heading, justify="right" if heading in ("value", "std") else "left")
+    rows = zip(result.estimator.names, result.theta, result.theta_std, result.estimator.units, strict=True)
+    for name, value, std, unit in rows:
+        table.add_row(name, f"{value:.6g}", f"{std:.2g}", unit)
+    console = Console()
+    console.print(table)
+    console.print(
+        f"relative error of the filtered equation: {100 * result.relative_error:.3g} %", highlight=False
+    )
+    for note in result.notes:
+        console.print(f"note: {note}", highlight=False)
+    if out is not None:
+        console.print(f"report: {out / 'report.html'}", highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def progress_bar(samples: int, quiet: bool) -> Iterator[Callable[[float], None] | None]:
+    """A progress bar on standard error for long runs, or nothing."""
+    if quiet or samples < PROGRESS_FROM:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True)) as progress:
+        task = progress.add_task(f"{samples} samples", total=1.0)
+        yield lambda done: progress.update(task, completed=done)

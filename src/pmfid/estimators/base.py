@@ -1,0 +1,172 @@
+"""What every estimator shares: its frozen configuration, the kernel made from it, and its results."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.encoder import Encoder
+from pmfid.errors import UsageError
+from pmfid.filters.chain import HOLD_FILTERS
+from pmfid.filters.columns import ColumnBuilder, FilterSpec
+from pmfid.filters.network import Taps, scaled
+from pmfid.models.drive import Drive
+from pmfid.status import Status
+
+#: The filters' start has decayed to 5e-4 of itself after so many time constants (order 2).
+SETTLE_TIME_CONSTANTS = 10.0
+#: Information that is never forgotten, as a part of the largest seen: P stays below 1e4 times its best.
+REGULARIZATION = 1e-4
+#: Relative pivot of the information matrix from which on a first estimate is given.
+START_PIVOT = 1e-4
+#: After so many updates theta is moved by the innovation alone; without forgetting float64 never needs to.
+RESIDUAL_UPDATES = 256
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """A method of estimation on a model and an encoder; configuration only, checked at construction.
+
+    model: equation, as `Drive`. encoder: `Encoder`. dt: sample period [s]. cutoff: pole of the Poisson chain
+    [rad/s], 0 < cutoff <= 2/dt; its inverse is the filter time constant. order: stages, >= 2 for a drive.
+    discretization: "matched" or "paper". prefilter_zeros: one negative zero [rad/s] per noisy column, or None for
+    the method's default. precision: "float64" or "float32". Raises UsageError with the remedy.
+    """
+
+    model: Drive
+    encoder: Encoder
+    dt: float
+    cutoff: float
+    order: int = field(default=2, kw_only=True)
+    discretization: str = field(default="matched", kw_only=True)
+    prefilter_zeros: Sequence[float] | None = field(default=None, kw_only=True)
+    precision: str = field(default="float64", kw_only=True)
+
+    method: ClassVar[str] = ""
+    instrumental: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_positive("dt", self.dt, "it is the sample period in s")
+        check_positive("cutoff", self.cutoff, "it is the pole of the filters in rad/s")
+        if self.cutoff * self.dt > 2:
+            raise UsageError(
+                f"cutoff * dt must be at most 2, got {self.cutoff * self.dt:g}: the filters' pole would lie beyond "
+                f"what samples every {self.dt:g} s can show; use a cutoff of at most {2 / self.dt:g} rad/s"
+            )
+        if self.order < self.model.equation.order:
+            raise UsageError(f"order must be at least {self.model.equation.order}, got {self.order}")
+        if self.discretization not in HOLD_FILTERS:
+            raise UsageError(
+                f"discretization must be one of {sorted(HOLD_FILTERS)}, got {self.discretization!r}"
+            )
+        if self.precision not in ("float64", "float32"):
+            raise UsageError(f"precision must be 'float64' or 'float32', got {self.precision!r}")
+        self._check_zeros()
+
+    def _check_zeros(self) -> None:
+        zeros = self.zeros
+        needed = len(self.model.equation.noisy)
+        wrong = zeros and (len(zeros) != needed or len(set(zeros)) < needed)
+        if wrong or any(not (math.isfinite(z) and z < 0) for z in zeros):
+            raise UsageError(
+                f"prefilter_zeros must be {needed} different negative numbers in rad/s, got {list(zeros)}"
+            )
+
+    @property
+    def zeros(self) -> tuple[float, ...]:
+        """Zeros of the pre-filter polynomial f(s) [rad/s]; () where there is no pre-filter."""
+        if self.prefilter_zeros is not None:
+            return tuple(float(z) for z in self.prefilter_zeros)
+        return default_zeros(self.cutoff) if self.instrumental else ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameter names, in the order of theta."""
+        return self.model.equation.names + tuple(f"prefilter_{j + 1}" for j in range(self._extra))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return self.model.equation.units + tuple(f"s^{j + 1}" for j in range(self._extra))
+
+    @property
+    def _extra(self) -> int:
+        """Unknown coefficients of f(s): in the extended model without compensation (paper eq. 19, 21)."""
+        return 0 if self.instrumental else len(self.zeros)
+
+    @cached_property
+    def _columns(self) -> tuple[list[tuple[int, float, float, float]], list[Taps]]:
+        spec = FilterSpec(self.cutoff, self.order, self.dt, self.discretization, self.zeros)
+        builder = ColumnBuilder(self.model.equation, spec)
+        columns = builder.regressors()
+        if self._extra:
+            columns += [scaled(builder.prefiltered(j + 1), -1.0) for j in range(self._extra)]
+            columns.append(builder.prefiltered(0))
+        else:
+            columns.append(builder.target())
+        if self.instrumental:
+            columns += builder.instruments()
+        return builder.network.stages, columns
+
+    def make_kernel(self, forgetting: float = 1.0) -> Any:
+        """A new kernel in its initial state."""
+        from pmfid import _kernel32, _kernel64
+
+        stages, columns = self._columns
+        exact = forgetting == 1 and self.precision == "float64"
+        recursion = {
+            "n_parameters": len(self.names),
+            "instrumental": int(self.instrumental),
+            "min_updates": math.ceil(3 / (self.cutoff * self.dt)) + 2 * len(self.names),
+            "residual_updates": 2**32 - 1 if exact else RESIDUAL_UPDATES,
+            "forgetting": forgetting,
+            "regularization": REGULARIZATION,
+            "pivot": START_PIVOT,
+        }
+        module = _kernel32 if self.precision == "float32" else _kernel64
+        settle = math.ceil(SETTLE_TIME_CONSTANTS / (self.cutoff * self.dt)) + 3
+        return module.Kernel(stages, columns, self.encoder.kernel_config(self.dt), recursion, settle)
+
+
+def default_zeros(cutoff: float) -> tuple[float, float]:
+    """Pre-filter zeros where nothing is known of the plant: a tenth of the cutoff, and a thirtieth of that.
+
+    The compensation is an instrumental variable method with s u/f and s^2 u/f for instruments. They resemble the
+    drive's velocity and acceleration most for zeros at its own poles, 0 and -d/m; with one slow zero the other may
+    lie anywhere near or above d/m.
+    """
+    return (-cutoff / 10, -cutoff / 300)
+
+
+def check_positive(name: str, value: float, what: str) -> None:
+    """Raises UsageError unless value is positive and finite."""
+    if not (math.isfinite(value) and value > 0):
+        raise UsageError(f"{name} must be positive and finite, got {value}; {what}")
+
+
+def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """u and counts as contiguous (n,) arrays; raises UsageError where they do not fit each other."""
+    u_array = np.ascontiguousarray(u, dtype=np.float64)
+    given = np.asarray(counts)
+    if given.dtype.kind not in "iu":
+        if not (np.all(np.isfinite(given)) and np.array_equal(given, np.round(given))):
+            raise UsageError(
+                "counts must be integers; use pmfid.quantize(position, resolution) for a position"
+            )
+        given = np.round(given)
+    counts_array = np.ascontiguousarray(given, dtype=np.int64)
+    if u_array.ndim != 1 or u_array.shape != counts_array.shape:
+        raise UsageError(
+            f"u and counts must be two arrays of the same length, got {u_array.shape} and {counts_array.shape}"
+        )
+    return u_array, counts_array
+
+
+def status_names(status: int) -> list[str]:
+    """The names of the bits that are set."""
+    return [bit.name.lower() for bit in Status(status) if bit.name]

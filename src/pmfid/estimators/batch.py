@@ -1,0 +1,153 @@
+"""Off-line estimators: the whole record at once, on the kernel's columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.base import START_PIVOT, Estimator, check_arrays
+from pmfid.status import Status
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of an off-line estimate with p parameters from n used samples.
+
+    theta: (p,); theta_cov: (p, p), for white residuals; names, units; samples: n; residual: (n,) z - phi^T theta;
+    relative_error: norm of the residual over norm of the target; status: all `Status` bits that occurred.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    theta: NDArray[np.float64]
+    theta_cov: NDArray[np.float64]
+    samples: int
+    residual: NDArray[np.float64]
+    relative_error: float
+    status: int
+
+    @property
+    def theta_std(self) -> NDArray[np.float64]:
+        """(p,) standard deviations."""
+        return np.asarray(np.sqrt(np.diagonal(self.theta_cov)))
+
+    def __getitem__(self, name: str) -> float:
+        """One parameter."""
+        return float(self.theta[self.names.index(name)])
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Filtered columns of the samples in use: phi (n, p), z (n,), zeta (n, p), and the status bits that occurred."""
+
+    phi: NDArray[np.float64]
+    z: NDArray[np.float64]
+    zeta: NDArray[np.float64]
+    status: int
+
+
+@dataclass(frozen=True)
+class BatchEstimator(Estimator):
+    """An `Estimator` over a whole record."""
+
+    def columns(self, u: ArrayLike, counts: ArrayLike) -> Columns:
+        """Regressors, target and instruments of the samples after the filters have settled; u, counts: (n,)."""
+        columns, status = self.make_kernel().filter(*check_arrays(u, counts))
+        used = (status & Status.SETTLING) == 0
+        columns, p = columns[used], len(self.names)
+        zeta = columns[:, p + 1 :] if self.instrumental else columns[:, :p]
+        occurred = int(np.bitwise_or.reduce(status)) & ~int(Status.SETTLING | Status.STARTING)
+        return Columns(columns[:, :p], columns[:, p], zeta, occurred)
+
+    def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
+        NotIdentifiableError where the record cannot identify every parameter, naming the one and the reason."""
+        columns = self.columns(u, counts)
+        check_identifiable(columns, self.names)
+        theta, factor = self._solve(columns)
+        residual = columns.z - columns.phi @ theta
+        variance = residual @ residual / max(1, residual.size - theta.size)
+        relative = float(np.linalg.norm(residual) / np.linalg.norm(columns.z))
+        return Fit(
+            self.names,
+            self.units,
+            theta,
+            variance * factor,
+            residual.size,
+            residual,
+            relative,
+            columns.status,
+        )
+
+    def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """theta (p,) and P (p, p)."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class LS(BatchEstimator):
+    """Least squares (paper eq. 17): theta = (sum phi phi^T)^-1 sum phi z, by orthogonal decomposition.
+
+    With `prefilter_zeros`: the biased estimate of the extended model (paper eq. 19 to 21).
+    """
+
+    method: ClassVar[str] = "ls"
+
+    def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        scale = np.linalg.norm(columns.phi, axis=0)
+        Q, R = np.linalg.qr(columns.phi / scale)
+        inverse = np.linalg.inv(R)
+        return inverse @ (Q.T @ columns.z) / scale, inverse @ inverse.T / np.outer(scale, scale)
+
+
+@dataclass(frozen=True)
+class BCLS(BatchEstimator):
+    """Bias-compensated least squares (paper eq. 17 to 32): theta = (sum zeta phi^T)^-1 sum zeta z; see `BCRLS`."""
+
+    method: ClassVar[str] = "bcls"
+    instrumental: ClassVar[bool] = True
+
+    def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        # By the orthogonal part of the instruments: the square of their condition number does not enter.
+        Q, _ = np.linalg.qr(columns.zeta / np.linalg.norm(columns.zeta, axis=0))
+        cross = Q.T @ columns.phi
+        inverse = np.linalg.inv(cross)
+        return inverse @ (Q.T @ columns.z), inverse @ inverse.T
+
+
+def check_identifiable(columns: Columns, names: tuple[str, ...]) -> None:
+    """Raises NotIdentifiableError where a column is zero or a combination of the others, naming the parameter."""
+    if columns.z.size <= 2 * len(names):
+        raise NotIdentifiableError(
+            f"only {columns.z.size} samples are left after the filters have settled, too few for {len(names)} parameters; "
+            "record longer, or use a higher cutoff"
+        )
+    if not np.any(columns.phi[:, 0]):
+        raise NotIdentifiableError(
+            "the axis does not move in this record: nothing can be identified; record a motion"
+        )
+    if not np.any(columns.z):
+        raise NotIdentifiableError("the input is zero while the axis moves: record the input that drives it")
+    for kind, matrix in (("regressor", columns.phi), ("instrument", columns.zeta)):
+        _check_rank(kind, matrix, names)
+
+
+def _check_rank(kind: str, matrix: NDArray[np.float64], names: tuple[str, ...]) -> None:
+    scale = np.linalg.norm(matrix, axis=0)
+    for name, norm in zip(names, scale, strict=True):
+        if norm == 0:
+            raise NotIdentifiableError(
+                f"the {kind} of {name} is zero throughout: the record says nothing about it"
+            )
+    inverse = np.linalg.pinv(matrix / scale)
+    own = 1 / np.sum(inverse**2, axis=1)  # what of a column is not a combination of the others
+    worst = int(np.argmin(own))
+    if own[worst] < START_PIVOT:
+        raise NotIdentifiableError(
+            f"the {kind} of {names[worst]} follows from the others to {np.sqrt(own[worst]):.1g} of its size: too little "
+            "excitation; record reversals, and speeds and accelerations that vary"
+        )

@@ -1,0 +1,105 @@
+"""Recursive estimators: one sample in, one estimate out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.errors import UsageError
+from pmfid.estimators.base import Estimator, check_arrays
+from pmfid.status import Status
+
+
+@dataclass(frozen=True)
+class Track:
+    """Estimates over a record of n samples with p parameters.
+
+    theta: (n, p); innovation: (n,) a priori error in the unit of the target; innovation_variance: (n,);
+    variance_factor: (n, p), the diagonal of P; status: (n,) `Status` bits; names, units: of the p parameters.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    theta: NDArray[np.float64]
+    variance_factor: NDArray[np.float64]
+    innovation: NDArray[np.float64]
+    innovation_variance: NDArray[np.float64]
+    status: NDArray[np.uint32]
+
+    @cached_property
+    def theta_std(self) -> NDArray[np.float64]:
+        """(n, p) standard deviations for white residuals, infinite until there is an estimate."""
+        known = self.innovation_variance > 0
+        std = np.full_like(self.theta, np.inf)
+        std[known] = np.sqrt(self.variance_factor[known] * self.innovation_variance[known, None])
+        return std
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """The (n,) track of one parameter."""
+        return self.theta[:, self.names.index(name)]
+
+    def flagged(self, bit: Status) -> NDArray[np.bool_]:
+        """(n,) where a status bit is set."""
+        return (self.status & bit) != 0
+
+
+@dataclass(frozen=True)
+class RecursiveEstimator(Estimator):
+    """An `Estimator` that runs sample by sample.
+
+    forgetting: weight of the past per sample, 0 < forgetting <= 1; the memory is dt / (1 - forgetting).
+    The object holds one state; `step` and `run` continue from it, `reset` goes back to the start.
+    """
+
+    forgetting: float = field(default=1.0, kw_only=True)
+    _kernel: Any = field(default=None, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.forgetting <= 1:
+            raise UsageError(
+                f"forgetting must be in (0, 1], got {self.forgetting}; for a memory of T seconds use 1 - dt/T"
+            )
+        object.__setattr__(self, "_kernel", self.make_kernel(self.forgetting))
+        # bound here so that a call costs no look-up in Python
+        object.__setattr__(self, "step", self._kernel.step)
+
+    def step(self, u: float, counts: int) -> Any:
+        """One sample: the input applied from now on, the count read now. Returns an `Estimate`.
+
+        The estimate has theta (p,), theta_cov (p, p), theta_std (p,), innovation, innovation_variance and status.
+        A value that is not finite is flagged in the status and never enters.
+        """
+        return self._kernel.step(u, counts)
+
+    def run(self, u: ArrayLike, counts: ArrayLike) -> Track:
+        """Many samples at once, from the present state; u, counts: (n,). The same bits as `step` in a loop.
+
+        Raises UsageError where the arrays differ in length or the counts are no integers.
+        """
+        return Track(self.names, self.units, *self._kernel.run(*check_arrays(u, counts)))
+
+    @property
+    def estimate(self) -> Any:
+        """The present `Estimate`."""
+        return self._kernel.estimate()
+
+    def reset(self) -> None:
+        """Forgets all samples."""
+        self._kernel.reset()
+
+    def get_state(self) -> bytes:
+        """The whole state; `set_state` of an estimator with the same configuration continues from it."""
+        state: bytes = self._kernel.get_state()
+        return state
+
+    def set_state(self, state: bytes) -> None:
+        """Continues from a saved state. Raises UsageError for a state of another size."""
+        try:
+            self._kernel.set_state(state)
+        except ValueError as error:
+            raise UsageError(str(error)) from None

@@ -1,0 +1,1 @@
+"""Filters: the chain of Poisson moment functionals, its discretisations, and the columns of an equation."""

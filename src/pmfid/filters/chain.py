@@ -1,0 +1,98 @@
+"""Poisson moment functionals as a chain of first-order stages, in two discretisations.
+
+F(s) = (cutoff / (s + cutoff))^order (paper eq. 9 with unit gain). All signals of the kernel hold for one sampling
+interval: the mean velocity, the input, the direction, so one chain serves them all. With
+s_T = (2/dt) (z-1)/(z+1), the mean velocity is s_T y times (z+1)/2, and the matched filter sends input-like signals of
+a plant of relative degree 2 through 2/(z+1): in both cases the first stage has its zero cancelled in the coefficients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import comb
+
+import numpy as np
+from scipy.linalg import expm
+
+from pmfid.filters.network import Network, Taps
+
+#: (network, source, cutoff, order, dt) -> taps of F(s) applied to the held signal at `source`
+HoldFilter = Callable[[Network, int, float, int, float], Taps]
+
+
+def lag(network: Network, source: int, pole: float, dt: float) -> int:
+    """pole / (s + pole) by the trapezoidal rule."""
+    gain = pole / (2 / dt + pole)
+    return network.stage(source, _tustin_pole(pole, dt), gain, gain)
+
+
+def differentiating_lag(network: Network, source: int, pole: float, dt: float) -> int:
+    """s pole / (s + pole) by the trapezoidal rule."""
+    gain = (2 / dt) * pole / (2 / dt + pole)
+    return network.stage(source, _tustin_pole(pole, dt), gain, -gain)
+
+
+def chain(network: Network, source: int, cutoff: float, order: int, dt: float) -> list[int]:
+    """Nodes of the stages 1 to `order`; the first with its zero at z = -1 cancelled."""
+    nodes = [network.stage(source, _tustin_pole(cutoff, dt), 2 * cutoff / (2 / dt + cutoff), 0.0)]
+    for _ in range(order - 1):
+        nodes.append(lag(network, nodes[-1], cutoff, dt))
+    return nodes
+
+
+def derivative(nodes: list[int], j: int, cutoff: float) -> Taps:
+    """s^j F w from the stages of w: s^j L^N = cutoff^j sum_k C(j, k) (-1)^k L^(N-j+k), L one stage; j < order."""
+    first = len(nodes) - 1 - j
+    return [(nodes[first + k], cutoff**j * comb(j, k) * (-1.0) ** k) for k in range(j + 1)]
+
+
+def hold_matched(network: Network, source: int, cutoff: float, order: int, dt: float) -> Taps:
+    """Tustin with the factor 2/(z+1): no bias of first order for a plant of relative degree 1 or 2."""
+    return [(chain(network, source, cutoff, order, dt)[-1], 1.0)]
+
+
+def hold_exact(network: Network, source: int, cutoff: float, order: int, dt: float) -> Taps:
+    """F(s) behind a zero-order hold, exactly (paper section III-A): a sum of stages with the pole exp(-cutoff dt)."""
+    pole = float(np.exp(-cutoff * dt))
+    nodes = [network.stage(source, pole, 1 - pole, 0.0)]
+    for _ in range(order - 1):
+        nodes.append(network.stage(nodes[-1], pole, 0.0, 1 - pole))
+    weights = np.linalg.solve(_stage_responses(pole, order).T, _hold_response(cutoff, order, dt))
+    return [(node, float(weight)) for node, weight in zip(nodes, weights, strict=True)]
+
+
+HOLD_FILTERS: dict[str, HoldFilter] = {"matched": hold_matched, "paper": hold_exact}
+
+
+def mean_velocity_correction(network: Network, node: int) -> Taps:
+    """Two samples' look-ahead in one of delay: (-w[k] + 14 w[k-1] - w[k-2]) / 12.
+
+    For a plant of relative degree r the term of order n-1 is matched by M_(r+1)/M_r = 1 - dt^2 s_T^2 / 12 (r = 2), the
+    next member of the expansion that gives M_r itself; it removes a viscous error of d dt^2 <a^2> / (12 <v^2>).
+    """
+    one = network.delay(node)
+    return [(node, -1 / 12), (one, 14 / 12), (network.delay(one), -1 / 12)]
+
+
+def _tustin_pole(pole: float, dt: float) -> float:
+    return (2 / dt - pole) / (2 / dt + pole)
+
+
+def _stage_responses(pole: float, order: int) -> np.ndarray:
+    """Impulse responses (order, order samples) of the stages of `hold_exact`."""
+    responses = np.zeros((order, order))
+    responses[0] = (1 - pole) * pole ** np.arange(order)
+    for i in range(1, order):
+        for k in range(1, order):
+            responses[i, k] = pole * responses[i, k - 1] + (1 - pole) * responses[i - 1, k - 1]
+    return responses
+
+
+def _hold_response(cutoff: float, order: int, dt: float) -> np.ndarray:
+    """First `order` samples of the response of F(s) to an input held for one interval, by the matrix exponential."""
+    A = cutoff * (np.diag(np.ones(order - 1), -1) - np.eye(order))
+    B = np.zeros(order)
+    B[0] = cutoff
+    transition = expm(A * dt)
+    held = np.linalg.solve(A, (transition - np.eye(order)) @ B)
+    return np.array([(np.linalg.matrix_power(transition, k) @ held)[-1] for k in range(order)])

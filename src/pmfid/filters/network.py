@@ -1,0 +1,33 @@
+"""A network of first-order stages under construction; the kernel runs it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+#: The kernel's signals are nodes 0 to 3 (see csrc/pmf.h).
+INPUT, VELOCITY, DIRECTION, MOVING = range(4)
+
+Taps = list[tuple[int, float]]
+
+
+@dataclass
+class Network:
+    """Stages node = b0 w + z^-1 (b1 w + a node) of a source w, in the order in which they run."""
+
+    stages: list[tuple[int, float, float, float]] = field(default_factory=list)
+
+    def stage(self, source: int, a: float, b0: float, b1: float) -> int:
+        """Appends a stage, or finds the one that does the same; returns its node."""
+        entry = (source, a, b0, b1)
+        if entry not in self.stages:
+            self.stages.append(entry)
+        return 4 + self.stages.index(entry)
+
+    def delay(self, source: int) -> int:
+        """One sample later."""
+        return self.stage(source, 0.0, 0.0, 1.0)
+
+
+def scaled(taps: Taps, factor: float) -> Taps:
+    """The same sum times a factor."""
+    return [(node, factor * weight) for node, weight in taps]

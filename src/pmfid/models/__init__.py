@@ -1,0 +1,1 @@
+"""Equations: what is known of the plant before the first sample."""

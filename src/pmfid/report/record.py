@@ -1,0 +1,69 @@
+"""Files of one identification: the report, the numbers, the track."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from pmfid.report.figures import estimate_figure, residual_figure, signals_figure, status_figure
+from pmfid.report.html import Section, svg, write_report
+from pmfid.session.pipeline import Result
+
+
+def write_result(out: Path, result: Result) -> None:
+    """Writes report.html, result.json and, for a recursive method, track.parquet into the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "result.json").write_text(json.dumps(result.to_json(), indent=2, allow_nan=False) + "\n")
+    if result.track is not None:
+        _write_track(out / "track.parquet", result)
+    title = f"{result.record.name}: {result.estimator.method}"
+    write_report(out / "report.html", title, [_parameters(result), *_figures(result)])
+
+
+def _write_track(path: Path, result: Result) -> None:
+    import polars as pl
+
+    track = result.track
+    if track is None:
+        return
+    columns = {"t": np.arange(track.status.size) * result.record.dt}
+    for i, name in enumerate(track.names):
+        columns |= {name: track.theta[:, i], f"{name}_std": track.theta_std[:, i]}
+    columns |= {"innovation": track.innovation, "status": track.status}
+    pl.DataFrame(columns).write_parquet(path)
+
+
+def _parameters(result: Result) -> Section:
+    estimator = result.estimator
+    rows = [
+        [name, f"{value:.6g}", f"{std:.2g}", unit]
+        for name, value, std, unit in zip(
+            estimator.names, result.theta, result.theta_std, estimator.units, strict=True
+        )
+    ]
+    zeros = ", ".join(f"{zero:.3g}" for zero in estimator.zeros)
+    text = (
+        f"{result.record.u.size} samples, dt = {result.record.dt:.6g} s, resolution {result.record.resolution:.4g} per count. "
+        f"Filters: order {estimator.order}, cutoff {estimator.cutoff:g} rad/s"
+        + (f", pre-filter zeros {zeros} rad/s" if zeros else "")
+        + f". Relative error of the filtered equation: {100 * result.relative_error:.3g} %. "
+        + " ".join(f"Note: {note}." for note in result.notes)
+    )
+    return Section("Parameters", text, (("parameter", "value", "std", "unit"), rows))
+
+
+def _figures(result: Result) -> list[Section]:
+    record = result.record
+    t = np.arange(record.u.size) * record.dt
+    velocity = np.gradient(record.counts * record.resolution, record.dt)
+    sections = [Section("Input and motion", svg=svg(signals_figure(t, record.u, velocity)))]
+    if result.track is not None:
+        sections.insert(0, Section("Estimates", svg=svg(estimate_figure(t, result.track, None))))
+        sections.append(Section("Status", svg=svg(status_figure(t, result.track.status))))
+    if result.fit is not None:
+        start = record.u.size - result.fit.samples
+        residual = np.r_[np.zeros(start), result.fit.residual]
+        sections.append(Section("Residual of the filtered equation", svg=svg(residual_figure(t, residual))))
+    return sections

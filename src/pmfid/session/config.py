@@ -1,0 +1,199 @@
+"""AXIS.toml: what the record holds, the encoder, the model and the estimator, validated once and frozen.
+
+The description of a field ends the error message about it: it must read well after "give ...".
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+
+from pmfid.errors import UsageError, did_you_mean
+
+__all__ = ["Axis", "check_sampling", "load_axis"]
+
+
+def _usable_scale(value: float | str) -> float | str:
+    if value in (0, ""):
+        raise ValueError("it must be neither zero nor empty")
+    return value
+
+
+def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
+    if value is not None and value[0] == value[1]:
+        raise ValueError("the two zeros must differ")
+    return value
+
+
+Positive = Annotated[float, Field(gt=0)]
+Negative = Annotated[float, Field(lt=0)]
+Name = Annotated[str, Field(min_length=1)]
+
+
+class _Section(BaseModel):
+    # strict: a string "50" or the truth value `true` in place of a number is a slip, not a number.
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class RecordConfig(_Section):
+    """[record]: which columns of the file hold the input u, the output and the time [s]."""
+
+    input: Name = Field(description="the name of the column that holds the input")
+    output: Name = Field(description="the name of the column that holds the position or the counts")
+    output_kind: Literal["position", "counts"] = Field("position", description="what the output column holds")
+    time: Name | None = Field(None, description="the name of the time column, in s")
+    dt: Positive | None = Field(None, description="the sample period in s, for example 1e-3")
+    input_scale: Annotated[float | str, AfterValidator(_usable_scale)] = Field(
+        1.0,
+        description="a factor, u = input_scale * column, or the name of a scalar variable in the .mat file",
+    )
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.time is None and self.dt is None:
+            raise ValueError("neither time nor dt is there; give the time column, or dt in s, or both")
+        if len({self.input, self.output, self.time}) < 3:
+            raise ValueError("input, output and time must be different columns; correct the names")
+        return self
+
+
+class EncoderConfig(_Section):
+    """[encoder]: resolution in unit of y per count, and what is known of the counter and the motion."""
+
+    resolution: Positive = Field(description="the unit of y per count, for example 22.75e-6 (m)")
+    bits: int | None = Field(
+        None,
+        ge=1,
+        le=32,
+        description="the width of the counter that wraps at 2**bits, 1 to 32, or leave it out",
+    )
+    standstill_time: Positive = Field(
+        0.2, description="the time in s without a new count that means standstill"
+    )
+    max_speed: Positive | None = Field(None, description="the highest possible speed in unit of y per s")
+
+
+class ModelConfig(_Section):
+    """[model]: the equation, mass x'' + viscous_friction x' + coulomb_friction sign(x') = input_gain u."""
+
+    kind: Literal["drive"] = Field("drive", description="the kind of model; there is one so far")
+    input_gain: Positive = Field(description="the force in N per unit of u, for example 2.0")
+    offset: bool = Field(
+        False, description="true to identify a constant load as well, false if there is none"
+    )
+
+
+class EstimatorConfig(_Section):
+    """[estimator]: method, filter chain (`cutoff` in rad/s, `order` stages) and memory."""
+
+    method: Literal["ls", "bcls", "rls", "bcrls"] = Field("bcrls", description="the estimation method")
+    cutoff: Positive = Field(description="the pole of the filter chain in rad/s, for example 50.0")
+    order: int = Field(2, ge=2, le=6, description="the number of filter stages, 2 to 6")
+    forgetting: float = Field(
+        1.0,
+        gt=0,
+        le=1,
+        description="a factor in (0, 1]; for a memory of T seconds use 1 - dt/T, 1 never forgets",
+    )
+    discretization: Literal["matched", "paper"] = Field(
+        "matched", description="the discretisation of the filters"
+    )
+    # not strict, because TOML has lists and a frozen object wants a tuple
+    prefilter_zeros: Annotated[tuple[Negative, Negative] | None, AfterValidator(_distinct)] = Field(
+        None, strict=False, description="two different negative numbers in 1/s, for example [-30.0, -60.0]"
+    )
+    precision: Literal["float64", "float32"] = Field("float64", description="the arithmetic of the kernel")
+
+
+class Axis(_Section):
+    """One axis of motion: the whole of AXIS.toml."""
+
+    record: RecordConfig = Field(description="a section that names the columns input, output and time")
+    encoder: EncoderConfig = Field(description="a section with at least the resolution")
+    model: ModelConfig = Field(description="a section with at least the input_gain")
+    estimator: EstimatorConfig = Field(description="a section with at least the cutoff")
+
+
+_SECTIONS: dict[str, type[_Section]] = {
+    "record": RecordConfig,
+    "encoder": EncoderConfig,
+    "model": ModelConfig,
+    "estimator": EstimatorConfig,
+}
+
+
+def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis:
+    """Read and validate an AXIS.toml.
+
+    `overrides` holds dotted keys, {"estimator.cutoff": 50.0}, that go before the file's; None is ignored.
+    Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
+    """
+    given = {key: value for key, value in (overrides or {}).items() if value is not None}
+    raw = _read_toml(path)
+    for dotted, value in given.items():
+        section, _, key = dotted.partition(".")
+        table = raw.setdefault(section, {})
+        if isinstance(table, dict):
+            table[key] = value
+    try:
+        return Axis.model_validate(raw)
+    except ValidationError as error:
+        # A misspelt key is also a missing one: the misspelling comes first, as it explains the other.
+        details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    # A value that fits neither number nor name fails twice at one place: one text for each place.
+    problems = {detail["loc"][:2]: _problem(detail, raw, given) for detail in details}
+    raise UsageError(f"{path}: " + "\n  ".join(problems.values()))
+
+
+def check_sampling(axis: Axis, dt: float) -> None:
+    """Raise UsageError if the filter pole lies past the Nyquist limit, `cutoff * dt > 2` (dt in s)."""
+    cutoff = axis.estimator.cutoff
+    if cutoff * dt > 2:
+        raise UsageError(
+            f"[estimator] cutoff = {cutoff:g} rad/s is too high for dt = {dt:g} s: the filter pole would be "
+            f"past the Nyquist limit and alternate in sign; use at most 2/dt = {2 / dt:g} rad/s"
+        )
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise UsageError(
+            f"{path}: cannot read the configuration: {error.strerror}; give an AXIS.toml"
+        ) from None
+    except UnicodeDecodeError:
+        raise UsageError(f"{path}: the configuration is not UTF-8 text; give an AXIS.toml") from None
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise UsageError(f"{path}: not valid TOML: {error}; correct that line") from None
+
+
+def _problem(error: ErrorDetails, raw: Mapping[str, Any], given: Mapping[str, object]) -> str:
+    section, *rest = (str(part) for part in error["loc"])
+    label = f"[{section}] {rest[0]}" if rest else f"[{section}]"
+    if error["type"] == "extra_forbidden":
+        return _unknown(section, rest)
+    field = _SECTIONS[section].model_fields[rest[0]] if rest else Axis.model_fields[section]
+    if error["type"] == "missing":
+        return f"{label} is missing; give {field.description}"
+    message = error["msg"].removeprefix("Value error, ").replace("Input should", "it should")
+    if not rest:
+        return (
+            f"{label}: {message}" if isinstance(raw[section], dict) else f"{label} must be a section of keys"
+        )
+    origin = " (given as an option)" if f"{section}.{rest[0]}" in given else ""
+    return f"{label} = {raw[section][rest[0]]!r}{origin}: {message}; give {field.description}"
+
+
+def _unknown(section: str, rest: list[str]) -> str:
+    word = rest[0] if rest else section
+    home = next((name for name, model in _SECTIONS.items() if word in model.model_fields), None)
+    known = list(_SECTIONS[section].model_fields) if rest else list(_SECTIONS)
+    what = f"[{section}] {word} is an unknown key" if rest else f"[{section}] is an unknown section or key"
+    hint = f"; it belongs in [{home}]" if home else did_you_mean(word, known)
+    return f"{what}; known are {', '.join(known)}{hint}"

@@ -1,0 +1,162 @@
+"""From a record and a configuration to a result: what ties the rooms together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pmfid.encoder import Encoder
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.base import Estimator, status_names
+from pmfid.estimators.batch import BatchEstimator, Columns, Fit, check_identifiable
+from pmfid.estimators.recursive import RecursiveEstimator, Track
+from pmfid.estimators.registry import ESTIMATORS
+from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.models.drive import Drive
+from pmfid.session.config import Axis, check_sampling
+from pmfid.session.records import Record
+from pmfid.status import Status
+
+#: Called with the part of the record that is done, 0 to 1.
+Progress = Callable[[float], None]
+
+CHUNK = 100_000
+
+
+@dataclass(frozen=True)
+class Result:
+    """Parameters of a record. theta, theta_std: (p,); relative_error: of the filtered equation at theta;
+    status: names of the bits that hold for the result; notes: sentences for people; fit or track: the details."""
+
+    estimator: Estimator
+    record: Record
+    theta: np.ndarray
+    theta_std: np.ndarray
+    relative_error: float
+    status: tuple[str, ...]
+    notes: tuple[str, ...]
+    fit: Fit | None = None
+    track: Track | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """The object that `--json` prints."""
+        estimator = self.estimator
+        rows = zip(estimator.names, estimator.units, self.theta, self.theta_std, strict=True)
+        return {
+            "model": estimator.model.kind,
+            "method": estimator.method,
+            "samples": int(self.record.u.size),
+            "dt": self.record.dt,
+            "parameters": {
+                name: {"value": float(value), "std": float(std), "unit": unit}
+                for name, unit, value, std in rows
+            },
+            "fit": {"relative_error": self.relative_error},
+            "prefilter_zeros": list(estimator.zeros),
+            "status": list(self.status),
+            "notes": list(self.notes),
+        }
+
+
+def make_estimator(axis: Axis, record: Record) -> Estimator:
+    """The estimator that a configuration asks for, at the record's sample period and resolution."""
+    check_sampling(axis, record.dt)
+    config = axis.estimator
+    cls = ESTIMATORS[config.method]
+    options: dict[str, Any] = {"order": config.order, "discretization": config.discretization}
+    options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
+    if issubclass(cls, RecursiveEstimator):
+        options["forgetting"] = config.forgetting
+    encoder = Encoder(
+        record.resolution, standstill_time=axis.encoder.standstill_time, max_speed=axis.encoder.max_speed
+    )
+    model = Drive(axis.model.input_gain, offset=axis.model.offset)
+    estimator = cls(model, encoder, record.dt, config.cutoff, **options)
+    if cls.instrumental and config.prefilter_zeros is None:
+        zeros = choose_prefilter_zeros(estimator, record.u, record.counts)
+        estimator = replace(estimator, prefilter_zeros=zeros)
+    return estimator
+
+
+def identify(record: Record, axis: Axis, progress: Progress | None = None) -> Result:
+    """Estimates the parameters of a record; `progress` is called while a recursive method runs.
+
+    Raises UsageError for a configuration that does not fit the record and NotIdentifiableError where the record
+    cannot identify every parameter.
+    """
+    estimator = make_estimator(axis, record)
+    batch = _batch_twin(estimator)
+    columns = batch.columns(record.u, record.counts)
+    check_identifiable(columns, batch.names)
+    if isinstance(estimator, RecursiveEstimator):
+        return _recursive(estimator, record, columns, progress)
+    fit = batch.fit(record.u, record.counts)
+    flags = _trust(fit.theta, fit.theta_std, estimator)
+    notes = (*record.notes, *flags, *Status(fit.status).advice)
+    status = tuple(status_names(fit.status)) + (("uncertain",) if flags else ())
+    return Result(estimator, record, fit.theta, fit.theta_std, fit.relative_error, status, notes, fit=fit)
+
+
+def _batch_twin(estimator: Estimator) -> BatchEstimator:
+    """The off-line method on the same columns."""
+    if isinstance(estimator, BatchEstimator):
+        return estimator
+    cls = ESTIMATORS["bcls" if estimator.instrumental else "ls"]
+    shared = ("order", "discretization", "precision", "prefilter_zeros")
+    options: dict[str, Any] = {name: getattr(estimator, name) for name in shared}
+    twin = cls(estimator.model, estimator.encoder, estimator.dt, estimator.cutoff, **options)
+    if not isinstance(twin, BatchEstimator):
+        raise UsageError(f"{estimator.method} has no off-line method beside it")
+    return twin
+
+
+def _recursive(
+    estimator: RecursiveEstimator, record: Record, columns: Columns, progress: Progress | None
+) -> Result:
+    track = _run(estimator, record, progress)
+    last = int(track.status[-1])
+    if last & Status.STARTING:
+        raise NotIdentifiableError(
+            "the record ends before there is an estimate: too little motion for every parameter; record longer"
+        )
+    theta, std = track.theta[-1], track.theta_std[-1]
+    residual = columns.z - columns.phi @ theta
+    relative = float(np.linalg.norm(residual) / np.linalg.norm(columns.z))
+    occurred = int(np.bitwise_or.reduce(track.status)) & int(
+        Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET
+    )
+    held = occurred | (last & ~int(Status.SETTLING))
+    flags = _trust(theta, std, estimator)
+    status = tuple(status_names(held)) + (("uncertain",) if flags else ())
+    notes = (*record.notes, *flags, *Status(held).advice)
+    return Result(estimator, record, theta, std, relative, status, notes, track=track)
+
+
+def _run(estimator: RecursiveEstimator, record: Record, progress: Progress | None) -> Track:
+    """Over the record in chunks: the same numbers as in one piece."""
+    n, parts = record.u.size, []
+    for start in range(0, n, CHUNK):
+        part = slice(start, start + CHUNK)
+        parts.append(estimator.run(record.u[part], record.counts[part]))
+        if progress is not None:
+            progress(min(1.0, (start + CHUNK) / n))
+    fields = ("theta", "variance_factor", "innovation", "innovation_variance", "status")
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in fields}
+    return Track(parts[0].names, parts[0].units, **joined)
+
+
+def _trust(theta: np.ndarray, std: np.ndarray, estimator: Estimator) -> tuple[str, ...]:
+    """Sentences on values that a person should not believe as they stand."""
+    notes = []
+    for name, value, deviation in zip(estimator.names, theta, std, strict=True):
+        if name in ("mass", "viscous_friction", "coulomb_friction"):
+            if value < 0 and value + 3 * deviation < 0:
+                notes.append(f"{name} is negative: check the sign and scale of the input and the encoder")
+            elif deviation > 0.5 * abs(value):
+                notes.append(
+                    f"{name} is not known to better than half its value: excite it more, or lower the cutoff"
+                )
+    return tuple(notes)

@@ -1,0 +1,320 @@
+"""Records: read the input and the encoder counts from CSV, Parquet or MATLAB v5 files, and check them.
+
+A record that leaves this module is finite, evenly sampled and long enough to try; whether it moves enough to
+identify anything is not decided here. Rows in messages count from 1 at the first row of data.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import UsageError, did_you_mean
+
+if TYPE_CHECKING:
+    from pmfid.session.config import Axis, RecordConfig
+
+__all__ = ["MIN_SAMPLES", "Record", "read_record"]
+
+MIN_SAMPLES = 10
+# Beyond 2**53 neighbouring integers share one float64, and a count would be silently wrong.
+_MAX_COUNT = 2.0**53
+_MISSING = ["", "NA", "N/A", "null", "NULL", "None"]
+
+Floats = NDArray[np.float64]
+Counts = NDArray[np.int64]
+Table = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Record:
+    """One evenly sampled run of a drive.
+
+    u: input, (n,), already scaled; counts: encoder counts, (n,), unwrapped; dt: sample period [s];
+    resolution: unit of y per count; notes: what was done to the data, for people; name: name of the file.
+    """
+
+    u: Floats
+    counts: Counts
+    dt: float
+    resolution: float
+    notes: tuple[str, ...]
+    name: str
+
+
+def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record:
+    """Read the record that `axis.record` describes from a .csv, .parquet or .mat (v5) file.
+
+    With `quantize`, a step in unit of y, the position is counted anew by a coarser encoder of that step
+    (floor quantiser, mean error -step/2). Raises UsageError naming the file, the column, the first bad row
+    and the remedy. A constant input or a record without motion is not an error.
+    """
+    resolution = axis.encoder.resolution
+    # written so that NaN fails too
+    if quantize is not None and not resolution * (1 - 1e-9) <= quantize < np.inf:
+        raise UsageError(
+            f"quantize = {quantize:g} must be positive, finite and not finer than [encoder] resolution = "
+            f"{resolution:g}; give a larger step"
+        )
+    try:
+        return _build(_read_table(path), axis, quantize, path.name)
+    except UsageError as error:
+        # one line, whatever the names in a damaged file contain
+        raise UsageError(f"{path}: {' '.join(str(error).split())}") from None
+
+
+def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Record:
+    config = axis.record
+    keys = {"input": config.input, "output": config.output, "time": config.time}
+    columns = {key: _column(table, key, name) for key, name in keys.items() if name is not None}
+    _check_lengths(columns, keys)
+    for key, values in columns.items():
+        _check_finite(f"{key} column {keys[key]!r}", values)
+    scale, scale_notes = _input_scale(table, config.input_scale)
+    dt, time_notes = _sample_period(columns.get("time"), config)
+    counts, count_notes = _counts(columns["output"], axis)
+    resolution = axis.encoder.resolution
+    if quantize is not None:
+        # y comes anew from the counts only where there is nothing better: a position is not floored twice
+        y = columns["output"] if config.output_kind == "position" else counts.astype(np.float64) * resolution
+        counts, resolution = _floor_counts(y, quantize, 1e-9), quantize
+        count_notes += (f"position quantised anew with a step of {quantize:g}",)
+    notes = scale_notes + time_notes + count_notes
+    return Record(scale * columns["input"], counts, dt, resolution, notes, name)
+
+
+def _read_table(path: Path) -> Table:
+    parsers = {".csv": _parse_csv, ".parquet": _parse_parquet, ".mat": _parse_mat}
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"cannot read the record: {error.strerror}; give the path of a data file") from None
+    parse = parsers.get(path.suffix.lower())
+    if parse is None:
+        raise UsageError(f"file type {path.suffix!r} is not known; use one of {', '.join(parsers)}")
+    if not data.strip():
+        raise UsageError("the file is empty; export the record again")
+    try:
+        return parse(data)
+    except UsageError:
+        raise
+    except BaseException as error:
+        # The readers raise whatever they stumble over: OSError, ValueError, zlib.error, and polars' Rust core
+        # a PanicException that is no Exception. Only what ends the program passes through.
+        if isinstance(error, (KeyboardInterrupt, SystemExit, GeneratorExit)):
+            raise
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        kind = path.suffix.lower()
+        raise UsageError(
+            f"not a readable {kind} file, truncated or corrupt ({reason}); export it again"
+        ) from None
+
+
+def _parse_csv(data: bytes) -> Table:
+    import polars as pl
+
+    if b"\0" in data:
+        raise UsageError("not a text file; use the ending that tells its type, or export it as UTF-8 CSV")
+    header = data.lstrip().splitlines()[0]
+    if b"," not in header and (b";" in header or b"\t" in header):
+        raise UsageError(
+            "the columns are not separated by commas; export with comma separators and decimal points"
+        )
+    # All as text first: a column is converted, and complained about, only if it is used.
+    frame = pl.read_csv(data, infer_schema=False, null_values=_MISSING)
+    return {column.strip(): frame[column] for column in frame.columns}
+
+
+def _parse_parquet(data: bytes) -> Table:
+    import polars as pl
+
+    frame = pl.read_parquet(io.BytesIO(data))
+    return {column: frame[column] for column in frame.columns}
+
+
+def _parse_mat(data: bytes) -> Table:
+    import scipy.io
+
+    remedy = "a MATLAB v7.3 file is not read; save it in MATLAB with save(name, '-v7')"
+    if data.startswith(b"\x89HDF"):
+        raise UsageError(remedy)
+    try:
+        variables = scipy.io.loadmat(io.BytesIO(data))
+    except NotImplementedError:
+        raise UsageError(remedy) from None
+    return {name: value for name, value in variables.items() if not name.startswith("__")}
+
+
+def _lookup(table: Table, key: str, name: str) -> Any:
+    if f"{name}_duplicated_0" in table:
+        raise UsageError(f"[record] {key} = {name!r}: two columns have this name; rename one of them")
+    if name in table:
+        return table[name]
+    listed = ", ".join(list(table)[:30]) or "none"
+    hint = did_you_mean(name, table)
+    raise UsageError(f"[record] {key} = {name!r}: there is no such column; available are {listed}{hint}")
+
+
+def _column(table: Table, key: str, name: str) -> Floats:
+    value = _lookup(table, key, name)
+    label = f"{key} column {name!r}"
+    return _from_array(label, value).ravel() if isinstance(value, np.ndarray) else _from_series(label, value)
+
+
+def _from_series(label: str, series: Any) -> Floats:
+    import polars as pl
+
+    if series.dtype == pl.String:
+        numbers = series.str.strip_chars().cast(pl.Float64, strict=False)
+        bad = (numbers.is_null() & series.is_not_null()).arg_true()
+        if len(bad):
+            raise UsageError(
+                f"{label} is not numeric: {series[bad[0]]!r} in row {bad[0] + 1}; write numbers like 0.25"
+            )
+        series = numbers
+    if not series.dtype.is_numeric():
+        raise UsageError(f"{label} is not numeric but {series.dtype}; store it as numbers (time in s)")
+    values: Floats = series.cast(pl.Float64).fill_null(np.nan).to_numpy()
+    return values
+
+
+def _from_array(label: str, array: NDArray[Any]) -> Floats:
+    if array.dtype.kind not in "biuf":
+        raise UsageError(
+            f"{label} is not a real numeric array but {array.dtype}; save it as a vector of double"
+        )
+    if array.size > 1 and max(array.shape) != array.size:
+        raise UsageError(
+            f"{label} is not a vector, its shape is {array.shape}; save one column as its own variable"
+        )
+    return array.astype(np.float64)
+
+
+def _check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None]) -> None:
+    lengths = {keys[key]: len(values) for key, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise UsageError(f"the columns differ in length: {lengths}; save them over the same samples")
+    n = len(columns["input"])
+    if n < MIN_SAMPLES:
+        raise UsageError(
+            f"the record has {n} sample{'s' * (n != 1)}, at least {MIN_SAMPLES} are needed; record longer"
+        )
+
+
+def _check_finite(label: str, values: Floats) -> None:
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        rows = f"{len(bad)} row{'s' * (len(bad) > 1)}"
+        raise UsageError(
+            f"{label} is missing, NaN or infinite in {rows}, the first is row {bad[0] + 1}; "
+            f"drop them at the ends, interpolate them inside, or cut the record there"
+        )
+
+
+def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ...]]:
+    if not isinstance(scale, str):
+        return scale, ()
+    value = _lookup(table, "input_scale", scale)
+    if not isinstance(value, np.ndarray):
+        raise UsageError(
+            f"[record] input_scale = {scale!r}: only a .mat file has scalar variables; give a number"
+        )
+    array = _from_array(f"[record] input_scale = {scale!r}", value)
+    if array.size != 1 or not np.isfinite(array).all() or array.item() == 0:
+        raise UsageError(
+            f"[record] input_scale = {scale!r} is not a finite scalar other than zero (shape {array.shape}); "
+            f"name a scalar variable, or give a number"
+        )
+    return array.item(), (f"input scaled by {scale} = {array.item():g}",)
+
+
+def _sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tuple[str, ...]]:
+    if time is None:
+        if config.dt is None:
+            raise UsageError("[record] neither time nor dt is there; give one of them")
+        return config.dt, ()
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    _check_steps(time, steps, median)
+    dt = float((time[-1] - time[0]) / (len(time) - 1))
+    if config.dt is not None and abs(dt - config.dt) > 0.01 * config.dt:
+        raise UsageError(
+            f"[record] dt = {config.dt:g} s, but the time column {config.time!r} steps by {dt:g}; "
+            f"correct dt, or convert the time column to s"
+        )
+    jitter = float(np.max(np.abs(steps - median)) / median)
+    return dt, (f"time steps vary by up to {jitter:.1%} of their median",) if jitter > 1e-3 else ()
+
+
+def _check_steps(time: Floats, steps: Floats, median: float) -> None:
+    back = np.flatnonzero(steps <= 0)
+    if len(back):
+        k = back[0]
+        raise UsageError(
+            f"time does not increase strictly: row {k + 2} ({time[k + 1]:.9g}) follows {time[k]:.9g}; "
+            f"sort or cut the record, and write time with more digits if it repeats"
+        )
+    gaps = np.flatnonzero(steps > 1.5 * median)
+    if len(gaps):
+        k = gaps[0]
+        raise UsageError(
+            f"time has {len(gaps)} gap{'s' * (len(gaps) > 1)}, steps beyond 1.5 medians of {median:g} s; "
+            f"first after row {k + 1}, t = {time[k]:.9g}; cut the record at the gap"
+        )
+    worst = float(np.max(np.abs(steps - median)) / median)
+    if worst > 0.1:
+        raise UsageError(
+            f"time steps differ by up to {worst:.1%} of the median {median:g} s, 10 % is allowed; "
+            f"resample the record to a fixed rate"
+        )
+
+
+def _counts(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
+    bits = axis.encoder.bits
+    if axis.record.output_kind == "position":
+        # A position that is a multiple of the resolution in decimal often falls just below it in binary, and
+        # a bare floor would lose a whole count: hence the tiny tolerance.
+        counts = _floor_counts(output, axis.encoder.resolution, 1e-6)
+        return counts, ("bits is ignored, the output is a position",) if bits is not None else ()
+    rounded = np.rint(output)
+    bad = np.flatnonzero((np.abs(output - rounded) > 1e-6) | (np.abs(output) >= _MAX_COUNT))
+    if len(bad):
+        raise UsageError(
+            f"counts must be integers below 2**53, got {output[bad[0]]:.9g} in row {bad[0] + 1}; "
+            f'set output_kind = "position" if the column is a position'
+        )
+    counts = rounded.astype(np.int64)
+    return (counts, ()) if bits is None else _unwrap(counts, bits)
+
+
+def _floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
+    with np.errstate(over="ignore"):
+        counts = np.floor(y / step + tolerance)
+    bad = np.flatnonzero(np.abs(counts) >= _MAX_COUNT)
+    if len(bad):
+        raise UsageError(
+            f"the position {y[bad[0]]:.9g} in row {bad[0] + 1} is more than 2**53 counts of {step:g}; "
+            f"correct [encoder] resolution"
+        )
+    return counts.astype(np.int64)
+
+
+def _unwrap(counts: Counts, bits: int) -> tuple[Counts, tuple[str, ...]]:
+    """Undo the wrap of a counter of `bits` bits: every step is the shortest way round."""
+    span = 2**bits
+    raw = np.diff(counts)
+    steps = (raw + span // 2) % span - span // 2
+    wraps = int(np.count_nonzero(steps != raw))
+    notes = [f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)"] if wraps else []
+    largest = int(np.max(np.abs(steps))) / span
+    if largest > 0.25:
+        notes.append(
+            f"largest step is {largest:.0%} of the counter's range: from 50 % on, the wrap is ambiguous"
+        )
+    return np.concatenate((counts[:1], counts[0] + np.cumsum(steps))), tuple(notes)

@@ -1,0 +1,164 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""The drive with Coulomb friction, solved from event to event: no time step, no integration error.
+
+    m v' = force - d v - F_c sign(v),    force = input_gain u - offset, constant over a sample;
+    v = 0 and |force| <= F_c: stands still
+
+Paper eq. 37, but F_c is a force in newton here (an acceleration there). The lengths of the arrays are checked
+here, their values by the callers in drive.py and control.py.
+"""
+
+import numpy as np
+
+from libc.math cimport expm1, fabs, floor, log1p
+from libc.stdint cimport int64_t
+
+# Beyond 2**53 neighbouring whole numbers are no longer separate doubles: a count would be made up.
+cdef double COUNT_LIMIT = 9007199254740992.0
+
+
+cdef struct Parameters:
+    double mass, viscous, coulomb
+
+
+cdef struct State:
+    double x, v          # m, m/s
+    double direction     # (time moving forward - time moving backward) / dt of the last interval
+    double moving        # time moving / dt of the last interval
+
+
+cdef inline double ramp_factor(double z) noexcept nogil:
+    """(z - 1 + exp(-z)) / z**2 for 0 <= z."""
+    cdef double total
+    cdef int k
+    if z > 0.5:
+        return (z + expm1(-z)) / (z * z)
+    # The closed form cancels for small z (relative error 1e-16 / z). The first term left out here is
+    # 0.5**14 / 16! = 3e-18.
+    total = 1.0
+    for k in range(15, 2, -1):
+        total = 1.0 - z * total / k
+    return 0.5 * total
+
+
+cdef inline void glide(State *state, double push, double time, Parameters p) noexcept nogil:
+    """Move for `time` under m v' = push - d v: no event inside."""
+    cdef double z = p.viscous / p.mass * time
+    cdef double fall = expm1(-z)
+    cdef double mean = -fall / z if z > 0.0 else 1.0
+    cdef double acceleration = push / p.mass
+    state.x += time * (mean * state.v + acceleration * time * ramp_factor(z))
+    state.v += fall * state.v + acceleration * time * mean
+
+
+cdef inline double time_to_stop(double speed, double brake, Parameters p) noexcept nogil:
+    """Time until m v' = -brake - d v, v(0) = speed > 0, brake > 0, reaches v = 0."""
+    cdef double q = p.viscous * speed / brake
+    if q > 1.0:
+        return p.mass / p.viscous * log1p(q)
+    return p.mass * speed / brake * (log1p(q) / q if q > 0.0 else 1.0)
+
+
+cdef void advance(State *state, double force, double dt, Parameters p) noexcept nogil:
+    """One interval with constant force.
+
+    At most one event inside, hence two pieces. Let the cart move with sign `side`.
+    (a) side*force >= F_c: v tends to (force - side F_c)/d, which is zero or has the sign of v, without
+    crossing zero: no event. A cart that breaks away from v = 0 has side*force > F_c and belongs here.
+    (b) side*force < F_c: v falls monotonically and crosses zero once. Then either |force| <= F_c: it
+    sticks for the rest, as the force is constant; or side*force < -F_c: it reverses, and with -side for
+    side this is case (a): no further event.
+    """
+    cdef double side, brake, first
+    state.direction = 0.0
+    state.moving = 0.0
+    if state.v == 0.0 and fabs(force) <= p.coulomb:
+        return
+    side = 1.0 if state.v > 0.0 or (state.v == 0.0 and force > 0.0) else -1.0
+    brake = p.coulomb - side * force
+    first = time_to_stop(fabs(state.v), brake, p) if brake > 0.0 else dt
+    state.moving = 1.0
+    if first >= dt:
+        glide(state, -side * brake, dt, p)
+        # Rounding can carry a cart that stops just at the end of the interval past zero.
+        if side * state.v < 0.0:
+            state.v = 0.0
+        state.direction = side
+        return
+    glide(state, -side * brake, first, p)
+    state.v = 0.0
+    if fabs(force) > p.coulomb:
+        glide(state, force + side * p.coulomb, dt - first, p)
+        state.direction = side * ((first - (dt - first)) / dt)
+    else:
+        state.moving = first / dt
+        state.direction = side * state.moving
+
+
+cdef int check_lengths(Py_ssize_t n, Py_ssize_t a, Py_ssize_t b, Py_ssize_t c, Py_ssize_t d, Py_ssize_t e) except -1:
+    if not n == a == b == c == d == e:
+        raise ValueError(f"parameter arrays must have the length of the signal, {n}, got {a}, {b}, {c}, {d}, {e}")
+    return 0
+
+
+def simulate_open_loop(const double[::1] u, double dt, const double[::1] mass, const double[::1] viscous,
+                       const double[::1] coulomb, const double[::1] input_gain, const double[::1] offset,
+                       double x0, double v0):
+    """Motion under the input u (n,), held over each dt: x, v (n + 1,), direction, moving (n,); SI units."""
+    cdef Py_ssize_t n = u.shape[0], k
+    check_lengths(n, mass.shape[0], viscous.shape[0], coulomb.shape[0], input_gain.shape[0], offset.shape[0])
+    out = np.empty(n + 1), np.empty(n + 1), np.empty(n), np.empty(n)
+    cdef double[::1] x = out[0], v = out[1], direction = out[2], moving = out[3]
+    cdef State state = State(x0, v0, 0.0, 0.0)
+    with nogil:
+        for k in range(n):
+            x[k] = state.x
+            v[k] = state.v
+            advance(&state, input_gain[k] * u[k] - offset[k], dt, Parameters(mass[k], viscous[k], coulomb[k]))
+            direction[k] = state.direction
+            moving[k] = state.moving
+        x[n] = state.x
+        v[n] = state.v
+    return out
+
+
+def simulate_position_control(const double[::1] reference, double dt, const double[::1] mass,
+                              const double[::1] viscous, const double[::1] coulomb,
+                              const double[::1] input_gain, const double[::1] offset, double x0, double v0,
+                              double kp, double kd, double u_max, double resolution, double phase):
+    """PD control through the encoder: x, v (n + 1,), direction, moving, u (n,), counts (n,) int64; SI units.
+
+    y_k = resolution floor((x_k + phase) / resolution),
+    u_k = clip(kp (reference_k - y_k) - kd (y_k - y_{k-1}) / dt, -u_max, u_max), y_{-1} = y_0.
+    """
+    cdef Py_ssize_t n = reference.shape[0], k
+    check_lengths(n, mass.shape[0], viscous.shape[0], coulomb.shape[0], input_gain.shape[0], offset.shape[0])
+    out = np.empty(n + 1), np.empty(n + 1), np.empty(n), np.empty(n), np.empty(n), np.empty(n, dtype=np.int64)
+    cdef double[::1] x = out[0], v = out[1], direction = out[2], moving = out[3], u = out[4]
+    cdef int64_t[::1] counts = out[5]
+    cdef State state = State(x0, v0, 0.0, 0.0)
+    cdef double level, y, previous = 0.0
+    cdef bint readable = True
+    with nogil:
+        for k in range(n):
+            x[k] = state.x
+            v[k] = state.v
+            level = floor((state.x + phase) / resolution)
+            readable = fabs(level) <= COUNT_LIMIT
+            if not readable:
+                break
+            counts[k] = <int64_t>level
+            y = resolution * level
+            if k == 0:
+                previous = y
+            u[k] = max(-u_max, min(u_max, kp * (reference[k] - y) - kd * (y - previous) / dt))
+            previous = y
+            advance(&state, input_gain[k] * u[k] - offset[k], dt, Parameters(mass[k], viscous[k], coulomb[k]))
+            direction[k] = state.direction
+            moving[k] = state.moving
+        x[n] = state.x
+        v[n] = state.v
+    if not readable:
+        raise ValueError(f"position {state.x} m at sample {k} is beyond 2**53 counts of {resolution} m; "
+                         "use a larger resolution or a smaller motion")
+    return out

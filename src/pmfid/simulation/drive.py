@@ -1,0 +1,191 @@
+"""A drive with viscous and Coulomb friction under a given input, and the encoder that watches it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import isfinite
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.simulation._plant import simulate_open_loop
+
+Floats = NDArray[np.float64]
+Counts = NDArray[np.int64]
+Columns = tuple[Floats, Floats, Floats, Floats, Floats]
+
+# Up to 2**53 every whole number is a double of its own; a larger count would be made up.
+COUNT_LIMIT = 2**53
+
+
+def check_number(
+    name: str, value: float, *, above: float = -np.inf, remedy: str = "pass a finite number"
+) -> None:
+    """Raise ValueError unless `value` is finite and > `above`."""
+    if not (isfinite(value) and value > above):
+        bound = "finite" if above == -np.inf else f"finite and > {above:g}"
+        raise ValueError(f"{name} must be {bound}, got {value}; {remedy}")
+
+
+def check_whole(name: str, value: int, low: int, high: float, remedy: str) -> None:
+    """Raise ValueError unless `value` is a whole number in [low, high]."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
+        bound = f"of at least {low}" if high == np.inf else f"in [{low}, {high:g}]"
+        raise ValueError(f"{name} must be a whole number {bound}, got {value}; {remedy}")
+
+
+def as_signal(name: str, values: ArrayLike) -> Floats:
+    """Return a float64 copy (n,) of `values`; raise ValueError unless 1-D, finite and n >= 1."""
+    signal = np.array(values, dtype=np.float64, order="C")
+    if np.ndim(values) != 1 or signal.size == 0:
+        raise ValueError(
+            f"{name} must have shape (n,), n >= 1, got {np.shape(values)}; pass one value per sample"
+        )
+    bad = np.flatnonzero(~np.isfinite(signal))
+    if bad.size:
+        raise ValueError(
+            f"{name}[{bad[0]}] is {signal[bad[0]]}, it must be finite; repair or leave out that sample"
+        )
+    return signal
+
+
+def sample_times(samples: int, dt: float) -> Floats:
+    """Return the instants k dt, (samples,)."""
+    return np.arange(samples, dtype=np.float64) * np.float64(dt)
+
+
+@dataclass(frozen=True)
+class DriveParameters:
+    """Parameters of mass x'' + viscous_friction x' + coulomb_friction sign(x') + offset = input_gain u.
+
+    mass > 0 [kg], viscous_friction >= 0 [N s/m], coulomb_friction >= 0 [N], input_gain [N/V], offset [N]: a
+    constant load force. Paper eq. 37, but coulomb_friction is a force here, an acceleration there.
+    Raises ValueError for a value outside its range.
+    """
+
+    mass: float
+    viscous_friction: float
+    coulomb_friction: float
+    input_gain: float
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_number("mass", self.mass, above=0.0, remedy="give the moving mass in kg")
+        for name in ("viscous_friction", "coulomb_friction"):
+            value = getattr(self, name)
+            if not (isfinite(value) and value >= 0.0):
+                raise ValueError(
+                    f"{name} must be finite and >= 0, got {value}; friction opposes the motion, 0 is none"
+                )
+        check_number("input_gain", self.input_gain, remedy="give the force per unit of input in N/V")
+        check_number("offset", self.offset, remedy="give the constant load force in N, 0 for none")
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Drive parameters that change in steps: `changes` are pairs (time [s], parameters valid from then on).
+
+    The first time is 0, times increase. A change takes effect at the first sample at or after its time; the
+    velocity does not jump. Raises ValueError for times out of order.
+    """
+
+    changes: tuple[tuple[float, DriveParameters], ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "changes", tuple((time, parameters) for time, parameters in self.changes))
+        times = [time for time, _ in self.changes]
+        if not times or times[0] != 0.0:
+            raise ValueError(f"schedule must start at time 0, got {times[:1]}; begin with (0.0, parameters)")
+        for before, after in pairwise(times):
+            check_number("schedule time", after, above=before, remedy="sort the changes by time, each once")
+
+    def at(self, t: ArrayLike, dt: float) -> Columns:
+        """Return mass, viscous and Coulomb friction, input gain and offset at the instants `t`, each (n,)."""
+        # k*dt may fall a rounding error short of the time meant.
+        times = np.array([time for time, _ in self.changes]) - 1e-6 * dt
+        index = np.searchsorted(times, t, side="right") - 1
+        table = np.array(
+            [
+                (p.mass, p.viscous_friction, p.coulomb_friction, p.input_gain, p.offset)
+                for _, p in self.changes
+            ]
+        )
+        mass, viscous, coulomb, input_gain, offset = np.ascontiguousarray(table[index].T)
+        return mass, viscous, coulomb, input_gain, offset
+
+
+Drive = DriveParameters | Schedule | Sequence[tuple[float, DriveParameters]]
+
+
+def as_schedule(parameters: Drive) -> Schedule:
+    """Return `parameters` as a Schedule; constant parameters hold from time 0 on."""
+    if isinstance(parameters, Schedule):
+        return parameters
+    if isinstance(parameters, DriveParameters):
+        return Schedule(((0.0, parameters),))
+    return Schedule(tuple(parameters))
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The true motion at t = k dt, each field (n,): t [s], u [V], x [m], v [m/s], and for the interval that
+    starts at k `direction` in [-1, 1], (time moving forward - time moving backward) / dt, and `moving` in
+    [0, 1], time moving / dt.
+    """
+
+    t: Floats
+    u: Floats
+    x: Floats
+    v: Floats
+    direction: Floats
+    moving: Floats
+
+
+def as_motion(dt: float, u: Floats, x: Floats, v: Floats, direction: Floats, moving: Floats) -> Motion:
+    """Return the plant's result, x and v (n + 1,), as a Motion (n,); raise ValueError if it overflowed."""
+    if not (np.isfinite(x).all() and np.isfinite(v).all()):
+        raise ValueError(
+            "the motion leaves the range of floating point; check the units of parameters and input"
+        )
+    return Motion(sample_times(u.size, dt), u, x[:-1], v[:-1], direction, moving)
+
+
+def simulate_drive(parameters: Drive, u: ArrayLike, dt: float, x0: float = 0.0, v0: float = 0.0) -> Motion:
+    """Return the motion under the input `u` (n,) [V], held over each interval of `dt` [s] > 0.
+
+    Exact up to rounding: stops, reversals and break-aways are solved for inside the interval. Starts at
+    position x0 [m] with velocity v0 [m/s]. Raises ValueError for wrong arguments. Paper eq. 37.
+
+    >>> cart = DriveParameters(mass=2.0, viscous_friction=0.0, coulomb_friction=1.0, input_gain=1.0)
+    >>> motion = simulate_drive(cart, [3.0, 0.0, 0.0, 0.0], dt=1.0)  # 1 m/s^2, then -0.5 m/s^2 to rest
+    >>> [float(x) for x in motion.x], [float(m) for m in motion.moving]
+    ([0.0, 0.5, 1.25, 1.5], [1.0, 1.0, 1.0, 0.0])
+    """
+    check_number("dt", dt, above=0.0, remedy="give the sample period in seconds")
+    check_number("x0", x0, remedy="give the start position in m")
+    check_number("v0", v0, remedy="give the start velocity in m/s")
+    signal = as_signal("u", u)
+    columns = as_schedule(parameters).at(sample_times(signal.size, dt), dt)
+    return as_motion(dt, signal, *simulate_open_loop(signal, dt, *columns, x0, v0))
+
+
+def quantize(x: ArrayLike, resolution: float, phase: float = 0.0, bits: int | None = None) -> Counts:
+    """Return the encoder counts floor((x + phase) / resolution), shape of `x`, int64 (paper eq. 3).
+
+    x, phase, resolution > 0 in the same unit [m]. With `bits` (1 to 63) the counter is that of a register
+    without sign: it wraps modulo 2**bits. Raises ValueError for values that
+    aren't finite or exceed 2**53 counts.
+    """
+    check_number("resolution", resolution, above=0.0, remedy="give the travel per count in m")
+    check_number("phase", phase, remedy="give the start position on the encoder lattice in m")
+    with np.errstate(over="ignore"):  # the check below tells it
+        level = np.floor((np.asarray(x, dtype=np.float64) + phase) / resolution)
+    if not (np.abs(level) <= COUNT_LIMIT).all():
+        raise ValueError(
+            f"x must be finite and within 2**53 counts of {resolution} m; check the units of x and resolution"
+        )
+    counts = np.asarray(level, dtype=np.int64)
+    if bits is None:
+        return counts
+    check_whole("bits", bits, 1, 63, "give the width of the counter register")
+    return counts & np.int64(2**bits - 1)

@@ -1,0 +1,39 @@
+"""Status of an estimate: the kernel's bits, each with its advice."""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+
+class Status(IntFlag):
+    """Bits of `Estimate.status` and `Track.status`; the same values as in csrc/pmf.h."""
+
+    STARTING = 1
+    SETTLING = 2
+    POOR_EXCITATION = 4
+    COMPENSATION_HELD = 8
+    INVALID_INPUT = 16
+    COUNT_JUMP = 32
+    STANDSTILL = 64
+    RESET = 128
+
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """One sentence for each bit that is set."""
+        return tuple(ADVICE[bit] for bit in Status if bit in self)
+
+
+ADVICE = {
+    Status.STARTING: "no estimate yet: wait for motion that excites every parameter",
+    Status.SETTLING: "the filters still remember their start or a gap: samples are not used yet",
+    Status.POOR_EXCITATION: (
+        "too little information on some parameter within the memory: move more, or use a longer memory"
+    ),
+    Status.COMPENSATION_HELD: (
+        "the pre-filtered input says too little to compensate the bias: held; use prefilter_zeros near the plant's poles"
+    ),
+    Status.INVALID_INPUT: "an input was not finite: the last one was used and the filters settle again",
+    Status.COUNT_JUMP: "the counts jumped further than max_speed allows: check the wiring and the counter's bits",
+    Status.STANDSTILL: "no counts within standstill_time: the axis is taken to be at rest",
+    Status.RESET: "a number left the range of the format: the estimator started again",
+}

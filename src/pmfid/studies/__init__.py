@@ -1,0 +1,1 @@
+"""Programs that compare the estimators where the truth is known."""

@@ -1,0 +1,40 @@
+"""Records that several tests share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid.simulation.drive import quantize, simulate_drive
+from pmfid.simulation.scenarios import CART, CART_DT, resolution_of
+from pmfid.simulation.signals import prbs
+
+EMPS = Path(__file__).parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
+needs_emps = pytest.mark.skipif(not EMPS.exists(), reason="the EMPS record is not on this machine")
+
+TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+
+
+@dataclass(frozen=True)
+class Run:
+    u: np.ndarray
+    counts: np.ndarray
+    encoder: pmfid.Encoder
+
+
+def cart_run(seed: int, *, increments: float | None = 4096, samples: int = 3000, clock: int = 10) -> Run:
+    """The cart under an open-loop PRBS of +-3 V; increments None: an encoder too fine to matter."""
+    rng = np.random.default_rng(seed)
+    u = prbs(samples, clock=clock, amplitude=3.0, rng=rng)
+    resolution = 1e-9 if increments is None else resolution_of(increments)
+    motion = simulate_drive(CART, u, CART_DT)
+    return Run(u, quantize(motion.x, resolution, phase=rng.uniform(0, resolution)), pmfid.Encoder(resolution))
+
+
+@pytest.fixture(scope="session")
+def drive() -> pmfid.Drive:
+    return pmfid.Drive(input_gain=CART.input_gain)

@@ -1,0 +1,63 @@
+"""Short NumPy versions of the formulas, to be read beside the paper. Slow, and written for nothing but reading."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import lfilter
+
+
+def tustin(poles_and_orders, w, dt):
+    """Filter w by prod of s^j pole/(s + pole), j in (0, 1), each by the trapezoidal rule."""
+    for pole, j in poles_and_orders:
+        gain = pole / (2 / dt + pole)
+        numerator = [gain, gain] if j == 0 else [gain * 2 / dt, -gain * 2 / dt]
+        w = lfilter(numerator, [1, -(2 / dt - pole) / (2 / dt + pole)], w)
+    return w
+
+
+def matched(w, cutoff, order, dt):
+    """F(s) on a held signal, w[k] valid over [k dt, (k+1) dt): Tustin times M(z) = 2 / (z + 1)."""
+    first = lfilter([0, 2 * cutoff / (2 / dt + cutoff)], [1, -(2 / dt - cutoff) / (2 / dt + cutoff)], w)
+    return tustin([(cutoff, 0)] * (order - 1), first, dt)
+
+
+def J(i, gamma, dt, degree):
+    """Paper eq. 35, divided by the common ((1 + gamma) dt / 2)^degree: powers of the zero's Tustin image."""
+    return ((gamma - 1) / (dt / 2 * (1 + gamma))) ** i
+
+
+def facts(zeros, dt, p, first):
+    """H (p, n) and h (n,) of the drive: 1 + f_1 s + f_2 s^2 = 0 at the Tustin images (paper eq. 34 to 36, h affine)."""
+    n = len(zeros)
+    H = np.zeros((p, n))
+    for column, zero in enumerate(zeros):
+        for i in range(1, n + 1):
+            H[first + i - 1, column] = J(i, np.exp(zero * dt), dt, n)
+    return H, -np.ones(n)
+
+
+def compensate(P, theta_biased, H, h, G):
+    """Paper eq. 26 to 32 with the affine right-hand side: theta_B - P G (H^T P G)^-1 (H^T theta_B - h)."""
+    r = np.linalg.solve(H.T @ P @ G, H.T @ theta_biased - h)
+    return theta_biased - P @ G @ r
+
+
+def bcls(phi, z, H, h, G):
+    """Batch bias-compensated least squares on the extended regressor phi (n, p)."""
+    information = phi.T @ phi
+    return compensate(np.linalg.inv(information), np.linalg.solve(information, phi.T @ z), H, h, G)
+
+
+def bcrls(phi, z, forgetting, start, H, h, G):
+    """Paper eq. 33 from sample `start` on, begun with the discounted batch solution; theta_BC (n, p)."""
+    weights = forgetting ** np.arange(start)[::-1]
+    P = np.linalg.inv((phi[:start] * weights[:, None]).T @ phi[:start])
+    theta = P @ ((phi[:start] * weights[:, None]).T @ z[:start])
+    track = np.full(phi.shape, np.nan)
+    for k in range(start, len(z)):
+        gain = P @ phi[k] / (forgetting + phi[k] @ P @ phi[k])
+        P = (P - np.outer(gain, phi[k] @ P)) / forgetting
+        P = (P + P.T) / 2
+        theta = theta + P @ phi[k] * (z[k] - phi[k] @ theta)
+        track[k] = compensate(P, theta, H, h, G)
+    return track

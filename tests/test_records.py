@@ -1,0 +1,434 @@
+"""Records: one test for each rule that a file must keep, and what a good file becomes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+import scipy.io
+
+from pmfid.errors import UsageError
+from pmfid.session.config import Axis, load_axis
+from pmfid.session.records import MIN_SAMPLES, Record, read_record
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+EMPS = Path(__file__).parents[2] / "shared/data/emps/DATA_EMPS.mat"
+DT = 0.01
+SECTIONS: dict[str, dict[str, object]] = {
+    "record": {"input": "u", "output": "y", "time": "t"},
+    "encoder": {"resolution": 1e-3},
+    "model": {"input_gain": 1.0},
+    "estimator": {"cutoff": 50.0},
+}
+
+
+def make_axis(**changes: object) -> Axis:
+    """Axis of SECTIONS, with changes such as record_time=None, encoder_bits=8."""
+    raw: dict[str, dict[str, object]] = {name: dict(values) for name, values in SECTIONS.items()}
+    for dotted, value in changes.items():
+        section, _, key = dotted.partition("_")
+        raw[section][key] = value
+    return Axis.model_validate(raw)
+
+
+COUNTS = {"record_output": "counts", "record_output_kind": "counts"}
+
+
+def columns(n: int = 20) -> dict[str, Any]:
+    k = np.arange(n)
+    counts = np.rint(30 * np.sin(0.3 * k)).astype(np.int64)
+    return {"t": k * DT, "u": np.cos(0.3 * k), "y": counts * 1e-3, "counts": counts}
+
+
+def write(path: Path, data: dict[str, Any]) -> Path:
+    if path.suffix == ".mat":
+        scipy.io.savemat(path, data)
+    elif path.suffix == ".csv":
+        pl.DataFrame(data).write_csv(path)
+    else:
+        pl.DataFrame(data).write_parquet(path)
+    return path
+
+
+def csv(folder: Path, **replaced: Any) -> Path:
+    return write(folder / "run.csv", columns() | replaced)
+
+
+def message(path: Path, axis: Axis | None = None, quantize: float | None = None) -> str:
+    """The text of the one error; it starts with the path and is a single line."""
+    with pytest.raises(UsageError) as caught:
+        read_record(path, axis or make_axis(), quantize)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert text.startswith(f"{path}: ")
+    return text.removeprefix(f"{path}: ")
+
+
+def edited(values: np.ndarray, row: int, value: float) -> np.ndarray:
+    """Copy of values as float with one entry replaced; rows count from 1, as in the messages."""
+    copy = values.astype(np.float64)
+    copy[row - 1] = value
+    return copy
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat", ".CSV"])
+def test_good_files_of_every_kind_give_the_same_record(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"run{suffix}"
+    write(tmp_path / f"run{suffix.lower()}", columns()).rename(path)
+    record = read_record(path, make_axis())
+    assert isinstance(record, Record)
+    assert record.u.dtype == np.float64
+    assert record.counts.dtype == np.int64
+    np.testing.assert_array_equal(record.u, columns()["u"])
+    np.testing.assert_array_equal(record.counts, columns()["counts"])
+    assert record.dt == pytest.approx(DT, rel=1e-12)
+    assert (record.resolution, record.notes, record.name) == (1e-3, (), path.name)
+
+
+def test_position_on_the_decimal_lattice_keeps_every_count(tmp_path: Path) -> None:
+    counts = np.arange(-2000, 2000)
+    y = counts * 0.001
+    assert np.any(np.floor(y / 0.001) != counts), "the lattice must show the trouble that the tolerance cures"
+    path = write(tmp_path / "run.parquet", {"t": np.arange(4000) * DT, "u": y, "y": y})
+    np.testing.assert_array_equal(read_record(path, make_axis()).counts, counts)
+
+
+def test_position_between_counts_is_floored(tmp_path: Path) -> None:
+    y = np.linspace(-0.0105, 0.0095, 21)
+    path = write(tmp_path / "run.parquet", {"t": np.arange(21) * DT, "u": y, "y": y})
+    np.testing.assert_array_equal(read_record(path, make_axis()).counts, np.arange(-11, 10))
+
+
+def test_quantize_floors_the_position_to_the_coarser_step(tmp_path: Path) -> None:
+    record = read_record(csv(tmp_path), make_axis(), quantize=4e-3)
+    np.testing.assert_array_equal(record.counts, columns()["counts"] // 4)
+    assert record.resolution == 4e-3
+    assert record.notes == ("position quantised anew with a step of 0.004",)
+
+
+def test_quantize_of_counts_goes_through_the_unwrapped_position(tmp_path: Path) -> None:
+    path = csv(tmp_path, counts=columns()["counts"] % 64)
+    record = read_record(path, make_axis(**COUNTS, encoder_bits=6), quantize=4e-3)
+    np.testing.assert_array_equal(record.counts, columns()["counts"] // 4)
+    assert record.resolution == 4e-3
+
+
+@pytest.mark.parametrize("step", [0.0, -1.0, 0.5e-3, np.nan, np.inf])
+def test_quantize_must_be_positive_and_not_finer_than_the_resolution(tmp_path: Path, step: float) -> None:
+    with pytest.raises(UsageError, match=r"quantize = .* not finer than \[encoder\] resolution = 0.001"):
+        read_record(csv(tmp_path), make_axis(), quantize=step)
+
+
+def test_quantize_equal_to_the_resolution_changes_nothing(tmp_path: Path) -> None:
+    np.testing.assert_array_equal(
+        read_record(csv(tmp_path), make_axis(), quantize=1e-3).counts, columns()["counts"]
+    )
+
+
+def test_counts_are_taken_as_they_are(tmp_path: Path) -> None:
+    record = read_record(csv(tmp_path), make_axis(**COUNTS))
+    np.testing.assert_array_equal(record.counts, columns()["counts"])
+    assert record.notes == ()
+
+
+def test_counts_must_be_integers(tmp_path: Path) -> None:
+    path = csv(tmp_path, counts=edited(columns()["counts"], 7, 3.5))
+    assert 'integers below 2**53, got 3.5 in row 7; set output_kind = "position"' in message(
+        path, make_axis(**COUNTS)
+    )
+    near = csv(tmp_path, counts=edited(columns()["counts"], 7, columns()["counts"][6] + 1e-7))
+    np.testing.assert_array_equal(read_record(near, make_axis(**COUNTS)).counts, columns()["counts"])
+
+
+def test_counts_too_large_for_an_exact_number(tmp_path: Path) -> None:
+    path = csv(tmp_path, counts=edited(columns()["counts"], 3, 1e16))
+    assert "below 2**53, got 1e+16 in row 3" in message(path, make_axis(**COUNTS))
+
+
+def test_position_far_beyond_the_resolution(tmp_path: Path) -> None:
+    assert "more than 2**53 counts" in message(csv(tmp_path), make_axis(encoder_resolution=1e-300))
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_wrapped_counter_is_unwrapped(tmp_path: Path, signed: bool) -> None:
+    true = np.concatenate((np.arange(0, 300, 5), np.arange(300, -300, -5)))
+    raw = (true + 128) % 256 - 128 if signed else true % 256
+    n = len(true)
+    path = write(tmp_path / "run.csv", {"t": np.arange(n) * DT, "u": np.ones(n), "counts": raw})
+    record = read_record(path, make_axis(**COUNTS, encoder_bits=8))
+    np.testing.assert_array_equal(record.counts, true)
+    wraps = np.count_nonzero(np.abs(np.diff(raw)) > 128)
+    assert wraps > 1
+    assert record.notes == (f"counter wrapped {wraps} times (undone)",)
+
+
+def test_counter_of_32_bits_and_one_wrap(tmp_path: Path) -> None:
+    true = np.arange(2**32 - 10, 2**32 + 10)
+    record = read_record(csv(tmp_path, counts=true % 2**32), make_axis(**COUNTS, encoder_bits=32))
+    np.testing.assert_array_equal(record.counts, true)
+    assert record.notes == ("counter wrapped 1 time (undone)",)
+
+
+def test_an_ambiguous_wrap_is_noted(tmp_path: Path) -> None:
+    record = read_record(csv(tmp_path, counts=np.arange(20) * 6 % 16), make_axis(**COUNTS, encoder_bits=4))
+    assert any("largest step is 38% of the counter's range" in note for note in record.notes)
+
+
+def test_bits_without_counts_is_noted(tmp_path: Path) -> None:
+    assert read_record(csv(tmp_path), make_axis(encoder_bits=8)).notes == (
+        "bits is ignored, the output is a position",
+    )
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+def test_missing_column_lists_the_available_ones(tmp_path: Path, suffix: str) -> None:
+    text = message(write(tmp_path / f"run{suffix}", columns()), make_axis(record_output="count"))
+    assert text.startswith(
+        "[record] output = 'count': there is no such column; available are t, u, y, counts"
+    )
+    assert text.endswith("; did you mean 'counts'?")
+
+
+def test_the_message_is_one_line_even_for_a_name_with_a_line_break(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.parquet", columns() | {"a\nb": columns()["u"]})
+    assert "available are t, u, y, counts, a b" in message(path, make_axis(record_output="x"))
+
+
+def test_column_that_occurs_twice(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,u,u,y\n" + "".join(f"{k},1,2,3\n" for k in range(20)))
+    assert "input = 'u': two columns have this name" in message(path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_column_with_text(tmp_path: Path, suffix: str) -> None:
+    values = [f"{value:.3f}" for value in columns()["u"]]
+    values[4] = "1,5 V"
+    path = write(tmp_path / f"run{suffix}", columns() | {"u": values})
+    assert "input column 'u' is not numeric: '1,5 V' in row 5" in message(path)
+
+
+def test_column_of_dates(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.parquet", columns() | {"t": pl.Series(range(20)).cast(pl.Datetime)})
+    assert "time column 't' is not numeric but Datetime" in message(path)
+
+
+def test_unused_columns_may_hold_anything(tmp_path: Path) -> None:
+    read_record(csv(tmp_path, remark=["?"] * 20), make_axis())
+
+
+def test_csv_with_spaces_byte_order_mark_and_carriage_returns(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    rows = "".join(f"{k * DT}, {k % 3}.5, {k}e-3\r\n" for k in range(20))
+    path.write_bytes(b"\xef\xbb\xbf" + ("t, u, y\r\n" + rows).encode())
+    record = read_record(path, make_axis())
+    np.testing.assert_array_equal(record.u, np.arange(20) % 3 + 0.5)
+    np.testing.assert_array_equal(record.counts, np.arange(20))
+
+
+def test_csv_that_starts_with_integers_and_goes_on_with_fractions(tmp_path: Path) -> None:
+    u = np.where(np.arange(400) < 300, 1.0, 0.25)
+    rows = "".join(f"{k * DT},{value:g},{k}e-3\n" for k, value in enumerate(u))
+    path = tmp_path / "run.csv"
+    path.write_text("t,u,y\n" + rows)
+    np.testing.assert_array_equal(read_record(path, make_axis()).u, u)
+
+
+def test_csv_with_semicolons(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t;u;y\n" + "0;1,5;3\n" * 20)
+    assert "not separated by commas" in message(path)
+
+
+def test_csv_with_a_row_too_long(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,u,y\n0,1,2\n1,2,3,4\n")
+    assert "not a readable .csv file" in message(path)
+
+
+@pytest.mark.parametrize(("n", "text"), [(0, "0 samples"), (1, "1 sample,"), (MIN_SAMPLES - 1, "9 samples")])
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+def test_too_few_samples(tmp_path: Path, n: int, text: str, suffix: str) -> None:
+    path = write(tmp_path / f"run{suffix}", columns(n))
+    found = message(path)
+    assert text in found
+    assert "at least 10 are needed" in found
+
+
+def test_ten_samples_are_enough_to_read(tmp_path: Path) -> None:
+    assert len(read_record(write(tmp_path / "run.csv", columns(MIN_SAMPLES)), make_axis()).u) == MIN_SAMPLES
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+@pytest.mark.parametrize("content", [b"", b" \n"])
+def test_empty_file(tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"run{suffix}"
+    path.write_bytes(content)
+    assert "the file is empty" in message(path)
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".mat"])
+@pytest.mark.parametrize("fraction", [0.01, 0.3, 0.9, 0.999])
+def test_truncated_file(tmp_path: Path, suffix: str, fraction: float) -> None:
+    path = write(tmp_path / f"run{suffix}", columns(200))
+    data = path.read_bytes()
+    path.write_bytes(data[: int(fraction * len(data))])
+    assert f"not a readable {suffix} file, truncated or corrupt" in message(path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+def test_content_of_another_type(tmp_path: Path, suffix: str) -> None:
+    other = write(tmp_path / ("other.mat" if suffix == ".csv" else "other.csv"), columns(200))
+    path = tmp_path / f"run{suffix}"
+    path.write_bytes(other.read_bytes())
+    assert "not a" in message(path)
+
+
+def test_unknown_file_type(tmp_path: Path) -> None:
+    path = csv(tmp_path).rename(tmp_path / "run.xlsx")
+    assert message(path) == "file type '.xlsx' is not known; use one of .csv, .parquet, .mat"
+
+
+def test_missing_file_and_directory(tmp_path: Path) -> None:
+    assert "cannot read the record: No such file or directory" in message(tmp_path / "absent.csv")
+    folder = tmp_path / "folder.csv"
+    folder.mkdir()
+    assert "cannot read the record: Is a directory" in message(folder)
+
+
+def test_matlab_v73_is_told_the_remedy(tmp_path: Path) -> None:
+    header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
+    path = tmp_path / "run.mat"
+    for data in (header.ljust(512, b"\0") + b"\x89HDF\r\n\x1a\n", b"\x89HDF\r\n\x1a\n" + b"\0" * 512):
+        path.write_bytes(data)
+        assert "save(name, '-v7')" in message(path)
+
+
+def test_matlab_variable_that_is_no_vector(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.mat", columns() | {"y": np.zeros((20, 3))})
+    assert "output column 'y' is not a vector, its shape is (20, 3)" in message(path)
+
+
+@pytest.mark.parametrize("value", ["volts", {"a": 1.0}, np.ones(20) * 1j])
+def test_matlab_variable_that_is_no_real_number(tmp_path: Path, value: Any) -> None:
+    path = write(tmp_path / "run.mat", columns() | {"y": value})
+    assert "output column 'y' is not a real numeric array" in message(path)
+
+
+def test_matlab_vectors_of_different_length(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.mat", columns() | {"u": np.ones(19)})
+    assert "the columns differ in length: {'u': 19, 'y': 20, 't': 20}" in message(path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+@pytest.mark.parametrize(("key", "column"), [("input", "u"), ("output", "y"), ("time", "t")])
+@pytest.mark.parametrize("value", [np.nan, -np.inf])
+def test_values_that_are_not_finite(tmp_path: Path, suffix: str, key: str, column: str, value: float) -> None:
+    bad = edited(edited(columns()[column], 12, value), 5, value)
+    text = message(write(tmp_path / f"run{suffix}", columns() | {column: bad}))
+    assert f"{key} column '{column}' is missing, NaN or infinite in 2 rows, the first is row 5; drop" in text
+
+
+@pytest.mark.parametrize("empty", ["", "NA", "null"])
+def test_empty_cells_are_missing_values(tmp_path: Path, empty: str) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,u,y\n" + "".join(f"{k},{empty if k == 3 else 1},2\n" for k in range(20)))
+    assert "input column 'u' is missing, NaN or infinite in 1 row, the first is row 4" in message(path)
+
+
+@pytest.mark.parametrize("value", [0.05, 0.03])
+def test_time_must_increase(tmp_path: Path, value: float) -> None:
+    text = message(csv(tmp_path, t=edited(columns()["t"], 7, value)))
+    assert text.startswith(f"time does not increase strictly: row 7 ({value}) follows 0.05;")
+
+
+def test_time_gaps(tmp_path: Path) -> None:
+    t = columns()["t"]
+    t[8:] += DT
+    t[15:] += DT
+    text = message(csv(tmp_path, t=t))
+    assert text.startswith(
+        "time has 2 gaps, steps beyond 1.5 medians of 0.01 s; first after row 8, t = 0.07;"
+    )
+    assert "cut the record at the gap" in text
+
+
+def test_time_not_uniform(tmp_path: Path) -> None:
+    t = columns()["t"]
+    text = message(csv(tmp_path, t=edited(t, 9, t[8] + 0.2 * DT)))
+    assert "time steps differ by up to 20.0% of the median 0.01 s" in text
+    assert "resample" in text
+
+
+def test_small_jitter_is_accepted_and_noted(tmp_path: Path) -> None:
+    t = columns()["t"]
+    record = read_record(csv(tmp_path, t=edited(t, 9, t[8] + 0.05 * DT)), make_axis())
+    assert record.dt == pytest.approx(DT, rel=1e-12)
+    assert record.notes == ("time steps vary by up to 5.0% of their median",)
+
+
+def test_dt_without_a_time_column(tmp_path: Path) -> None:
+    assert read_record(csv(tmp_path), make_axis(record_time=None, record_dt=0.02)).dt == 0.02
+
+
+def test_dt_is_checked_against_the_time_column(tmp_path: Path) -> None:
+    record = read_record(csv(tmp_path), make_axis(record_dt=0.010099))
+    assert record.dt == pytest.approx(DT, rel=1e-12)
+    text = message(csv(tmp_path), make_axis(record_dt=0.0102))
+    assert text.startswith("[record] dt = 0.0102 s, but the time column 't' steps by 0.01;")
+
+
+def test_input_scale_number(tmp_path: Path) -> None:
+    record = read_record(csv(tmp_path), make_axis(record_input_scale=-2.5))
+    np.testing.assert_array_equal(record.u, -2.5 * columns()["u"])
+
+
+def test_input_scale_variable(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.mat", columns() | {"gain": 3.5})
+    record = read_record(path, make_axis(record_input_scale="gain"))
+    np.testing.assert_array_equal(record.u, 3.5 * columns()["u"])
+    assert record.notes == ("input scaled by gain = 3.5",)
+
+
+@pytest.mark.parametrize("value", [np.array([1.0, 2.0]), 0.0, np.nan, np.zeros((0, 0))])
+def test_input_scale_variable_must_be_a_usable_scalar(tmp_path: Path, value: Any) -> None:
+    path = write(tmp_path / "run.mat", columns() | {"gain": value})
+    assert "input_scale = 'gain' is not a finite scalar" in message(
+        path, make_axis(record_input_scale="gain")
+    )
+
+
+def test_input_scale_variable_missing_or_in_a_csv(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.mat", columns() | {"gain": 2.0})
+    text = message(path, make_axis(record_input_scale="gian"))
+    assert "input_scale = 'gian': there is no such column" in text
+    assert "did you mean 'gain'?" in text
+    assert "only a .mat file has scalar variables" in message(
+        csv(tmp_path), make_axis(record_input_scale="y")
+    )
+
+
+def test_no_motion_and_constant_input_are_no_errors(tmp_path: Path) -> None:
+    record = read_record(csv(tmp_path, u=np.ones(20), y=np.zeros(20)), make_axis())
+    assert np.ptp(record.counts) == 0
+    assert np.ptp(record.u) == 0
+
+
+def test_the_cart_example_reads_its_columns(tmp_path: Path) -> None:
+    record = read_record(csv(tmp_path), load_axis(EXAMPLES / "cart.toml"))
+    np.testing.assert_array_equal(record.counts, columns()["counts"])
+    assert record.resolution == 22.75e-6
+
+
+@pytest.mark.skipif(not EMPS.exists(), reason=f"the EMPS record is not here: {EMPS.name} is not distributed")
+def test_emps_record() -> None:
+    record = read_record(EMPS, load_axis(EXAMPLES / "emps.toml"))
+    raw = scipy.io.loadmat(EMPS)
+    assert len(record.u) == len(record.counts) == 24841
+    assert record.dt == pytest.approx(1e-3, abs=1e-9)
+    np.testing.assert_allclose(record.u, 35.15065188 * raw["vir"].ravel(), rtol=1e-9)
+    np.testing.assert_array_equal(record.counts, np.rint(raw["qm"].ravel() / 5e-8))
+    assert record.notes == ("input scaled by gtau = 35.1507",)

@@ -1,0 +1,206 @@
+"""The recursion: same bits however it is called, equal to the batch, quiet where the data say nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pmfid
+from pmfid import Status
+from pmfid.estimators.base import default_zeros
+from pmfid.simulation.drive import quantize, simulate_drive
+from pmfid.simulation.scenarios import CART, resolution_of
+from pmfid.simulation.signals import prbs
+from tests.conftest import TRUTH, cart_run
+from tests.oracles import paper
+
+DT, CUTOFF = 0.01, 50.0
+RECURSIVE = [pmfid.RLS, pmfid.BCRLS]
+
+
+def tracks_equal(a: pmfid.Track, b: pmfid.Track) -> None:
+    for name in ("theta", "variance_factor", "innovation", "innovation_variance", "status"):
+        assert np.array_equal(getattr(a, name), getattr(b, name)), name
+
+
+def joined(parts: list[pmfid.Track], name: str) -> np.ndarray:
+    return np.concatenate([getattr(part, name) for part in parts])
+
+
+@pytest.mark.parametrize("cls", RECURSIVE)
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_step_run_and_split_run_give_the_same_bits(cls, precision, drive):
+    run = cart_run(1, samples=900)
+    make = lambda: cls(drive, run.encoder, DT, CUTOFF, forgetting=0.99, precision=precision)  # noqa: E731
+    whole = make().run(run.u, run.counts)
+    stepped = make()
+    estimates = [stepped.step(u, c) for u, c in zip(run.u.tolist(), run.counts.tolist(), strict=True)]
+    assert np.array_equal(np.array([e.theta for e in estimates]), whole.theta)
+    assert np.array_equal([e.innovation for e in estimates], whole.innovation)
+    assert np.array_equal([e.status for e in estimates], whole.status)
+    assert np.array_equal(estimates[-1].theta_std, whole.theta_std[-1])
+    halves = make()
+    parts = [halves.run(run.u[:437], run.counts[:437]), halves.run(run.u[437:], run.counts[437:])]
+    for name in ("theta", "variance_factor", "innovation", "innovation_variance", "status"):
+        assert np.array_equal(joined(parts, name), getattr(whole, name))
+
+
+def test_state_saved_and_restored_continues_with_the_same_bits(drive):
+    run = cart_run(2, samples=600)
+    first = pmfid.BCRLS(drive, run.encoder, DT, CUTOFF)
+    whole = first.run(run.u, run.counts)
+    first.reset()
+    first.run(run.u[:300], run.counts[:300])
+    second = pmfid.BCRLS(drive, run.encoder, DT, CUTOFF)
+    second.set_state(first.get_state())
+    assert np.array_equal(second.run(run.u[300:], run.counts[300:]).theta, whole.theta[300:])
+    with pytest.raises(pmfid.UsageError, match="bytes"):
+        second.set_state(b"too short")
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    increments=st.sampled_from([4096, 1024, 256]),
+    cutoff=st.floats(10.0, 80.0),
+    clock=st.integers(3, 20),
+    zeros=st.sampled_from([None, (-3.0, -11.0)]),
+)
+@pytest.mark.parametrize("pair", [(pmfid.LS, pmfid.RLS), (pmfid.BCLS, pmfid.BCRLS)])
+def test_recursive_equals_batch_without_forgetting(pair, drive, seed, increments, cutoff, clock, zeros):
+    run = cart_run(seed, samples=1500, increments=increments, clock=clock)
+    batch, recursive = (cls(drive, run.encoder, DT, cutoff, prefilter_zeros=zeros) for cls in pair)
+    fit = batch.fit(run.u, run.counts)
+    last = recursive.run(run.u, run.counts)
+    np.testing.assert_allclose(last.theta[-1], fit.theta, rtol=1e-8)
+    variance = fit.residual @ fit.residual / (fit.samples - fit.theta.size)
+    np.testing.assert_allclose(last.variance_factor[-1] * variance, np.diag(fit.theta_cov), rtol=1e-6)
+
+
+@pytest.mark.parametrize("zeros", [(-2.0, -5.0), (-12.0, -0.5)])
+def test_bcls_is_the_papers_compensation(zeros, drive):
+    """Eq. 17 to 36 with P, G, H and h on the extended model give what the instruments give."""
+    run = cart_run(4, increments=512)
+    extended = pmfid.LS(drive, run.encoder, DT, CUTOFF, prefilter_zeros=zeros)
+    columns = extended.columns(run.u, run.counts)
+    H, h = paper.facts(zeros, DT, 5, 3)
+    G = np.eye(5)[:, :2]
+    expected = paper.bcls(columns.phi, columns.z, H, h, G)
+    fit = pmfid.BCLS(drive, run.encoder, DT, CUTOFF, prefilter_zeros=zeros).fit(run.u, run.counts)
+    np.testing.assert_allclose(fit.theta, expected[:3], rtol=1e-6)
+
+
+def test_bcrls_follows_the_papers_recursion(drive):
+    """Eq. 33 with forgetting; the difference is the regularisation, 1e-4 of the information."""
+    run, zeros = cart_run(5, increments=1024, samples=2000), (-5.0, -1.0)
+    columns = pmfid.LS(drive, run.encoder, DT, CUTOFF, prefilter_zeros=zeros).columns(run.u, run.counts)
+    H, h = paper.facts(zeros, DT, 5, 3)
+    expected = paper.bcrls(columns.phi, columns.z, 0.995, 600, H, h, np.eye(5)[:, :2])
+    track = pmfid.BCRLS(drive, run.encoder, DT, CUTOFF, prefilter_zeros=zeros, forgetting=0.995).run(
+        run.u, run.counts
+    )
+    late = track.theta[-len(expected) :]
+    np.testing.assert_allclose(late[600:], expected[600:, :3], rtol=2e-3)
+
+
+@pytest.mark.parametrize("cls", RECURSIVE)
+@pytest.mark.parametrize("forgetting", [1.0, 0.99])
+def test_float32_is_close_to_float64(cls, forgetting, drive):
+    run = cart_run(6, increments=256)
+    theta = {
+        precision: cls(drive, run.encoder, DT, CUTOFF, forgetting=forgetting, precision=precision)
+        .run(run.u, run.counts)
+        .theta[100:]
+        for precision in ("float64", "float32")
+    }
+    np.testing.assert_allclose(theta["float32"], theta["float64"], rtol=1e-3)
+
+
+@pytest.mark.parametrize("cls", RECURSIVE)
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("voltage", [0.0, 1.0])
+def test_a_million_samples_without_excitation(cls, precision, voltage, drive):
+    """At rest (zero regressor) or at constant speed: finite, flagged, and back after 2 s of motion."""
+    n, head, tail = 1_000_000, 500, 200
+    moves = prbs(head + tail, clock=10, amplitude=3.0, rng=np.random.default_rng(7))
+    u = np.r_[moves[:head], np.full(n, voltage), moves[head:]]
+    resolution = resolution_of(4096)
+    counts = quantize(simulate_drive(CART, u, DT).x, resolution)
+    estimator = cls(drive, pmfid.Encoder(resolution), DT, CUTOFF, forgetting=0.98, precision=precision)
+    track = estimator.run(u, counts)
+    assert np.all(np.isfinite(track.theta))
+    assert np.all(np.isfinite(track.variance_factor))
+    assert np.all(track.flagged(Status.POOR_EXCITATION)[head + 1000 : head + n])
+    np.testing.assert_allclose(track["mass"][head + n - 1], TRUTH[0], rtol=0.05)
+    np.testing.assert_allclose(track.theta[-1], TRUTH, rtol=0.05)
+    assert not track.flagged(Status.POOR_EXCITATION)[-1]
+
+
+@pytest.mark.parametrize("cls", RECURSIVE)
+def test_nothing_comes_of_nothing(cls, drive):
+    track = cls(drive, pmfid.Encoder(1e-5), DT, CUTOFF, forgetting=0.99).run(
+        np.ones(5000), np.zeros(5000, int)
+    )
+    assert np.all(track.theta == 0)
+    assert np.all(track.flagged(Status.STARTING))
+    assert np.all(np.isinf(track.theta_std))
+
+
+@pytest.mark.parametrize("cls", RECURSIVE)
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_bad_values_are_flagged_and_forgotten(cls, precision, drive):
+    run = cart_run(9, samples=3000)
+    u, counts = run.u.copy(), run.counts.copy()
+    u[700], u[1200], u[1500] = np.nan, np.inf, 1e300
+    counts[2000:] += 10**9
+    encoder = pmfid.Encoder(run.encoder.resolution, max_speed=5.0)
+    track = cls(drive, encoder, DT, CUTOFF, forgetting=0.99, precision=precision).run(u, counts)
+    assert np.all(np.isfinite(track.theta))
+    assert track.flagged(Status.INVALID_INPUT)[[700, 1200]].all()
+    assert track.flagged(Status.COUNT_JUMP)[2000]
+    assert not track.flagged(Status.COUNT_JUMP)[2001:].any()
+    np.testing.assert_allclose(track.theta[-1], TRUTH, rtol=0.03)
+
+
+def test_counter_wrap_changes_nothing(drive):
+    run = cart_run(10, samples=1500)
+    wrapped = run.counts % 2**10
+    assert np.any(np.abs(np.diff(wrapped)) > 500)
+    narrow = pmfid.Encoder(run.encoder.resolution, bits=10)
+    a = pmfid.BCRLS(drive, run.encoder, DT, CUTOFF).run(run.u, run.counts)
+    b = pmfid.BCRLS(drive, narrow, DT, CUTOFF).run(run.u, wrapped)
+    tracks_equal(a, b)
+    np.testing.assert_allclose(
+        np.diff(narrow.position(wrapped)), np.diff(run.encoder.position(run.counts)), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("cls", RECURSIVE)
+def test_inputs_stay_untouched_and_covariance_is_symmetric(cls, drive):
+    run = cart_run(11, samples=800)
+    u, counts = run.u.copy(), run.counts.copy()
+    estimator = cls(drive, run.encoder, DT, CUTOFF, forgetting=0.99)
+    estimator.run(run.u, run.counts)
+    assert np.array_equal(u, run.u)
+    assert np.array_equal(counts, run.counts)
+    covariance = estimator.estimate.theta_cov
+    assert np.array_equal(covariance, covariance.T)
+    assert np.all(np.linalg.eigvalsh(covariance) > 0)
+
+
+def test_an_estimate_is_a_snapshot(drive):
+    run = cart_run(12, samples=400)
+    estimator = pmfid.RLS(drive, run.encoder, DT, CUTOFF, forgetting=0.95)
+    estimator.run(run.u[:300], run.counts[:300])
+    estimate = estimator.estimate
+    theta = estimate.theta
+    estimator.run(run.u[300:], run.counts[300:])
+    assert np.array_equal(estimate.theta, theta)
+    assert not np.array_equal(estimator.estimate.theta, theta)
+
+
+def test_default_zeros_follow_the_cutoff(drive):
+    assert pmfid.BCRLS(drive, pmfid.Encoder(1e-5), DT, CUTOFF).zeros == default_zeros(CUTOFF)
+    assert pmfid.RLS(drive, pmfid.Encoder(1e-5), DT, CUTOFF).zeros == ()
