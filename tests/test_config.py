@@ -94,9 +94,7 @@ def test_override_can_supply_a_whole_missing_section(tmp_path: Path) -> None:
 
 def test_bad_override_is_named_as_option(tmp_path: Path) -> None:
     text = message(write(tmp_path), {"estimator.cutoff": -3.0})
-    assert text.startswith(
-        "[estimator] cutoff = -3.0 (given as an option): it should be greater than 0; give "
-    )
+    assert text.startswith("[estimator] cutoff = -3.0 (given as an option): it should be greater than 0; give ")
 
 
 def test_input_scale_is_a_number_or_a_name(tmp_path: Path) -> None:

@@ -80,9 +80,7 @@ def test_kernel_columns_equal_the_oracle(drive):
     moved = np.cumsum(np.abs(velocity)) > 0
     moving = np.r_[0.0, moved[:-1]]
     u_late = np.r_[0.0, 0.0, run.u[:-2]] * moving
-    np.testing.assert_allclose(
-        columns[:, 3], 2.0 * paper.matched(np.r_[u_late, 0.0], CUTOFF, 2, DT)[1:], atol=1e-12
-    )
+    np.testing.assert_allclose(columns[:, 3], 2.0 * paper.matched(np.r_[u_late, 0.0], CUTOFF, 2, DT)[1:], atol=1e-12)
     assert not np.any(status & pmfid.Status.COUNT_JUMP)
 
 

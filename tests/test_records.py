@@ -123,9 +123,7 @@ def test_quantize_must_be_positive_and_not_finer_than_the_resolution(tmp_path: P
 
 
 def test_quantize_equal_to_the_resolution_changes_nothing(tmp_path: Path) -> None:
-    np.testing.assert_array_equal(
-        read_record(csv(tmp_path), make_axis(), quantize=1e-3).counts, columns()["counts"]
-    )
+    np.testing.assert_array_equal(read_record(csv(tmp_path), make_axis(), quantize=1e-3).counts, columns()["counts"])
 
 
 def test_counts_are_taken_as_they_are(tmp_path: Path) -> None:
@@ -136,9 +134,7 @@ def test_counts_are_taken_as_they_are(tmp_path: Path) -> None:
 
 def test_counts_must_be_integers(tmp_path: Path) -> None:
     path = csv(tmp_path, counts=edited(columns()["counts"], 7, 3.5))
-    assert 'integers below 2**53, got 3.5 in row 7; set output_kind = "position"' in message(
-        path, make_axis(**COUNTS)
-    )
+    assert 'integers below 2**53, got 3.5 in row 7; set output_kind = "position"' in message(path, make_axis(**COUNTS))
     near = csv(tmp_path, counts=edited(columns()["counts"], 7, columns()["counts"][6] + 1e-7))
     np.testing.assert_array_equal(read_record(near, make_axis(**COUNTS)).counts, columns()["counts"])
 
@@ -178,17 +174,13 @@ def test_an_ambiguous_wrap_is_noted(tmp_path: Path) -> None:
 
 
 def test_bits_without_counts_is_noted(tmp_path: Path) -> None:
-    assert read_record(csv(tmp_path), make_axis(encoder_bits=8)).notes == (
-        "bits is ignored, the output is a position",
-    )
+    assert read_record(csv(tmp_path), make_axis(encoder_bits=8)).notes == ("bits is ignored, the output is a position",)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
 def test_missing_column_lists_the_available_ones(tmp_path: Path, suffix: str) -> None:
     text = message(write(tmp_path / f"run{suffix}", columns()), make_axis(record_output="count"))
-    assert text.startswith(
-        "[record] output = 'count': there is no such column; available are t, u, y, counts"
-    )
+    assert text.startswith("[record] output = 'count': there is no such column; available are t, u, y, counts")
     assert text.endswith("; did you mean 'counts'?")
 
 
@@ -350,9 +342,7 @@ def test_time_gaps(tmp_path: Path) -> None:
     t[8:] += DT
     t[15:] += DT
     text = message(csv(tmp_path, t=t))
-    assert text.startswith(
-        "time has 2 gaps, steps beyond 1.5 medians of 0.01 s; first after row 8, t = 0.07;"
-    )
+    assert text.startswith("time has 2 gaps, steps beyond 1.5 medians of 0.01 s; first after row 8, t = 0.07;")
     assert "cut the record at the gap" in text
 
 
@@ -396,9 +386,7 @@ def test_input_scale_variable(tmp_path: Path) -> None:
 @pytest.mark.parametrize("value", [np.array([1.0, 2.0]), 0.0, np.nan, np.zeros((0, 0))])
 def test_input_scale_variable_must_be_a_usable_scalar(tmp_path: Path, value: Any) -> None:
     path = write(tmp_path / "run.mat", columns() | {"gain": value})
-    assert "input_scale = 'gain' is not a finite scalar" in message(
-        path, make_axis(record_input_scale="gain")
-    )
+    assert "input_scale = 'gain' is not a finite scalar" in message(path, make_axis(record_input_scale="gain"))
 
 
 def test_input_scale_variable_missing_or_in_a_csv(tmp_path: Path) -> None:
@@ -406,9 +394,7 @@ def test_input_scale_variable_missing_or_in_a_csv(tmp_path: Path) -> None:
     text = message(path, make_axis(record_input_scale="gian"))
     assert "input_scale = 'gian': there is no such column" in text
     assert "did you mean 'gain'?" in text
-    assert "only a .mat file has scalar variables" in message(
-        csv(tmp_path), make_axis(record_input_scale="y")
-    )
+    assert "only a .mat file has scalar variables" in message(csv(tmp_path), make_axis(record_input_scale="y"))
 
 
 def test_no_motion_and_constant_input_are_no_errors(tmp_path: Path) -> None:

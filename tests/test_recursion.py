@@ -98,9 +98,7 @@ def test_bcrls_follows_the_papers_recursion(drive):
     columns = pmfid.LS(drive, run.encoder, DT, CUTOFF, prefilter_zeros=zeros).columns(run.u, run.counts)
     H, h = paper.facts(zeros, DT, 5, 3)
     expected = paper.bcrls(columns.phi, columns.z, 0.995, 600, H, h, np.eye(5)[:, :2])
-    track = pmfid.BCRLS(drive, run.encoder, DT, CUTOFF, prefilter_zeros=zeros, forgetting=0.995).run(
-        run.u, run.counts
-    )
+    track = pmfid.BCRLS(drive, run.encoder, DT, CUTOFF, prefilter_zeros=zeros, forgetting=0.995).run(run.u, run.counts)
     late = track.theta[-len(expected) :]
     np.testing.assert_allclose(late[600:], expected[600:, :3], rtol=2e-3)
 
@@ -140,9 +138,7 @@ def test_a_million_samples_without_excitation(cls, precision, voltage, drive):
 
 @pytest.mark.parametrize("cls", RECURSIVE)
 def test_nothing_comes_of_nothing(cls, drive):
-    track = cls(drive, pmfid.Encoder(1e-5), DT, CUTOFF, forgetting=0.99).run(
-        np.ones(5000), np.zeros(5000, int)
-    )
+    track = cls(drive, pmfid.Encoder(1e-5), DT, CUTOFF, forgetting=0.99).run(np.ones(5000), np.zeros(5000, int))
     assert np.all(track.theta == 0)
     assert np.all(track.flagged(Status.STARTING))
     assert np.all(np.isinf(track.theta_std))
@@ -172,9 +168,7 @@ def test_counter_wrap_changes_nothing(drive):
     a = pmfid.BCRLS(drive, run.encoder, DT, CUTOFF).run(run.u, run.counts)
     b = pmfid.BCRLS(drive, narrow, DT, CUTOFF).run(run.u, wrapped)
     tracks_equal(a, b)
-    np.testing.assert_allclose(
-        np.diff(narrow.position(wrapped)), np.diff(run.encoder.position(run.counts)), atol=1e-12
-    )
+    np.testing.assert_allclose(np.diff(narrow.position(wrapped)), np.diff(run.encoder.position(run.counts)), atol=1e-12)
 
 
 @pytest.mark.parametrize("cls", RECURSIVE)

@@ -36,16 +36,22 @@ from pmfid.simulation import (
 )
 from pmfid.simulation.drive import Floats
 
+
+def numbers(low: float, high: float) -> st.SearchStrategy[float]:
+    """Floats on a grid: the laws below need not hold where a product underflows."""
+    return st.floats(low, high).map(lambda value: round(value, 9))
+
+
 drives = st.builds(
     DriveParameters,
-    mass=st.floats(0.2, 20.0),
-    viscous_friction=st.just(0.0) | st.floats(1e-9, 50.0),
-    coulomb_friction=st.just(0.0) | st.floats(0.01, 3.0),
-    input_gain=st.floats(-5.0, 5.0),
-    offset=st.floats(-1.0, 1.0),
+    mass=numbers(0.2, 20.0),
+    viscous_friction=st.just(0.0) | numbers(1e-9, 50.0),
+    coulomb_friction=st.just(0.0) | numbers(0.01, 3.0),
+    input_gain=numbers(-5.0, 5.0),
+    offset=numbers(-1.0, 1.0),
 )
-inputs = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=8)
-speeds = st.just(0.0) | st.floats(-2.0, 2.0)
+inputs = st.lists(numbers(-3.0, 3.0), min_size=1, max_size=8)
+speeds = st.just(0.0) | numbers(-2.0, 2.0)
 
 
 def step(p: DriveParameters, u: float, dt: float, x: float, v: float) -> tuple[float, float, float, float]:
@@ -134,9 +140,7 @@ def test_energy_balance(p: DriveParameters, u: list[float], v0: float) -> None:
                 tau = start + length * (node + 1.0) / 2.0
                 speed = step(p, value, tau, x, v)[1] if length > 1e-12 else 0.0
                 travel += weight * length / 2.0 * speed
-                loss += (
-                    weight * length / 2.0 * (p.viscous_friction * speed**2 + p.coulomb_friction * abs(speed))
-                )
+                loss += weight * length / 2.0 * (p.viscous_friction * speed**2 + p.coulomb_friction * abs(speed))
         assert travel == pytest.approx(motion.x[k + 1] - x, rel=1e-7, abs=1e-9)
         work += force * (motion.x[k + 1] - x)
         scale += abs(force * (motion.x[k + 1] - x))
@@ -181,9 +185,7 @@ def test_coasting_without_friction_and_with_next_to_no_brake() -> None:
 
 @given(drives.filter(lambda p: p.coulomb_friction > 0.0), st.floats(0.01, 2.0))
 @settings(max_examples=200, deadline=None)
-def test_a_stop_at_the_end_of_the_interval_leaves_no_velocity_of_the_other_sign(
-    p: DriveParameters, v0: float
-) -> None:
+def test_a_stop_at_the_end_of_the_interval_leaves_no_velocity_of_the_other_sign(p: DriveParameters, v0: float) -> None:
     p = replace(p, offset=0.0)
     moving = step(p, 0.0, 1e4, 0.0, v0)[3]
     for dt in (1e4 * moving, np.nextafter(1e4 * moving, 0.0), 1e4 * moving * (1.0 - 4e-16)):

@@ -30,7 +30,7 @@ ADVICE = {
         "too little information on some parameter within the memory: move more, or use a longer memory"
     ),
     Status.COMPENSATION_HELD: (
-        "the pre-filtered input says too little to compensate the bias: held; use prefilter_zeros near the plant's poles"
+        "the pre-filtered input says too little to compensate the bias: held; try other prefilter_zeros"
     ),
     Status.INVALID_INPUT: "an input was not finite: the last one was used and the filters settle again",
     Status.COUNT_JUMP: "the counts jumped further than max_speed allows: check the wiring and the counter's bits",

@@ -24,9 +24,7 @@ class Group(click.Group):
             click.echo(f"pmfid: {error}", err=True)
             ctx.exit(EXIT_NOT_IDENTIFIABLE if isinstance(error, NotIdentifiableError) else EXIT_USAGE)
         except OSError as error:
-            click.echo(
-                f"pmfid: {error.filename or 'output'}: {error.strerror}; choose another place", err=True
-            )
+            click.echo(f"pmfid: {error.filename or 'output'}: {error.strerror}; choose another place", err=True)
             ctx.exit(EXIT_USAGE)
         except KeyboardInterrupt:
             click.echo("pmfid: interrupted", err=True)
@@ -53,9 +51,7 @@ def main() -> None:
     type=click.Choice(["ls", "bcls", "rls", "bcrls"]),
     help="Least squares or bias-compensated least squares, off-line or recursive.",
 )
-@click.option(
-    "--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; its inverse is their time constant."
-)
+@click.option("--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; its inverse is their time constant.")
 @click.option("--order", type=int, help="Stages of the filters.")
 @click.option("--forgetting", type=float, help="Weight of the past per sample, in (0, 1].")
 @click.option("--resolution", type=float, metavar="STEP", help="Unit of position per count.")
@@ -84,9 +80,7 @@ def identify(
     from pmfid.session.records import read_record
 
     sections = {"resolution": "encoder"}
-    axis = load_axis(
-        config, {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()}
-    )
+    axis = load_axis(config, {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()})
     data = read_record(record, axis, quantize)
     with _progress(data.u.size, quiet=as_json) as progress:
         result = run(data, axis, progress)

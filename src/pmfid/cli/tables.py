@@ -27,9 +27,7 @@ def print_result(result: Result, out: Path | None) -> None:
         table.add_row(name, f"{value:.6g}", f"{std:.2g}", unit)
     console = Console()
     console.print(table)
-    console.print(
-        f"relative error of the filtered equation: {100 * result.relative_error:.3g} %", highlight=False
-    )
+    console.print(f"relative error of the filtered equation: {100 * result.relative_error:.3g} %", highlight=False)
     for note in result.notes:
         console.print(f"note: {note}", highlight=False)
     if out is not None:

@@ -62,9 +62,7 @@ class Estimator:
         if self.order < self.model.equation.order:
             raise UsageError(f"order must be at least {self.model.equation.order}, got {self.order}")
         if self.discretization not in HOLD_FILTERS:
-            raise UsageError(
-                f"discretization must be one of {sorted(HOLD_FILTERS)}, got {self.discretization!r}"
-            )
+            raise UsageError(f"discretization must be one of {sorted(HOLD_FILTERS)}, got {self.discretization!r}")
         if self.precision not in ("float64", "float32"):
             raise UsageError(f"precision must be 'float64' or 'float32', got {self.precision!r}")
         self._check_zeros()
@@ -74,9 +72,7 @@ class Estimator:
         needed = len(self.model.equation.noisy)
         wrong = zeros and (len(zeros) != needed or len(set(zeros)) < needed)
         if wrong or any(not (math.isfinite(z) and z < 0) for z in zeros):
-            raise UsageError(
-                f"prefilter_zeros must be {needed} different negative numbers in rad/s, got {list(zeros)}"
-            )
+            raise UsageError(f"prefilter_zeros must be {needed} different negative numbers in rad/s, got {list(zeros)}")
 
     @property
     def zeros(self) -> tuple[float, ...]:
@@ -155,9 +151,7 @@ def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[np.float64], 
     given = np.asarray(counts)
     if given.dtype.kind not in "iu":
         if not (np.all(np.isfinite(given)) and np.array_equal(given, np.round(given))):
-            raise UsageError(
-                "counts must be integers; use pmfid.quantize(position, resolution) for a position"
-            )
+            raise UsageError("counts must be integers; use pmfid.quantize(position, resolution) for a position")
         given = np.round(given)
     counts_array = np.ascontiguousarray(given, dtype=np.int64)
     if u_array.ndim != 1 or u_array.shape != counts_array.shape:

@@ -123,13 +123,11 @@ def check_identifiable(columns: Columns, names: tuple[str, ...]) -> None:
     """Raises NotIdentifiableError where a column is zero or a combination of the others, naming the parameter."""
     if columns.z.size <= 2 * len(names):
         raise NotIdentifiableError(
-            f"only {columns.z.size} samples are left after the filters have settled, too few for {len(names)} parameters; "
-            "record longer, or use a higher cutoff"
+            f"only {columns.z.size} samples are left after the filters have settled, too few for {len(names)} "
+            "parameters; record longer, or use a higher cutoff"
         )
     if not np.any(columns.phi[:, 0]):
-        raise NotIdentifiableError(
-            "the axis does not move in this record: nothing can be identified; record a motion"
-        )
+        raise NotIdentifiableError("the axis does not move in this record: nothing can be identified; record a motion")
     if not np.any(columns.z):
         raise NotIdentifiableError("the input is zero while the axis moves: record the input that drives it")
     for kind, matrix in (("regressor", columns.phi), ("instrument", columns.zeta)):
@@ -140,14 +138,12 @@ def _check_rank(kind: str, matrix: NDArray[np.float64], names: tuple[str, ...]) 
     scale = np.linalg.norm(matrix, axis=0)
     for name, norm in zip(names, scale, strict=True):
         if norm == 0:
-            raise NotIdentifiableError(
-                f"the {kind} of {name} is zero throughout: the record says nothing about it"
-            )
+            raise NotIdentifiableError(f"the {kind} of {name} is zero throughout: the record says nothing about it")
     inverse = np.linalg.pinv(matrix / scale)
     own = 1 / np.sum(inverse**2, axis=1)  # what of a column is not a combination of the others
     worst = int(np.argmin(own))
     if own[worst] < START_PIVOT:
         raise NotIdentifiableError(
-            f"the {kind} of {names[worst]} follows from the others to {np.sqrt(own[worst]):.1g} of its size: too little "
-            "excitation; record reversals, and speeds and accelerations that vary"
+            f"the {kind} of {names[worst]} follows from the others to {np.sqrt(own[worst]):.1g} of its size: too "
+            "little excitation; record reversals, and speeds and accelerations that vary"
         )

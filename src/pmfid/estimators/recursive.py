@@ -44,7 +44,7 @@ class Track:
 
     def flagged(self, bit: Status) -> NDArray[np.bool_]:
         """(n,) where a status bit is set."""
-        return (self.status & bit) != 0
+        return np.asarray((self.status & bit) != 0)
 
 
 @dataclass(frozen=True)

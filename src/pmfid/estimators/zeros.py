@@ -18,8 +18,9 @@ RATIO = 30.0
 def choose_prefilter_zeros(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[float, float]:
     """The pre-filter zeros [rad/s] that carry most information over a record u, counts: (n,).
 
-    Greatest determinant of W^T Z^-1 W, W = sum zeta phi^T, Z = sum zeta zeta^T: the inverse of the estimate's covariance up
-    to the noise variance. The noise of phi does not enter W in the mean, so the choice is one of the motion, not of the noise.
+    Greatest determinant of W^T Z^-1 W, W = sum zeta phi^T, Z = sum zeta zeta^T: the inverse of the estimate's
+    covariance up to the noise variance. The noise of phi does not enter W in the mean, so the choice is one of the
+    motion, not of the noise.
     Raises what `BCLS.columns` raises.
     """
     batch = BCLS(

@@ -1,16 +1,16 @@
-"""Figures of estimates, signals, status and residuals: matplotlib without pyplot, so nothing is shared or shown."""
+"""Figures of estimates, signals, status and residuals: matplotlib without pyplot, nothing shared or shown."""
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from itertools import cycle, pairwise
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
+from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
@@ -27,17 +27,17 @@ MAX_POINTS = 2000
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
 MAGENTA = "#CC0099"
 GREY = "#777777"
-WIDTH = 8.0
+WIDTH = 9.0
 #: With these bits set an estimate is not to be relied on.
 DOUBTFUL = Status.POOR_EXCITATION | Status.COMPENSATION_HELD
 NO_ESTIMATE = Status.STARTING | Status.SETTLING
 
-_STYLE: dict[str, Any] = {
+_STYLE: dict[Any, Any] = {
     "axes.axisbelow": True,
     "axes.edgecolor": GREY,
     "axes.grid": True,
     "axes.labelsize": 10,
-    "axes.prop_cycle": matplotlib.cycler(color=COLOURS),
+    "axes.prop_cycle": cycler(color=COLOURS),
     "axes.spines.right": False,
     "axes.spines.top": False,
     "axes.titlelocation": "left",
@@ -52,7 +52,7 @@ _STYLE: dict[str, Any] = {
 
 
 @contextmanager
-def _style() -> Iterator[None]:
+def figure_style() -> Iterator[None]:
     """The style of all figures, whatever a matplotlibrc of the user says."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
@@ -60,34 +60,24 @@ def _style() -> Iterator[None]:
         yield
 
 
-def svg_text(figure: Figure) -> str:
-    """The figure as an <svg> element to embed in HTML; the same figure gives the same text."""
-    buffer = io.StringIO()
-    with _style():
-        figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
-    text = buffer.getvalue()
-    # In HTML the parser knows the namespaces of an <svg>; their addresses would look like links.
-    return re.sub(r'\s+xmlns(:\w+)?="[^"]*"', "", text[text.index("<svg") :])
-
-
 def save_png(figure: Figure, path: Path, width: int = 1200) -> None:
     """Write the figure as PNG, `width` pixels wide. Raises OSError where the file cannot be written."""
-    with _style():
+    with figure_style():
         figure.savefig(path, format="png", dpi=width / figure.get_figwidth(), metadata={"Software": None})
 
 
 def decimation(y: ArrayLike, limit: int = MAX_POINTS) -> NDArray[np.int64]:
-    """Indices of at most `limit` (>= 4) samples of y (n,), rising: the ends, and the extremes of equal stretches.
+    """Indices of at most `limit` (>= 4) samples of y (n,), rising: the ends, and the extremes of equal parts.
 
-    Not more than n of them; samples that are not finite are never an extreme.
+    All n where these are not more; a sample that is not finite is no extreme.
     """
     y = np.asarray(y, float)
     if y.size <= limit:
         return np.arange(y.size)
     edges = np.linspace(0, y.size, limit // 2).astype(np.int64)
     low, high = np.where(np.isfinite(y), y, np.inf), np.where(np.isfinite(y), y, -np.inf)
-    stretches = list(zip(edges[:-1], edges[1:], strict=True))
-    extremes = [a + low[a:b].argmin() for a, b in stretches] + [a + high[a:b].argmax() for a, b in stretches]
+    parts = list(pairwise(edges))
+    extremes = [a + low[a:b].argmin() for a, b in parts] + [a + high[a:b].argmax() for a, b in parts]
     return np.unique(np.array([0, *extremes, y.size - 1], np.int64))
 
 
@@ -99,19 +89,19 @@ def stretches(t: Floats, flags: Flags) -> list[tuple[float, float]]:
     starts = np.arange(0, t.size, -(-t.size // MAX_POINTS))
     grouped = np.logical_or.reduceat(flags, starts)
     change = np.flatnonzero(np.diff(np.r_[False, grouped, False].astype(np.int8)))
-    edges = np.r_[t[starts], t[-1] + (t[-1] - t[0]) / max(1, t.size - 1)][change]
+    edges = np.r_[t[starts], _end(t)][change]
     return [(float(a), float(b - a)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def estimate_figure(t: ArrayLike, track: Track, nominal: Mapping[str, ArrayLike] | None = None) -> Figure:
     """Estimate, +-2 standard deviations and nominal value of each physical parameter over time.
 
-    t: (n,) [s]; nominal: value, or (n,) values, by parameter name. Shaded: poor excitation or compensation held.
-    Raises UsageError where t and the track differ in length.
+    t: (n,) [s]; nominal: value, or (n,) values, by parameter name. Shaded: poor excitation or compensation
+    held. Raises UsageError where t and the track differ in length.
     """
-    t = _time(t, track=track.status)
+    t = _time(t, {"track": track.status})
     names = [name for name in track.names if not name.startswith("prefilter_")]
-    with _style():
+    with figure_style():
         figure, panels = _panels(len(names), 1.9)
         for name, axes in zip(names, panels, strict=True):
             value = None if nominal is None or name not in nominal else np.asarray(nominal[name], float)
@@ -126,8 +116,8 @@ def _estimate_panel(axes: Axes, t: Floats, track: Track, name: str, nominal: Flo
     low, high = theta - band, theta + band
     i = np.union1d(decimation(low, MAX_POINTS // 2), decimation(high, MAX_POINTS // 2))
     shown = np.isfinite(band[i])
-    axes.fill_between(t[i], low[i], high[i], where=shown, color=COLOURS[0], alpha=0.25, lw=0, label="±2 std")
     _line(axes, t, theta, color=COLOURS[0], label="estimate")
+    axes.fill_between(t[i], low[i], high[i], where=shown, color=COLOURS[0], alpha=0.25, lw=0, zorder=1, label="±2 std")
     if nominal is not None:
         _line(axes, t, np.broadcast_to(nominal, t.shape), color=MAGENTA, ls="--", label="nominal")
     doubtful = stretches(t, track.flagged(DOUBTFUL))
@@ -151,15 +141,15 @@ def comparison_figure(
 ) -> Figure:
     """One parameter by several methods on several records, with the truth: paper figure 4.
 
-    t: (n,) [s]; tracks: title of the panel -> label of the curve -> track; truth: (n,) in the parameter's unit.
+    t: (n,) [s]; tracks: title of the panel -> label of the curve -> track; truth: (n,), unit of the parameter.
     Raises UsageError where a length differs from that of t.
     """
-    t = _time(t, truth=truth, **{name: k.status for panel in tracks.values() for name, k in panel.items()})
-    settled = []
-    with _style():
+    named = {f"{title}, {name}": k.status for title, curves in tracks.items() for name, k in curves.items()}
+    t, settled = _time(t, {"truth": truth, **named}), []
+    with figure_style():
         figure, panels = _panels(len(tracks), 1.9, sharey=True)
         for (title, curves), axes in zip(tracks.items(), panels, strict=True):
-            for colour, (label, track) in zip(COLOURS, curves.items(), strict=False):
+            for colour, (label, track) in zip(cycle(COLOURS), curves.items(), strict=False):
                 _line(axes, t, _known(track, parameter), color=colour, label=label)
                 settled.append(_settled(track, track[parameter]))
             _line(axes, t, np.asarray(truth, float), color=MAGENTA, ls="--", label="truth")
@@ -180,8 +170,8 @@ def signals_figure(
     velocity_unit: str = "m/s",
 ) -> Figure:
     """Input and velocity over time, each (n,). Raises UsageError where the lengths differ."""
-    t = _time(t, u=u, velocity=velocity)
-    with _style():
+    t = _time(t, {"u": u, "velocity": velocity})
+    with figure_style():
         figure, panels = _panels(2, 1.7)
         signals = ((u, "input", input_unit), (velocity, "velocity", velocity_unit))
         for axes, (signal, name, unit) in zip(panels, signals, strict=True):
@@ -196,14 +186,14 @@ def status_figure(t: ArrayLike, status: ArrayLike) -> Figure:
 
     Raises UsageError where the lengths differ.
     """
-    t, bits = _time(t, status=status), np.asarray(status)
+    t, bits = _time(t, {"status": status}), np.asarray(status)
     occurring = [bit for bit in Status if np.any(bits & bit)]
-    with _style():
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 0.8 + 0.3 * max(1, len(occurring))), layout="constrained")
         axes = figure.add_subplot()
         for row, bit in enumerate(occurring):
             colour = COLOURS[1] if bit in DOUBTFUL else COLOURS[0]
-            axes.broken_barh(stretches(t, (bits & bit) != 0), (row - 0.35, 0.7), color=colour, lw=0.5)
+            axes.broken_barh(stretches(t, (bits & bit) != 0), (row - 0.35, 0.7), color=colour, lw=1.5)
         names = [_words(bit.name or "").lower() for bit in occurring]
         axes.set_yticks(range(max(1, len(occurring))), names or ["no bit was set"])
         axes.set_ylim(max(1, len(occurring)) - 0.5, -0.5)
@@ -214,8 +204,8 @@ def status_figure(t: ArrayLike, status: ArrayLike) -> Figure:
 
 def residual_figure(t: ArrayLike, residual: ArrayLike, *, unit: str = "N") -> Figure:
     """Residual (n,) over time t (n,) [s], and its histogram. Raises UsageError where the lengths differ."""
-    t, e = _time(t, residual=residual), np.asarray(residual, float)
-    with _style():
+    t, e = _time(t, {"residual": residual}), np.asarray(residual, float)
+    with figure_style():
         figure = Figure(figsize=(WIDTH, 2.6), layout="constrained")
         axes, side = figure.subplots(1, 2, sharey=True, width_ratios=(4, 1))
         _line(axes, t, e, lw=0.8)
@@ -227,14 +217,21 @@ def residual_figure(t: ArrayLike, residual: ArrayLike, *, unit: str = "N") -> Fi
     return figure
 
 
-def _time(t: ArrayLike, **others: ArrayLike) -> Floats:
+def _time(t: ArrayLike, others: Mapping[str, ArrayLike]) -> Floats:
     time = np.asarray(t, float)
     if time.ndim != 1 or time.size == 0:
         raise UsageError(f"t must have shape (n,), n >= 1, got {time.shape}; give one time per sample")
     for name, values in others.items():
         if np.shape(values) != time.shape:
-            raise UsageError(f"{name} must have the shape of t, {time.shape}, got {np.shape(values)}")
+            raise UsageError(
+                f"{name} must have the shape of t, {time.shape}, got {np.shape(values)}; give one value per time"
+            )
     return time
+
+
+def _end(t: Floats) -> float:
+    """The end of the last sample, one period after its beginning."""
+    return float(t[-1] + (t[-1] - t[0]) / max(1, t.size - 1))
 
 
 def _panels(rows: int, height: float, sharey: bool = False) -> tuple[Figure, list[Axes]]:
@@ -273,19 +270,19 @@ def _robust_limits(axes: Axes, settled: list[Floats], reference: Floats | None) 
 def _finish_time(axes: Axes, t: Floats) -> None:
     axes.set_xlabel("time [s]")
     if t[-1] > t[0]:
-        axes.set_xlim(float(t[0]), float(t[-1]))
+        axes.set_xlim(float(t[0]), _end(t))
 
 
 def _legend(figure: Figure, panels: list[Axes]) -> None:
     """One legend above all panels: each label once."""
-    entries = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels())}
-    figure.legend(
-        list(entries.values()), list(entries), loc="outside upper center", ncols=min(5, len(entries))
-    )
+    entries = {
+        label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(list(entries.values()), list(entries), loc="outside upper center", ncols=min(5, len(entries)))
 
 
 def _words(name: str) -> str:
-    return name.replace("_", " ")
+    return name.replace("_", " ").replace("coulomb", "Coulomb")
 
 
 def _label(name: str, unit: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,8 +11,10 @@ from numbers import Integral, Real
 from pathlib import Path
 
 import jinja2
+from matplotlib.figure import Figure
 
 from pmfid.errors import UsageError
+from pmfid.report.figures import figure_style
 
 Cell = str | int | float
 Table = tuple[Sequence[str], Sequence[Sequence[Cell]]]
@@ -21,8 +24,8 @@ Table = tuple[Sequence[str], Sequence[Sequence[Cell]]]
 class Section:
     """A part of the report.
 
-    heading, text: plain text, an empty line in the text starts a new paragraph; table: (header, rows), numbers are
-    shown with 4 digits, text as it is; svg: an <svg> element as from `svg_text`, embedded as it is.
+    heading, text: plain text, an empty line in the text starts a new paragraph; table: (header, rows), numbers
+    are shown with 4 digits, text as it is; svg: an <svg> element as from `svg`, embedded as it is.
     Raises UsageError where a row of the table has not as many cells as the header.
     """
 
@@ -36,15 +39,25 @@ class Section:
         for number, row in enumerate(rows, 1):
             if len(row) != len(header):
                 raise UsageError(
-                    f"row {number} of the table {self.heading!r} has {len(row)} cells, the header {len(header)}; "
-                    "give one cell per column"
+                    f"row {number} of the table {self.heading!r} has {len(row)} cells, the header "
+                    f"{len(header)}; give one cell per column"
                 )
+
+
+def svg(figure: Figure) -> str:
+    """The figure as an <svg> element to embed in HTML; the same figure gives the same text."""
+    buffer = io.StringIO()
+    with figure_style():
+        figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+    text = buffer.getvalue()
+    # In HTML the parser knows the namespaces of an <svg>; their addresses would look like links.
+    return re.sub(r'\s+xmlns(:\w+)?="[^"]*"', "", text[text.index("<svg") :])
 
 
 def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:
     """Write the sections to one HTML file in UTF-8; the same sections give the same bytes.
 
-    It has no scripts, links or dates. Raises UsageError where the file cannot be written.
+    It has no scripts, links or dates. Raises OSError where the file cannot be written.
     """
     source = files("pmfid.report").joinpath("templates", "report.html.j2").read_text("utf-8")
     environment = jinja2.Environment(
@@ -52,12 +65,7 @@ def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:
     )
     parts = [_part(section, f"s{number}-") for number, section in enumerate(sections, 1)]
     page = environment.from_string(source).render(title=title, sections=parts)
-    try:
-        path.write_text(page + "\n", "utf-8", newline="\n")
-    except OSError as error:
-        raise UsageError(
-            f"cannot write the report {path}: {error.strerror}; give a path that can be written"
-        ) from None
+    path.write_text(page + "\n", "utf-8", newline="\n")
 
 
 def _part(section: Section, prefix: str) -> dict[str, object]:

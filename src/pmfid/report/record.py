@@ -28,7 +28,7 @@ def _write_track(path: Path, result: Result) -> None:
     track = result.track
     if track is None:
         return
-    columns = {"t": np.arange(track.status.size) * result.record.dt}
+    columns: dict[str, np.ndarray] = {"t": np.arange(track.status.size) * result.record.dt}
     for i, name in enumerate(track.names):
         columns |= {name: track.theta[:, i], f"{name}_std": track.theta_std[:, i]}
     columns |= {"innovation": track.innovation, "status": track.status}
@@ -39,13 +39,12 @@ def _parameters(result: Result) -> Section:
     estimator = result.estimator
     rows = [
         [name, f"{value:.6g}", f"{std:.2g}", unit]
-        for name, value, std, unit in zip(
-            estimator.names, result.theta, result.theta_std, estimator.units, strict=True
-        )
+        for name, value, std, unit in zip(estimator.names, result.theta, result.theta_std, estimator.units, strict=True)
     ]
     zeros = ", ".join(f"{zero:.3g}" for zero in estimator.zeros)
     text = (
-        f"{result.record.u.size} samples, dt = {result.record.dt:.6g} s, resolution {result.record.resolution:.4g} per count. "
+        f"{result.record.u.size} samples, dt = {result.record.dt:.6g} s, "
+        f"resolution {result.record.resolution:.4g} per count. "
         f"Filters: order {estimator.order}, cutoff {estimator.cutoff:g} rad/s"
         + (f", pre-filter zeros {zeros} rad/s" if zeros else "")
         + f". Relative error of the filtered equation: {100 * result.relative_error:.3g} %. "

@@ -72,9 +72,7 @@ class EncoderConfig(_Section):
         le=32,
         description="the width of the counter that wraps at 2**bits, 1 to 32, or leave it out",
     )
-    standstill_time: Positive = Field(
-        0.2, description="the time in s without a new count that means standstill"
-    )
+    standstill_time: Positive = Field(0.2, description="the time in s without a new count that means standstill")
     max_speed: Positive | None = Field(None, description="the highest possible speed in unit of y per s")
 
 
@@ -83,9 +81,7 @@ class ModelConfig(_Section):
 
     kind: Literal["drive"] = Field("drive", description="the kind of model; there is one so far")
     input_gain: Positive = Field(description="the force in N per unit of u, for example 2.0")
-    offset: bool = Field(
-        False, description="true to identify a constant load as well, false if there is none"
-    )
+    offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
 
 
 class EstimatorConfig(_Section):
@@ -100,9 +96,7 @@ class EstimatorConfig(_Section):
         le=1,
         description="a factor in (0, 1]; for a memory of T seconds use 1 - dt/T, 1 never forgets",
     )
-    discretization: Literal["matched", "paper"] = Field(
-        "matched", description="the discretisation of the filters"
-    )
+    discretization: Literal["matched", "paper"] = Field("matched", description="the discretisation of the filters")
     # not strict, because TOML has lists and a frozen object wants a tuple
     prefilter_zeros: Annotated[tuple[Negative, Negative] | None, AfterValidator(_distinct)] = Field(
         None, strict=False, description="two different negative numbers in 1/s, for example [-30.0, -60.0]"
@@ -164,9 +158,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
-        raise UsageError(
-            f"{path}: cannot read the configuration: {error.strerror}; give an AXIS.toml"
-        ) from None
+        raise UsageError(f"{path}: cannot read the configuration: {error.strerror}; give an AXIS.toml") from None
     except UnicodeDecodeError:
         raise UsageError(f"{path}: the configuration is not UTF-8 text; give an AXIS.toml") from None
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -183,9 +175,7 @@ def _problem(error: ErrorDetails, raw: Mapping[str, Any], given: Mapping[str, ob
         return f"{label} is missing; give {field.description}"
     message = error["msg"].removeprefix("Value error, ").replace("Input should", "it should")
     if not rest:
-        return (
-            f"{label}: {message}" if isinstance(raw[section], dict) else f"{label} must be a section of keys"
-        )
+        return f"{label}: {message}" if isinstance(raw[section], dict) else f"{label} must be a section of keys"
     origin = " (given as an option)" if f"{section}.{rest[0]}" in given else ""
     return f"{label} = {raw[section][rest[0]]!r}{origin}: {message}; give {field.description}"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.models.drive import Drive
 from pmfid.session.config import Axis, check_sampling
+from pmfid.session.judge import judge
 from pmfid.session.records import Record
 from pmfid.status import Status
 
@@ -51,8 +52,7 @@ class Result:
             "samples": int(self.record.u.size),
             "dt": self.record.dt,
             "parameters": {
-                name: {"value": float(value), "std": float(std), "unit": unit}
-                for name, unit, value, std in rows
+                name: {"value": float(value), "std": float(std), "unit": unit} for name, unit, value, std in rows
             },
             "fit": {"relative_error": self.relative_error},
             "prefilter_zeros": list(estimator.zeros),
@@ -70,14 +70,12 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
     options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
     if issubclass(cls, RecursiveEstimator):
         options["forgetting"] = config.forgetting
-    encoder = Encoder(
-        record.resolution, standstill_time=axis.encoder.standstill_time, max_speed=axis.encoder.max_speed
-    )
+    encoder = Encoder(record.resolution, standstill_time=axis.encoder.standstill_time, max_speed=axis.encoder.max_speed)
     model = Drive(axis.model.input_gain, offset=axis.model.offset)
     estimator = cls(model, encoder, record.dt, config.cutoff, **options)
     if cls.instrumental and config.prefilter_zeros is None:
         zeros = choose_prefilter_zeros(estimator, record.u, record.counts)
-        estimator = replace(estimator, prefilter_zeros=zeros)
+        return cls(model, encoder, record.dt, config.cutoff, **(options | {"prefilter_zeros": zeros}))
     return estimator
 
 
@@ -94,9 +92,9 @@ def identify(record: Record, axis: Axis, progress: Progress | None = None) -> Re
     if isinstance(estimator, RecursiveEstimator):
         return _recursive(estimator, record, columns, progress)
     fit = batch.fit(record.u, record.counts)
-    flags = _trust(fit.theta, fit.theta_std, estimator)
-    notes = (*record.notes, *flags, *Status(fit.status).advice)
-    status = tuple(status_names(fit.status)) + (("uncertain",) if flags else ())
+    flags, notes = judge(estimator, record, fit.theta, fit.theta_std)
+    notes = (*record.notes, *notes, *Status(fit.status).advice)
+    status = (*status_names(fit.status), *flags)
     return Result(estimator, record, fit.theta, fit.theta_std, fit.relative_error, status, notes, fit=fit)
 
 
@@ -113,9 +111,7 @@ def _batch_twin(estimator: Estimator) -> BatchEstimator:
     return twin
 
 
-def _recursive(
-    estimator: RecursiveEstimator, record: Record, columns: Columns, progress: Progress | None
-) -> Result:
+def _recursive(estimator: RecursiveEstimator, record: Record, columns: Columns, progress: Progress | None) -> Result:
     track = _run(estimator, record, progress)
     last = int(track.status[-1])
     if last & Status.STARTING:
@@ -125,13 +121,11 @@ def _recursive(
     theta, std = track.theta[-1], track.theta_std[-1]
     residual = columns.z - columns.phi @ theta
     relative = float(np.linalg.norm(residual) / np.linalg.norm(columns.z))
-    occurred = int(np.bitwise_or.reduce(track.status)) & int(
-        Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET
-    )
+    occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
     held = occurred | (last & ~int(Status.SETTLING))
-    flags = _trust(theta, std, estimator)
-    status = tuple(status_names(held)) + (("uncertain",) if flags else ())
-    notes = (*record.notes, *flags, *Status(held).advice)
+    flags, notes = judge(estimator, record, theta, std)
+    status = (*status_names(held), *flags)
+    notes = (*record.notes, *notes, *Status(held).advice)
     return Result(estimator, record, theta, std, relative, status, notes, track=track)
 
 
@@ -146,17 +140,3 @@ def _run(estimator: RecursiveEstimator, record: Record, progress: Progress | Non
     fields = ("theta", "variance_factor", "innovation", "innovation_variance", "status")
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in fields}
     return Track(parts[0].names, parts[0].units, **joined)
-
-
-def _trust(theta: np.ndarray, std: np.ndarray, estimator: Estimator) -> tuple[str, ...]:
-    """Sentences on values that a person should not believe as they stand."""
-    notes = []
-    for name, value, deviation in zip(estimator.names, theta, std, strict=True):
-        if name in ("mass", "viscous_friction", "coulomb_friction"):
-            if value < 0 and value + 3 * deviation < 0:
-                notes.append(f"{name} is negative: check the sign and scale of the input and the encoder")
-            elif deviation > 0.5 * abs(value):
-                notes.append(
-                    f"{name} is not known to better than half its value: excite it more, or lower the cutoff"
-                )
-    return tuple(notes)

@@ -6,16 +6,16 @@ identify anything is not decided here. Rows in messages count from 1 at the firs
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.errors import UsageError, did_you_mean
+from pmfid.errors import UsageError
+from pmfid.session.tables import Floats, Table, column, from_array, lookup, read_table
 
 if TYPE_CHECKING:
     from pmfid.session.config import Axis, RecordConfig
@@ -25,11 +25,8 @@ __all__ = ["MIN_SAMPLES", "Record", "read_record"]
 MIN_SAMPLES = 10
 # Beyond 2**53 neighbouring integers share one float64, and a count would be silently wrong.
 _MAX_COUNT = 2.0**53
-_MISSING = ["", "NA", "N/A", "null", "NULL", "None"]
 
-Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
-Table = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -63,7 +60,7 @@ def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record
             f"{resolution:g}; give a larger step"
         )
     try:
-        return _build(_read_table(path), axis, quantize, path.name)
+        return _build(read_table(path), axis, quantize, path.name)
     except UsageError as error:
         # one line, whatever the names in a damaged file contain
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from None
@@ -72,7 +69,7 @@ def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record
 def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Record:
     config = axis.record
     keys = {"input": config.input, "output": config.output, "time": config.time}
-    columns = {key: _column(table, key, name) for key, name in keys.items() if name is not None}
+    columns = {key: column(table, key, name) for key, name in keys.items() if name is not None}
     _check_lengths(columns, keys)
     for key, values in columns.items():
         _check_finite(f"{key} column {keys[key]!r}", values)
@@ -89,122 +86,13 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     return Record(scale * columns["input"], counts, dt, resolution, notes, name)
 
 
-def _read_table(path: Path) -> Table:
-    parsers = {".csv": _parse_csv, ".parquet": _parse_parquet, ".mat": _parse_mat}
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise UsageError(f"cannot read the record: {error.strerror}; give the path of a data file") from None
-    parse = parsers.get(path.suffix.lower())
-    if parse is None:
-        raise UsageError(f"file type {path.suffix!r} is not known; use one of {', '.join(parsers)}")
-    if not data.strip():
-        raise UsageError("the file is empty; export the record again")
-    try:
-        return parse(data)
-    except UsageError:
-        raise
-    except BaseException as error:
-        # The readers raise whatever they stumble over: OSError, ValueError, zlib.error, and polars' Rust core
-        # a PanicException that is no Exception. Only what ends the program passes through.
-        if isinstance(error, (KeyboardInterrupt, SystemExit, GeneratorExit)):
-            raise
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        kind = path.suffix.lower()
-        raise UsageError(
-            f"not a readable {kind} file, truncated or corrupt ({reason}); export it again"
-        ) from None
-
-
-def _parse_csv(data: bytes) -> Table:
-    import polars as pl
-
-    if b"\0" in data:
-        raise UsageError("not a text file; use the ending that tells its type, or export it as UTF-8 CSV")
-    header = data.lstrip().splitlines()[0]
-    if b"," not in header and (b";" in header or b"\t" in header):
-        raise UsageError(
-            "the columns are not separated by commas; export with comma separators and decimal points"
-        )
-    # All as text first: a column is converted, and complained about, only if it is used.
-    frame = pl.read_csv(data, infer_schema=False, null_values=_MISSING)
-    return {column.strip(): frame[column] for column in frame.columns}
-
-
-def _parse_parquet(data: bytes) -> Table:
-    import polars as pl
-
-    frame = pl.read_parquet(io.BytesIO(data))
-    return {column: frame[column] for column in frame.columns}
-
-
-def _parse_mat(data: bytes) -> Table:
-    import scipy.io
-
-    remedy = "a MATLAB v7.3 file is not read; save it in MATLAB with save(name, '-v7')"
-    if data.startswith(b"\x89HDF"):
-        raise UsageError(remedy)
-    try:
-        variables = scipy.io.loadmat(io.BytesIO(data))
-    except NotImplementedError:
-        raise UsageError(remedy) from None
-    return {name: value for name, value in variables.items() if not name.startswith("__")}
-
-
-def _lookup(table: Table, key: str, name: str) -> Any:
-    if f"{name}_duplicated_0" in table:
-        raise UsageError(f"[record] {key} = {name!r}: two columns have this name; rename one of them")
-    if name in table:
-        return table[name]
-    listed = ", ".join(list(table)[:30]) or "none"
-    hint = did_you_mean(name, table)
-    raise UsageError(f"[record] {key} = {name!r}: there is no such column; available are {listed}{hint}")
-
-
-def _column(table: Table, key: str, name: str) -> Floats:
-    value = _lookup(table, key, name)
-    label = f"{key} column {name!r}"
-    return _from_array(label, value).ravel() if isinstance(value, np.ndarray) else _from_series(label, value)
-
-
-def _from_series(label: str, series: Any) -> Floats:
-    import polars as pl
-
-    if series.dtype == pl.String:
-        numbers = series.str.strip_chars().cast(pl.Float64, strict=False)
-        bad = (numbers.is_null() & series.is_not_null()).arg_true()
-        if len(bad):
-            raise UsageError(
-                f"{label} is not numeric: {series[bad[0]]!r} in row {bad[0] + 1}; write numbers like 0.25"
-            )
-        series = numbers
-    if not series.dtype.is_numeric():
-        raise UsageError(f"{label} is not numeric but {series.dtype}; store it as numbers (time in s)")
-    values: Floats = series.cast(pl.Float64).fill_null(np.nan).to_numpy()
-    return values
-
-
-def _from_array(label: str, array: NDArray[Any]) -> Floats:
-    if array.dtype.kind not in "biuf":
-        raise UsageError(
-            f"{label} is not a real numeric array but {array.dtype}; save it as a vector of double"
-        )
-    if array.size > 1 and max(array.shape) != array.size:
-        raise UsageError(
-            f"{label} is not a vector, its shape is {array.shape}; save one column as its own variable"
-        )
-    return array.astype(np.float64)
-
-
 def _check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None]) -> None:
     lengths = {keys[key]: len(values) for key, values in columns.items()}
     if len(set(lengths.values())) > 1:
         raise UsageError(f"the columns differ in length: {lengths}; save them over the same samples")
     n = len(columns["input"])
     if n < MIN_SAMPLES:
-        raise UsageError(
-            f"the record has {n} sample{'s' * (n != 1)}, at least {MIN_SAMPLES} are needed; record longer"
-        )
+        raise UsageError(f"the record has {n} sample{'s' * (n != 1)}, at least {MIN_SAMPLES} are needed; record longer")
 
 
 def _check_finite(label: str, values: Floats) -> None:
@@ -220,12 +108,10 @@ def _check_finite(label: str, values: Floats) -> None:
 def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ...]]:
     if not isinstance(scale, str):
         return scale, ()
-    value = _lookup(table, "input_scale", scale)
+    value = lookup(table, "input_scale", scale)
     if not isinstance(value, np.ndarray):
-        raise UsageError(
-            f"[record] input_scale = {scale!r}: only a .mat file has scalar variables; give a number"
-        )
-    array = _from_array(f"[record] input_scale = {scale!r}", value)
+        raise UsageError(f"[record] input_scale = {scale!r}: only a .mat file has scalar variables; give a number")
+    array = from_array(f"[record] input_scale = {scale!r}", value)
     if array.size != 1 or not np.isfinite(array).all() or array.item() == 0:
         raise UsageError(
             f"[record] input_scale = {scale!r} is not a finite scalar other than zero (shape {array.shape}); "
@@ -314,7 +200,5 @@ def _unwrap(counts: Counts, bits: int) -> tuple[Counts, tuple[str, ...]]:
     notes = [f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)"] if wraps else []
     largest = int(np.max(np.abs(steps))) / span
     if largest > 0.25:
-        notes.append(
-            f"largest step is {largest:.0%} of the counter's range: from 50 % on, the wrap is ambiguous"
-        )
+        notes.append(f"largest step is {largest:.0%} of the counter's range: from 50 % on, the wrap is ambiguous")
     return np.concatenate((counts[:1], counts[0] + np.cumsum(steps))), tuple(notes)

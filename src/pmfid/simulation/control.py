@@ -39,9 +39,7 @@ def position_control(
     check_number("dt", dt, above=0.0, remedy="give the sample period in seconds")
     for name, gain in (("kp", kp), ("kd", kd)):
         if not (np.isfinite(gain) and gain >= 0.0):
-            raise ValueError(
-                f"{name} must be finite and >= 0, got {gain}; reverse input_gain for a reversed motor"
-            )
+            raise ValueError(f"{name} must be finite and >= 0, got {gain}; reverse input_gain for a reversed motor")
     check_number("u_max", u_max, above=0.0, remedy="give the largest input in V")
     check_number("resolution", resolution, above=0.0, remedy="give the travel per count in m")
     check_number("phase", phase, remedy="give the start position on the encoder lattice in m")

@@ -18,9 +18,7 @@ Columns = tuple[Floats, Floats, Floats, Floats, Floats]
 COUNT_LIMIT = 2**53
 
 
-def check_number(
-    name: str, value: float, *, above: float = -np.inf, remedy: str = "pass a finite number"
-) -> None:
+def check_number(name: str, value: float, *, above: float = -np.inf, remedy: str = "pass a finite number") -> None:
     """Raise ValueError unless `value` is finite and > `above`."""
     if not (isfinite(value) and value > above):
         bound = "finite" if above == -np.inf else f"finite and > {above:g}"
@@ -38,14 +36,10 @@ def as_signal(name: str, values: ArrayLike) -> Floats:
     """Return a float64 copy (n,) of `values`; raise ValueError unless 1-D, finite and n >= 1."""
     signal = np.array(values, dtype=np.float64, order="C")
     if np.ndim(values) != 1 or signal.size == 0:
-        raise ValueError(
-            f"{name} must have shape (n,), n >= 1, got {np.shape(values)}; pass one value per sample"
-        )
+        raise ValueError(f"{name} must have shape (n,), n >= 1, got {np.shape(values)}; pass one value per sample")
     bad = np.flatnonzero(~np.isfinite(signal))
     if bad.size:
-        raise ValueError(
-            f"{name}[{bad[0]}] is {signal[bad[0]]}, it must be finite; repair or leave out that sample"
-        )
+        raise ValueError(f"{name}[{bad[0]}] is {signal[bad[0]]}, it must be finite; repair or leave out that sample")
     return signal
 
 
@@ -74,9 +68,7 @@ class DriveParameters:
         for name in ("viscous_friction", "coulomb_friction"):
             value = getattr(self, name)
             if not (isfinite(value) and value >= 0.0):
-                raise ValueError(
-                    f"{name} must be finite and >= 0, got {value}; friction opposes the motion, 0 is none"
-                )
+                raise ValueError(f"{name} must be finite and >= 0, got {value}; friction opposes the motion, 0 is none")
         check_number("input_gain", self.input_gain, remedy="give the force per unit of input in N/V")
         check_number("offset", self.offset, remedy="give the constant load force in N, 0 for none")
 
@@ -105,10 +97,7 @@ class Schedule:
         times = np.array([time for time, _ in self.changes]) - 1e-6 * dt
         index = np.searchsorted(times, t, side="right") - 1
         table = np.array(
-            [
-                (p.mass, p.viscous_friction, p.coulomb_friction, p.input_gain, p.offset)
-                for _, p in self.changes
-            ]
+            [(p.mass, p.viscous_friction, p.coulomb_friction, p.input_gain, p.offset) for _, p in self.changes]
         )
         mass, viscous, coulomb, input_gain, offset = np.ascontiguousarray(table[index].T)
         return mass, viscous, coulomb, input_gain, offset
@@ -144,9 +133,7 @@ class Motion:
 def as_motion(dt: float, u: Floats, x: Floats, v: Floats, direction: Floats, moving: Floats) -> Motion:
     """Return the plant's result, x and v (n + 1,), as a Motion (n,); raise ValueError if it overflowed."""
     if not (np.isfinite(x).all() and np.isfinite(v).all()):
-        raise ValueError(
-            "the motion leaves the range of floating point; check the units of parameters and input"
-        )
+        raise ValueError("the motion leaves the range of floating point; check the units of parameters and input")
     return Motion(sample_times(u.size, dt), u, x[:-1], v[:-1], direction, moving)
 
 

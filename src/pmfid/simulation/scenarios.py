@@ -64,9 +64,7 @@ def resolution_of(increments: int) -> float:
     return CART_RESOLUTION * CART_INCREMENTS / increments
 
 
-def make_scenario(
-    name: str, *, seed: int = 0, increments: int = CART_INCREMENTS, duration: float = 30.0
-) -> Scenario:
+def make_scenario(name: str, *, seed: int = 0, increments: int = CART_INCREMENTS, duration: float = 30.0) -> Scenario:
     """Return the scenario `name` (a key of SCENARIOS) of `duration` [s], encoder of `increments` per turn.
 
     The seed draws the start phase on the encoder lattice and the random input; the input does not depend on

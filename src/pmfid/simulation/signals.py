@@ -41,16 +41,14 @@ def mls(stages: int, clock: int, amplitude: float) -> Floats:
     check_whole("stages", stages, 2, _MAX_STAGES, "the period is 2**stages - 1 clocks")
     _check_clock(clock)
     _check_amplitude(amplitude)
-    # scipy.signal takes half a second to import; only this function needs it.
+    # scipy.signal is slow to import, and only this function needs it.
     from scipy.signal import max_len_seq
 
     bits = np.asarray(max_len_seq(int(stages))[0], dtype=np.float64)
     return np.repeat(amplitude * (2.0 * bits - 1.0), clock)
 
 
-def multisine(
-    samples: int, dt: float, frequencies: ArrayLike, amplitude: float, rng: np.random.Generator
-) -> Floats:
+def multisine(samples: int, dt: float, frequencies: ArrayLike, amplitude: float, rng: np.random.Generator) -> Floats:
     """Return a sum of sines (samples,) of equal size and random phase whose largest value is `amplitude` [V].
 
     frequencies (q,) [Hz], each in (0, 1/(2 dt)); dt > 0 [s]. Raises ValueError for values out of range.

@@ -1,0 +1,191 @@
+"""Tables: the columns of a CSV, Parquet or MATLAB file by name, and one column as numbers."""
+
+from __future__ import annotations
+
+import io
+import warnings
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import UsageError, did_you_mean
+
+__all__ = ["Floats", "Table", "column", "from_array", "lookup", "read_table"]
+
+Floats = NDArray[np.float64]
+#: Column by name: a polars series from a CSV or Parquet file, an array from a .mat file.
+Table = Mapping[str, Any]
+
+_MISSING = ["", "NA", "N/A", "null", "NULL", "None"]
+# Types of the elements of a MATLAB v5 file ("MAT-File Format", MathWorks, table 1-1); the others are reserved.
+_INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
+_NUMERIC = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18}
+_CHAR_CLASS, _SPARSE_CLASS, _LAST_NUMERIC_CLASS, _COMPLEX = 4, 5, 15, 0x800
+
+
+def read_table(path: Path) -> Table:
+    """All columns of a .csv, .parquet or .mat (v5) file, not yet converted.
+
+    Raises UsageError with the remedy for a file that is missing, empty, truncated, corrupt or of another type.
+    """
+    parsers = {".csv": _parse_csv, ".parquet": _parse_parquet, ".mat": _parse_mat}
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"cannot read the record: {error.strerror}; give the path of a data file") from None
+    parse = parsers.get(path.suffix.lower())
+    if parse is None:
+        raise UsageError(f"file type {path.suffix!r} is not known; use one of {', '.join(parsers)}")
+    if not data.strip():
+        raise UsageError("the file is empty; export the record again")
+    try:
+        return parse(data)
+    except UsageError:
+        raise
+    except BaseException as error:
+        # The readers raise whatever they stumble over: OSError, ValueError, zlib.error, and polars' Rust core
+        # a PanicException that is no Exception. Only what ends the program passes through.
+        if isinstance(error, (KeyboardInterrupt, SystemExit, GeneratorExit)):
+            raise
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        kind = path.suffix.lower()
+        raise UsageError(f"not a readable {kind} file, truncated or corrupt ({reason}); export it again") from None
+
+
+def lookup(table: Table, key: str, name: str) -> Any:
+    """The column `name`, which [record] `key` asks for; raises UsageError listing what there is."""
+    if f"{name}_duplicated_0" in table:
+        raise UsageError(f"[record] {key} = {name!r}: two columns have this name; rename one of them")
+    if name in table:
+        return table[name]
+    listed = ", ".join(list(table)[:30]) or "none"
+    hint = did_you_mean(name, table)
+    raise UsageError(f"[record] {key} = {name!r}: there is no such column; available are {listed}{hint}")
+
+
+def column(table: Table, key: str, name: str) -> Floats:
+    """The column `name` as (n,) numbers, NaN where a cell is empty; raises UsageError where it is not numeric."""
+    value = lookup(table, key, name)
+    label = f"{key} column {name!r}"
+    return from_array(label, value).ravel() if isinstance(value, np.ndarray) else _from_series(label, value)
+
+
+def from_array(label: str, array: NDArray[Any]) -> Floats:
+    """An array as float64 in its own shape; raises UsageError, with the label, unless it is a real vector."""
+    if array.dtype.kind not in "biuf":
+        raise UsageError(f"{label} is not a real numeric array but {array.dtype}; save it as a vector of double")
+    if array.size > 1 and max(array.shape) != array.size:
+        raise UsageError(f"{label} is not a vector, its shape is {array.shape}; save one column as its own variable")
+    return array.astype(np.float64)
+
+
+def _from_series(label: str, series: Any) -> Floats:
+    import polars as pl
+
+    if series.dtype == pl.String:
+        numbers = series.str.strip_chars().cast(pl.Float64, strict=False)
+        bad = (numbers.is_null() & series.is_not_null()).arg_true()
+        if len(bad):
+            raise UsageError(f"{label} is not numeric: {series[bad[0]]!r} in row {bad[0] + 1}; write numbers like 0.25")
+        series = numbers
+    if not series.dtype.is_numeric():
+        raise UsageError(f"{label} is not numeric but {series.dtype}; store it as numbers (time in s)")
+    values: Floats = series.cast(pl.Float64).fill_null(np.nan).to_numpy()
+    return values
+
+
+def _parse_csv(data: bytes) -> Table:
+    import polars as pl
+
+    if b"\0" in data:
+        raise UsageError("not a text file; use the ending that tells its type, or export it as UTF-8 CSV")
+    header = data.lstrip().splitlines()[0]
+    if b"," not in header and (b";" in header or b"\t" in header):
+        raise UsageError("the columns are not separated by commas; export with comma separators and decimal points")
+    # All as text first: a column is converted, and complained about, only if it is used.
+    frame = pl.read_csv(data, infer_schema=False, null_values=_MISSING)
+    return {column.strip(): frame[column] for column in frame.columns}
+
+
+def _parse_parquet(data: bytes) -> Table:
+    import polars as pl
+
+    frame = pl.read_parquet(io.BytesIO(data))
+    return {column: frame[column] for column in frame.columns}
+
+
+def _parse_mat(data: bytes) -> Table:
+    import scipy.io
+
+    remedy = "a MATLAB v7.3 file is not read; save it in MATLAB with save(name, '-v7')"
+    if data.startswith(b"\x89HDF"):
+        raise UsageError(remedy)
+    _check_mat(data)
+    try:
+        with warnings.catch_warnings(action="error", category=scipy.io.matlab.MatReadWarning):
+            variables = scipy.io.loadmat(io.BytesIO(data))
+    except NotImplementedError:
+        raise UsageError(remedy) from None
+    return {name: value for name, value in variables.items() if not name.startswith("__")}
+
+
+def _check_mat(data: bytes) -> None:
+    """Raises ValueError unless all sizes and types in a v5 file fit: scipy's reader looks types up unchecked, and crashes.
+
+    A file of another version passes; the reader is left to say so.
+    """
+    order = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}.get(data[124:128])
+    if order is None or 0 in data[:4]:
+        return
+    for kind, body in _elements(memoryview(data)[128:], order, padding=1):
+        if kind == _COMPRESSED:
+            inner = memoryview(zlib.decompress(body))
+            ((kind, body),) = _elements(inner, order, padding=1)
+        if kind != _MATRIX:
+            raise ValueError(f"element of type {kind} in place of a variable")
+        _check_matrix(body, order)
+
+
+def _elements(data: memoryview, order: str, padding: int = 8) -> Iterator[tuple[int, memoryview]]:
+    """Type and content of each element; `order`: "<" or ">", `padding`: multiple of bytes that an element takes."""
+    word = np.dtype(f"{order}u4")
+    start = 0
+    while start < len(data):
+        if len(data) - start < 8:
+            raise ValueError("an element without its size")
+        kind, size = (int(number) for number in np.frombuffer(data, word, 2, start))
+        first, step = start + 8, -(-size // padding) * padding
+        if kind >> 16:  # four bytes at most are stored in the place of the size
+            kind, size, first, step = kind & 0xFFFF, kind >> 16, start + 4, 4
+        if size > min(step, len(data) - first):
+            raise ValueError("an element is longer than the file")
+        yield kind, data[first : first + size]
+        start = first + step
+
+
+def _check_matrix(body: memoryview, order: str) -> None:
+    parts = list(_elements(body, order))
+    kinds = [kind for kind, _ in parts]
+    if not parts:  # an empty cell
+        return
+    if not (kinds[0] == _UINT32 and len(parts[0][1]) == 8):
+        raise ValueError("a variable without its class")
+    flags = int(np.frombuffer(parts[0][1], f"{order}u4", 1)[0])
+    if _CHAR_CLASS <= flags & 0xFF <= _LAST_NUMERIC_CLASS:
+        _check_numeric(kinds, flags)
+    for kind, part in parts:
+        if kind == _MATRIX:
+            _check_matrix(part, order)
+        elif kind not in _NUMERIC:
+            raise ValueError(f"element of unknown type {kind}")
+
+
+def _check_numeric(kinds: list[int], flags: int) -> None:
+    indices = 2 if flags & 0xFF == _SPARSE_CLASS else 0
+    needed = 3 + indices + (2 if flags & _COMPLEX else 1)
+    if kinds[1:3] != [_INT32, _INT8] or len(kinds) < needed or not _NUMERIC.issuperset(kinds):
+        raise ValueError("a variable without its size, name or values")

@@ -1,0 +1,162 @@
+"""Physics in, physics out: the estimates against the cart's true parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid import Status
+from pmfid.estimators.base import default_zeros
+from pmfid.estimators.registry import ESTIMATORS
+from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.simulation.scenarios import make_scenario
+from tests.conftest import TRUTH, cart_run
+
+DT, CUTOFF = 0.01, 50.0
+SEEDS = range(10)
+
+
+def errors(cls, drive, increments, **options):
+    """Mean relative error over the seeds, at the end of a 30 s record."""
+    found = []
+    for seed in SEEDS:
+        run = cart_run(seed, increments=increments)
+        estimator = cls(drive, run.encoder, DT, CUTOFF, **options)
+        if hasattr(estimator, "fit"):
+            found.append(estimator.fit(run.u, run.counts).theta[:3])
+        else:
+            found.append(estimator.run(run.u, run.counts).theta[-1, :3])
+    return np.mean(found, axis=0) / TRUTH - 1
+
+
+def test_matched_filters_without_noise(drive):
+    error = errors(pmfid.LS, drive, None)
+    assert abs(error[0]) < 5e-4
+    assert abs(error[1]) < 5e-3
+
+
+def test_the_papers_discretisation_shows_its_error(drive):
+    error = errors(pmfid.LS, drive, None, discretization="paper")
+    assert -0.015 < error[0] < -0.003
+
+
+@pytest.mark.parametrize("cls", [pmfid.BCLS, pmfid.BCRLS])
+def test_compensation_at_256_increments(cls, drive):
+    assert abs(errors(cls, drive, 256)[0]) < 3e-3
+
+
+@pytest.mark.parametrize("cls", [pmfid.LS, pmfid.RLS])
+def test_without_compensation_the_mass_is_too_small(cls, drive):
+    """Plain least squares a little; the extended model that the compensation starts from (paper eq. 21) badly."""
+    assert errors(cls, drive, 256)[0] < -4e-3
+    assert errors(cls, drive, 256, prefilter_zeros=default_zeros(CUTOFF))[0] < -0.1
+
+
+@pytest.mark.parametrize("increments", [4096, 1024, 512, 256])
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_bcrls_on_line_never_leaves_the_plausible(increments, precision, drive):
+    """Mass step from 1.07 to 1.44 kg; from 1 s on no sample outside 0.8 to 1.7 kg."""
+    for seed in range(5):
+        scenario = make_scenario("mass-step", seed=seed, increments=increments)
+        encoder = pmfid.Encoder(scenario.resolution)
+        track = pmfid.BCRLS(drive, encoder, DT, CUTOFF, forgetting=0.99, precision=precision).run(
+            scenario.motion.u, scenario.counts
+        )
+        mass = track["mass"][100:]
+        assert np.all(np.isfinite(track.theta))
+        assert mass.min() > 0.8
+        assert mass.max() < 1.7
+        assert mass[-1] == pytest.approx(1.44, rel=0.02)
+        assert not np.any(track.status[100:] & (Status.POOR_EXCITATION | Status.STARTING))
+
+
+def test_offset_is_found(drive):
+    """A constant load of 0.5 N, in the model and not."""
+    from pmfid.simulation.drive import DriveParameters, quantize, simulate_drive
+    from pmfid.simulation.signals import prbs
+
+    loaded = DriveParameters(1.07, 12.8, 0.8, 2.0, offset=0.5)
+    u = prbs(3000, clock=10, amplitude=3.0, rng=np.random.default_rng(3))
+    counts = quantize(simulate_drive(loaded, u, DT).x, 22.75e-6)
+    fit = pmfid.LS(pmfid.Drive(2.0, offset=True), pmfid.Encoder(22.75e-6), DT, CUTOFF).fit(u, counts)
+    assert fit["offset"] == pytest.approx(0.5, rel=0.02)
+    assert fit["mass"] == pytest.approx(1.07, rel=0.005)
+    assert fit.units == ("kg", "N s/m", "N", "N")
+
+
+def test_zeros_chosen_from_a_record_are_no_worse(drive):
+    run = cart_run(1, increments=256)
+    estimator = pmfid.BCLS(drive, run.encoder, DT, CUTOFF)
+    zeros = choose_prefilter_zeros(estimator, run.u, run.counts)
+    chosen = pmfid.BCLS(drive, run.encoder, DT, CUTOFF, prefilter_zeros=zeros).fit(run.u, run.counts)
+    fast = pmfid.BCLS(drive, run.encoder, DT, CUTOFF, prefilter_zeros=(-120.0, -60.0)).fit(run.u, run.counts)
+    assert np.linalg.det(chosen.theta_cov) < np.linalg.det(fast.theta_cov)
+
+
+def test_no_motion_and_no_excitation_are_said(drive):
+    batch = pmfid.LS(drive, pmfid.Encoder(1e-5), DT, CUTOFF)
+    with pytest.raises(pmfid.NotIdentifiableError, match="does not move"):
+        batch.fit(np.ones(1000), np.zeros(1000, int))
+    with pytest.raises(pmfid.NotIdentifiableError, match=r"viscous_friction|coulomb_friction"):
+        batch.fit(np.full(1000, 1.0), np.arange(1000) * 10)
+    with pytest.raises(pmfid.NotIdentifiableError, match="too few"):
+        batch.fit(np.ones(26), np.arange(26))
+
+
+@pytest.mark.parametrize("cls", ESTIMATORS.values())
+@pytest.mark.parametrize(
+    ("wrong", "remedy"),
+    [
+        ({"cutoff": 201.0}, "at most 200"),
+        ({"cutoff": -1.0}, "rad/s"),
+        ({"cutoff": np.nan}, "finite"),
+        ({"dt": 0.0}, "sample period"),
+        ({"order": 1}, "at least 2"),
+        ({"discretization": "zoh"}, "matched"),
+        ({"precision": "half"}, "float32"),
+        ({"prefilter_zeros": (-1.0,)}, "different negative"),
+        ({"prefilter_zeros": (-1.0, 1.0)}, "different negative"),
+        ({"prefilter_zeros": (-1.0, -1.0)}, "different negative"),
+    ],
+)
+def test_wrong_arguments_say_the_remedy(cls, wrong, remedy, drive):
+    arguments = {"dt": DT, "cutoff": CUTOFF} | wrong
+    with pytest.raises(pmfid.UsageError, match=remedy):
+        cls(drive, pmfid.Encoder(1e-5), **arguments)
+
+
+@pytest.mark.parametrize("forgetting", [0.0, -0.1, 1.2, np.nan])
+def test_wrong_forgetting(forgetting, drive):
+    with pytest.raises(pmfid.UsageError, match="1 - dt/T"):
+        pmfid.RLS(drive, pmfid.Encoder(1e-5), DT, CUTOFF, forgetting=forgetting)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"resolution": 0.0},
+        {"resolution": -1e-6},
+        {"bits": 0},
+        {"bits": 33},
+        {"max_speed": 0.0},
+        {"standstill_time": -1.0},
+    ],
+)
+def test_wrong_encoder(wrong):
+    with pytest.raises(pmfid.UsageError, match=next(iter(wrong))):
+        pmfid.Encoder(**({"resolution": 1e-5} | wrong))
+
+
+def test_wrong_arrays(drive):
+    estimator = pmfid.RLS(drive, pmfid.Encoder(1e-5), DT, CUTOFF)
+    with pytest.raises(pmfid.UsageError, match="same length"):
+        estimator.run(np.zeros(3), np.zeros(4, int))
+    with pytest.raises(pmfid.UsageError, match="quantize"):
+        estimator.run(np.zeros(3), np.array([0.0, 0.5, 1.0]))
+
+
+def test_status_gives_advice():
+    flags = Status.STARTING | Status.STANDSTILL
+    assert len(flags.advice) == 2
+    assert all(Status(bit).advice for bit in Status)
