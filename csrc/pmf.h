@@ -6,8 +6,8 @@
  *
  *   counts, input -> encoder -> network of first-order stages -> columns -> recursion -> estimate
  *
- * The kernel knows neither a drive nor an equation: the configuration says which stages there are and
- * which sums of their outputs are regressors, target and instruments. No malloc, no globals, no libc.
+ * The kernel knows no equation: the configuration says which stages there are and which sums of their outputs are
+ * regressors, target and instruments. Only the auxiliary model (optional) knows what a body with friction is. No malloc, no globals, no libc.
  * Compile with -std=c99 -ffp-contract=off and never with -ffast-math: then every target gives the same bits.
  */
 #ifndef PMF_H
@@ -24,25 +24,47 @@ typedef double real_t;
 #endif
 
 #ifndef PMF_MAX_STAGES
-#define PMF_MAX_STAGES 40
+#define PMF_MAX_STAGES 64
 #endif
 #ifndef PMF_MAX_TAPS
-#define PMF_MAX_TAPS 64
+#define PMF_MAX_TAPS 96
 #endif
 #ifndef PMF_MAX_PARAMETERS
 #define PMF_MAX_PARAMETERS 8
 #endif
-#define PMF_MAX_COLUMNS (2 * PMF_MAX_PARAMETERS + 1)
+#define PMF_MAX_COLUMNS (4 * PMF_MAX_PARAMETERS + 4)
 
-/* Signals of one sampling interval; nodes 0..3 of the network. All but the velocity are one sample late,
- * because the direction of an interval is known best one sample after it. */
+/* Signals of one sampling interval. A block of eight comes from the counts (nodes 0..7) and one from the auxiliary
+ * model (nodes 8..15). All but the velocity from the counts are one sample late, because the direction of an interval
+ * is known best one sample after it. */
 enum {
-    PMF_INPUT = 0,     /* input times moving fraction; one sample late */
-    PMF_VELOCITY = 1,  /* mean velocity over the last interval */
-    PMF_DIRECTION = 2, /* time moving forward minus backward, over the interval; one sample late */
-    PMF_MOVING = 3,    /* time moving, over the interval; one sample late */
-    PMF_SIGNALS = 4
+    PMF_INPUT = 0,             /* input times moving fraction */
+    PMF_VELOCITY = 1,          /* mean velocity; from the counts that of the last interval */
+    PMF_DIRECTION = 2,         /* time moving forward minus backward, as a part of the interval */
+    PMF_MOVING = 3,            /* time moving */
+    PMF_FORWARD = 4,           /* time moving forward */
+    PMF_BACKWARD = 5,          /* minus the time moving backward */
+    PMF_FORWARD_VELOCITY = 6,  /* the velocity's part from moving forward */
+    PMF_BACKWARD_VELOCITY = 7, /* and from moving backward */
+    PMF_AUXILIARY = 8,         /* the same from the auxiliary model */
+    PMF_SPLIT_FORWARD = 16,    /* late velocity from the counts while the auxiliary model moves forward */
+    PMF_SPLIT_BACKWARD = 17,   /* and backward */
+    PMF_LATE_INPUT = 18,
+    PMF_LATE_VELOCITY = 19,
+    PMF_SIGNALS = 20
 };
+
+/* What a parameter means to the auxiliary model. */
+enum {
+    PMF_MASS = 0,
+    PMF_VISCOUS_FORWARD,
+    PMF_VISCOUS_BACKWARD,
+    PMF_COULOMB_FORWARD,
+    PMF_COULOMB_BACKWARD,
+    PMF_OFFSET,
+    PMF_ROLES
+};
+#define PMF_NO_PARAMETER 0xffU
 
 /* Status bits of a step. The Python enumeration `Status` has the same values and the advice. */
 enum {
@@ -53,7 +75,9 @@ enum {
     PMF_INVALID_INPUT = 16,
     PMF_COUNT_JUMP = 32,
     PMF_STANDSTILL = 64,
-    PMF_RESET = 128
+    PMF_RESET = 128,
+    PMF_FALLBACK = 256
+    
 };
 
 typedef struct {
@@ -74,6 +98,7 @@ typedef struct {
     real_t position, velocity, velocity_before, innovation; /* tracker, in counts and samples */
     real_t direction, moving; /* of the last interval */
     real_t input, input_before;
+    real_t mean_velocity; /* of the last interval */
 } pmf_encoder_state_t;
 
 /* node[k] = b0 * node[source] + (what b1 and a left from the step before) */
@@ -104,6 +129,7 @@ typedef struct {
 typedef struct {
     uint32_t n_parameters;
     uint32_t instrumental;     /* 0: least squares, 1: instruments in their own columns */
+    uint32_t first_column;     /* regressors, target, instruments from here on */
     uint32_t min_updates;      /* before the first estimate */
     uint32_t residual_updates; /* so many steps from the accumulated right-hand side, then from the innovation */
     real_t forgetting;
@@ -128,26 +154,63 @@ typedef struct {
     uint32_t frozen;  /* too little information left to forget any more */
 } pmf_recursion_state_t;
 
+/* A body with friction, simulated from the input alone with a slow copy of the estimate. */
+typedef struct {
+    uint32_t enabled;
+    uint32_t adapt;                /* 0: the parameters stay the initial ones (off-line passes) */
+    uint32_t has_initial;
+    uint32_t direct_index[PMF_ROLES]; /* a role's parameter in the direct recursion, PMF_NO_PARAMETER: none */
+    uint32_t index[PMF_ROLES];      /* and in the instrumental one */
+    uint32_t check_column;          /* filtered velocity, measured; the next one is the model's */
+    uint32_t trial_samples;         /* so long is a new start given before it is judged */
+    real_t dt, input_gain;
+    real_t initial[PMF_ROLES];
+    real_t smoothing;      /* per sample, of the copy */
+    real_t memory;         /* forgetting of the check, per sample */
+    real_t mismatch_limit; /* mean square difference of the velocities, as a part of their mean square */
+    real_t noise_power;    /* of the filtered measured velocity */
+} pmf_auxiliary_config_t;
+
+typedef struct {
+    real_t parameter[PMF_ROLES];
+    real_t velocity;
+    real_t power, mismatch;
+    uint32_t running; /* has parameters */
+    uint32_t trial;   /* samples until it is judged */
+    uint32_t trusted;
+} pmf_auxiliary_state_t;
+
 typedef struct {
     uint32_t settle_samples;
     pmf_encoder_config_t encoder;
+    pmf_auxiliary_config_t auxiliary;
     pmf_network_config_t network;
-    pmf_recursion_config_t recursion;
+    pmf_recursion_config_t direct;       /* from the counts alone */
+    pmf_recursion_config_t instrument; /* with the auxiliary model, if it is enabled */
 } pmf_config_t;
 
 typedef struct {
     uint32_t status;
     uint32_t settle; /* samples until the filters have forgotten their start */
     pmf_encoder_state_t encoder;
+    pmf_auxiliary_state_t auxiliary;
     pmf_network_state_t network;
-    pmf_recursion_state_t recursion;
+    pmf_recursion_state_t direct;
+    pmf_recursion_state_t instrument;
+    /* the estimate of this step */
+    real_t theta[PMF_MAX_PARAMETERS];
+    real_t variance_factor[PMF_MAX_PARAMETERS]; /* diagonal of P */
+    real_t innovation, innovation_variance;
 } pmf_state_t;
 
 void pmf_init(const pmf_config_t *config, pmf_state_t *state);
 /* One sample: `input` is applied from now on, `count` is read now. Returns the status bits. */
 uint32_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, uint32_t count);
-/* P, with theta_cov = innovation variance times P; n_parameters x n_parameters, row by row. */
+/* P of the estimate, with theta_cov = innovation variance times P; n x n, row by row; its diagonal alone where the
+ * estimate is borrowed from another parametrisation. */
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p);
+/* The number of parameters of the estimate. */
+uint32_t pmf_parameters(const pmf_config_t *config);
 
 /* Byte-wise, so that padding is zero too and two states can be compared. */
 void pmf_clear(void *memory, uint32_t size);
@@ -155,10 +218,20 @@ void pmf_clear(void *memory, uint32_t size);
 /* The parts; `signal` has PMF_SIGNALS entries. */
 uint32_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
                           uint32_t count, real_t *signal);
+/* Needs the encoder's signals of the same step. */
+void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal);
+void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state);
+/* Judges the model against the measured velocity; 1 where its instruments may be used. */
+uint32_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
+                             const real_t *column);
+/* Moves the copy towards an estimate, whose parameters are found by `index`. */
+void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const real_t *theta,
+                          const uint32_t *index);
 void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
 uint32_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                             const real_t *column);
-/* Encoder and network alone, for batch methods: the columns are in state->network.column. */
+void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
+/* Encoder, auxiliary model and network alone, for batch methods: the columns are in state->network.column. */
 uint32_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, uint32_t count);
 
 #endif

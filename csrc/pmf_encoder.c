@@ -106,6 +106,21 @@ static uint32_t check(const pmf_encoder_config_t *config, pmf_encoder_state_t *s
     return status;
 }
 
+/* The signals of the interval before the last. */
+static void emit(const pmf_encoder_state_t *state, real_t direction, real_t *signal)
+{
+    real_t half = PMF_R(0.5) * direction, moving = PMF_R(0.5) * state->moving;
+    signal[PMF_INPUT] = state->moving * state->input_before;
+    signal[PMF_DIRECTION] = direction;
+    signal[PMF_MOVING] = state->moving;
+    signal[PMF_FORWARD] = moving + half;
+    signal[PMF_BACKWARD] = half - moving;
+    signal[PMF_FORWARD_VELOCITY] = direction > PMF_R(0.0) ? state->mean_velocity : PMF_R(0.0);
+    signal[PMF_BACKWARD_VELOCITY] = direction > PMF_R(0.0) ? PMF_R(0.0) : state->mean_velocity;
+    signal[PMF_LATE_INPUT] = state->input_before;
+    signal[PMF_LATE_VELOCITY] = state->mean_velocity;
+}
+
 uint32_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
                           uint32_t count, real_t *signal)
 {
@@ -116,13 +131,12 @@ uint32_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_
     real_t predicted = state->started != 0 ? state->position + state->velocity - (real_t)change : PMF_R(0.5);
     real_t innovation = PMF_R(0.5) - predicted;
 
+    emit(state, state->moving * late_direction(config, state, innovation, fast, state->velocity_before), signal);
     signal[PMF_VELOCITY] = config->velocity_per_count * (real_t)change;
-    signal[PMF_MOVING] = state->moving;
-    signal[PMF_DIRECTION] = state->moving * late_direction(config, state, innovation, fast, state->velocity_before);
-    signal[PMF_INPUT] = state->moving * state->input_before;
 
     track(config, state, innovation, predicted);
     status |= note_motion(config, state, change);
+    state->mean_velocity = signal[PMF_VELOCITY];
     state->count = count;
     state->started = 1;
     state->fast = fast;

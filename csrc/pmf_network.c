@@ -8,18 +8,20 @@
 
 void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
-    uint32_t i, tap = 0;
-    for (i = 0; i < config->n_stages; ++i) {
-        const pmf_stage_t *stage = &config->stage[i];
+    const pmf_stage_t *stage = config->stage;
+    const pmf_tap_t *tap = config->tap;
+    uint32_t i;
+    for (i = 0; i < config->n_stages; ++i, ++stage) {
         real_t w = state->node[stage->source];
         real_t y = stage->b0 * w + state->memory[i];
         state->memory[i] = stage->b1 * w + stage->a * y;
         state->node[PMF_SIGNALS + i] = y;
     }
     for (i = 0; i < config->n_columns; ++i) {
-        real_t sum = PMF_R(0.0);
-        for (; tap < config->tap_end[i]; ++tap) {
-            sum += config->tap[tap].weight * state->node[config->tap[tap].node];
+        const pmf_tap_t *end = &config->tap[config->tap_end[i]];
+        real_t sum = tap->weight * state->node[tap->node]; /* every column has a tap */
+        for (++tap; tap < end; ++tap) {
+            sum += tap->weight * state->node[tap->node];
         }
         state->column[i] = sum;
     }

@@ -14,6 +14,13 @@
  */
 #include "pmf.h"
 
+/* The loops unroll only where the number of parameters arrives as a constant. */
+#if defined(__GNUC__)
+#define PMF_INLINE static inline __attribute__((always_inline))
+#else
+#define PMF_INLINE static inline
+#endif
+
 #define N PMF_MAX_PARAMETERS
 #define SATURATED 0xffffffffU
 
@@ -29,10 +36,10 @@
 #define PEAK_LEAK PMF_R(0.01)
 #define SKIPPED_INNOVATIONS 4U /* innovations of a fresh estimate say nothing of the noise */
 
-/* Lower half of a symmetric matrix = L D L^T. Returns the smallest pivot relative to its diagonal entry. */
-static inline real_t factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], real_t inverse[N])
+/* Lower half of a symmetric matrix = L D L^T. */
+PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], real_t inverse[N])
 {
-    real_t scaled[N], smallest = PMF_R(1.0);
+    real_t scaled[N];
     uint32_t i, j, k;
     for (i = 0; i < p; ++i) {
         real_t pivot = matrix[i][i], floor = PIVOT_FLOOR * matrix[i][i] + TINY;
@@ -45,15 +52,23 @@ static inline real_t factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][
             lower[i][j] = sum * inverse[j];
             pivot -= sum * lower[i][j];
         }
-        if (pivot < smallest * matrix[i][i] || matrix[i][i] <= TINY) {
-            smallest = matrix[i][i] > TINY ? pivot / matrix[i][i] : PMF_R(0.0);
-        }
         inverse[i] = PMF_R(1.0) / (pivot > floor ? pivot : floor);
+    }
+}
+
+/* The smallest pivot relative to its diagonal entry. */
+PMF_INLINE real_t smallest_pivot(uint32_t p, real_t matrix[N][N], const real_t inverse[N])
+{
+    real_t smallest = PMF_R(1.0), relative;
+    uint32_t i;
+    for (i = 0; i < p; ++i) {
+        relative = matrix[i][i] > TINY ? PMF_R(1.0) / (inverse[i] * matrix[i][i]) : PMF_R(0.0);
+        smallest = relative < smallest ? relative : smallest;
     }
     return smallest;
 }
 
-static inline void forward(uint32_t p, real_t lower[N][N], real_t x[N])
+PMF_INLINE void forward(uint32_t p, real_t lower[N][N], real_t x[N])
 {
     uint32_t i, j;
     for (i = 1; i < p; ++i) {
@@ -63,7 +78,7 @@ static inline void forward(uint32_t p, real_t lower[N][N], real_t x[N])
     }
 }
 
-static inline void backward(uint32_t p, real_t lower[N][N], real_t x[N])
+PMF_INLINE void backward(uint32_t p, real_t lower[N][N], real_t x[N])
 {
     uint32_t i, j;
     for (i = p; i-- > 1U;) {
@@ -73,7 +88,7 @@ static inline void backward(uint32_t p, real_t lower[N][N], real_t x[N])
     }
 }
 
-static inline void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
+PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
     real_t f = state->frozen != 0U ? PMF_R(1.0) : config->forgetting;
@@ -94,12 +109,12 @@ static inline void accumulate(const pmf_recursion_config_t *config, pmf_recursio
     state->updates += state->updates < SATURATED ? 1U : 0U;
 }
 
-/* information = W^T Z^-1 W (lower half), move = W^T Z^-1 move; smallest relative pivot of Z. */
-static inline real_t project(pmf_recursion_state_t *state, uint32_t p, real_t information[N][N], real_t move[N])
+/* information = W^T Z^-1 W (lower half), move = W^T Z^-1 move; smallest relative pivot of Z before the first estimate. */
+PMF_INLINE real_t project(pmf_recursion_state_t *state, uint32_t p, real_t information[N][N], real_t move[N])
 {
-    real_t lower[N][N], inverse[N], half[N][N], scaled[N], pivot;
+    real_t lower[N][N], inverse[N], half[N][N], scaled[N];
     uint32_t i, j, k;
-    pivot = factorise(p, state->square, lower, inverse);
+    factorise(p, state->square, lower, inverse);
     for (i = 0; i < p; ++i) {
         for (j = 0; j < p; ++j) {
             real_t sum = state->cross[i][j];
@@ -128,11 +143,11 @@ static inline real_t project(pmf_recursion_state_t *state, uint32_t p, real_t in
             }
         }
     }
-    return pivot;
+    return state->started == 0U ? smallest_pivot(p, state->square, inverse) : PMF_R(1.0);
 }
 
 /* Adds the regularisation and says whether there is information left to forget. */
-static inline void regularise(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p,
+PMF_INLINE void regularise(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p,
                               real_t information[N][N])
 {
     real_t leak = PEAK_LEAK * (PMF_R(1.0) - config->forgetting);
@@ -149,7 +164,7 @@ static inline void regularise(const pmf_recursion_config_t *config, pmf_recursio
 }
 
 /* Diagonal of P = (L D L^T)^-1, and whether a parameter's own information is little more than the regularisation. */
-static inline uint32_t judge(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p)
+PMF_INLINE uint32_t judge(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p)
 {
     real_t threshold = POOR * state->mass * config->regularization;
     uint32_t i, j, k, poor = 0U;
@@ -171,7 +186,7 @@ static inline uint32_t judge(const pmf_recursion_config_t *config, pmf_recursion
     return poor != 0U ? (uint32_t)PMF_POOR_EXCITATION : 0U;
 }
 
-static inline void note_innovation(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
+PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
 {
     real_t f = state->frozen != 0U ? PMF_R(1.0) : config->forgetting;
     if (state->started > SKIPPED_INNOVATIONS && state->frozen == 0U) {
@@ -183,7 +198,7 @@ static inline void note_innovation(const pmf_recursion_config_t *config, pmf_rec
 
 /* What theta shall be moved by, before the gain: from the right-hand side while the estimate is young (nothing
  * of the first solution's rounding stays), from the innovation afterwards (rounding of the sums does not enter). */
-static inline void residual(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state,
+PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state,
                             const real_t *zeta, uint32_t p, uint32_t instrumental, real_t move[N])
 {
     uint32_t i, j;
@@ -199,7 +214,7 @@ static inline void residual(const pmf_recursion_config_t *config, const pmf_recu
     }
 }
 
-static inline void solve_and_move(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
+PMF_INLINE void solve_and_move(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
 {
     uint32_t i;
     forward(p, state->factor, move);
@@ -212,7 +227,7 @@ static inline void solve_and_move(pmf_recursion_state_t *state, uint32_t p, real
     }
 }
 
-static inline uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
+PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
     real_t information[N][N], move[N], pivot = PMF_R(1.0), own;
@@ -233,9 +248,10 @@ static inline uint32_t update(const pmf_recursion_config_t *config, pmf_recursio
         }
     }
     regularise(config, state, p, information);
-    own = factorise(p, information, state->factor, state->inverse_pivot);
+    factorise(p, information, state->factor, state->inverse_pivot);
     status = judge(config, state, p);
     if (state->started == 0U) {
+        own = smallest_pivot(p, information, state->inverse_pivot);
         pivot = own < pivot ? own : pivot;
         if (state->updates < config->min_updates || !(pivot > config->pivot)) {
             state->innovation = PMF_R(0.0);
@@ -294,7 +310,7 @@ uint32_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_
     for (i = 0; i < p; ++i) {
         theta[i] = state->theta[i];
     }
-    status = dispatch(config, state, column);
+    status = dispatch(config, state, &column[config->first_column]);
     if (!finite_state(state, p)) {
         restart(state, theta, p);
         status = PMF_RESET | PMF_STARTING;
@@ -302,10 +318,9 @@ uint32_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_
     return status;
 }
 
-void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
+void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *recursion, real_t *p)
 {
-    const pmf_recursion_state_t *recursion = &state->recursion;
-    uint32_t n = config->recursion.n_parameters, i, j, k, column;
+    uint32_t n = config->n_parameters, i, j, k, column;
     for (column = 0; column < n; ++column) {
         real_t x[N];
         for (i = 0; i < n; ++i) {

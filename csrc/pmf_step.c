@@ -17,35 +17,122 @@ void pmf_init(const pmf_config_t *config, pmf_state_t *state)
     pmf_clear(state, (uint32_t)sizeof *state);
     state->settle = config->settle_samples;
     state->encoder.idle = config->encoder.standstill_samples; /* at rest until a count says otherwise */
+    pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
+}
+
+uint32_t pmf_parameters(const pmf_config_t *config)
+{
+    return config->auxiliary.enabled != 0U ? config->instrument.n_parameters : config->direct.n_parameters;
 }
 
 uint32_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, uint32_t count)
 {
     uint32_t status =
         pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
+    if (config->auxiliary.enabled != 0U && state->auxiliary.running != 0U) {
+        pmf_auxiliary_step(&config->auxiliary, &state->auxiliary, state->network.node);
+    }
     pmf_network_step(&config->network, &state->network);
     if ((status & (PMF_INVALID_INPUT | PMF_COUNT_JUMP)) != 0U) {
         state->settle = config->settle_samples;
     }
     if (state->settle > 0U) {
+        if (state->settle == config->settle_samples / 2U && config->auxiliary.enabled != 0U) {
+            /* by now the measured velocity is known: the model need not run up to it with its own time constant */
+            state->auxiliary.velocity = state->network.column[config->auxiliary.check_column];
+        }
         state->settle -= 1U;
         status |= PMF_SETTLING;
     }
     return status;
 }
 
+static void copy_estimate(const pmf_recursion_config_t *config, const pmf_recursion_state_t *from, pmf_state_t *state)
+{
+    uint32_t i;
+    for (i = 0; i < config->n_parameters; ++i) {
+        state->theta[i] = from->theta[i];
+        state->variance_factor[i] = from->variance_factor[i];
+    }
+    state->innovation = from->innovation;
+    state->innovation_variance = from->innovation_variance;
+}
+
+/* The direct estimate in the parameters of the instrumental one. */
+static void borrow_estimate(const pmf_config_t *config, pmf_state_t *state)
+{
+    const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
+    uint32_t i;
+    for (i = 0; i < PMF_ROLES; ++i) {
+        if (auxiliary->index[i] != PMF_NO_PARAMETER && auxiliary->direct_index[i] != PMF_NO_PARAMETER) {
+            state->theta[auxiliary->index[i]] = state->direct.theta[auxiliary->direct_index[i]];
+            state->variance_factor[auxiliary->index[i]] = state->direct.variance_factor[auxiliary->direct_index[i]];
+        }
+    }
+    state->innovation = state->direct.innovation;
+    state->innovation_variance = state->direct.innovation_variance;
+}
+
+/* Instrumental variables where the auxiliary model follows the plant, else the direct estimate. */
+static uint32_t instrument_step(const pmf_config_t *config, pmf_state_t *state, uint32_t direct_status, uint32_t settled)
+{
+    const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
+    uint32_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column);
+    uint32_t status = PMF_STARTING;
+    if (trusted == 0U) { /* what was gathered with a wrong direction would stay */
+        pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument);
+    } else if (settled != 0U) {
+        status = pmf_recursion_step(&config->instrument, &state->instrument, state->network.column);
+    } else {
+        status = state->instrument.started != 0U ? 0U : status;
+    }
+    if (trusted != 0U && state->instrument.started != 0U) {
+        pmf_auxiliary_follow(auxiliary, &state->auxiliary, state->instrument.theta, auxiliary->index);
+        copy_estimate(&config->instrument, &state->instrument, state);
+        return status;
+    }
+    if (state->direct.started != 0U && (direct_status & PMF_POOR_EXCITATION) == 0U &&
+        (trusted == 0U || auxiliary->has_initial == 0U)) {
+        pmf_auxiliary_follow(auxiliary, &state->auxiliary, state->direct.theta, auxiliary->direct_index);
+    }
+    borrow_estimate(config, state);
+    return (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK | (status & PMF_RESET);
+}
+
 uint32_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, uint32_t count)
 {
     uint32_t status = pmf_filter(config, state, input, count);
-    if ((status & PMF_SETTLING) != 0U) {
-        status |= state->recursion.started == 0U ? (uint32_t)PMF_STARTING : 0U;
+    uint32_t settled = (status & PMF_SETTLING) == 0U ? 1U : 0U;
+    uint32_t direct_status = state->direct.started == 0U ? (uint32_t)PMF_STARTING : 0U;
+    if (settled != 0U) {
+        direct_status = pmf_recursion_step(&config->direct, &state->direct, state->network.column);
+    }
+    if (config->auxiliary.enabled != 0U) {
+        status |= instrument_step(config, state, direct_status, settled);
     } else {
-        status |= pmf_recursion_step(&config->recursion, &state->recursion, state->network.column);
+        copy_estimate(&config->direct, &state->direct, state);
+        status |= direct_status;
     }
     if ((status & PMF_RESET) != 0U) { /* a value beyond the number format may sit in the filters as well */
         pmf_clear(&state->network, (uint32_t)sizeof state->network);
+        pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
+        state->auxiliary.velocity = PMF_R(0.0);
         state->settle = config->settle_samples;
     }
     state->status = status;
     return status;
+}
+
+void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
+{
+    uint32_t n = pmf_parameters(config), i;
+    if (config->auxiliary.enabled == 0U) {
+        pmf_recursion_covariance(&config->direct, &state->direct, p);
+    } else if ((state->status & PMF_FALLBACK) == 0U) {
+        pmf_recursion_covariance(&config->instrument, &state->instrument, p);
+    } else {
+        for (i = 0; i < n * n; ++i) {
+            p[i] = i % (n + 1U) == 0U ? state->variance_factor[i / (n + 1U)] : PMF_R(0.0);
+        }
+    }
 }

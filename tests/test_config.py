@@ -132,7 +132,7 @@ def test_prefilter_zeros_from_a_toml_list(tmp_path: Path) -> None:
         ("cutoff = 50.0", "cutoff = 50.0\norder = 2.5", ("[estimator] order = 2.5:", "2 to 6")),
         ("cutoff = 50.0", "cutoff = 50.0\nforgetting = 1.2", ("forgetting = 1.2:", "use 1 - dt/T")),
         ("cutoff = 50.0", "cutoff = 50.0\nforgetting = 0.0", ("forgetting = 0.0:", "(0, 1]")),
-        ("cutoff = 50.0", 'cutoff = 50.0\nmethod = "iv"', ("[estimator] method = 'iv':", "'bcrls'")),
+        ("cutoff = 50.0", 'cutoff = 50.0\nmethod = "svd"', ("[estimator] method = 'svd':", "'bcrls'")),
         (
             "cutoff = 50.0",
             "cutoff = 50.0\nprefilter_zeros = [-3.0, 4.0]",

@@ -9,7 +9,7 @@ from scipy.signal import cont2discrete, lfilter
 import pmfid
 from pmfid.filters.chain import chain, derivative, hold_exact, hold_matched
 from pmfid.filters.columns import tustin_image
-from pmfid.filters.network import Network
+from pmfid.filters.network import SIGNALS, Network
 from tests.conftest import cart_run
 from tests.oracles import paper
 
@@ -19,13 +19,13 @@ CUTOFF = 37.0
 
 def run_network(network: Network, taps: list, w: np.ndarray) -> np.ndarray:
     """The network in plain Python on signal 0; w[k] holds for the interval that ends at k."""
-    nodes = np.zeros((len(w), 4 + len(network.stages)))
+    nodes = np.zeros((len(w), SIGNALS + len(network.stages)))
     memory = np.zeros(len(network.stages))
     nodes[:, 0] = w
     for k in range(len(w)):
         for i, (source, a, b0, b1) in enumerate(network.stages):
-            nodes[k, 4 + i] = b0 * nodes[k, source] + memory[i]
-            memory[i] = b1 * nodes[k, source] + a * nodes[k, 4 + i]
+            nodes[k, SIGNALS + i] = b0 * nodes[k, source] + memory[i]
+            memory[i] = b1 * nodes[k, source] + a * nodes[k, SIGNALS + i]
     return sum(weight * nodes[:, node] for node, weight in taps)
 
 

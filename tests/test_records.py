@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -289,6 +291,105 @@ def test_missing_file_and_directory(tmp_path: Path) -> None:
     folder = tmp_path / "folder.csv"
     folder.mkdir()
     assert "cannot read the record: Is a directory" in message(folder)
+
+
+def at(path: Path, offset: int, value: int) -> None:
+    """Overwrite one 32-bit word of a file."""
+    data = bytearray(path.read_bytes())
+    data[offset : offset + 4] = struct.pack("<I", value)
+    path.write_bytes(data)
+
+
+# Offsets into an uncompressed file whose first variable is the matrix `t`, as scipy.io.savemat lays it out.
+MAT_WORDS = {
+    "type of the variable": (128, 9, "element of type 9 in place of a variable"),
+    "size of the variable": (132, 2**31, "an element is longer than the file"),
+    "size of the flags": (140, 4, "a variable without its class"),
+    "type of the dimensions": (152, 9, "a variable with a wrong dimension or name"),
+    "size of the dimensions": (156, 4, "a variable with a wrong dimension or name"),
+    "type of the name": (168, 9 + (1 << 16), "a variable with a wrong dimension or name"),
+    "type of the values": (176, 200, "element of unknown type 200"),
+    "reserved type of the values": (176, 8, "element of unknown type 8"),
+    "matrix for values": (176, 14, "a variable in place of values"),
+    "size of the values": (180, 2**32 - 1, "an element is longer than the file"),
+    "complex without a second part": (144, 0x806, "a variable without its dimensions, name or values"),
+    "sparse without indices": (144, 5, "a variable without its dimensions, name or values"),
+}
+
+
+@pytest.mark.parametrize(("offset", "value", "text"), MAT_WORDS.values(), ids=list(MAT_WORDS))
+@pytest.mark.parametrize("compressed", [False, True])
+def test_corrupt_matlab_file_never_reaches_the_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, offset: int, value: int, text: str, compressed: bool
+) -> None:
+    # scipy's reader ends the whole process on several of these: no test would see it fail
+    monkeypatch.setattr(scipy.io, "loadmat", lambda _: pytest.fail("the reader was called"))
+    path = write(tmp_path / "run.mat", {"t": columns()["t"]})
+    assert path.read_bytes()[168:172] == struct.pack("<HH", 1, 1), "the layout that the offsets stand for"
+    at(path, offset, value)
+    if compressed:
+        data = path.read_bytes()
+        body = zlib.compress(data[128:])
+        path.write_bytes(data[:128] + struct.pack("<II", 15, len(body)) + body)
+    assert f"not a readable .mat file, truncated or corrupt ({text}); export it again" in message(path)
+
+
+def test_corrupt_matlab_structure_inside_a_structure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scipy.io, "loadmat", lambda _: pytest.fail("the reader was called"))
+    path = write(tmp_path / "run.mat", {"run": {"t": columns()["t"]}})
+    start = path.read_bytes().index(struct.pack("<II", 9, 8 * len(columns()["t"])))
+    at(path, start, 8)
+    assert "element of unknown type 8" in message(path)
+
+
+@pytest.mark.parametrize("size", [0, 1, 4, 7])
+def test_matlab_file_that_ends_within_a_tag(tmp_path: Path, size: int) -> None:
+    path = write(tmp_path / "run.mat", columns())
+    path.write_bytes(path.read_bytes()[: 128 + size])
+    expected = "an element without its size" if size else "there is no such column; available are none"
+    assert expected in message(path)
+
+
+@pytest.mark.parametrize("options", [{"do_compression": True}, {"format": "4"}, {"oned_as": "column"}])
+def test_matlab_files_of_other_forms(tmp_path: Path, options: dict[str, Any]) -> None:
+    path = tmp_path / "run.mat"
+    others = (
+        {} if "format" in options else {"s": {"a": [1.0], "b": "x"}, "c": np.array([1, "x", np.zeros((0, 0))], object)}
+    )
+    scipy.io.savemat(
+        path, columns() | {"empty": np.zeros((0, 0)), "text": "volts", "z": np.ones(3) * 1j} | others, **options
+    )
+    np.testing.assert_array_equal(read_record(path, make_axis(**COUNTS)).counts, columns()["counts"])
+
+
+def big_endian(path: Path, data: dict[str, Any], kind: int = 9) -> Path:
+    """Write vectors as a big-endian machine does, their values as elements of a type (9: double)."""
+
+    def element(kind: int, content: bytes) -> bytes:
+        return struct.pack(">II", kind, len(content)) + content + b"\0" * (-len(content) % 8)
+
+    def matrix(name: str, values: np.ndarray) -> bytes:
+        head = element(6, struct.pack(">II", 6, 0)) + element(5, struct.pack(">ii", len(values), 1))
+        return element(14, head + element(1, name.encode()) + element(kind, values.astype(">f8").tobytes()))
+
+    variables = b"".join(matrix(name, values) for name, values in data.items())
+    path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x01\x00MI" + variables)
+    return path
+
+
+def test_matlab_file_of_a_big_endian_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record = read_record(big_endian(tmp_path / "run.mat", columns()), make_axis(**COUNTS))
+    np.testing.assert_array_equal(record.u, columns()["u"])
+    np.testing.assert_array_equal(record.counts, columns()["counts"])
+    monkeypatch.setattr(scipy.io, "loadmat", lambda _: pytest.fail("the reader was called"))
+    assert "element of unknown type 8" in message(big_endian(tmp_path / "run.mat", columns(), kind=8))
+
+
+def test_matlab_variable_that_occurs_twice(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.mat", columns())
+    data = path.read_bytes()
+    path.write_bytes(data + data[128:])
+    assert 'Duplicate variable name "t"' in message(path)
 
 
 def test_matlab_v73_is_told_the_remedy(tmp_path: Path) -> None:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from pmfid.estimators.batch import LS as LS
     from pmfid.estimators.batch import Fit as Fit
     from pmfid.estimators.bcrls import BCRLS as BCRLS
+    from pmfid.estimators.iv import IV as IV
+    from pmfid.estimators.iv import RIV as RIV
     from pmfid.estimators.recursive import Track as Track
     from pmfid.estimators.rls import RLS as RLS
     from pmfid.models.drive import Drive as Drive
@@ -29,6 +31,8 @@ _PUBLIC = {
     "Encoder": "pmfid.encoder",
     "Estimate": "pmfid._kernel64",
     "Fit": "pmfid.estimators.batch",
+    "IV": "pmfid.estimators.iv",
+    "RIV": "pmfid.estimators.iv",
     "LS": "pmfid.estimators.batch",
     "NotIdentifiableError": "pmfid.errors",
     "PmfidError": "pmfid.errors",

@@ -16,6 +16,7 @@ cdef extern from "pmf.h":
         PMF_MAX_TAPS
         PMF_MAX_PARAMETERS
         PMF_MAX_COLUMNS
+        PMF_ROLES
     ctypedef struct pmf_encoder_config_t:
         real_t velocity_per_count, position_gain, velocity_gain, smooth_end, smooth_start
         uint32_t count_mask, max_change, standstill_samples
@@ -33,25 +34,31 @@ cdef extern from "pmf.h":
     ctypedef struct pmf_network_state_t:
         real_t column[PMF_MAX_COLUMNS]
     ctypedef struct pmf_recursion_config_t:
-        uint32_t n_parameters, instrumental, min_updates, residual_updates
+        uint32_t n_parameters, instrumental, first_column, min_updates, residual_updates
         real_t forgetting, regularization, pivot
-    ctypedef struct pmf_recursion_state_t:
-        real_t theta[PMF_MAX_PARAMETERS]
-        real_t variance_factor[PMF_MAX_PARAMETERS]
-        real_t innovation, innovation_variance
-        uint32_t started
+    ctypedef struct pmf_auxiliary_config_t:
+        uint32_t enabled, adapt, has_initial, check_column, trial_samples
+        uint32_t direct_index[PMF_ROLES]
+        uint32_t index[PMF_ROLES]
+        real_t dt, input_gain, smoothing, memory, mismatch_limit, noise_power
+        real_t initial[PMF_ROLES]
     ctypedef struct pmf_config_t:
         uint32_t settle_samples
         pmf_encoder_config_t encoder
+        pmf_auxiliary_config_t auxiliary
         pmf_network_config_t network
-        pmf_recursion_config_t recursion
+        pmf_recursion_config_t direct
+        pmf_recursion_config_t instrument
     ctypedef struct pmf_state_t:
         uint32_t status
         pmf_network_state_t network
-        pmf_recursion_state_t recursion
+        real_t theta[PMF_MAX_PARAMETERS]
+        real_t variance_factor[PMF_MAX_PARAMETERS]
+        real_t innovation, innovation_variance
     void pmf_init(const pmf_config_t *, pmf_state_t *) nogil
     uint32_t pmf_step(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
     uint32_t pmf_filter(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
+    uint32_t pmf_parameters(const pmf_config_t *) nogil
     void pmf_covariance_factor(const pmf_config_t *, const pmf_state_t *, real_t *) nogil
 
 
@@ -104,7 +111,8 @@ cdef class Kernel:
     """One configured kernel with its state.
 
     stages: rows (source, a, b0, b1); columns: per column a list of (node, weight);
-    encoder, recursion: the fields of the C structures by name. Raises ValueError where a size is exceeded.
+    encoder, direct, instrument, auxiliary: the fields of the C structures by name; without the last two there is no
+    auxiliary model. Raises ValueError where a size is exceeded.
     """
 
     cdef pmf_config_t config
@@ -112,16 +120,19 @@ cdef class Kernel:
 
     dtype = np.dtype(np.float32 if sizeof(real_t) == 4 else np.float64)
 
-    def __init__(self, stages, columns, encoder, recursion, settle_samples):
+    def __init__(self, stages, columns, encoder, direct, settle_samples, instrument=None, auxiliary=None):
         cdef pmf_network_config_t *net = &self.config.network
         n_taps = sum(len(column) for column in columns)
         if len(stages) > PMF_MAX_STAGES or n_taps > PMF_MAX_TAPS or len(columns) > PMF_MAX_COLUMNS \
-                or recursion["n_parameters"] > PMF_MAX_PARAMETERS:
+                or max(direct["n_parameters"], (instrument or direct)["n_parameters"]) > PMF_MAX_PARAMETERS:
             raise ValueError(
-                f"the equation needs {len(stages)} stages, {n_taps} taps and {recursion['n_parameters']} parameters; the "
+                f"the equation needs {len(stages)} stages, {n_taps} taps and {direct['n_parameters']} parameters; the "
                 f"kernel holds {PMF_MAX_STAGES}, {PMF_MAX_TAPS} and {PMF_MAX_PARAMETERS}; use a lower order")
         self.config.encoder = encoder
-        self.config.recursion = recursion
+        self.config.direct = direct
+        if auxiliary is not None:
+            self.config.instrument = instrument
+            self._set_auxiliary(auxiliary)
         self.config.settle_samples = settle_samples
         net.n_stages, net.n_columns = len(stages), len(columns)
         for i, (source, a, b0, b1) in enumerate(stages):
@@ -134,19 +145,32 @@ cdef class Kernel:
             net.tap_end[i] = tap
         pmf_init(&self.config, &self.state)
 
+    cdef _set_auxiliary(self, auxiliary):
+        cdef pmf_auxiliary_config_t *config = &self.config.auxiliary
+        config.enabled = 1
+        config.adapt, config.has_initial = auxiliary["adapt"], auxiliary["has_initial"]
+        config.check_column, config.trial_samples = auxiliary["check_column"], auxiliary["trial_samples"]
+        config.dt, config.input_gain = auxiliary["dt"], auxiliary["input_gain"]
+        config.smoothing, config.memory = auxiliary["smoothing"], auxiliary["memory"]
+        config.mismatch_limit, config.noise_power = auxiliary["mismatch_limit"], auxiliary["noise_power"]
+        for role in range(PMF_ROLES):
+            config.direct_index[role] = auxiliary["direct_index"][role]
+            config.index[role] = auxiliary["index"][role]
+            config.initial[role] = auxiliary["initial"][role]
+
     def reset(self):
         """Back to the state before the first sample."""
         pmf_init(&self.config, &self.state)
 
     cdef Estimate _snapshot(self):
         cdef Estimate estimate = Estimate.__new__(Estimate)
-        cdef Py_ssize_t n = self.config.recursion.n_parameters
+        cdef Py_ssize_t n = pmf_parameters(&self.config)
         estimate._n = n
-        memcpy(estimate._theta, self.state.recursion.theta, n * sizeof(real_t))
-        memcpy(estimate._diagonal, self.state.recursion.variance_factor, n * sizeof(real_t))
+        memcpy(estimate._theta, self.state.theta, n * sizeof(real_t))
+        memcpy(estimate._diagonal, self.state.variance_factor, n * sizeof(real_t))
         pmf_covariance_factor(&self.config, &self.state, estimate._factor)
-        estimate.innovation = self.state.recursion.innovation
-        estimate.innovation_variance = self.state.recursion.innovation_variance
+        estimate.innovation = self.state.innovation
+        estimate.innovation_variance = self.state.innovation_variance
         estimate.status = self.state.status
         return estimate
 
@@ -161,21 +185,21 @@ cdef class Kernel:
 
     def run(self, const double[::1] u, const int64_t[::1] counts):
         """u, counts: (n,) -> theta (n, p), diagonal of P (n, p), innovation (n,), its variance (n,), status (n,)."""
-        cdef Py_ssize_t n = u.shape[0], p = self.config.recursion.n_parameters, k, i
+        cdef Py_ssize_t n = u.shape[0], p = pmf_parameters(&self.config), k, i
         cdef double[:, ::1] theta = np.empty((n, p))
         cdef double[:, ::1] factor = np.empty((n, p))
         cdef double[::1] innovation = np.empty(n)
         cdef double[::1] variance = np.empty(n)
         cdef uint32_t[::1] status = np.empty(n, np.uint32)
-        cdef pmf_recursion_state_t *recursion = &self.state.recursion
+        cdef pmf_state_t *state = &self.state
         with nogil:
             for k in range(n):
                 status[k] = pmf_step(&self.config, &self.state, <real_t> u[k], <uint32_t> counts[k])
                 for i in range(p):
-                    theta[k, i] = recursion.theta[i]
-                    factor[k, i] = recursion.variance_factor[i]
-                innovation[k] = recursion.innovation
-                variance[k] = recursion.innovation_variance
+                    theta[k, i] = state.theta[i]
+                    factor[k, i] = state.variance_factor[i]
+                innovation[k] = state.innovation
+                variance[k] = state.innovation_variance
         return (np.asarray(theta), np.asarray(factor), np.asarray(innovation), np.asarray(variance),
                 np.asarray(status))
 

@@ -24,8 +24,10 @@ class Kernel:
         stages: Sequence[tuple[int, float, float, float]],
         columns: Sequence[Sequence[tuple[int, float]]],
         encoder: Mapping[str, float],
-        recursion: Mapping[str, float],
+        direct: Mapping[str, float],
         settle_samples: int,
+        instrument: Mapping[str, float] | None = None,
+        auxiliary: Mapping[str, object] | None = None,
     ) -> None: ...
     def reset(self) -> None: ...
     def step(self, u: float, counts: int) -> Estimate: ...

@@ -16,6 +16,7 @@ class Status(IntFlag):
     COUNT_JUMP = 32
     STANDSTILL = 64
     RESET = 128
+    FALLBACK = 256
 
     @property
     def advice(self) -> tuple[str, ...]:
@@ -36,4 +37,7 @@ ADVICE = {
     Status.COUNT_JUMP: "the counts jumped further than max_speed allows: check the wiring and the counter's bits",
     Status.STANDSTILL: "no counts within standstill_time: the axis is taken to be at rest",
     Status.RESET: "a number left the range of the format: the estimator started again",
+    Status.FALLBACK: (
+        "the auxiliary model does not follow the plant: this is the estimate from the counts alone (bcrls)"
+    ),
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import click
 
 from pmfid import __version__
 from pmfid.errors import NotIdentifiableError, PmfidError
+from pmfid.estimators import METHODS
 
 EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
 
@@ -23,8 +25,12 @@ class Group(click.Group):
         except PmfidError as error:
             click.echo(f"pmfid: {error}", err=True)
             ctx.exit(EXIT_NOT_IDENTIFIABLE if isinstance(error, NotIdentifiableError) else EXIT_USAGE)
+        except BrokenPipeError:  # the reader went away: what it has read is all that it wanted
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            ctx.exit(0)
         except OSError as error:
-            click.echo(f"pmfid: {error.filename or 'output'}: {error.strerror}; choose another place", err=True)
+            reason = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+            click.echo(f"pmfid: {reason}; choose another place", err=True)
             ctx.exit(EXIT_USAGE)
         except KeyboardInterrupt:
             click.echo("pmfid: interrupted", err=True)
@@ -48,8 +54,8 @@ def main() -> None:
 )
 @click.option(
     "--method",
-    type=click.Choice(["ls", "bcls", "rls", "bcrls"]),
-    help="Least squares or bias-compensated least squares, off-line or recursive.",
+    type=click.Choice(METHODS),
+    help="Least squares, bias-compensated, or instrumental variables; off-line (ls, bcls, iv) or recursive.",
 )
 @click.option("--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; its inverse is their time constant.")
 @click.option("--order", type=int, help="Stages of the filters.")

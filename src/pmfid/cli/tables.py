@@ -17,9 +17,11 @@ PROGRESS_FROM = 1_000_000
 def print_result(result: Result, out: Path | None) -> None:
     """The parameters with their standard deviations, the fit, and what to mind."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=f"{result.record.name}: {result.estimator.method}, {result.record.u.size} samples")
+    title = f"{result.record.name}: {result.estimator.method}, {result.record.u.size} samples"
+    table = Table(title=escape(title))
     for heading in ("parameter", "value", "std", "unit"):
         table.add_column(heading, justify="right" if heading in ("value", "std") else "left")
     rows = zip(result.estimator.names, result.theta, result.theta_std, result.estimator.units, strict=True)
@@ -29,9 +31,9 @@ def print_result(result: Result, out: Path | None) -> None:
     console.print(table)
     console.print(f"relative error of the filtered equation: {100 * result.relative_error:.3g} %", highlight=False)
     for note in result.notes:
-        console.print(f"note: {note}", highlight=False)
+        console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
     if out is not None:
-        console.print(f"report: {out / 'report.html'}", highlight=False, soft_wrap=True)
+        console.print(f"report: {out / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,12 +15,13 @@ from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
-from pmfid.filters.network import Taps, scaled
+from pmfid.filters.network import Network, Taps, scaled
 from pmfid.models.drive import Drive
 from pmfid.status import Status
 
 #: The filters' start has decayed to 5e-4 of itself after so many time constants (order 2).
 SETTLE_TIME_CONSTANTS = 10.0
+MAX_SETTLE_SAMPLES = 10**8
 #: Information that is never forgotten, as a part of the largest seen: P stays below 1e4 times its best.
 REGULARIZATION = 1e-4
 #: Relative pivot of the information matrix from which on a first estimate is given.
@@ -50,6 +51,8 @@ class Estimator:
 
     method: ClassVar[str] = ""
     instrumental: ClassVar[bool] = False
+    #: least squares, with the bias of a noisy output
+    plain: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_positive("dt", self.dt, "it is the sample period in s")
@@ -58,6 +61,11 @@ class Estimator:
             raise UsageError(
                 f"cutoff * dt must be at most 2, got {self.cutoff * self.dt:g}: the filters' pole would lie beyond "
                 f"what samples every {self.dt:g} s can show; use a cutoff of at most {2 / self.dt:g} rad/s"
+            )
+        if self.settle_samples > MAX_SETTLE_SAMPLES:
+            raise UsageError(
+                f"cutoff = {self.cutoff:g} rad/s is too low for dt = {self.dt:g} s: the filters would settle after "
+                f"{self.settle_samples:.2g} samples; use a higher cutoff, of the order of the plant's own poles"
             )
         if self.order < self.model.equation.order:
             raise UsageError(f"order must be at least {self.model.equation.order}, got {self.order}")
@@ -95,10 +103,13 @@ class Estimator:
         """Unknown coefficients of f(s): in the extended model without compensation (paper eq. 19, 21)."""
         return 0 if self.instrumental else len(self.zeros)
 
+    @property
+    def spec(self) -> FilterSpec:
+        return FilterSpec(self.cutoff, self.order, self.dt, self.discretization, self.zeros)
+
     @cached_property
-    def _columns(self) -> tuple[list[tuple[int, float, float, float]], list[Taps]]:
-        spec = FilterSpec(self.cutoff, self.order, self.dt, self.discretization, self.zeros)
-        builder = ColumnBuilder(self.model.equation, spec)
+    def _columns(self) -> tuple[Network, list[Taps]]:
+        builder = ColumnBuilder(self.model.equation, self.spec)
         columns = builder.regressors()
         if self._extra:
             columns += [scaled(builder.prefiltered(j + 1), -1.0) for j in range(self._extra)]
@@ -107,26 +118,50 @@ class Estimator:
             columns.append(builder.target())
         if self.instrumental:
             columns += builder.instruments()
-        return builder.network.stages, columns
+        return builder.network, columns
 
     def make_kernel(self, forgetting: float = 1.0) -> Any:
         """A new kernel in its initial state."""
+        network, columns = self._columns
+        direct = self.recursion_config(len(self.names), self.instrumental, forgetting)
+        return self.kernel_class(
+            network.stages, columns, self.encoder.kernel_config(self.dt), direct, self.settle_samples
+        )
+
+    @property
+    def kernel_class(self) -> Any:
         from pmfid import _kernel32, _kernel64
 
-        stages, columns = self._columns
+        return (_kernel32 if self.precision == "float32" else _kernel64).Kernel
+
+    @property
+    def settle_samples(self) -> int:
+        return math.ceil(SETTLE_TIME_CONSTANTS / (self.cutoff * self.dt)) + 3
+
+    def recursion_config(
+        self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
+    ) -> dict[str, float]:
+        """A recursion's part of the kernel configuration."""
         exact = forgetting == 1 and self.precision == "float64"
-        recursion = {
-            "n_parameters": len(self.names),
-            "instrumental": int(self.instrumental),
-            "min_updates": math.ceil(3 / (self.cutoff * self.dt)) + 2 * len(self.names),
+        return {
+            "n_parameters": parameters,
+            "instrumental": int(instrumental),
+            "first_column": first_column,
+            "min_updates": math.ceil(3 / (self.cutoff * self.dt)) + 2 * parameters,
             "residual_updates": 2**32 - 1 if exact else RESIDUAL_UPDATES,
             "forgetting": forgetting,
             "regularization": REGULARIZATION,
             "pivot": START_PIVOT,
         }
-        module = _kernel32 if self.precision == "float32" else _kernel64
-        settle = math.ceil(SETTLE_TIME_CONSTANTS / (self.cutoff * self.dt)) + 3
-        return module.Kernel(stages, columns, self.encoder.kernel_config(self.dt), recursion, settle)
+
+
+E = TypeVar("E", bound=Estimator)
+
+
+def like(cls: type[E], estimator: Estimator, **changes: Any) -> E:
+    """Another method with the same model, encoder and filters, but for the changes."""
+    names = ("model", "encoder", "dt", "cutoff", "order", "discretization", "precision", "prefilter_zeros")
+    return cls(**({name: getattr(estimator, name) for name in names} | changes))
 
 
 def default_zeros(cutoff: float) -> tuple[float, float]:
@@ -159,6 +194,13 @@ def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[np.float64], 
             f"u and counts must be two arrays of the same length, got {u_array.shape} and {counts_array.shape}"
         )
     return u_array, counts_array
+
+
+def check_size(u: NDArray[np.float64]) -> None:
+    """Raises UsageError where squares of the input (n,) would leave the number format."""
+    size = np.max(np.abs(u), initial=0.0, where=np.isfinite(u))
+    if size > 0 and not 1e-100 < size < 1e100:
+        raise UsageError(f"the largest input is {size:.3g}: no drive has that; check the column and input_scale")
 
 
 def status_names(status: int) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.base import START_PIVOT, Estimator, check_arrays
+from pmfid.estimators.base import START_PIVOT, Estimator, check_arrays, check_size
 from pmfid.status import Status
 
 
@@ -42,11 +42,13 @@ class Fit:
 
 @dataclass(frozen=True)
 class Columns:
-    """Filtered columns of the samples in use: phi (n, p), z (n,), zeta (n, p), and the status bits that occurred."""
+    """Filtered columns of the n samples in use: phi (n, p), z (n,), zeta (n, p); used (N,) of the whole record; the
+    status bits that occurred."""
 
     phi: NDArray[np.float64]
     z: NDArray[np.float64]
     zeta: NDArray[np.float64]
+    used: NDArray[np.bool_]
     status: int
 
 
@@ -56,19 +58,23 @@ class BatchEstimator(Estimator):
 
     def columns(self, u: ArrayLike, counts: ArrayLike) -> Columns:
         """Regressors, target and instruments of the samples after the filters have settled; u, counts: (n,)."""
-        columns, status = self.make_kernel().filter(*check_arrays(u, counts))
+        u, counts = check_arrays(u, counts)
+        check_size(u)
+        columns, status = self.make_kernel().filter(u, counts)
         used = (status & Status.SETTLING) == 0
         columns, p = columns[used], len(self.names)
         zeta = columns[:, p + 1 :] if self.instrumental else columns[:, :p]
         occurred = int(np.bitwise_or.reduce(status)) & ~int(Status.SETTLING | Status.STARTING)
-        return Columns(columns[:, :p], columns[:, p], zeta, occurred)
+        return Columns(columns[:, :p], columns[:, p], zeta, used, occurred)
 
     def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
         NotIdentifiableError where the record cannot identify every parameter, naming the one and the reason."""
         columns = self.columns(u, counts)
         check_identifiable(columns, self.names)
-        theta, factor = self._solve(columns)
+        return self._result(columns, *self._solve(columns))
+
+    def _result(self, columns: Columns, theta: NDArray[np.float64], factor: NDArray[np.float64]) -> Fit:
         residual = columns.z - columns.phi @ theta
         variance = residual @ residual / max(1, residual.size - theta.size)
         relative = float(np.linalg.norm(residual) / np.linalg.norm(columns.z))
@@ -96,6 +102,7 @@ class LS(BatchEstimator):
     """
 
     method: ClassVar[str] = "ls"
+    plain: ClassVar[bool] = True
 
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         scale = np.linalg.norm(columns.phi, axis=0)
@@ -121,6 +128,8 @@ class BCLS(BatchEstimator):
 
 def check_identifiable(columns: Columns, names: tuple[str, ...]) -> None:
     """Raises NotIdentifiableError where a column is zero or a combination of the others, naming the parameter."""
+    if columns.z.size <= 2 * len(names) and columns.status & Status.COUNT_JUMP:
+        raise NotIdentifiableError("the counts jump further than max_speed allows all the time; correct max_speed")
     if columns.z.size <= 2 * len(names):
         raise NotIdentifiableError(
             f"only {columns.z.size} samples are left after the filters have settled, too few for {len(names)} "

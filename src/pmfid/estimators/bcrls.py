@@ -16,7 +16,7 @@ class BCRLS(RecursiveEstimator):
     arithmetic equal to the paper's recursion with the affine right-hand side of a known input gain; computed as the
     instrumental variable estimate that it is (Soderstrom, Zheng and Stoica 1999 showed it for the discrete-time
     method): the facts H^T theta = h determine the coefficients of f(s), the unknown correlation cancels the normal
-    equations of the noisy columns, and what is left are the noise-free columns as instruments. That costs less, and
+    equations of the noisy columns, and what is left are the noise-direct columns as instruments. That costs less, and
     stays quiet where H^T P G passes through singularity.
     """
 

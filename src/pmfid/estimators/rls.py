@@ -18,3 +18,4 @@ class RLS(RecursiveEstimator):
     """
 
     method: ClassVar[str] = "rls"
+    plain: ClassVar[bool] = True

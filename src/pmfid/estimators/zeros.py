@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.estimators.base import Estimator
+from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.batch import BCLS
 
 #: Candidates for the faster zero as a part of the cutoff; the slower one is a thirtieth of it.
@@ -23,16 +21,9 @@ def choose_prefilter_zeros(estimator: Estimator, u: ArrayLike, counts: ArrayLike
     motion, not of the noise.
     Raises what `BCLS.columns` raises.
     """
-    batch = BCLS(
-        estimator.model,
-        estimator.encoder,
-        estimator.dt,
-        estimator.cutoff,
-        order=estimator.order,
-        discretization=estimator.discretization,
-    )
     pairs = [(-estimator.cutoff * part, -estimator.cutoff * part / RATIO) for part in FRACTIONS]
-    information = [_log_information(replace(batch, prefilter_zeros=pair), u, counts) for pair in pairs]
+    batches = [like(BCLS, estimator, prefilter_zeros=pair) for pair in pairs]
+    information = [_log_information(batch, u, counts) for batch in batches]
     return pairs[int(np.argmax(information))]
 
 

@@ -13,10 +13,29 @@ from pmfid.filters.chain import (
     lag,
     mean_velocity_correction,
 )
-from pmfid.filters.network import DIRECTION, INPUT, MOVING, VELOCITY, Network, Taps, scaled
+from pmfid.filters.network import (
+    AUXILIARY,
+    BACKWARD,
+    BACKWARD_VELOCITY,
+    DIRECTION,
+    FORWARD,
+    FORWARD_VELOCITY,
+    INPUT,
+    MOVING,
+    SPLIT_BACKWARD,
+    SPLIT_FORWARD,
+    VELOCITY,
+    Network,
+    Taps,
+    scaled,
+)
 from pmfid.models.equation import Equation, Term
 
-HELD_SIGNALS = {"input": INPUT, "direction": DIRECTION, "moving": MOVING}
+#: Signals that hold for a sampling interval, as nodes of the block from the counts.
+HELD = {"input": INPUT, "direction": DIRECTION, "moving": MOVING, "forward": FORWARD, "backward": BACKWARD}
+SPLIT = {"forward_output": FORWARD_VELOCITY, "backward_output": BACKWARD_VELOCITY}
+#: The measured velocity, split by the direction of the auxiliary model.
+SPLIT_BY_MODEL = {"forward_output": SPLIT_FORWARD, "backward_output": SPLIT_BACKWARD}
 
 
 @dataclass(frozen=True)
@@ -33,25 +52,23 @@ class FilterSpec:
 
 
 class ColumnBuilder:
-    """Builds the columns of an equation. `columns` order: regressors, target, instruments if asked for."""
+    """Builds the columns of an equation into a network.
 
-    def __init__(self, equation: Equation, spec: FilterSpec) -> None:
-        self.equation, self.spec, self.network = equation, spec, Network()
-        self._velocity = chain(self.network, VELOCITY, spec.cutoff, spec.order, spec.dt)
+    measured: output and direction from the counts; modelled: the direction from the auxiliary model; simulated: the
+    output from it as well. A regressor with a modelled direction has the same one simulated for its instrument.
+    """
 
-    def term(self, term: Term) -> Taps:
-        """The filtered derivative that the term stands for, one sample late."""
-        if term.signal == "output":
-            return self._output(term.derivative)
-        return self._held(HELD_SIGNALS[term.signal])
+    def __init__(self, equation: Equation, spec: FilterSpec, network: Network | None = None) -> None:
+        self.equation, self.spec = equation, spec
+        self.network = Network() if network is None else network
 
-    def regressors(self) -> list[Taps]:
-        return [self.term(term) for term in self.equation.unknown]
+    def regressors(self, source: str = "measured") -> list[Taps]:
+        return [self.term(term, source) for term in self.equation.unknown]
 
-    def target(self) -> Taps:
+    def target(self, source: str = "measured") -> Taps:
         taps: Taps = []
         for term in self.equation.known:
-            taps += scaled(self.term(term), term.coefficient)
+            taps += scaled(self.term(term, source), term.coefficient)
         return taps
 
     def instruments(self) -> list[Taps]:
@@ -74,18 +91,30 @@ class ColumnBuilder:
             taps = [(build(self.network, node, pole, self.spec.dt), weight) for node, weight in taps]
         return taps
 
-    def _held(self, source: int) -> Taps:
+    def term(self, term: Term, source: str) -> Taps:
+        """The filtered derivative that the term stands for, one sample late."""
+        block = 0 if source == "measured" else AUXILIARY
+        if term.signal in HELD:
+            return self._hold(HELD[term.signal] + block)
+        if term.signal in SPLIT:
+            by_model = source == "modelled"
+            return self._hold(SPLIT_BY_MODEL[term.signal] if by_model else SPLIT[term.signal] + block)
+        return self.velocity(term.derivative - 1, simulated=source == "simulated")
+
+    def velocity(self, j: int, *, simulated: bool) -> Taps:
+        """j-th derivative of the filtered velocity, of the counts or of the auxiliary model."""
+        spec = self.spec
+        source = VELOCITY + (AUXILIARY if simulated else 0)
+        taps = derivative(chain(self.network, source, spec.cutoff, spec.order, spec.dt), j, spec.cutoff)
+        if simulated:  # late already
+            return taps
+        if j == self.equation.order - 2 and spec.discretization == "matched":
+            return mean_velocity_correction(self.network, taps[0][0])
+        return [(self.network.delay(node), weight) for node, weight in taps]
+
+    def _hold(self, source: int) -> Taps:
         spec = self.spec
         return HOLD_FILTERS[spec.discretization](self.network, source, spec.cutoff, spec.order, spec.dt)
-
-    def _output(self, order: int) -> Taps:
-        late = [
-            (self.network.delay(node), weight)
-            for node, weight in derivative(self._velocity, order - 1, self.spec.cutoff)
-        ]
-        if order == self.equation.order - 1 and self.spec.discretization == "matched":
-            return mean_velocity_correction(self.network, self._velocity[-1])
-        return late
 
 
 def tustin_image(pole: float, dt: float) -> float:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-#: The kernel's signals are nodes 0 to 3 (see csrc/pmf.h).
-INPUT, VELOCITY, DIRECTION, MOVING = range(4)
+#: The kernel's signals are its first nodes (csrc/pmf.h): a block from the counts, the same from the auxiliary model.
+INPUT, VELOCITY, DIRECTION, MOVING, FORWARD, BACKWARD, FORWARD_VELOCITY, BACKWARD_VELOCITY = range(8)
+AUXILIARY = 8
+SPLIT_FORWARD, SPLIT_BACKWARD = 16, 17
+SIGNALS = 20
 
 Taps = list[tuple[int, float]]
 
@@ -21,7 +24,7 @@ class Network:
         entry = (source, a, b0, b1)
         if entry not in self.stages:
             self.stages.append(entry)
-        return 4 + self.stages.index(entry)
+        return SIGNALS + self.stages.index(entry)
 
     def delay(self, source: int) -> int:
         """One sample later."""

@@ -8,8 +8,10 @@ from typing import Literal
 from pmfid.errors import UsageError
 
 #: `output`: the measured position; `input`: what drives the plant; `direction`: sign of the velocity, at a
-#: reversal inside a sample as the signed moving fraction; `moving`: 1 while the plant moves (a constant load).
-Signal = Literal["output", "input", "direction", "moving"]
+#: reversal inside a sample as the signed moving fraction; `moving`: 1 while the plant moves (a constant load);
+#: `forward`, `backward`: 1 while it moves forward, -1 while it moves backward; `forward_output`, `backward_output`:
+#: the position as far as it changes in that direction.
+Signal = Literal["output", "input", "direction", "moving", "forward", "backward", "forward_output", "backward_output"]
 
 
 @dataclass(frozen=True)

@@ -81,11 +81,12 @@ def decimation(y: ArrayLike, limit: int = MAX_POINTS) -> NDArray[np.int64]:
     return np.unique(np.array([0, *extremes, y.size - 1], np.int64))
 
 
-def stretches(t: Floats, flags: Flags) -> list[tuple[float, float]]:
+def stretches(t: ArrayLike, flags: Flags) -> list[tuple[float, float]]:
     """(start, length) in s of the stretches where flags (n,) is set, at most MAX_POINTS / 2 of them.
 
     Of a long record each group of neighbouring samples counts as set where one of them is.
     """
+    t = np.asarray(t, float)
     starts = np.arange(0, t.size, -(-t.size // MAX_POINTS))
     grouped = np.logical_or.reduceat(flags, starts)
     change = np.flatnonzero(np.diff(np.r_[False, grouped, False].astype(np.int8)))
@@ -99,13 +100,14 @@ def estimate_figure(t: ArrayLike, track: Track, nominal: Mapping[str, ArrayLike]
     t: (n,) [s]; nominal: value, or (n,) values, by parameter name. Shaded: poor excitation or compensation
     held. Raises UsageError where t and the track differ in length.
     """
-    t = _time(t, {"track": track.status})
+    values = {name: np.asarray(value, float) for name, value in (nominal or {}).items()}
+    over_time = {f"nominal {name}": value for name, value in values.items() if value.ndim}
+    t = _time(t, {"track": track.status, **over_time})
     names = [name for name in track.names if not name.startswith("prefilter_")]
     with figure_style():
         figure, panels = _panels(len(names), 1.9)
         for name, axes in zip(names, panels, strict=True):
-            value = None if nominal is None or name not in nominal else np.asarray(nominal[name], float)
-            _estimate_panel(axes, t, track, name, value)
+            _estimate_panel(axes, t, track, name, values.get(name))
         _finish_time(panels[-1], t)
         _legend(figure, panels)
     return figure
@@ -120,20 +122,20 @@ def _estimate_panel(axes: Axes, t: Floats, track: Track, name: str, nominal: Flo
     axes.fill_between(t[i], low[i], high[i], where=shown, color=COLOURS[0], alpha=0.25, lw=0, zorder=1, label="±2 std")
     if nominal is not None:
         _line(axes, t, np.broadcast_to(nominal, t.shape), color=MAGENTA, ls="--", label="nominal")
-    doubtful = stretches(t, track.flagged(DOUBTFUL))
-    if doubtful:
-        label = "poor excitation or compensation held"
-        axes.broken_barh(
-            doubtful,
-            (0, 1),
-            transform=axes.get_xaxis_transform(),
-            color=COLOURS[3],
-            alpha=0.25,
-            lw=0,
-            label=label,
-        )
+    _shade(axes, stretches(t, track.flagged(DOUBTFUL)))
     axes.set_ylabel(_label(name, track.units[track.names.index(name)]))
     _robust_limits(axes, [_settled(track, low), _settled(track, high)], nominal)
+
+
+def _shade(axes: Axes, spans: list[tuple[float, float]]) -> None:
+    if spans:
+        style: dict[str, Any] = {
+            "color": COLOURS[3],
+            "alpha": 0.25,
+            "lw": 0,
+            "label": "poor excitation or compensation held",
+        }
+        axes.broken_barh(spans, (0, 1), transform=axes.get_xaxis_transform(), **style)
 
 
 def comparison_figure(

@@ -32,7 +32,8 @@ def _write_track(path: Path, result: Result) -> None:
     for i, name in enumerate(track.names):
         columns |= {name: track.theta[:, i], f"{name}_std": track.theta_std[:, i]}
     columns |= {"innovation": track.innovation, "status": track.status}
-    pl.DataFrame(columns).write_parquet(path)
+    with path.open("wb") as file:  # so that a failure names the path
+        pl.DataFrame(columns).write_parquet(file)
 
 
 def _parameters(result: Result) -> Section:
@@ -62,7 +63,7 @@ def _figures(result: Result) -> list[Section]:
         sections.insert(0, Section("Estimates", svg=svg(estimate_figure(t, result.track, None))))
         sections.append(Section("Status", svg=svg(status_figure(t, result.track.status))))
     if result.fit is not None:
-        start = record.u.size - result.fit.samples
-        residual = np.r_[np.zeros(start), result.fit.residual]
-        sections.append(Section("Residual of the filtered equation", svg=svg(residual_figure(t, residual))))
+        used = t[record.u.size - result.fit.samples :]
+        figure = residual_figure(used, result.fit.residual)
+        sections.append(Section("Residual of the filtered equation", svg=svg(figure)))
     return sections

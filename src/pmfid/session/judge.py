@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.base import Estimator
-from pmfid.estimators.batch import BCLS
+from pmfid.estimators.base import Estimator, like
+from pmfid.estimators.batch import BCLS, Fit
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.session.records import Record
 
@@ -38,21 +38,17 @@ def _sizes(estimator: Estimator, theta: np.ndarray, std: np.ndarray) -> Iterator
 
 def _bias(estimator: Estimator, record: Record, theta: np.ndarray) -> Iterator[Finding]:
     """Least squares against bias-compensated least squares on the same record."""
-    if estimator.instrumental or estimator.zeros:
+    if not estimator.plain or estimator.zeros:
         return
-    compensated = BCLS(estimator.model, estimator.encoder, estimator.dt, estimator.cutoff, order=estimator.order)
     try:
-        zeros = choose_prefilter_zeros(compensated, record.u, record.counts)
-        compensated = BCLS(
-            estimator.model,
-            estimator.encoder,
-            estimator.dt,
-            estimator.cutoff,
-            order=estimator.order,
-            prefilter_zeros=zeros,
-        )
-        fit = compensated.fit(record.u, record.counts)
-    except NotIdentifiableError:
+        zeros = choose_prefilter_zeros(estimator, record.u, record.counts)
+        fit = like(BCLS, estimator, prefilter_zeros=zeros).fit(record.u, record.counts)
+    except NotIdentifiableError as error:
+        yield "uncertain", f"the estimate may be the encoder's noise, for bcls finds: {error}"
+        return
+    unknown = [name for name in POSITIVE if name in fit.names and not _known(fit, name)]
+    if unknown:
+        yield "uncertain", f"bcls cannot tell {', '.join(unknown)}: least squares may show the encoder's noise instead"
         return
     apart = np.abs(theta - fit.theta) > np.maximum(3 * fit.theta_std, 0.05 * np.abs(fit.theta))
     for name, value, other in zip(estimator.names, theta, fit.theta, strict=True):
@@ -62,3 +58,7 @@ def _bias(estimator: Estimator, record: Record, theta: np.ndarray) -> Iterator[F
                 f"{name} = {value:.4g} is biased by the encoder's steps, compensation gives {other:.4g}: "
                 "use bcls or bcrls, or a lower cutoff",
             )
+
+
+def _known(fit: Fit, name: str) -> bool:
+    return bool(fit.theta_std[fit.names.index(name)] <= 0.5 * abs(fit[name]))

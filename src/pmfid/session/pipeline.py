@@ -10,7 +10,7 @@ import numpy as np
 
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.base import Estimator, status_names
+from pmfid.estimators.base import Estimator, like, status_names
 from pmfid.estimators.batch import BatchEstimator, Columns, Fit, check_identifiable
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.estimators.registry import ESTIMATORS
@@ -102,10 +102,7 @@ def _batch_twin(estimator: Estimator) -> BatchEstimator:
     """The off-line method on the same columns."""
     if isinstance(estimator, BatchEstimator):
         return estimator
-    cls = ESTIMATORS["bcls" if estimator.instrumental else "ls"]
-    shared = ("order", "discretization", "precision", "prefilter_zeros")
-    options: dict[str, Any] = {name: getattr(estimator, name) for name in shared}
-    twin = cls(estimator.model, estimator.encoder, estimator.dt, estimator.cutoff, **options)
+    twin = like(ESTIMATORS["bcls" if estimator.instrumental else "ls"], estimator)
     if not isinstance(twin, BatchEstimator):
         raise UsageError(f"{estimator.method} has no off-line method beside it")
     return twin
@@ -119,14 +116,22 @@ def _recursive(estimator: RecursiveEstimator, record: Record, columns: Columns, 
             "the record ends before there is an estimate: too little motion for every parameter; record longer"
         )
     theta, std = track.theta[-1], track.theta_std[-1]
-    residual = columns.z - columns.phi @ theta
-    relative = float(np.linalg.norm(residual) / np.linalg.norm(columns.z))
+    relative = _relative_error(columns, track)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
     held = occurred | (last & ~int(Status.SETTLING))
     flags, notes = judge(estimator, record, theta, std)
     status = (*status_names(held), *flags)
     notes = (*record.notes, *notes, *Status(held).advice)
     return Result(estimator, record, theta, std, relative, status, notes, track=track)
+
+
+def _relative_error(columns: Columns, track: Track) -> float:
+    """Of the filtered equation, each sample with the estimate of its time."""
+    known = columns.used & ((track.status & (Status.SETTLING | Status.STARTING)) == 0)
+    rows = known[columns.used]
+    z = columns.z[rows]
+    residual = z - np.sum(columns.phi[rows] * track.theta[known], axis=1)
+    return float(np.linalg.norm(residual) / np.linalg.norm(z))
 
 
 def _run(estimator: RecursiveEstimator, record: Record, progress: Progress | None) -> Track:

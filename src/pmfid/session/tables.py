@@ -22,7 +22,7 @@ Table = Mapping[str, Any]
 
 _MISSING = ["", "NA", "N/A", "null", "NULL", "None"]
 # Types of the elements of a MATLAB v5 file ("MAT-File Format", MathWorks, table 1-1); the others are reserved.
-_INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
+_INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED, _UTF8 = 1, 5, 6, 14, 15, 16
 _NUMERIC = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18}
 _CHAR_CLASS, _SPARSE_CLASS, _LAST_NUMERIC_CLASS, _COMPLEX = 4, 5, 15, 0x800
 
@@ -134,7 +134,7 @@ def _parse_mat(data: bytes) -> Table:
 
 
 def _check_mat(data: bytes) -> None:
-    """Raises ValueError unless all sizes and types in a v5 file fit: scipy's reader looks types up unchecked, and crashes.
+    """Raises ValueError unless all sizes and types in a v5 file fit: on others scipy's reader ends the whole process.
 
     A file of another version passes; the reader is left to say so.
     """
@@ -169,14 +169,14 @@ def _elements(data: memoryview, order: str, padding: int = 8) -> Iterator[tuple[
 
 def _check_matrix(body: memoryview, order: str) -> None:
     parts = list(_elements(body, order))
-    kinds = [kind for kind, _ in parts]
     if not parts:  # an empty cell
         return
-    if not (kinds[0] == _UINT32 and len(parts[0][1]) == 8):
+    kinds, sizes = [kind for kind, _ in parts], [len(part) for _, part in parts]
+    if not (kinds[0] == _UINT32 and sizes[0] == 8):
         raise ValueError("a variable without its class")
     flags = int(np.frombuffer(parts[0][1], f"{order}u4", 1)[0])
-    if _CHAR_CLASS <= flags & 0xFF <= _LAST_NUMERIC_CLASS:
-        _check_numeric(kinds, flags)
+    if flags & 0xFF <= _LAST_NUMERIC_CLASS:
+        _check_array(kinds, sizes, flags)
     for kind, part in parts:
         if kind == _MATRIX:
             _check_matrix(part, order)
@@ -184,8 +184,14 @@ def _check_matrix(body: memoryview, order: str) -> None:
             raise ValueError(f"element of unknown type {kind}")
 
 
-def _check_numeric(kinds: list[int], flags: int) -> None:
+def _check_array(kinds: list[int], sizes: list[int], flags: int) -> None:
+    """Every array starts with flags, dimensions and name; values follow, in a sparse one after two rows of indices."""
     indices = 2 if flags & 0xFF == _SPARSE_CLASS else 0
-    needed = 3 + indices + (2 if flags & _COMPLEX else 1)
-    if kinds[1:3] != [_INT32, _INT8] or len(kinds) < needed or not _NUMERIC.issuperset(kinds):
-        raise ValueError("a variable without its size, name or values")
+    values = 2 if flags & _COMPLEX else 1
+    nested = flags & 0xFF < _CHAR_CLASS
+    if len(kinds) < (3 if nested else 3 + indices + values):
+        raise ValueError("a variable without its dimensions, name or values")
+    if kinds[1] not in (_INT32, _UINT32) or sizes[1] < 8 or kinds[2] not in (_INT8, _UTF8):
+        raise ValueError("a variable with a wrong dimension or name")
+    if not nested and _MATRIX in kinds:
+        raise ValueError("a variable in place of values")

@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 INCREMENTS = (4096, 1024, 512, 256)
-RECORD = 1024  # the one that is written
+RECORD = 4096  # the one that is written; examples/cart.toml reads it
 CUTOFF = 50.0  # rad/s: a filter time constant of two samples
 ORDER = 2
 FORGETTING = 0.99

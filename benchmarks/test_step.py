@@ -1,0 +1,179 @@
+"""Time per sample of pmfid and of its peers on the same record, each with the mass that it found.
+
+The names are permanent: results of years can be laid beside each other. The peers are given the filtered regressors, so
+they have less to do than pmfid, which starts from the counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import padasip  # type: ignore[import-untyped]
+import pytest
+from numpy.typing import NDArray
+from pytest_benchmark.fixture import BenchmarkFixture
+from scipy.signal import lfilter
+from statsmodels.regression.recursive_ls import RecursiveLS  # type: ignore[import-untyped]
+from tests.oracles import paper
+
+import pmfid
+from benchmarks.conftest import CUTOFF, DRIVE, FORGETTING, SAMPLES, Record
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.filters.columns import ColumnBuilder, FilterSpec
+from pmfid.filters.network import Taps
+from pmfid.simulation.scenarios import CART
+
+LOOP_SAMPLES = 10_000
+BATCH_START = 600
+bcrls_of_paper: Callable[..., NDArray[np.float64]] = paper.bcrls
+facts_of_paper: Callable[..., tuple[NDArray[np.float64], NDArray[np.float64]]] = paper.facts
+
+
+def measure(
+    benchmark: BenchmarkFixture,
+    run: Callable[[], Any],
+    samples: int,
+    *,
+    rounds: int,
+    setup: Callable[[], None] | None = None,
+) -> Any:
+    """Times `run`, which takes `samples` samples, after one untimed round; returns its last result."""
+    pedantic: Callable[..., Any] = benchmark.pedantic
+    result = pedantic(run, setup=setup, rounds=rounds, iterations=1, warmup_rounds=1)
+    benchmark.extra_info["samples"] = samples
+    if benchmark.stats is not None:  # None where timing is switched off
+        # the best round: on a shared machine all others tell of the neighbours too
+        benchmark.extra_info["ns_per_sample"] = benchmark.stats.stats.min / samples * 1e9
+    return result
+
+
+def note_mass(benchmark: BenchmarkFixture, mass: float) -> None:
+    """Accuracy beside speed; fails where the benchmark computes something else than the mass."""
+    error = float(mass) / CART.mass - 1
+    benchmark.extra_info["mass_error"] = error
+    assert abs(error) < 0.01
+
+
+def make(cls: type[RecursiveEstimator], record: Record, precision: str = "float64") -> RecursiveEstimator:
+    return cls(DRIVE, record.encoder, record.dt, CUTOFF, forgetting=FORGETTING, precision=precision)
+
+
+def measure_run(benchmark: BenchmarkFixture, estimator: RecursiveEstimator, record: Record) -> None:
+    def run() -> pmfid.Track:
+        return estimator.run(record.u, record.counts)
+
+    track = measure(benchmark, run, SAMPLES, rounds=20, setup=estimator.reset)
+    note_mass(benchmark, track["mass"][-1])
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_pmfid_bcrls_run(benchmark: BenchmarkFixture, record: Record, precision: str) -> None:
+    measure_run(benchmark, make(pmfid.BCRLS, record, precision), record)
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_pmfid_rls_run(benchmark: BenchmarkFixture, record: Record, precision: str) -> None:
+    measure_run(benchmark, make(pmfid.RLS, record, precision), record)
+
+
+def test_pmfid_bcrls_step(benchmark: BenchmarkFixture, record: Record) -> None:
+    """One call per sample from Python, its `theta` read each time."""
+    estimator = make(pmfid.BCRLS, record)
+    u, counts = record.u[:LOOP_SAMPLES].tolist(), record.counts[:LOOP_SAMPLES].tolist()
+
+    def loop() -> NDArray[np.float64]:
+        step = estimator.step
+        for voltage, count in zip(u, counts, strict=True):
+            theta = step(voltage, count).theta
+        return np.asarray(theta)
+
+    theta = measure(benchmark, loop, LOOP_SAMPLES, rounds=20, setup=estimator.reset)
+    note_mass(benchmark, theta[0])
+
+
+def test_padasip_rls(benchmark: BenchmarkFixture, record: Record) -> None:
+    """`FilterRLS.adapt` on the filtered regressors: least squares only, no filters, no compensation."""
+    rows, targets = list(record.phi[:LOOP_SAMPLES]), record.z[:LOOP_SAMPLES].tolist()
+
+    def loop() -> float:
+        rls = padasip.filters.FilterRLS(3, mu=FORGETTING, eps=1e-3, w="zeros")
+        for phi, z in zip(rows, targets, strict=True):
+            rls.adapt(z, phi)
+        return float(rls.w[0])
+
+    note_mass(benchmark, measure(benchmark, loop, LOOP_SAMPLES, rounds=20))
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_statsmodels_rls(benchmark: BenchmarkFixture, record: Record) -> None:
+    """`RecursiveLS.fit` on the filtered regressors: it has no forgetting, and keeps the history of all samples."""
+    phi, z = record.phi[:LOOP_SAMPLES], record.z[:LOOP_SAMPLES]
+    fit = measure(benchmark, lambda: RecursiveLS(z, phi).fit(), LOOP_SAMPLES, rounds=10)
+    note_mass(benchmark, fit.params[0])
+
+
+def test_numpy_rls(benchmark: BenchmarkFixture, record: Record) -> None:
+    """Paper eq. 33, first four lines, on the filtered regressors."""
+    rows, targets = list(record.phi[:LOOP_SAMPLES]), record.z[:LOOP_SAMPLES].tolist()
+
+    def loop() -> float:
+        P, theta = 1e3 * np.eye(3), np.zeros(3)
+        for phi, z in zip(rows, targets, strict=True):
+            P_phi = P @ phi
+            gain = P_phi / (FORGETTING + phi @ P_phi)
+            theta = theta + gain * (z - phi @ theta)
+            P = (P - np.outer(gain, P_phi)) / FORGETTING
+            P = (P + P.T) / 2
+        return float(theta[0])
+
+    note_mass(benchmark, measure(benchmark, loop, LOOP_SAMPLES, rounds=20))
+
+
+def test_numpy_bcrls(benchmark: BenchmarkFixture, record: Record) -> None:
+    """Paper eq. 33 to 36 on the extended regressors; the code of the tests, written to be read beside the paper."""
+    phi, z = record.extended[: LOOP_SAMPLES + BATCH_START], record.extended_z[: LOOP_SAMPLES + BATCH_START]
+    H, h = facts_of_paper(record.zeros, record.dt, 5, 3)
+    G = np.eye(5)[:, :2]
+
+    def loop() -> float:
+        return float(bcrls_of_paper(phi, z, FORGETTING, BATCH_START, H, h, G)[-1, 0])
+
+    note_mass(benchmark, measure(benchmark, loop, LOOP_SAMPLES, rounds=10))
+
+
+def bcrls_network(record: Record) -> tuple[list[tuple[int, float, float, float]], Taps]:
+    """All stages of pmfid's BCRLS, and the taps of the column of the mass."""
+    spec = FilterSpec(CUTOFF, 2, record.dt, "matched", record.zeros)
+    builder = ColumnBuilder(DRIVE.equation, spec)
+    mass = builder.regressors()[0]
+    builder.target()
+    builder.instruments()
+    return builder.network.stages, mass
+
+
+def test_pmfid_filters(benchmark: BenchmarkFixture, record: Record) -> None:
+    """Encoder and filters of BCRLS alone, without the recursion."""
+    kernel = make(pmfid.BCRLS, record).make_kernel()
+    columns, _ = measure(
+        benchmark, lambda: kernel.filter(record.u, record.counts), SAMPLES, rounds=20, setup=kernel.reset
+    )
+    assert np.array_equal(columns[-len(record.phi) :, 0], record.phi[:, 0])
+
+
+def test_scipy_lfilter(benchmark: BenchmarkFixture, record: Record) -> None:
+    """The same stages, each by one call over the whole record; no encoder, the direction by a plain sign."""
+    stages, mass = bcrls_network(record)
+    velocity = np.diff(record.counts, prepend=record.counts[0]) * (record.encoder.resolution / record.dt)
+    signals = [record.u, velocity, np.sign(velocity), np.ones(SAMPLES)]
+
+    def run() -> list[NDArray[np.float64]]:
+        nodes = list(signals)
+        for source, a, b0, b1 in stages:
+            nodes.append(lfilter([b0, b1], [1.0, -a], nodes[source]))
+        return nodes
+
+    nodes = measure(benchmark, run, SAMPLES, rounds=20)
+    column = sum(weight * nodes[node] for node, weight in mass)
+    np.testing.assert_allclose(column[-len(record.phi) :], record.phi[:, 0], rtol=1e-9, atol=1e-9)

@@ -1,0 +1,187 @@
+/* Auxiliary model: a body with viscous and Coulomb friction, driven by the input alone.
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * It supplies what the encoder cannot: instruments without the encoder's noise, and the direction and the
+ * moving fractions of every interval. Between events the motion is linear; exp() is replaced by its diagonal
+ * Pade approximant of order 3 (relative error below 1e-9 for damping * dt <= 0.15, 1e-5 at 1), because the exp
+ * of C libraries differ in their last bits. A constant force allows one stop in an interval at most, so the two
+ * phases below are all there is, and the work is the same for every sample.
+ */
+#include "pmf.h"
+
+#define NEWTON_TURNS 3
+
+typedef struct {
+    real_t mass, force; /* input force without the constant load */
+    real_t viscous[2], coulomb[2]; /* forward, backward */
+} body_t;
+
+typedef struct {
+    real_t velocity, left;                /* left: of the interval, as a part */
+    real_t distance[2], moving[2]; /* forward, backward; in parts of the interval */
+} phase_t;
+
+static body_t body_of(const pmf_auxiliary_config_t *config, const real_t *parameter, real_t input)
+{
+    body_t body;
+    body.mass = parameter[PMF_MASS];
+    body.viscous[0] = parameter[PMF_VISCOUS_FORWARD];
+    body.viscous[1] = parameter[PMF_VISCOUS_BACKWARD];
+    body.coulomb[0] = parameter[PMF_COULOMB_FORWARD];
+    body.coulomb[1] = parameter[PMF_COULOMB_BACKWARD];
+    body.force = config->input_gain * input - parameter[PMF_OFFSET];
+    return body;
+}
+
+/* Time to stop, as a part of the interval: the root of the approximant, from that of order 1 by Newton. */
+static real_t stop_time(real_t z, real_t speed, real_t target)
+{
+    real_t q = speed / (speed - target); /* 1 - exp(-z t) at the stop; target has the opposite sign */
+    real_t x = PMF_R(2.0) * q / (PMF_R(2.0) - q);
+    uint32_t i;
+    for (i = 0; i < NEWTON_TURNS; ++i) {
+        real_t f = q * (PMF_R(120.0) + x * (PMF_R(60.0) + x * (PMF_R(12.0) + x))) -
+                   x * (PMF_R(120.0) + PMF_R(2.0) * x * x);
+        real_t slope = q * (PMF_R(60.0) + x * (PMF_R(24.0) + PMF_R(3.0) * x)) - PMF_R(120.0) - PMF_R(6.0) * x * x;
+        x -= f / slope;
+    }
+    return x / z;
+}
+
+/* Moves in one direction (0 forward, 1 backward) for the time that is left, or until it stops. */
+static void move(const body_t *body, real_t dt, uint32_t backward, phase_t *phase)
+{
+    real_t sign = backward != 0U ? PMF_R(-1.0) : PMF_R(1.0);
+    real_t net = sign * body->force - body->coulomb[backward];
+    real_t speed = sign * phase->velocity, h = phase->left, z, n, phi, end;
+    /* a little damping always, so that z may divide; below it the motion over dt is that of constant force */
+    real_t rate = body->viscous[backward] / body->mass * dt + PMF_R(1e-6);
+    real_t target = net * dt / (body->mass * rate);
+    z = rate * h;
+    n = PMF_R(120.0) + z * (PMF_R(60.0) + z * (PMF_R(12.0) + z));
+    phi = (PMF_R(120.0) + PMF_R(2.0) * z * z) / n; /* (1 - exp(-z)) / z */
+    end = speed + (target - speed) * z * phi;
+    if (speed > PMF_R(0.0) && end < PMF_R(0.0)) {
+        real_t t = stop_time(rate, speed, target);
+        h = t < h ? t : h;
+        z = rate * h;
+        n = PMF_R(120.0) + z * (PMF_R(60.0) + z * (PMF_R(12.0) + z));
+        end = PMF_R(0.0);
+    }
+    /* mean of target + (speed - target) exp(-z t) over h: (1 - phi) / z without cancellation */
+    phase->distance[backward] =
+        sign * h * (speed + (target - speed) * z * (PMF_R(60.0) + z * (PMF_R(10.0) + z)) / n);
+    phase->moving[backward] = h;
+    phase->velocity = sign * (end > PMF_R(0.0) ? end : PMF_R(0.0));
+    phase->left -= h;
+}
+
+/* From rest: 0 forward, 1 backward, 2 sticks. */
+static uint32_t breaks_away(const body_t *body)
+{
+    if (body->force > body->coulomb[0]) {
+        return 0U;
+    }
+    return -body->force > body->coulomb[1] ? 1U : 2U;
+}
+
+static void emit(const phase_t *phase, real_t *signal)
+{
+    real_t moving = phase->moving[0] + phase->moving[1];
+    real_t *own = &signal[PMF_AUXILIARY];
+    real_t measured = signal[PMF_LATE_VELOCITY];
+    own[PMF_INPUT] = moving * signal[PMF_LATE_INPUT];
+    own[PMF_VELOCITY] = phase->distance[0] + phase->distance[1];
+    own[PMF_DIRECTION] = phase->moving[0] - phase->moving[1];
+    own[PMF_MOVING] = moving;
+    own[PMF_FORWARD] = phase->moving[0];
+    own[PMF_BACKWARD] = -phase->moving[1];
+    own[PMF_FORWARD_VELOCITY] = phase->distance[0];
+    own[PMF_BACKWARD_VELOCITY] = phase->distance[1];
+    signal[PMF_SPLIT_FORWARD] = own[PMF_DIRECTION] > PMF_R(0.0) ? measured : PMF_R(0.0);
+    signal[PMF_SPLIT_BACKWARD] = own[PMF_DIRECTION] > PMF_R(0.0) ? PMF_R(0.0) : measured;
+}
+
+void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal)
+{
+    body_t body = body_of(config, state->parameter, signal[PMF_LATE_INPUT]);
+    phase_t phase;
+    uint32_t turn, direction;
+    phase.velocity = state->velocity;
+    phase.left = PMF_R(1.0);
+    phase.distance[0] = phase.distance[1] = phase.moving[0] = phase.moving[1] = PMF_R(0.0);
+    for (turn = 0; turn < 2U; ++turn) {
+        if (phase.velocity != PMF_R(0.0)) {
+            direction = phase.velocity > PMF_R(0.0) ? 0U : 1U;
+        } else {
+            direction = breaks_away(&body);
+        }
+        if (direction < 2U && phase.left > PMF_R(0.0)) {
+            move(&body, config->dt, direction, &phase);
+        }
+    }
+    state->velocity = phase.velocity;
+    emit(&phase, signal);
+}
+
+void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state)
+{
+    uint32_t i;
+    for (i = 0; i < PMF_ROLES; ++i) {
+        state->parameter[i] = config->initial[i];
+    }
+    state->running = config->has_initial;
+    state->trusted = config->has_initial;
+    state->trial = config->trial_samples;
+}
+
+/* A model that lost the plant starts again at the measured velocity, as often as it takes. */
+static void try_again(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t velocity)
+{
+    state->trusted = 0U;
+    state->trial = config->trial_samples;
+    state->velocity = velocity;
+    state->power = PMF_R(0.0);
+    state->mismatch = PMF_R(0.0);
+}
+
+uint32_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
+                             const real_t *column)
+{
+    real_t measured = column[config->check_column], apart = measured - column[config->check_column + 1U];
+    real_t limit;
+    if (config->adapt == 0U || state->running == 0U) {
+        return config->adapt == 0U ? 1U : 0U;
+    }
+    state->power = config->memory * state->power + measured * measured;
+    state->mismatch = config->memory * state->mismatch + apart * apart;
+    limit = config->mismatch_limit * state->power + config->noise_power;
+    if (state->trial > 0U) {
+        state->trial -= 1U;
+        return state->trusted;
+    }
+    if (state->mismatch > limit) {
+        try_again(config, state, measured);
+    } else {
+        state->trusted = 1U;
+    }
+    return state->trusted;
+}
+
+void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const real_t *theta,
+                          const uint32_t *index)
+{
+    real_t smoothing = state->running != 0U ? config->smoothing : PMF_R(1.0);
+    uint32_t i;
+    if (config->adapt == 0U || !(theta[index[PMF_MASS]] > PMF_R(0.0))) {
+        return;
+    }
+    for (i = 0; i < PMF_ROLES; ++i) {
+        real_t target = index[i] == PMF_NO_PARAMETER ? PMF_R(0.0) : theta[index[i]];
+        if (i != PMF_OFFSET && target < PMF_R(0.0)) {
+            target = PMF_R(0.0);
+        }
+        state->parameter[i] += smoothing * (target - state->parameter[i]);
+    }
+    state->running = 1U;
+}

@@ -1,0 +1,104 @@
+"""The columns and the kernel of the methods with an auxiliary model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from pmfid.estimators.base import Estimator, like
+from pmfid.estimators.bcrls import BCRLS
+from pmfid.filters.columns import ColumnBuilder
+from pmfid.filters.network import Network, Taps
+
+NO_PARAMETER = 0xFF
+#: Time constant of the slow copy of the estimate that drives the model, in filter time constants: the instruments must
+#: not follow the noise of the samples that they are multiplied with.
+COPY_TIME_CONSTANTS = 17.0
+#: Mean square difference of model and measured velocity, as a part of the mean square, beyond which it is not trusted.
+MISMATCH_LIMIT = 0.2
+#: Memory of that comparison, in filter time constants.
+CHECK_TIME_CONSTANTS = 30.0
+
+
+def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
+    """Columns: those of the direct BCRLS, then regressors, target and instruments with the auxiliary model, then
+    the filtered velocity measured and modelled. Returns network, columns, first instrumental and first check column."""
+    direct = direct_estimator(estimator)
+    builder = ColumnBuilder(direct.model.equation, direct.spec)
+    columns = [*builder.regressors(), builder.target(), *builder.instruments()]
+    first = len(columns)
+    builder = ColumnBuilder(estimator.model.equation, estimator.spec, builder.network)
+    columns += [*builder.regressors("modelled"), builder.target("modelled"), *builder.regressors("simulated")]
+    check = len(columns)
+    columns += [builder.velocity(0, simulated=False), builder.velocity(0, simulated=True)]
+    return builder.network, columns, first, check
+
+
+def direct_estimator(estimator: Estimator) -> BCRLS:
+    """The method that needs no auxiliary model: to start from, and to fall back on."""
+    return like(BCRLS, estimator, model=estimator.model.symmetric)
+
+
+def make_auxiliary_kernel(
+    estimator: Estimator, forgetting: float, initial: Sequence[float] | None, adapt: bool
+) -> tuple[Any, int]:
+    """A kernel with auxiliary model, and its first instrumental column.
+
+    initial: parameters of the model to start from (p,), or None: start from the direct estimate.
+    adapt: the model follows the estimate; False: it keeps the initial parameters.
+    """
+    network, columns, first, check = auxiliary_columns(estimator)
+    p = len(estimator.names)
+    direct = direct_estimator(estimator)
+    auxiliary = {
+        "adapt": int(adapt),
+        "has_initial": int(initial is not None),
+        "check_column": check,
+        "trial_samples": 2 * estimator.settle_samples,
+        "dt": estimator.dt,
+        "input_gain": estimator.model.input_gain,
+        "smoothing": min(1.0, estimator.cutoff * estimator.dt / COPY_TIME_CONSTANTS),
+        "memory": math.exp(-estimator.cutoff * estimator.dt / CHECK_TIME_CONSTANTS),
+        "mismatch_limit": MISMATCH_LIMIT,
+        "noise_power": _noise_power(estimator),
+        "direct_index": _indices(direct.model.roles()),
+        "index": _indices(estimator.model.roles()),
+        "initial": role_values(estimator, initial),
+    }
+    kernel = estimator.kernel_class(
+        network.stages,
+        columns,
+        estimator.encoder.kernel_config(estimator.dt),
+        direct.recursion_config(len(direct.names), True, forgetting),
+        2 * estimator.settle_samples,  # half-way the model is set to the measured velocity
+        estimator.recursion_config(p, True, forgetting, first),
+        auxiliary,
+    )
+    return kernel, first
+
+
+def role_values(estimator: Estimator, theta: Sequence[float] | None) -> list[float]:
+    """The values of the auxiliary model's roles; 0 where there is no such parameter."""
+    if theta is None:
+        return [0.0] * len(estimator.model.roles())
+    return [0.0 if index is None else float(theta[index]) for index in estimator.model.roles()]
+
+
+def _indices(roles: Sequence[int | None]) -> list[int]:
+    return [NO_PARAMETER if index is None else index for index in roles]
+
+
+def _noise_power(estimator: Estimator) -> float:
+    """What quantisation alone may leave in the comparison: the variance of one count, filtered, over its memory."""
+    pole = (2 / estimator.dt - estimator.cutoff) / (2 / estimator.dt + estimator.cutoff)
+    impulse = np.zeros(4 * estimator.settle_samples)
+    impulse[0], impulse[1] = 1 / estimator.dt, -1 / estimator.dt
+    for _ in range(estimator.order):
+        gain = estimator.cutoff / (2 / estimator.dt + estimator.cutoff)
+        impulse = lfilter([gain, gain], [1, -pole], impulse)
+    samples = CHECK_TIME_CONSTANTS / (estimator.cutoff * estimator.dt)
+    return float(estimator.encoder.resolution**2 * np.sum(impulse**2) * samples)

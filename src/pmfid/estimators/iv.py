@@ -1,0 +1,119 @@
+"""Instrumental variables with a friction-aware auxiliary model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.auxiliary import make_auxiliary_kernel
+from pmfid.estimators.base import check_arrays, check_size, like
+from pmfid.estimators.batch import BCLS, BatchEstimator, Columns, Fit, check_identifiable
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.status import Status
+
+MAX_ITERATIONS = 60
+TOLERANCE = 1e-7
+
+
+@dataclass(frozen=True)
+class IV(BatchEstimator):
+    """Iterated instrumental variables, off-line (Young and Jakeman 1979; the friction in the model is ours).
+
+    The plant is simulated from the input alone with the present estimate, stiction included; the simulated motion
+    gives the instruments, and the direction and moving fractions of every interval. theta = (sum zeta phi^T)^-1
+    sum zeta z, until it no longer changes. initial: parameters by name to start from; None: bias-compensated least
+    squares.
+    """
+
+    method: ClassVar[str] = "iv"
+
+    initial: Mapping[str, float] | None = field(default=None, kw_only=True)
+
+    def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
+        NotIdentifiableError where the record cannot identify every parameter, or no iteration settles."""
+        theta = self.start(u, counts)
+        scale = np.maximum(np.abs(theta), 1e-12)
+        for _ in range(MAX_ITERATIONS):
+            columns = self.columns_at(theta, u, counts)
+            check_identifiable(columns, self.names)
+            found, _ = self._solve(columns)
+            step = self._plausible(theta, found) - theta
+            theta = theta + step
+            if np.all(np.abs(step) <= TOLERANCE * np.maximum(np.abs(theta), scale)):
+                break
+        return self._result(columns, *self._solve(columns))
+
+    def start(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
+        """Parameters to simulate with first: the given ones, or from the counts alone; (p,)."""
+        if self.initial is not None:
+            return initial_vector(self.initial, self.names)
+        batch = like(BCLS, self, model=self.model.symmetric)
+        return spread(dict(zip(batch.names, batch.fit(u, counts).theta, strict=True)), self.names)
+
+    def columns_at(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> Columns:
+        """Regressors, target and instruments with the auxiliary model at theta (p,)."""
+        u, counts = check_arrays(u, counts)
+        check_size(u)
+        kernel, first = make_auxiliary_kernel(self, 1.0, list(theta), adapt=False)
+        columns, status = kernel.filter(u, counts)
+        used = (status & Status.SETTLING) == 0
+        columns, p = columns[used, first:], len(self.names)
+        occurred = int(np.bitwise_or.reduce(status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP)
+        return Columns(columns[:, :p], columns[:, p], columns[:, p + 1 : 2 * p + 1], used, occurred)
+
+    def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return BCLS._solve(self, columns)  # type: ignore[arg-type]
+
+    def _plausible(self, theta: NDArray[np.float64], found: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The step, no further than half-way to a mass or friction of zero and not beyond twice the mass."""
+        positive = np.array([name != "offset" for name in self.names])
+        low = np.where(positive, np.minimum(0.5 * theta, theta), -np.inf)
+        return np.maximum(found, low)
+
+
+def initial_vector(initial: Mapping[str, float], names: tuple[str, ...]) -> NDArray[np.float64]:
+    """The parameters of `initial` in the order of theta. Raises UsageError for a missing or unknown name."""
+    if set(initial) != set(names):
+        raise UsageError(f"initial must name {list(names)}, got {list(initial)}")
+    return np.array([float(initial[name]) for name in names])
+
+
+def spread(known: Mapping[str, float], names: tuple[str, ...]) -> NDArray[np.float64]:
+    """Symmetric parameters for a directional drive; frictions that came out negative start small but positive."""
+    offset = known.get("offset", 0.0)
+    values = dict(known)
+    for way, sign in (("forward", 1.0), ("backward", -1.0)):
+        values[f"viscous_friction_{way}"] = known["viscous_friction"]
+        values[f"coulomb_friction_{way}"] = known["coulomb_friction"] + sign * offset
+    theta = np.array([values[name] for name in names])
+    if not values["mass"] > 0:
+        raise NotIdentifiableError(
+            f"no start for the iteration: from the counts alone the mass comes out as {values['mass']:.3g}; "
+            "give `initial`, or use a lower cutoff"
+        )
+    return np.where([name == "offset" for name in names], theta, np.maximum(theta, 0.0))
+
+
+@dataclass(frozen=True)
+class RIV(RecursiveEstimator):
+    """Recursive instrumental variables with a friction-aware auxiliary model (theory: Young 2011, RIV).
+
+    The model is driven by the input alone with a slow copy of the estimate. Where it does not follow the measured
+    velocity, the estimate is that of `BCRLS` and says so (`Status.FALLBACK`); the model then starts again from that.
+    initial: parameters by name to start from; None: from BCRLS as soon as that has an estimate.
+    """
+
+    method: ClassVar[str] = "riv"
+    instrumental: ClassVar[bool] = True
+
+    initial: Mapping[str, float] | None = field(default=None, kw_only=True)
+
+    def make_kernel(self, forgetting: float = 1.0) -> Any:
+        initial = None if self.initial is None else list(initial_vector(self.initial, self.names))
+        return make_auxiliary_kernel(self, forgetting, initial, adapt=True)[0]

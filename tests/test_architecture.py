@@ -1,0 +1,323 @@
+"""What holds the house up: imports point down, the surface is listed, the command starts fast, the kernel is pure."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import pmfid
+
+PACKAGE = Path(pmfid.__file__).parent
+REPOSITORY = Path(__file__).parents[1]
+CSRC = REPOSITORY / "csrc"
+
+GROUND = {"errors", "status", "_kernel32", "_kernel64"}
+FILTERS = GROUND | {"models", "encoder"}
+ESTIMATORS = FILTERS | {"filters"}
+SESSION = ESTIMATORS | {"estimators"}
+#: Room -> the rooms that it may import, besides itself; "pmfid" is the package's own `__init__`.
+MAY_IMPORT: dict[str, set[str]] = {
+    "errors": set(),
+    "status": set(),
+    "_kernel": set(),
+    "_kernel32": {"_kernel64"},
+    "_kernel64": set(),
+    "models": GROUND,
+    "encoder": GROUND,
+    "filters": FILTERS,
+    "estimators": ESTIMATORS,
+    "simulation": {"errors"},
+    "session": SESSION,
+    "report": SESSION | {"session"},
+    "studies": SESSION | {"simulation", "report"},
+    "cli": SESSION | {"session", "report", "studies", "pmfid"},
+    "pmfid": SESSION,
+}
+
+PUBLIC = [
+    "BCLS",
+    "BCRLS",
+    "Drive",
+    "Encoder",
+    "Estimate",
+    "Fit",
+    "IV",
+    "LS",
+    "NotIdentifiableError",
+    "PmfidError",
+    "RIV",
+    "RLS",
+    "Status",
+    "Track",
+    "UsageError",
+    "quantize",
+]
+
+SLOW_TO_IMPORT = {"numpy", "scipy", "pydantic", "polars", "matplotlib", "rich"}
+
+COMPILER = shutil.which("cc")
+C_WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wdouble-promotion"]
+C_FLAGS = ["-std=c99", *C_WARNINGS, "-ffp-contract=off", "-fsyntax-only"]
+
+
+# --- imports point down -----------------------------------------------------------------------------------------------
+
+
+def room_of(parts: tuple[str, ...]) -> str:
+    """Room of a module, from its path or name below the package."""
+    return parts[0] if parts else "pmfid"
+
+
+def python_of(path: Path) -> str:
+    """Text that `ast` can parse; of Cython only the imports, each on its own line as before."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix != ".pyx":
+        return text
+    lines = (line.strip().replace("cimport", "import") for line in text.splitlines())
+    return "\n".join(line if re.match(r"(import|from)\s+[\w.]+", line) else "" for line in lines)
+
+
+def modules_in(node: ast.AST, package: tuple[str, ...]) -> Iterator[str]:
+    """Full names that a node imports; a module imported by a computed name is `importlib`'s."""
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    elif isinstance(node, ast.ImportFrom):
+        start = package[: len(package) + 1 - node.level] if node.level else ()
+        base = ".".join([*start, *([node.module] if node.module else [])])
+        # `from pmfid import x`: x decides, for the package itself is no room
+        yield from (f"{base}.{alias.name}" for alias in node.names)
+    elif isinstance(node, ast.Name | ast.Attribute):
+        name = node.id if isinstance(node, ast.Name) else node.attr
+        if name in ("import_module", "__import__"):
+            yield "importlib.import_module"
+
+
+def rooms_imported(path: Path, root: Path) -> Iterator[tuple[int, str]]:
+    """(line, room) of every import of the package in a file, at any depth; a computed import is the room `?`."""
+    package = (root.name, *path.relative_to(root).parent.parts)
+    for node in ast.walk(ast.parse(python_of(path))):
+        for name in modules_in(node, package):
+            parts = tuple(name.split("."))
+            if name == "importlib.import_module":
+                yield getattr(node, "lineno", 0), "?"
+            elif parts[0] == root.name:
+                room = room_of(parts[1:])
+                yield getattr(node, "lineno", 0), room if room in MAY_IMPORT else "pmfid"
+
+
+def source_files(root: Path) -> list[Path]:
+    return sorted(path for suffix in ("py", "pyi", "pyx") for path in root.rglob(f"*.{suffix}"))
+
+
+def violations(root: Path) -> list[str]:
+    """Imports that the table does not allow, and files in no room of the table."""
+    found = []
+    for path in source_files(root):
+        inside = path.relative_to(root)
+        room = room_of(tuple(part for part in inside.with_suffix("").parts if part != "__init__"))
+        if room not in MAY_IMPORT:
+            found.append(f"{inside}: room {room} is not in the table; give it a line")
+            continue
+        allowed = MAY_IMPORT[room] | {room} | ({"?"} if room == "pmfid" else set())
+        for line, imported in sorted(rooms_imported(path, root)):
+            if imported not in allowed:
+                found.append(f"{inside}:{line}: {room} imports {imported}")
+    return found
+
+
+@pytest.mark.parametrize("root", sorted({PACKAGE, REPOSITORY / "src" / "pmfid"}), ids=lambda path: path.parent.name)
+def test_imports_point_down(root: Path) -> None:
+    assert len(source_files(root)) > 20
+    assert violations(root) == []
+
+
+def test_every_room_of_the_table_exists() -> None:
+    source = REPOSITORY / "src" / "pmfid"
+    present = {path.stem for path in source.iterdir() if path.is_dir() or path.suffix in (".py", ".pyi", ".pyx")}
+    assert set(MAY_IMPORT) - {"pmfid"} <= present
+
+
+BAD_FILTER = """\
+import numpy as np
+from pmfid.errors import UsageError
+from pmfid.session.config import Axis
+import pmfid.report.html
+from pmfid import simulation, __version__
+from ..estimators import base
+from .. import studies
+from .network import Network
+from . import chain
+def late():
+    from pmfid.simulation.drive import quantize
+    import importlib
+    return importlib.import_module("pmfid.cli.main")
+if TYPE_CHECKING:
+    from pmfid.cli import main
+"""
+
+
+def test_the_checker_finds_what_it_is_for(tmp_path: Path) -> None:
+    root = tmp_path / "pmfid"
+    (root / "filters").mkdir(parents=True)
+    (root / "filters" / "bad.py").write_text(BAD_FILTER)
+    (root / "attic.py").write_text("")
+    (root / "_kernel.pyx").write_text("cimport numpy as cnp\ncdef int x\nfrom pmfid.encoder cimport Encoder\n")
+    (root / "simulation.py").write_text("from pmfid.errors import UsageError\nfrom pmfid.status import Status\n")
+    (root / "__init__.py").write_text("from importlib import import_module\nimport_module('pmfid.encoder')\n")
+    lines = ["3: {} session", "4: {} report", "5: {} pmfid", "5: {} simulation", "6: {} estimators", "7: {} studies"]
+    lines += ["11: {} simulation", "13: {} ?", "15: {} cli"]
+    assert violations(root) == [
+        "_kernel.pyx:3: _kernel imports encoder",
+        "attic.py: room attic is not in the table; give it a line",
+        *("filters/bad.py:" + line.format("filters imports") for line in lines),
+        "simulation.py:2: simulation imports status",
+    ]
+
+
+# --- the public surface -----------------------------------------------------------------------------------------------
+
+
+def test_the_public_names_are_these() -> None:
+    assert pmfid.__all__ == PUBLIC
+    assert dir(pmfid) == PUBLIC
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_a_public_name_imports_and_has_its_own_docstring(name: str) -> None:
+    doc = getattr(pmfid, name).__doc__ or ""
+    assert len(doc.split()) >= 3
+    assert not doc.startswith(f"{name}("), "this is the text that dataclass writes where there is none"
+
+
+def test_type_checkers_see_the_same_names() -> None:
+    tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
+    blocks = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    imports = [node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom)]
+    assert sorted(alias.name for node in imports for alias in node.names) == PUBLIC
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = pmfid.no_such_name
+
+
+def modules_after(statement: str) -> set[str]:
+    """Names in `sys.modules` of a fresh interpreter after a statement."""
+    program = f"{statement}\nimport json, sys\nprint(json.dumps(sorted(sys.modules)))"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    return set(json.loads(run.stdout))
+
+
+def test_the_command_starts_without_the_heavy_libraries() -> None:
+    loaded = modules_after("import pmfid.cli.main")
+    assert "pmfid.cli.main" in loaded
+    assert {name.partition(".")[0] for name in loaded} & SLOW_TO_IMPORT == set()
+    assert "numpy" in modules_after("import pmfid.encoder"), "the list of modules would not show it"
+
+
+def test_the_package_imports_nothing_of_its_own_until_asked() -> None:
+    assert {name for name in modules_after("import pmfid") if name.startswith("pmfid.")} == set()
+    assert "pmfid.models.drive" in modules_after("from pmfid import Drive")
+
+
+# --- the kernel -------------------------------------------------------------------------------------------------------
+
+
+def bare(source: str) -> str:
+    """C without comments and character constants."""
+    return re.sub(r"/\*.*?\*/|//[^\n]*|\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'", " ", source, flags=re.DOTALL)
+
+
+def mutable_objects(source: str) -> list[str]:
+    """Objects at file scope, and static ones at any, that are neither const nor functions nor types."""
+    code = re.sub(r"^\s*#(?:[^\n]*\\\n)*[^\n]*", "", bare(source), flags=re.MULTILINE)
+    static = [match.strip() for match in re.findall(r"\bstatic\b[^;{(=]*(?=[;{=])", code)]
+    while (flat := re.sub(r"\{[^{}]*\}", " @ ", code)) != code:
+        code = flat
+    code = re.sub(r"\)\s*@", ");", code)  # a function ends with its body
+    statements = [" ".join(statement.split()) for statement in code.split(";")]
+    declared = [s for s in statements if not re.match(r"typedef\b|(enum|struct|union)\b[\w ]*@?$|$", s)]
+    outside = [s for s in declared if "(" not in s.partition("=")[0] or "(*" in s]
+    # const must stand behind the last star: a pointer to const can itself be changed
+    return sorted({s for s in static + outside if "const" not in s.partition("=")[0].rpartition("*")[2]})
+
+
+def libc_calls(source: str) -> list[str]:
+    return re.findall(r"\b(?:malloc|calloc|realloc|free|alloca)\b", bare(source))
+
+
+def includes(source: str) -> set[str]:
+    return set(re.findall(r"^\s*#\s*include\s*[<\"]([^>\"]+)", source, flags=re.MULTILINE))
+
+
+KERNEL = sorted(path.name for path in CSRC.glob("*.[ch]"))
+
+
+def test_the_kernel_is_there() -> None:
+    assert {"pmf.h", "pmf_step.c"} <= set(KERNEL)
+
+
+@pytest.mark.parametrize("name", KERNEL)
+def test_kernel_has_no_heap_no_globals_no_libc(name: str) -> None:
+    source = (CSRC / name).read_text(encoding="ascii")
+    assert libc_calls(source) == []
+    assert mutable_objects(source) == []
+    assert includes(source) <= {"stdint.h", "pmf.h"}
+
+
+BAD_KERNEL = """\
+#include <stdint.h>
+# include <math.h>
+#define TWICE(x) \\
+    int hidden_in_a_macro = 2 * (x)
+/* static int in_a_comment; malloc */
+typedef struct { int a; } thing_t;
+enum { A, B };
+static const int table[2] = {1, 2};
+const char *const name = "static int in_a_string;";
+static int counter;
+static thing_t things[2] = {{1}, {2}};
+static const char *moving_pointer = 0;
+int global;
+extern int foreign;
+struct { int a; } unnamed;
+void (*hook)(int);
+void prototype(int x);
+static inline int good(int x) { int y = x; { y = 2; } return y; }
+int bad(void) { static int calls = 0; thing_t *p = malloc(sizeof *p); free(p); return ++calls; }
+"""
+
+
+def test_the_kernel_checks_find_what_they_are_for() -> None:
+    assert libc_calls(BAD_KERNEL) == ["malloc", "free"]
+    assert includes(BAD_KERNEL) == {"stdint.h", "math.h"}
+    found = " | ".join(mutable_objects(BAD_KERNEL))
+    bad = ["counter", "things", "moving_pointer", "global", "foreign", "unnamed", "hook", "calls"]
+    assert [word for word in bad if word not in found] == []
+    good = ["hidden", "comment", "thing_t;", "enum", "table", "name =", "string", "prototype", "good", "y"]
+    assert [word for word in good if re.search(rf"\b{word}\b", found)] == []
+
+
+@pytest.mark.skipif(COMPILER is None, reason="there is no C compiler cc on this machine")
+@pytest.mark.parametrize("precision", ["-UPMF_FLOAT32", "-DPMF_FLOAT32"], ids=["float64", "float32"])
+@pytest.mark.parametrize("name", [name for name in KERNEL if name.endswith(".c")])
+def test_kernel_compiles_without_a_warning(name: str, precision: str) -> None:
+    run = subprocess.run(
+        [str(COMPILER), *C_FLAGS, precision, str(CSRC / name)], capture_output=True, text=True, timeout=60
+    )
+    assert run.returncode == 0, run.stderr
+
+
+@pytest.mark.skipif(COMPILER is None, reason="there is no C compiler cc on this machine")
+def test_the_compiler_does_warn(tmp_path: Path) -> None:
+    bad = tmp_path / "bad.c"
+    bad.write_text("float f(double x);\nfloat f(double x) { return x; }\n")
+    assert subprocess.run([str(COMPILER), *C_FLAGS, str(bad)], capture_output=True, timeout=60).returncode != 0

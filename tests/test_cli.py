@@ -1,0 +1,521 @@
+"""The command as a stranger tries it: bad input of every kind, and what good input prints and writes."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import polars as pl
+import pytest
+import scipy.io
+from click.testing import CliRunner, Result
+
+from pmfid.cli.main import main
+from pmfid.estimators import METHODS
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.registry import ESTIMATORS
+from pmfid.simulation.drive import Schedule, quantize, simulate_drive
+from pmfid.simulation.scenarios import CART, CART_DT, CART_RESOLUTION, make_scenario, write_csv
+
+AXIS = Path(__file__).parents[1] / "examples" / "cart.toml"
+TRUTH = {
+    "mass": CART.mass,
+    "viscous_friction": CART.viscous_friction,
+    "coulomb_friction": CART.coulomb_friction,
+}
+
+Change = Callable[[pl.DataFrame], pl.DataFrame]
+
+
+@dataclass(frozen=True)
+class Cart:
+    """One simulated run in the three kinds of file; frame: columns t [s], u [V], counts."""
+
+    csv: Path
+    parquet: Path
+    mat: Path
+    frame: pl.DataFrame
+
+
+@pytest.fixture(scope="module")
+def cart(tmp_path_factory: pytest.TempPathFactory) -> Cart:
+    folder = tmp_path_factory.mktemp("cart")
+    csv, parquet, mat = (folder / f"cart.{kind}" for kind in ("csv", "parquet", "mat"))
+    write_csv(make_scenario("prbs", seed=1), csv)
+    frame = pl.read_csv(csv)
+    frame.write_parquet(parquet)
+    scipy.io.savemat(mat, {name: frame[name].to_numpy() for name in frame.columns})
+    return Cart(csv, parquet, mat, frame)
+
+
+def run(record: Path, *options: str, config: Path = AXIS) -> Result:
+    return CliRunner().invoke(main, ["identify", str(record), "--config", str(config), *options])
+
+
+def good(record: Path, *options: str, config: Path = AXIS) -> dict[str, Any]:
+    """The one JSON object that a run without complaints prints."""
+    result = run(record, "--json", *options, config=config)
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.stdout.count("\n") == 1
+    printed: dict[str, Any] = json.loads(result.stdout)
+    return printed
+
+
+def complaint(result: Result, code: int = 2) -> str:
+    """The one line on standard error, and nothing else anywhere."""
+    assert isinstance(result.exception, SystemExit)
+    assert (result.exit_code, result.stdout) == (code, "")
+    assert result.stderr.startswith("pmfid: ")
+    assert result.stderr.count("\n") == 1
+    return result.stderr
+
+
+def usage(result: Result) -> str:
+    """The line of a refused command line, below click's two lines on how to ask for help."""
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "Traceback" not in result.stderr
+    *_, last = result.stderr.splitlines()
+    assert result.stderr.count("Error: ") == 1
+    assert last.startswith("Error: ")
+    return last
+
+
+def bad(record: Path, *options: str, config: Path = AXIS) -> str:
+    return complaint(run(record, "--json", *options, config=config))
+
+
+def written(folder: Path, frame: pl.DataFrame) -> Path:
+    frame.write_csv(folder / "run.csv")
+    return folder / "run.csv"
+
+
+def axis(folder: Path, old: str, new: str) -> Path:
+    """examples/cart.toml with one text replaced."""
+    text = AXIS.read_text()
+    assert text.count(old) == 1
+    (folder / "axis.toml").write_text(text.replace(old, new))
+    return folder / "axis.toml"
+
+
+def edited(column: str, row: int, value: float) -> Change:
+    """One value of a column replaced; rows count from 1, as in the messages."""
+
+    def change(frame: pl.DataFrame) -> pl.DataFrame:
+        values = frame[column].to_numpy().astype(float)
+        values[row - 1] = value
+        return frame.with_columns(pl.Series(column, values))
+
+    return change
+
+
+def with_gap(row: int, seconds: float) -> Change:
+    late = pl.when(pl.int_range(pl.len()) >= row).then(seconds).otherwise(0.0)
+    return lambda frame: frame.with_columns(pl.col.t + late)
+
+
+# --- records that cannot be used ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "what", "remedy"),
+    [
+        (lambda frame: frame.drop("u"), "input = 'u': there is no such column", "available are t, counts"),
+        (lambda frame: frame.rename({"u": "U"}), "there is no such column", "did you mean 'U'?"),
+        (edited("u", 101, np.nan), "'u' is missing, NaN or infinite in 1 row, the first is row 101", "cut the record"),
+        (edited("t", 7, np.nan), "'t' is missing, NaN or infinite in 1 row, the first is row 7", "cut the record"),
+        (edited("counts", 9, 0.5), "counts must be integers below 2**53, got 0.5 in row 9", "output_kind"),
+        (with_gap(1500, 0.5), "time has 1 gap", "cut the record at the gap"),
+        (edited("t", 1001, 10.002), "time steps differ by up to 20.0%", "resample the record to a fixed rate"),
+        (edited("t", 1001, 9.99), "time does not increase strictly: row 1001", "sort or cut the record"),
+        (lambda frame: frame.head(0), "the record has 0 samples", "record longer"),
+        (lambda frame: frame.head(1), "the record has 1 sample,", "record longer"),
+    ],
+)
+def test_record_that_cannot_be_used(tmp_path: Path, cart: Cart, change: Change, what: str, remedy: str) -> None:
+    record = written(tmp_path, change(cart.frame))
+    text = bad(record)
+    assert str(record) in text
+    assert what in text
+    assert remedy in text
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "mat"])
+def test_empty_and_truncated_files(tmp_path: Path, cart: Cart, kind: str) -> None:
+    record = tmp_path / f"run.{kind}"
+    record.write_bytes(b"")
+    assert "the file is empty; export the record again" in bad(record)
+    whole: bytes = getattr(cart, kind).read_bytes()
+    record.write_bytes(whole[: whole.rindex(b",") if kind == "csv" else len(whole) // 2])
+    # a CSV file has no end mark, only its last row can be incomplete
+    remedy = "first is row 3000; drop them at the ends" if kind == "csv" else "truncated or corrupt"
+    assert remedy in bad(record)
+
+
+def test_record_missing_or_a_directory_or_of_unknown_type(tmp_path: Path, cart: Cart) -> None:
+    assert "No such file or directory; give the path of a data file" in bad(tmp_path / "absent.csv")
+    assert "Is a directory; give the path of a data file" in bad(tmp_path)
+    other = tmp_path / "run.xlsx"
+    other.write_bytes(cart.csv.read_bytes())
+    assert "use one of .csv, .parquet, .mat" in bad(other)
+
+
+# --- configurations and options that cannot be used -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "what", "remedy"),
+    [
+        (("--resolution", "0"), "[encoder] resolution = 0.0 (given as an option)", "give the unit of y per count"),
+        (("--resolution", "-1e-3"), "resolution = -0.001 (given as an option)", "give the unit of y per count"),
+        (("--resolution", "nan"), "resolution = nan", "give the unit of y per count"),
+        (("--cutoff", "0"), "[estimator] cutoff = 0.0", "give the pole of the filter chain in rad/s"),
+        (("--cutoff", "201"), "[estimator] cutoff = 201 rad/s is too high for dt = 0.01 s", "at most 2/dt = 200 rad/s"),
+        (("--order", "1"), "[estimator] order = 1", "give the number of filter stages, 2 to 6"),
+        (("--order", "7"), "[estimator] order = 7", "give the number of filter stages, 2 to 6"),
+        (("--forgetting", "0"), "[estimator] forgetting = 0.0", "for a memory of T seconds use 1 - dt/T"),
+        (("--forgetting", "1.5"), "[estimator] forgetting = 1.5", "for a memory of T seconds use 1 - dt/T"),
+        (("--quantize", "1e-6"), "quantize = 1e-06", "give a larger step"),
+        (("--quantize", "-1"), "quantize = -1", "give a larger step"),
+        (("--quantize", "0"), "quantize = 0", "give a larger step"),
+        (("--quantize", "nan"), "quantize = nan", "give a larger step"),
+    ],
+)
+def test_option_out_of_range(cart: Cart, options: tuple[str, ...], what: str, remedy: str) -> None:
+    text = bad(cart.csv, *options)
+    assert what in text
+    assert remedy in text
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what", "remedy"),
+    [
+        ("resolution = 22.75e-6", "resolution = 0", "resolution = 0:", "give the unit of y per count"),
+        ("resolution = 22.75e-6", "resolution = -1.0", "resolution = -1.0:", "give the unit of y per count"),
+        ("cutoff = 50.0", "cutoff = 201", "cutoff = 201 rad/s is too high", "at most 2/dt = 200 rad/s"),
+        ("order = 2", "ordre = 2", "[estimator] ordre is an unknown key", "did you mean 'order'?"),
+        ("order = 2", "bits = 2", "[estimator] bits is an unknown key", "it belongs in [encoder]"),
+        ("order = 2", "order 2", "not valid TOML", "correct that line"),
+    ],
+)
+def test_configuration_that_is_wrong(tmp_path: Path, cart: Cart, old: str, new: str, what: str, remedy: str) -> None:
+    text = bad(cart.csv, config=axis(tmp_path, old, new))
+    assert str(tmp_path / "axis.toml") in text or "[estimator] cutoff" in text
+    assert what in text
+    assert remedy in text
+
+
+def test_configuration_that_does_not_exist(tmp_path: Path, cart: Cart) -> None:
+    assert "No such file or directory; give an AXIS.toml" in bad(cart.csv, config=tmp_path / "absent.toml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (["identify"], "Missing argument 'RECORD'"),
+        (["identify", "run.csv"], "Missing option '--config'"),
+        (["identify", "run.csv", "--config", "axis.toml", "--method", "lms"], "'lms' is not one of 'ls', 'bcls', "),
+        (["identify", "run.csv", "--config", "axis.toml", "--cutoff", "fast"], "'fast' is not a valid float"),
+        (["identify", "run.csv", "--config", "axis.toml", "--jsn"], "'--json'"),
+        (["idenify"], "'identify'"),
+        (["demo", "--seed", "-1"], "x>=0"),
+    ],
+)
+def test_wrong_command_line(arguments: list[str], what: str) -> None:
+    assert what in usage(CliRunner().invoke(main, arguments))
+
+
+def test_a_max_speed_below_the_motion_is_named(tmp_path: Path, cart: Cart) -> None:
+    config = axis(tmp_path, "standstill_time = 0.2", "max_speed = 1e-3")
+    assert "max_speed" in complaint(run(cart.csv, "--json", config=config), code=3)
+
+
+# --- places that cannot be written ----------------------------------------------------------------------------------
+
+
+def test_out_where_a_file_is_in_the_way(tmp_path: Path, cart: Cart) -> None:
+    (tmp_path / "file").write_text("")
+    assert "is a file" in usage(run(cart.csv, "--json", "--out", str(tmp_path / "file")))
+    assert "Not a directory; choose another place" in bad(cart.csv, "--out", str(tmp_path / "file" / "below"))
+
+
+@pytest.mark.parametrize("name", ["report.html", "result.json", "track.parquet"])
+def test_out_where_one_file_cannot_be_written(tmp_path: Path, cart: Cart, name: str) -> None:
+    (tmp_path / name).mkdir()
+    text = bad(cart.csv, "--method", "rls", "--out", str(tmp_path))
+    assert str(tmp_path / name) in text
+    assert "directory" in text.lower()
+    assert "None" not in text
+
+
+def test_out_without_permission(tmp_path: Path, cart: Cart, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(self: Path, *_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr(Path, "mkdir", refused)
+    place = str(tmp_path / "out")
+    assert f"{place}: Permission denied; choose another place" in bad(cart.csv, "--out", place)
+
+
+# --- records that cannot identify the parameters --------------------------------------------------------------------
+
+
+def moved(u: np.ndarray) -> pl.DataFrame:
+    """The cart under the input u [V], (n,)."""
+    motion = simulate_drive(Schedule(((0.0, CART),)), u, CART_DT)
+    counts = quantize(motion.x, CART_RESOLUTION, phase=1e-6)
+    return pl.DataFrame({"t": motion.t, "u": u, "counts": counts})
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("u", [pl.col.u, pl.lit(1.0), pl.lit(0.0)], ids=["prbs", "constant", "zero"])
+def test_axis_that_does_not_move(tmp_path: Path, cart: Cart, method: str, u: pl.Expr) -> None:
+    record = written(tmp_path, cart.frame.with_columns(u.alias("u"), counts=7))
+    text = complaint(run(record, "--json", "--method", method), code=3)
+    assert "the axis does not move" in text
+    assert "record a motion" in text
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_input_of_zero_while_the_axis_moves(tmp_path: Path, cart: Cart, method: str) -> None:
+    record = written(tmp_path, cart.frame.with_columns(u=0.0))
+    text = complaint(run(record, "--json", "--method", method), code=3)
+    assert "the input is zero while the axis moves: record the input that drives it" in text
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_constant_input_and_speed(tmp_path: Path, method: str) -> None:
+    record = written(tmp_path, moved(np.full(3000, 3.0)))
+    text = complaint(run(record, "--json", "--method", method), code=3)
+    assert "too little excitation; record reversals" in text
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("start", [0, 100], ids=["at once", "after a second"])
+@pytest.mark.parametrize("step", ["91e-6", "182e-6", "364e-6", "728e-6", "1.5e-3"])
+def test_constant_input_behind_a_coarse_encoder_is_never_silently_wrong(
+    tmp_path: Path, method: str, start: int, step: str
+) -> None:
+    u = np.where(np.arange(3000) < start, 0.0, 3.0)
+    never_silently_wrong(run(written(tmp_path, moved(u)), "--json", "--method", method, "--quantize", step))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_input_that_has_nothing_to_do_with_the_motion_is_never_silently_wrong(
+    tmp_path: Path, cart: Cart, method: str
+) -> None:
+    never_silently_wrong(run(written(tmp_path, cart.frame.with_columns(u=3.0)), "--json", "--method", method))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_memory_far_behind_the_last_reversal_is_never_silently_wrong(tmp_path: Path, method: str) -> None:
+    u = np.where(np.arange(3000) < 1500, 3.0, -3.0)
+    never_silently_wrong(run(written(tmp_path, moved(u)), "--json", "--method", method))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_input_of_the_wrong_sign_is_never_silently_wrong(tmp_path: Path, cart: Cart, method: str) -> None:
+    never_silently_wrong(run(written(tmp_path, cart.frame.with_columns(-pl.col.u)), "--json", "--method", method))
+
+
+def never_silently_wrong(result: Result) -> None:
+    """Exit code 3 and one line, or an estimate that is right within 10 %, or one that is flagged."""
+    if result.exit_code:
+        complaint(result, code=3)
+        return
+    printed = json.loads(result.stdout)
+    # standstill describes the motion: it is no doubt about the numbers
+    if not set(printed["status"]) - {"standstill"}:
+        assert values(printed) == pytest.approx(TRUTH, rel=0.1)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_motion_without_reversals_is_enough_if_the_input_varies(tmp_path: Path, cart: Cart, method: str) -> None:
+    u = 2.5 + np.sign(cart.frame["u"].to_numpy())
+    record = written(tmp_path, moved(u))
+    assert np.all(np.diff(pl.read_csv(record)["counts"]) >= 0)
+    assert values(good(record, "--method", method)) == pytest.approx(TRUTH, rel=0.02)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("factor", [1e300, 1e-300])
+def test_input_of_an_absurd_size_ends_in_one_line(tmp_path: Path, cart: Cart, method: str, factor: float) -> None:
+    record = written(tmp_path, cart.frame.with_columns(pl.col.u * factor))
+    result = run(record, "--json", "--method", method)
+    complaint(result, code=result.exit_code)
+    assert result.exit_code in (2, 3)
+
+
+@pytest.mark.parametrize("cutoff", ["1e-3", "1e-9"])
+def test_cutoff_too_low_for_the_record_ends_in_one_line(cart: Cart, cutoff: str) -> None:
+    result = run(cart.csv, "--json", "--cutoff", cutoff)
+    assert "higher cutoff" in complaint(result, code=result.exit_code)
+    assert result.exit_code in (2, 3)
+
+
+# --- what good input gives ------------------------------------------------------------------------------------------
+
+
+def values(printed: dict[str, Any]) -> dict[str, float]:
+    return {name: entry["value"] for name, entry in printed["parameters"].items()}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_finds_the_cart(cart: Cart, method: str) -> None:
+    found = values(good(cart.csv, "--method", method))
+    assert found["mass"] == pytest.approx(CART.mass, rel=0.02)
+    assert found["viscous_friction"] == pytest.approx(CART.viscous_friction, rel=0.02)
+    assert found["coulomb_friction"] == pytest.approx(CART.coulomb_friction, rel=0.05)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_three_kinds_of_file_give_the_same_object(cart: Cart, method: str) -> None:
+    from_csv = good(cart.csv, "--method", method)
+    assert good(cart.parquet, "--method", method) == from_csv
+    assert good(cart.mat, "--method", method) == from_csv
+
+
+def test_the_json_object_has_its_keys_and_types(cart: Cart) -> None:
+    printed = good(cart.csv)
+    assert (printed["model"], printed["method"], printed["samples"]) == ("drive", "bcrls", 3000)
+    assert printed["dt"] == pytest.approx(CART_DT, rel=1e-12)
+    units = {name: entry["unit"] for name, entry in printed["parameters"].items()}
+    assert units == {"mass": "kg", "viscous_friction": "N s/m", "coulomb_friction": "N"}
+    assert all(0 < entry["std"] < 0.1 * entry["value"] for entry in printed["parameters"].values())
+    assert 0 < printed["fit"]["relative_error"] < 0.01
+    assert printed["status"] == []
+
+
+def test_options_go_before_the_configuration(cart: Cart) -> None:
+    options = ("--method", "ls", "--cutoff", "30", "--order", "3", "--quantize", "91e-6")
+    printed = good(cart.csv, *options)
+    assert printed["method"] == "ls"
+    assert printed["notes"][0] == "position quantised anew with a step of 9.1e-05"
+    assert values(printed)["mass"] != values(good(cart.csv, "--method", "ls"))["mass"]
+    doubled = good(cart.csv, "--resolution", str(2 * CART_RESOLUTION))
+    assert values(doubled)["mass"] == pytest.approx(CART.mass / 2, rel=0.02)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_counter_that_wraps_gives_the_same_numbers(tmp_path: Path, cart: Cart, method: str) -> None:
+    frame = cart.frame.with_columns(pl.col.counts % 2**12)
+    config = axis(tmp_path, "# bits = 16", "bits = 12")
+    wrapped = good(written(tmp_path, frame), "--method", method, config=config)
+    assert wrapped["notes"][0].startswith("counter wrapped ")
+    assert wrapped["parameters"] == good(cart.csv, "--method", method)["parameters"]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_jump_of_the_counter_is_flagged_and_left_out(tmp_path: Path, cart: Cart, method: str) -> None:
+    jump = pl.when(pl.col.t > 15).then(10**6).otherwise(0)
+    config = axis(tmp_path, "standstill_time = 0.2", "max_speed = 2.0")
+    printed = good(written(tmp_path, cart.frame.with_columns(pl.col.counts + jump)), "--method", method, config=config)
+    assert "count_jump" in printed["status"]
+    assert values(printed)["mass"] == pytest.approx(CART.mass, rel=0.02)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_out_writes_the_report_the_numbers_and_the_track(tmp_path: Path, cart: Cart, method: str) -> None:
+    track = issubclass(ESTIMATORS[method], RecursiveEstimator)
+    out = tmp_path / "new" / "folder"
+    printed = good(cart.csv, "--method", method, "--out", str(out))
+    expected = {"report.html", "result.json"} | ({"track.parquet"} if track else set())
+    assert {path.name for path in out.iterdir()} == expected
+    assert json.loads((out / "result.json").read_text()) == printed
+    html = (out / "report.html").read_text()
+    assert f"<h1>cart.csv: {method}</h1>" in html
+    assert html.count("<svg") >= 2
+    if track:
+        last = pl.read_parquet(out / "track.parquet").row(-1, named=True)
+        assert {name: last[name] for name in TRUTH} == values(printed)
+        assert last["t"] == pytest.approx(29.99)
+
+
+def test_the_table_shows_what_the_json_says(tmp_path: Path, cart: Cart) -> None:
+    result = run(cart.csv, "--out", str(tmp_path))
+    assert (result.exit_code, result.stderr) == (0, "")
+    for name, entry in good(cart.csv)["parameters"].items():
+        (row,) = (line for line in result.stdout.splitlines() if name in line)
+        assert f"{entry['value']:.6g}" in row
+        assert entry["unit"] in row
+    assert f"report: {tmp_path / 'report.html'}" in result.stdout
+
+
+def test_brackets_in_names_are_shown_as_they_are(tmp_path: Path, cart: Cart) -> None:
+    record = tmp_path / "run[red].csv"
+    record.write_bytes(cart.csv.read_bytes())
+    out = tmp_path / "o[" / "x]"
+    result = run(record, "--out", str(out))
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "run[red].csv: bcrls" in result.stdout
+    assert f"report: {out / 'report.html'}" in result.stdout
+
+
+# --- the command itself ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", sorted(main.commands))
+@pytest.mark.parametrize("flag", ["-h", "--help"])
+def test_help_names_every_option(name: str, flag: str) -> None:
+    result = CliRunner().invoke(main, [name, flag])
+    assert (result.exit_code, result.stderr) == (0, "")
+    for parameter in main.commands[name].params:
+        if isinstance(parameter, click.Option):
+            assert parameter.help
+            assert parameter.opts[0] in result.stdout
+    assert "Exit code 0" in result.stdout or name != "identify"
+
+
+def test_help_of_the_whole_lists_the_commands() -> None:
+    result = CliRunner().invoke(main, ["--help"])
+    assert result.exit_code == 0
+    assert {"identify", "demo"} <= set(main.commands)
+    assert all(f"  {name} " in result.stdout for name in main.commands)
+
+
+def spawned(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = Path(sysconfig.get_path("scripts")) / "pmfid"
+    return subprocess.run([command, *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_the_installed_command_prints_json_alone(cart: Cart) -> None:
+    done = spawned("identify", str(cart.csv), "--config", str(AXIS), "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout) == good(cart.csv)
+
+
+def test_the_installed_command_fails_in_one_line(tmp_path: Path) -> None:
+    done = spawned("identify", str(tmp_path / "absent.csv"), "--config", str(AXIS), "--json")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.endswith("give the path of a data file\n")
+
+
+def test_help_answers_without_the_numerics() -> None:
+    code = "import sys; from pmfid.cli.main import main; main(['identify', '--help'], standalone_mode=False)"
+    check = f"{code}; print(sorted({{'numpy', 'scipy', 'polars', 'matplotlib'}} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes end otherwise on Windows")
+def test_a_reader_that_goes_away_is_no_error(cart: Cart) -> None:
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    command = [sys.executable, "-c", "from pmfid.cli.main import main; main()"]
+    arguments = ["identify", str(cart.csv), "--config", str(AXIS), "--json"]
+    try:
+        done = subprocess.run(
+            [*command, *arguments], stdout=write_end, stderr=subprocess.PIPE, text=True, timeout=60, check=False
+        )
+    finally:
+        os.close(write_end)
+    assert done.stderr == ""

@@ -1,0 +1,61 @@
+"""The measured EMPS drive through the command, against its published parameters (Janot, Gautier, Brunot 2019)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from pmfid.cli.main import main
+from tests.conftest import EMPS, needs_emps
+
+pytestmark = needs_emps
+
+AXIS = Path(__file__).parents[1] / "examples" / "emps.toml"
+MASS, VISCOUS_FRICTION, COULOMB_FRICTION, OFFSET = 95.11, 203.5, 20.39, -3.16
+HALF_MILLIMETRE = ("--quantize", "5e-4", "--cutoff", "100", "--order", "2")
+MILLIMETRE = ("--quantize", "1e-3", "--cutoff", "100", "--order", "2")
+
+
+def identified(*options: str) -> dict[str, float]:
+    """The parameters that `pmfid identify DATA_EMPS.mat` prints, by name."""
+    result = CliRunner().invoke(main, ["identify", str(EMPS), "--config", str(AXIS), "--json", *options])
+    assert (result.exit_code, result.stderr) == (0, "")
+    printed = json.loads(result.stdout)
+    assert printed["samples"] == 24841
+    return {name: entry["value"] for name, entry in printed["parameters"].items()}
+
+
+@pytest.mark.parametrize("method", ["ls", "rls"])
+def test_fine_encoder_gives_the_published_parameters_by_least_squares(method: str) -> None:
+    found = identified("--method", method, "--cutoff", "50")
+    assert found["mass"] == pytest.approx(MASS, rel=0.01)
+    assert found["viscous_friction"] == pytest.approx(VISCOUS_FRICTION, rel=0.03)
+    assert found["coulomb_friction"] == pytest.approx(COULOMB_FRICTION, rel=0.03)
+    assert found["offset"] == pytest.approx(OFFSET, rel=0.05)
+
+
+@pytest.mark.parametrize("method", ["bcls", "bcrls"])
+def test_fine_encoder_loses_nothing_by_the_compensation(method: str) -> None:
+    found = identified("--method", method, "--cutoff", "50")
+    assert found["mass"] == pytest.approx(MASS, rel=0.01)
+    assert found["viscous_friction"] == pytest.approx(VISCOUS_FRICTION, rel=0.03)
+
+
+def test_half_a_millimetre_ruins_least_squares() -> None:
+    assert identified("--method", "rls", *HALF_MILLIMETRE)["mass"] < 20.0
+
+
+@pytest.mark.parametrize("method", ["bcls", "bcrls"])
+def test_half_a_millimetre_is_compensated(method: str) -> None:
+    found = identified("--method", method, *HALF_MILLIMETRE)
+    assert found["mass"] == pytest.approx(MASS, rel=0.05)
+    assert found["viscous_friction"] == pytest.approx(VISCOUS_FRICTION, rel=0.2)
+    assert found["coulomb_friction"] == pytest.approx(COULOMB_FRICTION, rel=0.2)
+
+
+@pytest.mark.parametrize("method", ["bcls", "bcrls"])
+def test_a_whole_millimetre_is_compensated_in_the_mass(method: str) -> None:
+    assert identified("--method", method, *MILLIMETRE)["mass"] == pytest.approx(MASS, rel=0.05)

@@ -1,0 +1,245 @@
+"""Figures and the report: units, decimation, self-contained and the same bytes each time."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from pmfid.errors import UsageError
+from pmfid.estimators.recursive import Track
+from pmfid.report.figures import (
+    DOUBTFUL,
+    MAX_POINTS,
+    comparison_figure,
+    decimation,
+    estimate_figure,
+    residual_figure,
+    save_png,
+    signals_figure,
+    status_figure,
+    stretches,
+)
+from pmfid.report.html import Section, svg, write_report
+from pmfid.status import Status
+
+N = 600
+T = np.arange(N) * 0.01
+TRUTH = np.where(T < 3, 1.07, 1.44)
+
+
+def make_track(n: int = N) -> Track:
+    """A start without estimate, wild values, then mass 1 kg and viscous friction 10 N s/m; held for 1 s."""
+    rng = np.random.default_rng(1)
+    theta = np.array([1.0, 10.0, 0.5]) * (1 + 0.01 * rng.standard_normal((n, 3)))
+    theta[20:50] *= 1e4
+    status = np.zeros(n, np.uint32)
+    status[:20] = Status.STARTING | Status.SETTLING
+    status[300:400] = Status.COMPENSATION_HELD
+    variance = np.where(np.arange(n) < 20, 0.0, 1.0)
+    names, units = ("mass", "viscous_friction", "prefilter_1"), ("kg", "N s/m", "s^1")
+    return Track(names, units, theta, np.full((n, 3), 1e-4), np.zeros(n), variance, status)
+
+
+TRACK = make_track()
+FIGURES = {
+    "estimate": lambda: estimate_figure(T, TRACK, {"mass": 1.07, "viscous_friction": TRUTH}),
+    "comparison": lambda: comparison_figure(T, {"RLS": {"512": TRACK}, "BCRLS": {"512": TRACK}}, "mass", TRUTH),
+    "signals": lambda: signals_figure(T, np.sin(T), np.cos(T), input_unit="V"),
+    "status": lambda: status_figure(T, TRACK.status),
+    "residual": lambda: residual_figure(T, np.sin(T)),
+}
+
+
+def labels_of(figure: Figure) -> list[str]:
+    return [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_every_axis_label_has_its_unit(name: str) -> None:
+    figure = FIGURES[name]()
+    labels = labels_of(figure)
+    assert "time [s]" in labels
+    assert all(re.fullmatch(r".+ \[.+\]", label) for label in labels)
+    panels = [axes for axes in figure.axes if name not in ("status", "residual")]
+    assert all(axes.get_ylabel() for axes in panels)
+    assert all(label in svg(figure) for label in labels)
+
+
+def test_units_are_those_of_the_track() -> None:
+    assert labels_of(FIGURES["estimate"]()) == ["mass [kg]", "time [s]", "viscous friction [N s/m]"]
+    assert labels_of(FIGURES["comparison"]()) == ["mass [kg]", "time [s]", "mass [kg]"]
+    assert labels_of(FIGURES["signals"]()) == ["input [V]", "time [s]", "velocity [m/s]"]
+    assert labels_of(FIGURES["residual"]()) == ["time [s]", "residual [N]", "samples [-]"]
+
+
+def test_the_limits_show_the_settled_part_and_the_nominal_value() -> None:
+    for name in ("estimate", "comparison"):
+        low, high = FIGURES[name]().axes[0].get_ylim()
+        assert 0.8 < low < 0.98
+        assert 1.07 < high < 1.6
+
+
+def test_panels_of_a_comparison_share_the_axis_and_the_colours() -> None:
+    first, second = FIGURES["comparison"]().axes
+    assert first.get_ylim() == second.get_ylim()
+    assert [line.get_color() for line in first.lines] == [line.get_color() for line in second.lines]
+    assert first.lines[-1].get_linestyle() == "--"
+
+
+def test_doubtful_samples_are_shaded() -> None:
+    def shaded(track: Track) -> bool:
+        return "poor excitation or compensation held" in svg(estimate_figure(T, track))
+
+    assert shaded(TRACK)
+    assert not shaded(replace(TRACK, status=TRACK.status & ~np.uint32(DOUBTFUL)))
+
+
+def test_without_an_estimate_there_is_a_figure_still() -> None:
+    nothing = replace(TRACK, status=np.full(N, Status.STARTING, np.uint32), innovation_variance=np.zeros(N))
+    assert "mass [kg]" in svg(estimate_figure(T, nothing))
+
+
+def test_status_has_a_row_for_each_bit_that_occurs() -> None:
+    rows = [text.get_text() for text in status_figure(T, TRACK.status).axes[0].get_yticklabels()]
+    assert rows == ["starting", "settling", "compensation held"]
+    rows = [text.get_text() for text in status_figure(T, np.zeros(N, np.uint32)).axes[0].get_yticklabels()]
+    assert rows == ["no bit was set"]
+
+
+@pytest.mark.parametrize("n", [1, 5, MAX_POINTS, MAX_POINTS + 1, 9973, 300_000])
+def test_decimation_keeps_the_extremes_and_the_ends(n: int) -> None:
+    y = np.random.default_rng(n).standard_normal(n)
+    i = decimation(y)
+    assert i.size == min(n, i.size) <= MAX_POINTS
+    assert (np.diff(i) > 0).all()
+    assert (i[0], i[-1]) == (0, n - 1)
+    assert (y[i].min(), y[i].max()) == (y.min(), y.max())
+
+
+def test_decimation_keeps_every_lone_spike() -> None:
+    y = np.zeros(50_000)
+    y[[700, 20_001, 49_000]] = 5.0, -5.0, np.nan
+    i = decimation(y)
+    assert {700, 20_001} <= set(i.tolist())
+    assert 49_000 not in i
+
+
+def test_stretches() -> None:
+    t = np.arange(6) * 0.5
+    assert stretches(t, np.array([1, 1, 0, 0, 1, 0], bool)) == [(0.0, 1.0), (2.0, 0.5)]
+    assert stretches(t, np.array([0, 0, 0, 0, 0, 1], bool)) == [(2.5, 0.5)]
+    assert stretches(t, np.zeros(6, bool)) == []
+    alternating = np.arange(100_000) % 200 < 100
+    spans = stretches(np.arange(100_000) * 1.0, alternating)
+    assert len(spans) <= MAX_POINTS / 2
+    assert spans[1][0] == pytest.approx(200, abs=50)
+
+
+def test_a_long_record_stays_small() -> None:
+    n = 200_000
+    t, track = np.arange(n) * 1e-3, make_track(n)
+    assert len(svg(estimate_figure(t, track, {"mass": 1.0}))) < 500_000
+    assert len(svg(signals_figure(t, track["mass"], track["mass"]))) < 300_000
+
+
+def test_wrong_lengths_are_named() -> None:
+    with pytest.raises(UsageError, match=r"u must have the shape of t, \(600,\), got \(3,\)"):
+        signals_figure(T, [1, 2, 3], np.cos(T))
+    with pytest.raises(UsageError, match=r"BCRLS, 512 must have the shape of t"):
+        comparison_figure(T, {"RLS": {"512": TRACK}, "BCRLS": {"512": make_track(500)}}, "mass", TRUTH)
+    with pytest.raises(UsageError, match="nominal mass must have the shape"):
+        estimate_figure(T, TRACK, {"mass": TRUTH[1:]})
+    with pytest.raises(UsageError, match=r"t must have shape \(n,\)"):
+        status_figure([], [])
+
+
+def test_png_has_the_width_asked_for(tmp_path: Path) -> None:
+    for name in ("a.png", "b.png"):
+        save_png(FIGURES["signals"](), tmp_path / name, width=1200)
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.size[0] == 1200
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def report(path: Path, title: str = "Title") -> str:
+    sections = [
+        Section(
+            "First", "One.\n\nTwo.", (("name", "value"), (("mass", 1.0 / 3.0), ("never", 12))), svg(FIGURES["status"]())
+        ),
+        Section("Second", svg=svg(FIGURES["status"]())),
+    ]
+    write_report(path, title, sections)
+    return path.read_text("utf-8")
+
+
+class Checker(HTMLParser):
+    """Counts what may be in a page only once or in pairs."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.ids += [value or "" for name, value in attributes if name == "id"]
+        if tag not in ("meta", "br"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.ids += [value or "" for name, value in attributes if name == "id"]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_report_is_self_contained(tmp_path: Path) -> None:
+    page = report(tmp_path / "r.html")
+    for forbidden in ("http", "<script", "src=", "@import", "<link", "<iframe"):
+        assert forbidden not in page
+    assert set(re.findall(r"url\((.)", page)) <= {"#"}
+    assert set(re.findall(r'href="(.)', page)) <= {"#"}
+
+
+def test_report_is_well_formed_and_each_id_is_there_once(tmp_path: Path) -> None:
+    page = report(tmp_path / "r.html")
+    checker = Checker()
+    checker.feed(page)
+    assert checker.open == []
+    assert len(set(checker.ids)) == len(checker.ids) > 0
+    used = re.findall(r'(?:url\(|href=")#([^)"]+)', page)
+    assert used
+    assert set(used) <= set(checker.ids)
+
+
+def test_same_sections_same_bytes(tmp_path: Path) -> None:
+    report(tmp_path / "a.html")
+    with matplotlib.rc_context({"font.size": 20, "svg.hashsalt": None}):
+        report(tmp_path / "b.html")
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+
+
+def test_text_is_escaped_and_numbers_stand_right(tmp_path: Path) -> None:
+    evil = "<script>alert('x')</script> & co"
+    page = report(tmp_path / "r.html", evil)
+    assert evil not in page
+    assert page.count("&lt;script&gt;alert(&#39;x&#39;)&lt;/script&gt; &amp; co") == 2
+    section = Section(evil, evil, ((evil,), ((evil,),)))
+    write_report(tmp_path / "s.html", "t", [section])
+    assert "<script" not in (tmp_path / "s.html").read_text("utf-8")
+    assert '<td class="number">0.3333</td>' in page
+    assert '<td class="number">12</td>' in page
+    assert "<td>mass</td>" in page
+    assert page.count("<p>") == 2
+
+
+def test_a_short_row_is_named() -> None:
+    with pytest.raises(UsageError, match="row 2 of the table 'Errors' has 1 cells, the header 2"):
+        Section("Errors", table=(("a", "b"), ((1, 2), (3,))))
