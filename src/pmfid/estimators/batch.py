@@ -12,6 +12,10 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import START_PIVOT, Estimator, check_arrays, check_size
 from pmfid.status import Status
 
+#: A target closer than this to one regressor alone, relative to its size, identifies nothing else.
+TARGET_APART = 1e-6
+TINY = 1e-300
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -139,8 +143,21 @@ def check_identifiable(columns: Columns, names: tuple[str, ...]) -> None:
         raise NotIdentifiableError("the axis does not move in this record: nothing can be identified; record a motion")
     if not np.any(columns.z):
         raise NotIdentifiableError("the input is zero while the axis moves: record the input that drives it")
+    _check_target(columns, names)
     for kind, matrix in (("regressor", columns.phi), ("instrument", columns.zeta)):
         _check_rank(kind, matrix, names)
+
+
+def _check_target(columns: Columns, names: tuple[str, ...]) -> None:
+    """An input that is explained by friction alone says nothing of the mass: encoder noise would decide."""
+    for name, column in zip(names, columns.phi.T, strict=True):
+        norm = float(np.linalg.norm(column))
+        apart = np.linalg.norm(columns.z - column * (columns.z @ column) / max(norm**2, TINY))
+        if norm > 0 and apart < TARGET_APART * np.linalg.norm(columns.z):
+            raise NotIdentifiableError(
+                f"the input is proportional to the regressor of {name} throughout: too little excitation; record "
+                "reversals, and an input that changes while the axis moves"
+            )
 
 
 def _check_rank(kind: str, matrix: NDArray[np.float64], names: tuple[str, ...]) -> None:

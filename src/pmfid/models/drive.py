@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -42,7 +41,7 @@ class Drive:
     friction: str = "symmetric"
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.input_gain) or self.input_gain == 0:
+        if not 1e-30 < abs(self.input_gain) < 1e30:
             raise UsageError(
                 f"input_gain must be finite and not 0, got {self.input_gain}; "
                 "it is the force per unit of input, 1 where the input is the force itself"

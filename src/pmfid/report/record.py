@@ -15,6 +15,7 @@ from pmfid.session.pipeline import Result
 def write_result(out: Path, result: Result) -> None:
     """Writes report.html, result.json and, for a recursive method, track.parquet into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
+    (out / "track.parquet").unlink(missing_ok=True)  # of an earlier run with another method
     (out / "result.json").write_text(json.dumps(result.to_json(), indent=2, allow_nan=False) + "\n")
     if result.track is not None:
         _write_track(out / "track.parquet", result)

@@ -150,7 +150,8 @@ def check_sampling(axis: Axis, dt: float) -> None:
     if cutoff * dt > 2:
         raise UsageError(
             f"[estimator] cutoff = {cutoff:g} rad/s is too high for dt = {dt:g} s: the filter pole would be "
-            f"past the Nyquist limit and alternate in sign; use at most 2/dt = {2 / dt:g} rad/s"
+            f"past the Nyquist limit and alternate in sign; use at most 2/dt = {2 / dt:g} rad/s, "
+            "and check that the time is in s"
         )
 
 

@@ -93,6 +93,8 @@ def identify(record: Record, axis: Axis, progress: Progress | None = None) -> Re
         return _recursive(estimator, record, columns, progress)
     fit = batch.fit(record.u, record.counts)
     flags, notes = judge(estimator, record, fit.theta, fit.theta_std)
+    if axis.estimator.forgetting < 1:
+        notes = (*notes, f"{estimator.method} is an off-line method: forgetting is not used")
     notes = (*record.notes, *notes, *Status(fit.status).advice)
     status = (*status_names(fit.status), *flags)
     return Result(estimator, record, fit.theta, fit.theta_std, fit.relative_error, status, notes, fit=fit)
