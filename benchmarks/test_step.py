@@ -22,7 +22,7 @@ import pmfid
 from benchmarks.conftest import CUTOFF, DRIVE, FORGETTING, SAMPLES, Record
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
-from pmfid.filters.network import Taps
+from pmfid.filters.network import SIGNALS, Taps
 from pmfid.simulation.scenarios import CART
 
 LOOP_SAMPLES = 10_000
@@ -167,6 +167,7 @@ def test_scipy_lfilter(benchmark: BenchmarkFixture, record: Record) -> None:
     stages, mass = bcrls_network(record)
     velocity = np.diff(record.counts, prepend=record.counts[0]) * (record.encoder.resolution / record.dt)
     signals = [record.u, velocity, np.sign(velocity), np.ones(SAMPLES)]
+    signals += [signals[3]] * (SIGNALS - len(signals))
 
     def run() -> list[NDArray[np.float64]]:
         nodes = list(signals)
