@@ -138,17 +138,22 @@ typedef struct {
 } pmf_recursion_config_t;
 
 typedef struct {
+    real_t theta[PMF_MAX_PARAMETERS];
+    real_t variance_factor[PMF_MAX_PARAMETERS]; /* diagonal of P */
+    real_t innovation, innovation_variance;
+} pmf_estimate_t;
+
+typedef struct {
     real_t cross[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta phi^T; lower half if least squares */
     real_t square[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta zeta^T, lower half; instruments only */
     real_t right[PMF_MAX_PARAMETERS];                      /* sum zeta z */
     real_t peak[PMF_MAX_PARAMETERS];                       /* largest information seen, slowly leaking */
     real_t factor[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* information = L D L^T: L below the diagonal */
     real_t inverse_pivot[PMF_MAX_PARAMETERS];              /* 1 / D */
-    real_t variance_factor[PMF_MAX_PARAMETERS];            /* diagonal of P */
-    real_t theta[PMF_MAX_PARAMETERS];
+    pmf_estimate_t estimate;
     real_t mass;   /* 1 - forgetting^updates: how much of the regularisation is in force */
     real_t weight; /* of the innovations below */
-    real_t innovation, innovation_square, innovation_variance;
+    real_t innovation_square;
     uint32_t updates; /* saturating */
     uint32_t started; /* updates since the first estimate, 0 before, saturating */
     uint32_t frozen;  /* too little information left to forget any more */
@@ -197,10 +202,7 @@ typedef struct {
     pmf_network_state_t network;
     pmf_recursion_state_t direct;
     pmf_recursion_state_t instrument;
-    /* the estimate of this step */
-    real_t theta[PMF_MAX_PARAMETERS];
-    real_t variance_factor[PMF_MAX_PARAMETERS]; /* diagonal of P */
-    real_t innovation, innovation_variance;
+    pmf_estimate_t borrowed; /* the direct estimate in the parameters of the instrumental one */
 } pmf_state_t;
 
 void pmf_init(const pmf_config_t *config, pmf_state_t *state);
@@ -209,6 +211,8 @@ uint32_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, 
 /* P of the estimate, with theta_cov = innovation variance times P; n x n, row by row; its diagonal alone where the
  * estimate is borrowed from another parametrisation. */
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p);
+/* The estimate of the last step. */
+const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state);
 /* The number of parameters of the estimate. */
 uint32_t pmf_parameters(const pmf_config_t *config);
 

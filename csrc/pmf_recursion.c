@@ -103,45 +103,53 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
                 state->square[i][j] = f * state->square[i][j] + zeta[i] * zeta[j];
             }
         }
-        state->right[i] = f * state->right[i] + zeta[i] * column[p];
+        if (state->started <= config->residual_updates) { /* later nobody reads it */
+            state->right[i] = f * state->right[i] + zeta[i] * column[p];
+        }
     }
     state->mass = f * state->mass + (PMF_R(1.0) - f);
     state->updates += state->updates < SATURATED ? 1U : 0U;
 }
 
+/* Row i of half = L^-1 W, with the rows above it. */
+PMF_INLINE void forward_row(uint32_t p, uint32_t i, real_t cross[N][N], real_t lower[N][N], real_t half[N][N])
+{
+    uint32_t j, k;
+    for (j = 0; j < p; ++j) {
+        real_t sum = cross[i][j];
+        for (k = 0; k < i; ++k) {
+            sum -= lower[i][k] * half[k][j];
+        }
+        half[i][j] = sum;
+    }
+}
+
 /* information = W^T Z^-1 W (lower half), move = W^T Z^-1 move; smallest relative pivot of Z before the first estimate. */
 PMF_INLINE real_t project(pmf_recursion_state_t *state, uint32_t p, real_t information[N][N], real_t move[N])
 {
-    real_t lower[N][N], inverse[N], half[N][N], scaled[N];
+    real_t lower[N][N], inverse[N], half[N][N], projected[N];
     uint32_t i, j, k;
     factorise(p, state->square, lower, inverse);
-    for (i = 0; i < p; ++i) {
-        for (j = 0; j < p; ++j) {
-            real_t sum = state->cross[i][j];
-            for (k = 0; k < i; ++k) {
-                sum -= lower[i][k] * half[k][j];
-            }
-            half[i][j] = sum;
-        }
-    }
     forward(p, lower, move);
     for (i = 0; i < p; ++i) {
-        scaled[i] = move[i] * inverse[i];
-    }
-    for (i = 0; i < p; ++i) {
-        real_t sum = PMF_R(0.0);
-        for (k = 0; k < p; ++k) {
-            sum += half[k][i] * scaled[k];
+        projected[i] = PMF_R(0.0);
+        for (j = 0; j <= i; ++j) {
+            information[i][j] = PMF_R(0.0);
         }
-        move[i] = sum;
     }
     for (k = 0; k < p; ++k) {
+        real_t scaled = move[k] * inverse[k];
+        forward_row(p, k, state->cross, lower, half);
         for (i = 0; i < p; ++i) {
             real_t weighted = half[k][i] * inverse[k];
+            projected[i] += half[k][i] * scaled;
             for (j = 0; j <= i; ++j) {
-                information[i][j] = (k == 0U ? PMF_R(0.0) : information[i][j]) + weighted * half[k][j];
+                information[i][j] += weighted * half[k][j];
             }
         }
+    }
+    for (i = 0; i < p; ++i) {
+        move[i] = projected[i];
     }
     return state->started == 0U ? smallest_pivot(p, state->square, inverse) : PMF_R(1.0);
 }
@@ -178,7 +186,7 @@ PMF_INLINE uint32_t judge(const pmf_recursion_config_t *config, pmf_recursion_st
             }
             sum += unit[j] * unit[j] * state->inverse_pivot[j];
         }
-        state->variance_factor[i] = sum;
+        state->estimate.variance_factor[i] = sum;
         if (PMF_R(1.0) < sum * threshold * state->peak[i] || state->peak[i] <= TINY) {
             poor = 1U;
         }
@@ -191,8 +199,8 @@ PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recurs
     real_t f = state->frozen != 0U ? PMF_R(1.0) : config->forgetting;
     if (state->started > SKIPPED_INNOVATIONS && state->frozen == 0U) {
         state->weight = f * state->weight + PMF_R(1.0);
-        state->innovation_square = f * state->innovation_square + state->innovation * state->innovation;
-        state->innovation_variance = state->innovation_square / state->weight;
+        state->innovation_square = f * state->innovation_square + state->estimate.innovation * state->estimate.innovation;
+        state->estimate.innovation_variance = state->innovation_square / state->weight;
     }
 }
 
@@ -204,11 +212,11 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
         if (state->started > config->residual_updates) {
-            move[i] = zeta[i] * state->innovation;
+            move[i] = zeta[i] * state->estimate.innovation;
         } else {
             move[i] = state->right[i];
             for (j = 0; j < p; ++j) {
-                move[i] -= (instrumental == 0U && j > i ? state->cross[j][i] : state->cross[i][j]) * state->theta[j];
+                move[i] -= (instrumental == 0U && j > i ? state->cross[j][i] : state->cross[i][j]) * state->estimate.theta[j];
             }
         }
     }
@@ -223,7 +231,7 @@ PMF_INLINE void solve_and_move(pmf_recursion_state_t *state, uint32_t p, real_t 
     }
     backward(p, state->factor, move);
     for (i = 0; i < p; ++i) {
-        state->theta[i] += move[i];
+        state->estimate.theta[i] += move[i];
     }
 }
 
@@ -232,9 +240,9 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
 {
     real_t information[N][N], move[N], pivot = PMF_R(1.0), own;
     uint32_t i, j, status;
-    state->innovation = column[p];
+    state->estimate.innovation = column[p];
     for (i = 0; i < p; ++i) {
-        state->innovation -= column[i] * state->theta[i];
+        state->estimate.innovation -= column[i] * state->estimate.theta[i];
     }
     accumulate(config, state, column, p, instrumental);
     residual(config, state, instrumental != 0U ? &column[p + 1U] : column, p, instrumental, move);
@@ -254,7 +262,7 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
         own = smallest_pivot(p, information, state->inverse_pivot);
         pivot = own < pivot ? own : pivot;
         if (state->updates < config->min_updates || !(pivot > config->pivot)) {
-            state->innovation = PMF_R(0.0);
+            state->estimate.innovation = PMF_R(0.0);
             return PMF_STARTING | PMF_POOR_EXCITATION;
         }
     }
@@ -287,7 +295,7 @@ static int finite_state(const pmf_recursion_state_t *state, uint32_t p)
     real_t sum = state->innovation_square;
     uint32_t i;
     for (i = 0; i < p; ++i) {
-        sum += state->theta[i] + state->peak[i] + state->variance_factor[i] + state->right[i];
+        sum += state->estimate.theta[i] + state->estimate.variance_factor[i];
     }
     return sum - sum == PMF_R(0.0);
 }
@@ -298,7 +306,7 @@ static void restart(pmf_recursion_state_t *state, const real_t theta[N], uint32_
     uint32_t i;
     pmf_clear(state, (uint32_t)sizeof *state);
     for (i = 0; i < p; ++i) {
-        state->theta[i] = theta[i];
+        state->estimate.theta[i] = theta[i];
     }
 }
 
@@ -308,7 +316,7 @@ uint32_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_
     uint32_t p = config->n_parameters, i, status;
     real_t theta[N];
     for (i = 0; i < p; ++i) {
-        theta[i] = state->theta[i];
+        theta[i] = state->estimate.theta[i];
     }
     status = dispatch(config, state, &column[config->first_column]);
     if (!finite_state(state, p)) {

@@ -47,30 +47,29 @@ uint32_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input
     return status;
 }
 
-static void copy_estimate(const pmf_recursion_config_t *config, const pmf_recursion_state_t *from, pmf_state_t *state)
-{
-    uint32_t i;
-    for (i = 0; i < config->n_parameters; ++i) {
-        state->theta[i] = from->theta[i];
-        state->variance_factor[i] = from->variance_factor[i];
-    }
-    state->innovation = from->innovation;
-    state->innovation_variance = from->innovation_variance;
-}
-
 /* The direct estimate in the parameters of the instrumental one. */
 static void borrow_estimate(const pmf_config_t *config, pmf_state_t *state)
 {
     const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
+    pmf_estimate_t *borrowed = &state->borrowed;
     uint32_t i;
     for (i = 0; i < PMF_ROLES; ++i) {
         if (auxiliary->index[i] != PMF_NO_PARAMETER && auxiliary->direct_index[i] != PMF_NO_PARAMETER) {
-            state->theta[auxiliary->index[i]] = state->direct.theta[auxiliary->direct_index[i]];
-            state->variance_factor[auxiliary->index[i]] = state->direct.variance_factor[auxiliary->direct_index[i]];
+            borrowed->theta[auxiliary->index[i]] = state->direct.estimate.theta[auxiliary->direct_index[i]];
+            borrowed->variance_factor[auxiliary->index[i]] =
+                state->direct.estimate.variance_factor[auxiliary->direct_index[i]];
         }
     }
-    state->innovation = state->direct.innovation;
-    state->innovation_variance = state->direct.innovation_variance;
+    borrowed->innovation = state->direct.estimate.innovation;
+    borrowed->innovation_variance = state->direct.estimate.innovation_variance;
+}
+
+const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state)
+{
+    if (config->auxiliary.enabled == 0U) {
+        return &state->direct.estimate;
+    }
+    return (state->status & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
 }
 
 /* Instrumental variables where the auxiliary model follows the plant, else the direct estimate. */
@@ -87,13 +86,12 @@ static uint32_t instrument_step(const pmf_config_t *config, pmf_state_t *state, 
         status = state->instrument.started != 0U ? 0U : status;
     }
     if (trusted != 0U && state->instrument.started != 0U) {
-        pmf_auxiliary_follow(auxiliary, &state->auxiliary, state->instrument.theta, auxiliary->index);
-        copy_estimate(&config->instrument, &state->instrument, state);
+        pmf_auxiliary_follow(auxiliary, &state->auxiliary, state->instrument.estimate.theta, auxiliary->index);
         return status;
     }
     if (state->direct.started != 0U && (direct_status & PMF_POOR_EXCITATION) == 0U &&
         (trusted == 0U || auxiliary->has_initial == 0U)) {
-        pmf_auxiliary_follow(auxiliary, &state->auxiliary, state->direct.theta, auxiliary->direct_index);
+        pmf_auxiliary_follow(auxiliary, &state->auxiliary, state->direct.estimate.theta, auxiliary->direct_index);
     }
     borrow_estimate(config, state);
     return (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK | (status & PMF_RESET);
@@ -110,7 +108,6 @@ uint32_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, 
     if (config->auxiliary.enabled != 0U) {
         status |= instrument_step(config, state, direct_status, settled);
     } else {
-        copy_estimate(&config->direct, &state->direct, state);
         status |= direct_status;
     }
     if ((status & PMF_RESET) != 0U) { /* a value beyond the number format may sit in the filters as well */
@@ -132,7 +129,7 @@ void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state,
         pmf_recursion_covariance(&config->instrument, &state->instrument, p);
     } else {
         for (i = 0; i < n * n; ++i) {
-            p[i] = i % (n + 1U) == 0U ? state->variance_factor[i / (n + 1U)] : PMF_R(0.0);
+            p[i] = i % (n + 1U) == 0U ? state->borrowed.variance_factor[i / (n + 1U)] : PMF_R(0.0);
         }
     }
 }

@@ -52,12 +52,14 @@ cdef extern from "pmf.h":
     ctypedef struct pmf_state_t:
         uint32_t status
         pmf_network_state_t network
+    ctypedef struct pmf_estimate_t:
         real_t theta[PMF_MAX_PARAMETERS]
         real_t variance_factor[PMF_MAX_PARAMETERS]
         real_t innovation, innovation_variance
     void pmf_init(const pmf_config_t *, pmf_state_t *) nogil
     uint32_t pmf_step(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
     uint32_t pmf_filter(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
+    const pmf_estimate_t *pmf_estimate(const pmf_config_t *, const pmf_state_t *) nogil
     uint32_t pmf_parameters(const pmf_config_t *) nogil
     void pmf_covariance_factor(const pmf_config_t *, const pmf_state_t *, real_t *) nogil
 
@@ -165,12 +167,13 @@ cdef class Kernel:
     cdef Estimate _snapshot(self):
         cdef Estimate estimate = Estimate.__new__(Estimate)
         cdef Py_ssize_t n = pmf_parameters(&self.config)
+        cdef const pmf_estimate_t *last = pmf_estimate(&self.config, &self.state)
         estimate._n = n
-        memcpy(estimate._theta, self.state.theta, n * sizeof(real_t))
-        memcpy(estimate._diagonal, self.state.variance_factor, n * sizeof(real_t))
+        memcpy(estimate._theta, last.theta, n * sizeof(real_t))
+        memcpy(estimate._diagonal, last.variance_factor, n * sizeof(real_t))
         pmf_covariance_factor(&self.config, &self.state, estimate._factor)
-        estimate.innovation = self.state.innovation
-        estimate.innovation_variance = self.state.innovation_variance
+        estimate.innovation = last.innovation
+        estimate.innovation_variance = last.innovation_variance
         estimate.status = self.state.status
         return estimate
 
@@ -191,15 +194,16 @@ cdef class Kernel:
         cdef double[::1] innovation = np.empty(n)
         cdef double[::1] variance = np.empty(n)
         cdef uint32_t[::1] status = np.empty(n, np.uint32)
-        cdef pmf_state_t *state = &self.state
+        cdef const pmf_estimate_t *last
         with nogil:
             for k in range(n):
                 status[k] = pmf_step(&self.config, &self.state, <real_t> u[k], <uint32_t> counts[k])
+                last = pmf_estimate(&self.config, &self.state)
                 for i in range(p):
-                    theta[k, i] = state.theta[i]
-                    factor[k, i] = state.variance_factor[i]
-                innovation[k] = state.innovation
-                variance[k] = state.innovation_variance
+                    theta[k, i] = last.theta[i]
+                    factor[k, i] = last.variance_factor[i]
+                innovation[k] = last.innovation
+                variance[k] = last.innovation_variance
         return (np.asarray(theta), np.asarray(factor), np.asarray(innovation), np.asarray(variance),
                 np.asarray(status))
 
