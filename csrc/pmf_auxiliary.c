@@ -55,7 +55,7 @@ static void move(const body_t *body, real_t dt, uint32_t backward, phase_t *phas
     real_t net = sign * body->force - body->coulomb[backward];
     real_t speed = sign * phase->velocity, h = phase->left, z, n, phi, end;
     /* a little damping always, so that z may divide; below it the motion over dt is that of constant force */
-    real_t rate = body->viscous[backward] / body->mass * dt + PMF_R(1e-6);
+    real_t rate = body->viscous[backward] / body->mass * dt + PMF_R(1e-9);
     real_t target = net * dt / (body->mass * rate);
     z = rate * h;
     n = PMF_R(120.0) + z * (PMF_R(60.0) + z * (PMF_R(12.0) + z));

@@ -17,6 +17,12 @@ cdef extern from "pmf.h":
         PMF_MAX_PARAMETERS
         PMF_MAX_COLUMNS
         PMF_ROLES
+        PMF_SIGNALS
+        PMF_AUXILIARY
+        PMF_VELOCITY
+        PMF_DIRECTION
+        PMF_MOVING
+        PMF_LATE_INPUT
     ctypedef struct pmf_encoder_config_t:
         real_t velocity_per_count, position_gain, velocity_gain, smooth_end, smooth_start
         uint32_t count_mask, max_change, standstill_samples
@@ -42,6 +48,9 @@ cdef extern from "pmf.h":
         uint32_t index[PMF_ROLES]
         real_t dt, input_gain, smoothing, memory, mismatch_limit, noise_power
         real_t initial[PMF_ROLES]
+    ctypedef struct pmf_auxiliary_state_t:
+        real_t parameter[PMF_ROLES]
+        real_t velocity
     ctypedef struct pmf_config_t:
         uint32_t settle_samples
         pmf_encoder_config_t encoder
@@ -60,6 +69,8 @@ cdef extern from "pmf.h":
     uint32_t pmf_step(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
     uint32_t pmf_filter(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
     const pmf_estimate_t *pmf_estimate(const pmf_config_t *, const pmf_state_t *) nogil
+    void pmf_clear(void *, uint32_t) nogil
+    void pmf_auxiliary_step(const pmf_auxiliary_config_t *, pmf_auxiliary_state_t *, real_t *) nogil
     uint32_t pmf_parameters(const pmf_config_t *) nogil
     void pmf_covariance_factor(const pmf_config_t *, const pmf_state_t *, real_t *) nogil
 
@@ -229,3 +240,34 @@ cdef class Kernel:
             raise ValueError(f"a state of this kernel has {sizeof(pmf_state_t)} bytes, got {len(state)}; "
                              "take it from the same version and precision")
         memcpy(&self.state, <char *> state, sizeof(pmf_state_t))
+
+
+def simulate(parameters, double input_gain, double dt, const double[::1] u, double velocity=0.0):
+    """The auxiliary model alone: a body with friction under a held input.
+
+    parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset); u: (n,), u[k] holds for
+    the interval k; velocity: at the start. Returns (n,) mean velocity, signed moving fraction and moving fraction of
+    every interval, and the velocity at the end.
+    """
+    cdef pmf_auxiliary_config_t config
+    cdef pmf_auxiliary_state_t state
+    cdef real_t signal[PMF_SIGNALS]
+    cdef Py_ssize_t n = u.shape[0], k
+    cdef double[::1] mean = np.empty(n)
+    cdef double[::1] direction = np.empty(n)
+    cdef double[::1] moving = np.empty(n)
+    pmf_clear(&config, sizeof(config))
+    pmf_clear(&state, sizeof(state))
+    pmf_clear(signal, sizeof(signal))
+    config.dt, config.input_gain = dt, input_gain
+    for role in range(PMF_ROLES):
+        state.parameter[role] = parameters[role]
+    state.velocity = velocity
+    with nogil:
+        for k in range(n):
+            signal[PMF_LATE_INPUT] = u[k]
+            pmf_auxiliary_step(&config, &state, signal)
+            mean[k] = signal[PMF_AUXILIARY + PMF_VELOCITY]
+            direction[k] = signal[PMF_AUXILIARY + PMF_DIRECTION]
+            moving[k] = signal[PMF_AUXILIARY + PMF_MOVING]
+    return np.asarray(mean), np.asarray(direction), np.asarray(moving), state.velocity
