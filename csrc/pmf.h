@@ -51,7 +51,8 @@ enum {
     PMF_SPLIT_BACKWARD = 17,   /* and backward */
     PMF_LATE_INPUT = 18,
     PMF_LATE_VELOCITY = 19,
-    PMF_SIGNALS = 20
+    PMF_ACCELERATION = 20, /* mean acceleration of the auxiliary model */
+    PMF_SIGNALS = 21
 };
 
 /* What a parameter means to the auxiliary model. */
@@ -166,7 +167,9 @@ typedef struct {
     uint32_t has_initial;
     uint32_t direct_index[PMF_ROLES]; /* a role's parameter in the direct recursion, PMF_NO_PARAMETER: none */
     uint32_t index[PMF_ROLES];      /* and in the instrumental one */
-    uint32_t check_column;          /* filtered velocity, measured; the next one is the model's */
+    uint32_t check_column;  /* filtered velocity, measured; the next ones are the model's, and its acceleration */
+    uint32_t target_column; /* corrected by what the discrete filters make of the model's own acceleration: */
+    uint32_t mass_column;   /* that of the instrument of the mass */
     uint32_t trial_samples;         /* so long is a new start given before it is judged */
     real_t dt, input_gain;
     real_t initial[PMF_ROLES];
@@ -224,6 +227,9 @@ uint32_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_
                           uint32_t count, real_t *signal);
 /* Needs the encoder's signals of the same step. */
 void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal);
+/* The equation holds exactly for the model; what its columns leave is the error of the discretisation, and the same
+ * for the plant. It is taken from the target. */
+void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state, real_t *column);
 void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state);
 /* Judges the model against the measured velocity; 1 where its instruments may be used. */
 uint32_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,

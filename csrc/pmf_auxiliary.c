@@ -120,8 +120,15 @@ void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_stat
             move(&body, config->dt, direction, &phase);
         }
     }
+    signal[PMF_ACCELERATION] = (phase.velocity - state->velocity) / config->dt;
     state->velocity = phase.velocity;
     emit(&phase, signal);
+}
+
+void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state, real_t *column)
+{
+    real_t exact = column[config->check_column + 2U];
+    column[config->target_column] -= state->parameter[PMF_MASS] * (exact - column[config->mass_column]);
 }
 
 void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state)

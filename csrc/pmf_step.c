@@ -33,6 +33,9 @@ uint32_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input
         pmf_auxiliary_step(&config->auxiliary, &state->auxiliary, state->network.node);
     }
     pmf_network_step(&config->network, &state->network);
+    if (config->auxiliary.enabled != 0U) {
+        pmf_auxiliary_correct(&config->auxiliary, &state->auxiliary, state->network.column);
+    }
     if ((status & (PMF_INVALID_INPUT | PMF_COUNT_JUMP)) != 0U) {
         state->settle = config->settle_samples;
     }

@@ -43,7 +43,7 @@ cdef extern from "pmf.h":
         uint32_t n_parameters, instrumental, first_column, min_updates, residual_updates
         real_t forgetting, regularization, pivot
     ctypedef struct pmf_auxiliary_config_t:
-        uint32_t enabled, adapt, has_initial, check_column, trial_samples
+        uint32_t enabled, adapt, has_initial, check_column, target_column, mass_column, trial_samples
         uint32_t direct_index[PMF_ROLES]
         uint32_t index[PMF_ROLES]
         real_t dt, input_gain, smoothing, memory, mismatch_limit, noise_power
@@ -163,6 +163,7 @@ cdef class Kernel:
         config.enabled = 1
         config.adapt, config.has_initial = auxiliary["adapt"], auxiliary["has_initial"]
         config.check_column, config.trial_samples = auxiliary["check_column"], auxiliary["trial_samples"]
+        config.target_column, config.mass_column = auxiliary["target_column"], auxiliary["mass_column"]
         config.dt, config.input_gain = auxiliary["dt"], auxiliary["input_gain"]
         config.smoothing, config.memory = auxiliary["smoothing"], auxiliary["memory"]
         config.mismatch_limit, config.noise_power = auxiliary["mismatch_limit"], auxiliary["noise_power"]

@@ -26,7 +26,7 @@ CHECK_TIME_CONSTANTS = 30.0
 
 def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
     """Columns: those of the direct BCRLS, then regressors, target and instruments with the auxiliary model, then
-    the filtered velocity measured and modelled. Returns network, columns, first instrumental and first check column."""
+    the filtered velocity measured and modelled and the modelled acceleration. Returns network, columns, first instrumental and first check column."""
     direct = direct_estimator(estimator)
     builder = ColumnBuilder(direct.model.equation, direct.spec)
     columns = [*builder.regressors(), builder.target(), *builder.instruments()]
@@ -34,7 +34,7 @@ def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, i
     builder = ColumnBuilder(estimator.model.equation, estimator.spec, builder.network)
     columns += [*builder.regressors("modelled"), builder.target("modelled"), *builder.regressors("simulated")]
     check = len(columns)
-    columns += [builder.velocity(0, simulated=False), builder.velocity(0, simulated=True)]
+    columns += [builder.velocity(0, simulated=False), builder.velocity(0, simulated=True), builder.model_acceleration()]
     return builder.network, columns, first, check
 
 
@@ -58,6 +58,8 @@ def make_auxiliary_kernel(
         "adapt": int(adapt),
         "has_initial": int(initial is not None),
         "check_column": check,
+        "target_column": first + p,
+        "mass_column": first + p + 1 + estimator.names.index("mass"),
         "trial_samples": 2 * estimator.settle_samples,
         "dt": estimator.dt,
         "input_gain": estimator.model.input_gain,

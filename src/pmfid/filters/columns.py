@@ -14,6 +14,7 @@ from pmfid.filters.chain import (
     mean_velocity_correction,
 )
 from pmfid.filters.network import (
+    ACCELERATION,
     AUXILIARY,
     BACKWARD,
     BACKWARD_VELOCITY,
@@ -60,6 +61,8 @@ class ColumnBuilder:
 
     def __init__(self, equation: Equation, spec: FilterSpec, network: Network | None = None) -> None:
         self.equation, self.spec = equation, spec
+        #: with an auxiliary model the kernel corrects all errors of the discretisation at once
+        self.modelled = network is not None
         self.network = Network() if network is None else network
 
     def regressors(self, source: str = "measured") -> list[Taps]:
@@ -108,9 +111,13 @@ class ColumnBuilder:
         taps = derivative(chain(self.network, source, spec.cutoff, spec.order, spec.dt), j, spec.cutoff)
         if simulated:  # late already
             return taps
-        if j == self.equation.order - 2 and spec.discretization == "matched":
+        if j == self.equation.order - 2 and spec.discretization == "matched" and not self.modelled:
             return mean_velocity_correction(self.network, taps[0][0])
         return [(self.network.delay(node), weight) for node, weight in taps]
+
+    def model_acceleration(self) -> Taps:
+        """The filtered mean acceleration of the auxiliary model, exactly."""
+        return self._hold(ACCELERATION)
 
     def _hold(self, source: int) -> Taps:
         spec = self.spec
