@@ -136,11 +136,15 @@ typedef struct {
     real_t forgetting;
     real_t regularization; /* information that is never forgotten, as a part of the largest seen */
     real_t pivot;          /* smallest relative pivot for a first estimate */
+    uint32_t compensated;  /* the noise of the columns is known: */
+    real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* its covariance in one sample's phi phi^T */
+    uint32_t block;        /* updates whose errors may be correlated; the spread of such blocks scales P */
 } pmf_recursion_config_t;
 
 typedef struct {
     real_t theta[PMF_MAX_PARAMETERS];
     real_t variance_factor[PMF_MAX_PARAMETERS]; /* diagonal of P */
+    real_t inflation[PMF_MAX_PARAMETERS]; /* theirs, for innovations that are not white; 0: not known yet */
     real_t innovation, innovation_variance;
 } pmf_estimate_t;
 
@@ -157,6 +161,10 @@ typedef struct {
     real_t innovation_square;
     uint32_t updates; /* saturating */
     uint32_t started; /* updates since the first estimate, 0 before, saturating */
+    real_t updates_weight;             /* sum of the discounted weights */
+    real_t score[PMF_MAX_PARAMETERS];  /* sum of zeta times innovation in this block */
+    real_t spread[PMF_MAX_PARAMETERS]; /* of theta by blocks, over that of white innovations */
+    uint32_t block_updates, blocks;
     uint32_t frozen;  /* too little information left to forget any more */
 } pmf_recursion_state_t;
 

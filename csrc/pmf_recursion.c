@@ -34,6 +34,8 @@
 #define POOR PMF_R(20.0)    /* information below POOR times the regularisation is called poor */
 #define FREEZE PMF_R(1e-3)  /* and below FREEZE times it there is nothing left worth forgetting */
 #define PEAK_LEAK PMF_R(0.01)
+#define BLOCK_MEMORY 100U
+#define MIN_BLOCKS 8U
 #define SKIPPED_INNOVATIONS 4U /* innovations of a fresh estimate say nothing of the noise */
 
 /* Lower half of a symmetric matrix = L D L^T. */
@@ -107,6 +109,7 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
             state->right[i] = f * state->right[i] + zeta[i] * column[p];
         }
     }
+    state->updates_weight = f * state->updates_weight + PMF_R(1.0);
     state->mass = f * state->mass + (PMF_R(1.0) - f);
     state->updates += state->updates < SATURATED ? 1U : 0U;
 }
@@ -209,9 +212,9 @@ PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recurs
 PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state,
                             const real_t *zeta, uint32_t p, uint32_t instrumental, real_t move[N])
 {
-    uint32_t i, j;
+    uint32_t i, j, young = state->started <= config->residual_updates ? 1U : 0U;
     for (i = 0; i < p; ++i) {
-        if (state->started > config->residual_updates) {
+        if (young == 0U) {
             move[i] = zeta[i] * state->estimate.innovation;
         } else {
             move[i] = state->right[i];
@@ -219,10 +222,34 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
                 move[i] -= (instrumental == 0U && j > i ? state->cross[j][i] : state->cross[i][j]) * state->estimate.theta[j];
             }
         }
+        if (config->compensated != 0U) {
+            real_t weight = young != 0U ? state->updates_weight : PMF_R(1.0);
+            for (j = 0; j < p; ++j) {
+                move[i] += weight * config->noise[i][j] * state->estimate.theta[j];
+            }
+        }
     }
 }
 
-PMF_INLINE void solve_and_move(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
+/* Spread of theta by blocks of innovations against that of white ones: an estimate by batch means of how much longer
+ * or shorter than sqrt(P) times the innovations' size the error bars must be. `move` is a block's sum after the gain. */
+static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t move[N])
+{
+    real_t share = state->updates_weight / (real_t)config->block, keep, white;
+    uint32_t i;
+    state->blocks += state->blocks < BLOCK_MEMORY ? 1U : 0U;
+    keep = PMF_R(1.0) - PMF_R(1.0) / (real_t)state->blocks;
+    for (i = 0; i < config->n_parameters; ++i) {
+        white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
+        state->spread[i] = keep * state->spread[i] +
+                           (PMF_R(1.0) - keep) * (white > TINY ? move[i] * move[i] * share / white : PMF_R(1.0));
+        if (state->blocks >= MIN_BLOCKS) {
+            state->estimate.inflation[i] = state->spread[i];
+        }
+    }
+}
+
+PMF_INLINE void solve(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
 {
     uint32_t i;
     forward(p, state->factor, move);
@@ -230,8 +257,31 @@ PMF_INLINE void solve_and_move(pmf_recursion_state_t *state, uint32_t p, real_t 
         move[i] *= state->inverse_pivot[i];
     }
     backward(p, state->factor, move);
+}
+
+/* Gathers the innovations of a block; at its end its effect on theta is compared with that of white ones. */
+static void note_score(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *zeta)
+{
+    uint32_t p = config->n_parameters, i, j;
     for (i = 0; i < p; ++i) {
-        state->estimate.theta[i] += move[i];
+        state->score[i] += zeta[i] * state->estimate.innovation;
+        for (j = 0; j < p && config->compensated != 0U; ++j) {
+            state->score[i] += config->noise[i][j] * state->estimate.theta[j];
+        }
+    }
+    state->block_updates += 1U;
+    if (state->block_updates >= config->block) {
+        real_t move[N], unused[N][N];
+        for (i = 0; i < p; ++i) {
+            move[i] = state->score[i];
+            state->score[i] = PMF_R(0.0);
+        }
+        if (config->instrumental != 0U) {
+            (void)project(state, p, unused, move);
+        }
+        solve(state, p, move);
+        note_block(config, state, move);
+        state->block_updates = 0U;
     }
 }
 
@@ -252,6 +302,9 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
         for (i = 0; i < p; ++i) {
             for (j = 0; j <= i; ++j) {
                 information[i][j] = state->cross[i][j];
+                if (config->compensated != 0U) {
+                    information[i][j] -= state->updates_weight * config->noise[i][j];
+                }
             }
         }
     }
@@ -268,9 +321,15 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
     }
     state->started += state->started < SATURATED ? 1U : 0U;
     if (status == 0U || state->started == 1U) { /* else the noise alone would carry theta away in a long while */
-        solve_and_move(state, p, move);
+        solve(state, p, move);
+        for (i = 0; i < p; ++i) {
+            state->estimate.theta[i] += move[i];
+        }
     }
     note_innovation(config, state);
+    if (config->block > 0U && state->weight > PMF_R(0.0) && status == 0U) {
+        note_score(config, state, instrumental != 0U ? &column[p + 1U] : column);
+    }
     return status != 0U && instrumental != 0U ? status | PMF_COMPENSATION_HELD : status;
 }
 

@@ -63,6 +63,7 @@ static void borrow_estimate(const pmf_config_t *config, pmf_state_t *state)
                 state->direct.estimate.variance_factor[auxiliary->direct_index[i]];
         }
     }
+    pmf_clear(borrowed->inflation, (uint32_t)sizeof borrowed->inflation);
     borrowed->innovation = state->direct.estimate.innovation;
     borrowed->innovation_variance = state->direct.estimate.innovation_variance;
 }

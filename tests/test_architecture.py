@@ -22,7 +22,8 @@ CSRC = REPOSITORY / "csrc"
 GROUND = {"errors", "status", "_kernel32", "_kernel64"}
 FILTERS = GROUND | {"models", "encoder"}
 ESTIMATORS = FILTERS | {"filters"}
-SESSION = ESTIMATORS | {"estimators"}
+MONITOR = ESTIMATORS | {"estimators"}
+SESSION = MONITOR | {"monitor"}
 #: Room -> the rooms that it may import, besides itself; "pmfid" is the package's own `__init__`.
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
@@ -34,6 +35,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "encoder": GROUND,
     "filters": FILTERS,
     "estimators": ESTIMATORS,
+    "monitor": MONITOR,
     "simulation": {"errors"},
     "session": SESSION,
     "report": SESSION | {"session"},
@@ -50,10 +52,12 @@ PUBLIC = [
     "Estimate",
     "Fit",
     "IV",
+    "KnownStep",
     "LS",
     "NotIdentifiableError",
     "PmfidError",
     "RIV",
+    "RKnownStep",
     "RLS",
     "Status",
     "Track",

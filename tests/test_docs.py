@@ -38,7 +38,7 @@ def test_methods_named_are_the_methods_there_are():
     from pmfid.estimators.registry import ESTIMATORS
 
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    table = dict(re.findall(r"^\| `(\w+)` \| `(\w+)` \|", readme, re.MULTILINE))
+    table = dict(re.findall(r"^\| `([\w-]+)` \| `(\w+)` \|", readme, re.MULTILINE))
     assert table == {name: cls.__name__ for name, cls in ESTIMATORS.items()}
 
 

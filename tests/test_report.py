@@ -45,7 +45,7 @@ def make_track(n: int = N) -> Track:
     status[300:400] = Status.COMPENSATION_HELD
     variance = np.where(np.arange(n) < 20, 0.0, 1.0)
     names, units = ("mass", "viscous_friction", "prefilter_1"), ("kg", "N s/m", "s^1")
-    return Track(names, units, theta, np.full((n, 3), 1e-4), np.zeros(n), variance, status)
+    return Track(names, units, theta, np.full((n, 3), 1e-4), np.zeros((n, 3)), np.zeros(n), variance, status)
 
 
 TRACK = make_track()

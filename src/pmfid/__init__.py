@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from pmfid.estimators.bcrls import BCRLS as BCRLS
     from pmfid.estimators.iv import IV as IV
     from pmfid.estimators.iv import RIV as RIV
+    from pmfid.estimators.known_step import KnownStep as KnownStep
+    from pmfid.estimators.known_step import RKnownStep as RKnownStep
     from pmfid.estimators.recursive import Track as Track
     from pmfid.estimators.rls import RLS as RLS
     from pmfid.models.drive import Drive as Drive
@@ -33,6 +35,8 @@ _PUBLIC = {
     "Fit": "pmfid.estimators.batch",
     "IV": "pmfid.estimators.iv",
     "RIV": "pmfid.estimators.iv",
+    "KnownStep": "pmfid.estimators.known_step",
+    "RKnownStep": "pmfid.estimators.known_step",
     "LS": "pmfid.estimators.batch",
     "NotIdentifiableError": "pmfid.errors",
     "PmfidError": "pmfid.errors",

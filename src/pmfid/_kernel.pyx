@@ -42,6 +42,8 @@ cdef extern from "pmf.h":
     ctypedef struct pmf_recursion_config_t:
         uint32_t n_parameters, instrumental, first_column, min_updates, residual_updates
         real_t forgetting, regularization, pivot
+        uint32_t compensated, block
+        real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]
     ctypedef struct pmf_auxiliary_config_t:
         uint32_t enabled, adapt, has_initial, check_column, target_column, mass_column, trial_samples
         uint32_t direct_index[PMF_ROLES]
@@ -64,6 +66,7 @@ cdef extern from "pmf.h":
     ctypedef struct pmf_estimate_t:
         real_t theta[PMF_MAX_PARAMETERS]
         real_t variance_factor[PMF_MAX_PARAMETERS]
+        real_t inflation[PMF_MAX_PARAMETERS]
         real_t innovation, innovation_variance
     void pmf_init(const pmf_config_t *, pmf_state_t *) nogil
     uint32_t pmf_step(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
@@ -95,6 +98,7 @@ cdef class Estimate:
     cdef real_t _theta[PMF_MAX_PARAMETERS]
     cdef real_t _factor[PMF_MAX_PARAMETERS * PMF_MAX_PARAMETERS]
     cdef real_t _diagonal[PMF_MAX_PARAMETERS]
+    cdef real_t _inflation[PMF_MAX_PARAMETERS]
     cdef Py_ssize_t _n
     cdef readonly double innovation
     cdef readonly double innovation_variance
@@ -108,16 +112,34 @@ cdef class Estimate:
     def theta_cov(self):
         if self.innovation_variance == 0.0:  # no innovation has been counted yet: nothing is known
             return np.diag(np.full(self._n, np.inf))
-        return self.innovation_variance * _vector(self._factor, self._n * self._n).reshape(self._n, self._n)
+        scale = np.sqrt(self._scale())
+        factor = _vector(self._factor, self._n * self._n).reshape(self._n, self._n)
+        return self.innovation_variance * factor * np.multiply.outer(scale, scale)
+
+    def _scale(self):
+        inflation = _vector(self._inflation, self._n)
+        return np.where(inflation > 0.0, inflation, 1.0)
 
     @property
     def theta_std(self):
         if self.innovation_variance == 0.0:
             return np.full(self._n, np.inf)
-        return np.sqrt(_vector(self._diagonal, self._n) * self.innovation_variance)
+        return np.sqrt(_vector(self._diagonal, self._n) * self.innovation_variance * self._scale())
 
     def __repr__(self):
         return f"Estimate(theta={self.theta}, theta_std={self.theta_std}, status={self.status})"
+
+
+cdef _set_recursion(pmf_recursion_config_t *target, source):
+    target.n_parameters, target.instrumental = source["n_parameters"], source["instrumental"]
+    target.first_column, target.min_updates = source["first_column"], source["min_updates"]
+    target.residual_updates, target.forgetting = source["residual_updates"], source["forgetting"]
+    target.regularization, target.pivot, target.block = source["regularization"], source["pivot"], source["block"]
+    noise = source.get("noise")
+    target.compensated = noise is not None
+    for i in range(target.n_parameters):
+        for j in range(target.n_parameters):
+            target.noise[i][j] = noise[i][j] if noise is not None else 0.0
 
 
 cdef class Kernel:
@@ -142,9 +164,9 @@ cdef class Kernel:
                 f"the equation needs {len(stages)} stages, {n_taps} taps and {direct['n_parameters']} parameters; the "
                 f"kernel holds {PMF_MAX_STAGES}, {PMF_MAX_TAPS} and {PMF_MAX_PARAMETERS}; use a lower order")
         self.config.encoder = encoder
-        self.config.direct = direct
+        _set_recursion(&self.config.direct, direct)
         if auxiliary is not None:
-            self.config.instrument = instrument
+            _set_recursion(&self.config.instrument, instrument)
             self._set_auxiliary(auxiliary)
         self.config.settle_samples = settle_samples
         net.n_stages, net.n_columns = len(stages), len(columns)
@@ -183,6 +205,7 @@ cdef class Kernel:
         estimate._n = n
         memcpy(estimate._theta, last.theta, n * sizeof(real_t))
         memcpy(estimate._diagonal, last.variance_factor, n * sizeof(real_t))
+        memcpy(estimate._inflation, last.inflation, n * sizeof(real_t))
         pmf_covariance_factor(&self.config, &self.state, estimate._factor)
         estimate.innovation = last.innovation
         estimate.innovation_variance = last.innovation_variance
@@ -199,10 +222,11 @@ cdef class Kernel:
         return self._snapshot()
 
     def run(self, const double[::1] u, const int64_t[::1] counts):
-        """u, counts: (n,) -> theta (n, p), diagonal of P (n, p), innovation (n,), its variance (n,), status (n,)."""
+        """u, counts: (n,) -> theta (n, p), diagonal of P (n, p), its inflation (n, p), innovation (n,), its variance (n,), status (n,)."""
         cdef Py_ssize_t n = u.shape[0], p = pmf_parameters(&self.config), k, i
         cdef double[:, ::1] theta = np.empty((n, p))
         cdef double[:, ::1] factor = np.empty((n, p))
+        cdef double[:, ::1] inflation = np.empty((n, p))
         cdef double[::1] innovation = np.empty(n)
         cdef double[::1] variance = np.empty(n)
         cdef uint32_t[::1] status = np.empty(n, np.uint32)
@@ -214,9 +238,10 @@ cdef class Kernel:
                 for i in range(p):
                     theta[k, i] = last.theta[i]
                     factor[k, i] = last.variance_factor[i]
+                    inflation[k, i] = last.inflation[i]
                 innovation[k] = last.innovation
                 variance[k] = last.innovation_variance
-        return (np.asarray(theta), np.asarray(factor), np.asarray(innovation), np.asarray(variance),
+        return (np.asarray(theta), np.asarray(factor), np.asarray(inflation), np.asarray(innovation), np.asarray(variance),
                 np.asarray(status))
 
     def filter(self, const double[::1] u, const int64_t[::1] counts):

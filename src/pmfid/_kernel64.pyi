@@ -39,6 +39,7 @@ class Kernel:
         NDArray[np.float64],
         NDArray[np.float64],
         NDArray[np.float64],
+        NDArray[np.float64],
         NDArray[np.uint32],
     ]: ...
     def filter(

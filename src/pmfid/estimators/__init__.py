@@ -1,4 +1,4 @@
 """Estimators: one file per method, one protocol for all."""
 
 #: Names of the methods, for those who must not import them yet; `registry.ESTIMATORS` has the classes.
-METHODS = ("ls", "bcls", "iv", "rls", "bcrls", "riv")
+METHODS = ("ls", "bcls", "known-step", "iv", "rls", "bcrls", "rknown-step", "riv")

@@ -25,8 +25,9 @@ CHECK_TIME_CONSTANTS = 30.0
 
 
 def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
-    """Columns: those of the direct BCRLS, then regressors, target and instruments with the auxiliary model, then
-    the filtered velocity measured and modelled and the modelled acceleration. Returns network, columns, first instrumental and first check column."""
+    """Columns: those of the direct BCRLS, then regressors, target and instruments with the auxiliary model, then the
+    filtered velocity measured and modelled and the modelled acceleration. Returns network, columns, first
+    instrumental and first check column."""
     direct = direct_estimator(estimator)
     builder = ColumnBuilder(direct.model.equation, direct.spec)
     columns = [*builder.regressors(), builder.target(), *builder.instruments()]

@@ -140,7 +140,7 @@ class Estimator:
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
-    ) -> dict[str, float]:
+    ) -> dict[str, Any]:
         """A recursion's part of the kernel configuration."""
         exact = forgetting == 1 and self.precision == "float64"
         return {
@@ -152,6 +152,7 @@ class Estimator:
             "forgetting": forgetting,
             "regularization": REGULARIZATION,
             "pivot": START_PIVOT,
+            "block": 2 * self.settle_samples,
         }
 
 

@@ -21,7 +21,8 @@ TINY = 1e-300
 class Fit:
     """Result of an off-line estimate with p parameters from n used samples.
 
-    theta: (p,); theta_cov: (p, p), for white residuals; names, units; samples: n; residual: (n,) z - phi^T theta;
+    theta: (p,); theta_cov: (p, p), for coloured residuals (Newey and West 1987); names, units; samples: n;
+    residual: (n,) z - phi^T theta;
     relative_error: norm of the residual over norm of the target; status: all `Status` bits that occurred.
     """
 
@@ -78,15 +79,14 @@ class BatchEstimator(Estimator):
         check_identifiable(columns, self.names)
         return self._result(columns, *self._solve(columns))
 
-    def _result(self, columns: Columns, theta: NDArray[np.float64], factor: NDArray[np.float64]) -> Fit:
+    def _result(self, columns: Columns, theta: NDArray[np.float64], gain: NDArray[np.float64]) -> Fit:
         residual = columns.z - columns.phi @ theta
-        variance = residual @ residual / max(1, residual.size - theta.size)
         relative = float(np.linalg.norm(residual) / np.linalg.norm(columns.z))
         return Fit(
             self.names,
             self.units,
             theta,
-            variance * factor,
+            self._covariance(columns, theta, gain),
             residual.size,
             residual,
             relative,
@@ -94,8 +94,19 @@ class BatchEstimator(Estimator):
         )
 
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """theta (p,) and P (p, p)."""
+        """theta (p,) and the gain (p, p) by which a change of sum zeta z moves it: (sum zeta phi^T)^-1."""
         raise NotImplementedError
+
+    def _covariance(
+        self, columns: Columns, theta: NDArray[np.float64], gain: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        n = columns.z.size
+        spread = long_run_covariance(self._scores(columns, theta), self.settle_samples)
+        return np.asarray(gain @ spread @ gain.T * n / max(1, n - theta.size))
+
+    def _scores(self, columns: Columns, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n, p): what each sample says that theta be moved by, before the gain; zero in the sum."""
+        return np.asarray(columns.zeta * (columns.z - columns.phi @ theta)[:, None])
 
 
 @dataclass(frozen=True)
@@ -124,10 +135,22 @@ class BCLS(BatchEstimator):
 
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         # By the orthogonal part of the instruments: the square of their condition number does not enter.
-        Q, _ = np.linalg.qr(columns.zeta / np.linalg.norm(columns.zeta, axis=0))
-        cross = Q.T @ columns.phi
-        inverse = np.linalg.inv(cross)
-        return inverse @ (Q.T @ columns.z), inverse @ inverse.T
+        scale = np.linalg.norm(columns.zeta, axis=0)
+        Q, R = np.linalg.qr(columns.zeta / scale)
+        inverse = np.linalg.inv(Q.T @ columns.phi)
+        return inverse @ (Q.T @ columns.z), inverse @ np.linalg.inv(R.T) / scale
+
+
+def long_run_covariance(scores: NDArray[np.float64], lags: int) -> NDArray[np.float64]:
+    """Covariance (p, p) of the sum of correlated scores (n, p), with Bartlett's window (Newey and West 1987)."""
+    n = scores.shape[0]
+    size = 2 ** int(np.ceil(np.log2(n + lags + 1)))
+    spectrum = np.fft.rfft(scores, size, axis=0)
+    window = np.maximum(0.0, 1 - np.arange(lags + 1) / (lags + 1))
+    lagged = np.fft.irfft(spectrum[:, :, None] * spectrum.conj()[:, None, :], size, axis=0)[: min(lags + 1, n)]
+    total = np.tensordot(window[: lagged.shape[0]], lagged, axes=1)
+    covariance = np.asarray(total + total.T - lagged[0])
+    return np.asarray((covariance + covariance.T) / 2)
 
 
 def check_identifiable(columns: Columns, names: tuple[str, ...]) -> None:

@@ -6,6 +6,9 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BCLS, LS
 from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.known_step import KnownStep, RKnownStep
 from pmfid.estimators.rls import RLS
 
-ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (LS, BCLS, IV, RLS, BCRLS, RIV)}
+OFF_LINE = (LS, BCLS, KnownStep, IV)
+RECURSIVE = (RLS, BCRLS, RKnownStep, RIV)
+ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (*OFF_LINE, *RECURSIVE)}

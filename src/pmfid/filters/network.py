@@ -19,13 +19,15 @@ class Network:
     """Stages node = b0 w + z^-1 (b1 w + a node) of a source w, in the order in which they run."""
 
     stages: list[tuple[int, float, float, float]] = field(default_factory=list)
+    #: node of the first stage
+    first: int = SIGNALS
 
     def stage(self, source: int, a: float, b0: float, b1: float) -> int:
         """Appends a stage, or finds the one that does the same; returns its node."""
         entry = (source, a, b0, b1)
         if entry not in self.stages:
             self.stages.append(entry)
-        return SIGNALS + self.stages.index(entry)
+        return self.first + self.stages.index(entry)
 
     def delay(self, source: int) -> int:
         """One sample later."""

@@ -16,8 +16,8 @@ from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.models.drive import Drive
+from pmfid.monitor.validity import judge
 from pmfid.session.config import Axis, check_sampling
-from pmfid.session.judge import judge
 from pmfid.session.records import Record
 from pmfid.status import Status
 
@@ -92,7 +92,7 @@ def identify(record: Record, axis: Axis, progress: Progress | None = None) -> Re
     if isinstance(estimator, RecursiveEstimator):
         return _recursive(estimator, record, columns, progress)
     fit = batch.fit(record.u, record.counts)
-    flags, notes = judge(estimator, record, fit.theta, fit.theta_std)
+    flags, notes = judge(estimator, record.u, record.counts, fit.theta, fit.theta_std)
     if axis.estimator.forgetting < 1:
         notes = (*notes, f"{estimator.method} is an off-line method: forgetting is not used")
     notes = (*record.notes, *notes, *Status(fit.status).advice)
@@ -121,7 +121,7 @@ def _recursive(estimator: RecursiveEstimator, record: Record, columns: Columns, 
     relative = _relative_error(columns, track)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
     held = occurred | (last & ~int(Status.SETTLING))
-    flags, notes = judge(estimator, record, theta, std)
+    flags, notes = judge(estimator, record.u, record.counts, theta, std)
     status = (*status_names(held), *flags)
     notes = (*record.notes, *notes, *Status(held).advice)
     return Result(estimator, record, theta, std, relative, status, notes, track=track)
@@ -144,6 +144,6 @@ def _run(estimator: RecursiveEstimator, record: Record, progress: Progress | Non
         parts.append(estimator.run(record.u[part], record.counts[part]))
         if progress is not None:
             progress(min(1.0, (start + CHUNK) / n))
-    fields = ("theta", "variance_factor", "innovation", "innovation_variance", "status")
+    fields = ("theta", "variance_factor", "inflation", "innovation", "innovation_variance", "status")
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in fields}
     return Track(parts[0].names, parts[0].units, **joined)

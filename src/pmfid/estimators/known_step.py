@@ -1,0 +1,74 @@
+"""Least squares compensated with the known step of the encoder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.batch import BatchEstimator, Columns
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.filters.network import VELOCITY
+
+
+def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[np.float64]:
+    """(p, p) covariance of the regressors' noise: sigma^2 sum g g^T, g the impulse responses of the noisy columns.
+
+    noise_std: standard deviation of the position [unit of y]; None: resolution / sqrt(12), as of a quantiser whose
+    error is white, which holds from about one count of motion per sample on.
+    """
+    sigma = estimator.encoder.resolution / np.sqrt(12.0) if noise_std is None else noise_std
+    network, columns = estimator._columns
+    samples = 4 * estimator.settle_samples
+    nodes = np.zeros((samples, network.first + len(network.stages)))
+    nodes[:2, VELOCITY] = np.array([1.0, -1.0]) / estimator.dt  # the mean velocities of one wrong position
+    memory = np.zeros(len(network.stages))
+    for k in range(samples):
+        for i, (source, a, b0, b1) in enumerate(network.stages):
+            nodes[k, network.first + i] = b0 * nodes[k, source] + memory[i]
+            memory[i] = b1 * nodes[k, source] + a * nodes[k, network.first + i]
+    p = len(estimator.names)
+    g = np.array([sum(weight * nodes[:, node] for node, weight in taps) for taps in columns[:p]])
+    return np.asarray(sigma**2 * g @ g.T)
+
+
+@dataclass(frozen=True)
+class KnownStep(BatchEstimator):
+    """Off-line: theta = (R - n sigma^2 C)^-1 r, R = sum phi phi^T, r = sum phi z, C from the filters alone.
+
+    noise_std: of the position; None: that of the encoder's step. No instruments are needed and no pre-filter; it fails
+    where the noise is not white, below about one count of motion per sample.
+    """
+
+    method: ClassVar[str] = "known-step"
+
+    noise_std: float | None = field(default=None, kw_only=True)
+
+    def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        scale = np.linalg.norm(columns.phi, axis=0)
+        noise = columns.z.size * noise_covariance(self, self.noise_std) / np.outer(scale, scale)
+        phi = columns.phi / scale
+        inverse = np.linalg.inv(phi.T @ phi - noise)
+        return inverse @ (phi.T @ columns.z) / scale, inverse / np.outer(scale, scale)
+
+    def _scores(self, columns: Columns, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        noise = noise_covariance(self, self.noise_std)
+        return super()._scores(columns, theta) + noise @ theta
+
+
+@dataclass(frozen=True)
+class RKnownStep(RecursiveEstimator):
+    """On-line, with forgetting: the same sums, discounted; see `KnownStep`."""
+
+    method: ClassVar[str] = "rknown-step"
+
+    noise_std: float | None = field(default=None, kw_only=True)
+
+    def recursion_config(
+        self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
+    ) -> dict[str, Any]:
+        config = super().recursion_config(parameters, instrumental, forgetting, first_column)
+        return config | {"noise": noise_covariance(self, self.noise_std).tolist()}

@@ -1,0 +1,1 @@
+"""What to think of estimates: validity, and later the detection of changes."""

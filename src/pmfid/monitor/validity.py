@@ -1,0 +1,166 @@
+"""Values that a person should not believe as they stand, said in the status and in a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.base import Estimator, like
+from pmfid.estimators.batch import BCLS
+from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.status import Status
+
+#: Parameters that are positive in every machine.
+POSITIVE = ("mass", "viscous_friction", "coulomb_friction")
+#: A correlation this many standard deviations from zero is taken for real.
+SIGNIFICANT = 4.5
+#: Counts per sample below which the encoder's error is no white noise.
+COARSE = 1.0
+#: A method's own error, relative, that is worth a word of its own.
+BIASED = 0.01
+
+Finding = tuple[str, str]
+
+
+def judge(
+    estimator: Estimator,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    theta: NDArray[np.float64],
+    std: NDArray[np.float64],
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Flags and sentences on an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,).
+
+    implausible: a negative mass or friction; uncertain: not known to half its value; biased: the method's own error
+    is larger than its error bar and 2 %; std_too_small: larger than its error bar; feedback: the encoder's error comes
+    back through the input; coarse_motion: too few counts per sample for a method that takes the encoder's error for
+    white noise.
+    """
+    found = [
+        *_sizes(estimator, theta, std),
+        *_bias(estimator, u, counts, theta, std),
+        *_coarse(estimator, counts),
+        *_feedback(estimator, u, counts, theta),
+    ]
+    return tuple(dict.fromkeys(flag for flag, _ in found)), tuple(sentence for _, sentence in found)
+
+
+def _sizes(estimator: Estimator, theta: NDArray[np.float64], std: NDArray[np.float64]) -> Iterator[Finding]:
+    for name, value, deviation in zip(estimator.names, theta, std, strict=True):
+        if not name.startswith(POSITIVE):
+            continue
+        if value + 3 * deviation < 0:
+            yield "implausible", f"{name} is negative: check sign and scale of the input and the encoder"
+        elif deviation > 0.5 * abs(value):
+            yield "uncertain", f"{name} is not known to half its value: excite it more, or lower the cutoff"
+
+
+def _bias(
+    estimator: Estimator,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    theta: NDArray[np.float64],
+    std: NDArray[np.float64],
+) -> Iterator[Finding]:
+    """Against instrumental variables on the same record, which know the direction of motion between the counts."""
+    if estimator.method in ("iv", "riv", "output-error", "interval") or (estimator.plain and estimator.zeros):
+        return
+    try:
+        better = reference(estimator, u, counts)
+    except NotIdentifiableError as error:
+        if estimator.plain:
+            yield "uncertain", f"least squares may show the encoder's noise, for {error}"
+        return
+    unknown = [name for name, (value, bar) in better.items() if name in POSITIVE and bar > 0.5 * abs(value)]
+    if unknown and estimator.plain:
+        yield "uncertain", f"nothing can tell {', '.join(unknown)} here: least squares may show the encoder's noise"
+    for name, value, deviation in zip(estimator.names, theta, std, strict=True):
+        if name not in better or name in unknown:
+            continue
+        known, bar = better[name]
+        own = abs(value - known)
+        if own > np.hypot(deviation, bar) and own > 2 * BIASED * abs(known):
+            yield "biased", f"{name} = {value:.4g} has an error of its own: iv gives {known:.4g}"
+        elif own > max(deviation, bar):
+            percent = 100 * own / abs(known)
+            yield "std_too_small", f"the std of {name} leaves out the method's own error, about {percent:.2g} %"
+
+
+def reference(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> dict[str, tuple[float, float]]:
+    """Value and standard deviation of each parameter by instrumental variables with the same memory, or by
+    bias-compensated least squares where these do not settle."""
+    forgetting = getattr(estimator, "forgetting", 1.0)
+    if forgetting < 1:
+        track = like(RIV, estimator, prefilter_zeros=None, forgetting=forgetting).run(u, counts)
+        if track.status[-1] & (Status.FALLBACK | Status.STARTING | Status.POOR_EXCITATION):
+            return {}
+        return _table(track.names, track.theta[-1], track.theta_std[-1])
+    try:
+        fit = like(IV, estimator, prefilter_zeros=None).fit(u, counts)
+    except NotIdentifiableError:
+        zeros = choose_prefilter_zeros(estimator, u, counts)
+        fit = like(BCLS, estimator, model=estimator.model.symmetric, prefilter_zeros=zeros).fit(u, counts)
+    return _table(fit.names, fit.theta, fit.theta_std)
+
+
+def _table(
+    names: tuple[str, ...], theta: NDArray[np.float64], std: NDArray[np.float64]
+) -> dict[str, tuple[float, float]]:
+    return {name: (float(value), float(bar)) for name, value, bar in zip(names, theta, std, strict=True)}
+
+
+def counts_per_sample(counts: NDArray[np.int64]) -> float:
+    """Mean over the samples that lie between the first and the last change of the counts; 0 without motion."""
+    change = np.abs(np.diff(counts))
+    moving = np.flatnonzero(change)
+    if moving.size == 0:
+        return 0.0
+    return float(change[moving[0] : moving[-1] + 1].mean())
+
+
+def _coarse(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
+    per_sample = counts_per_sample(counts)
+    if "known-step" in estimator.method and per_sample < COARSE:
+        yield (
+            "coarse_motion",
+            f"the axis moves {per_sample:.2g} counts per sample: the encoder's error is no white noise; use iv",
+        )
+
+
+def _feedback(
+    estimator: Estimator, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]
+) -> Iterator[Finding]:
+    """Does the input follow the encoder's error? Then nothing made from the input is a clean instrument."""
+    theta = theta[: len(estimator.model.equation.names)]
+    if not theta[0] > 0:
+        return
+    columns = like(IV, estimator, prefilter_zeros=None).columns_at(theta, u, counts)
+    error = columns.z - columns.phi @ theta
+    change = np.diff(u, prepend=u[0])
+    score = correlation_score(error, change[columns.used])
+    if score > SIGNIFICANT:
+        yield (
+            "feedback",
+            "the input follows the encoder's error (position control through it): small biases beyond the error bars "
+            "are possible; a finer encoder in the loop, or open-loop motion, is free of them",
+        )
+
+
+def correlation_score(error: NDArray[np.float64], change: NDArray[np.float64], lags: int = 5) -> float:
+    """Largest correlation of an error (n,) with the input's changes (n,) up to `lags` samples later, in its standard
+    deviations for independent coloured series (Bartlett 1935)."""
+    n = error.size
+    error, change = error - error.mean(), change - change.mean()
+    if n <= 4 * lags or not np.any(error) or not np.any(change):
+        return 0.0
+    power = np.sqrt(np.sum(error**2) * np.sum(change**2))
+    cross = [np.sum(error[: n - lag] * change[lag:]) / power for lag in range(lags + 1)]
+    size = 2 ** int(np.ceil(np.log2(2 * n)))
+    own = [np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2, size)[: n // 4] for series in (error, change)]
+    rho = [series / series[0] for series in own]
+    variance = (1 + 2 * np.sum(rho[0][1:] * rho[1][1:])) / n
+    return float(np.max(np.abs(cross)) / np.sqrt(max(variance, 0.2 / n)))
