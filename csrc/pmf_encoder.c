@@ -60,11 +60,12 @@ static int32_t next_fast(int32_t fast, uint32_t counts)
     return fast > 0 ? fast - 1 : 0;
 }
 
-/* Counts and the pauses between them. Where counts came at least every CLOSE samples, a pause much longer than the
- * last ones is a standstill at once; with a coarser encoder it may be a slow reversal, and only time can tell. */
+/* Counts and the pauses between them. A pause much longer than the last ones is a standstill. Where counts came at
+ * least every CLOSE samples, one sample more is enough; with a coarser encoder it may be a slow reversal, which takes
+ * the longer the coarser it is. */
 static uint32_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, int32_t change)
 {
-    uint32_t still = config->standstill_samples, leaked;
+    uint32_t still = config->standstill_samples, leaked, limit;
     if (change != 0) {
         leaked = state->gap - state->gap / 4U;
         state->gap = state->idle + 1U > leaked ? state->idle + 1U : leaked;
@@ -74,7 +75,8 @@ static uint32_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_stat
         return 0U;
     }
     state->idle += state->idle < still ? 1U : 0U;
-    if (state->idle >= still || (state->gap <= CLOSE && state->idle > 2U * state->gap + 2U)) {
+    limit = state->gap <= CLOSE ? state->gap + 1U : 4U * state->gap + 2U;
+    if (state->idle >= still || state->idle > limit) {
         state->direction = PMF_R(0.0);
         state->moving = PMF_R(0.0);
         return PMF_STANDSTILL;

@@ -38,3 +38,9 @@ def cart_run(seed: int, *, increments: float | None = 4096, samples: int = 3000,
 @pytest.fixture(scope="session")
 def drive() -> pmfid.Drive:
     return pmfid.Drive(input_gain=CART.input_gain)
+
+
+def assert_near(theta: np.ndarray, truth: np.ndarray, within: list[float]) -> None:
+    """Each relative error within its own bound; the message shows the errors in percent."""
+    error = np.asarray(theta) / truth - 1
+    assert np.all(np.abs(error) < within), f"errors in percent: {100 * error}"

@@ -222,7 +222,7 @@ def test_configuration_that_does_not_exist(tmp_path: Path, cart: Cart) -> None:
     [
         (["identify"], "Missing argument 'RECORD'"),
         (["identify", "run.csv"], "Missing option '--config'"),
-        (["identify", "run.csv", "--config", "axis.toml", "--method", "lms"], "'lms' is not one of 'ls', 'bcls', "),
+        (["identify", "run.csv", "--config", "axis.toml", "--method", "lms"], "'lms' is not one of 'auto', 'ls', "),
         (["identify", "run.csv", "--config", "axis.toml", "--cutoff", "fast"], "'fast' is not a valid float"),
         (["identify", "run.csv", "--config", "axis.toml", "--jsn"], "'--json'"),
         (["idenify"], "'identify'"),
@@ -409,7 +409,7 @@ def test_a_counter_that_wraps_gives_the_same_numbers(tmp_path: Path, cart: Cart,
     frame = cart.frame.with_columns(pl.col.counts % 2**12)
     config = axis(tmp_path, "# bits = 16", "bits = 12")
     wrapped = good(written(tmp_path, frame), "--method", method, config=config)
-    assert wrapped["notes"][0].startswith("counter wrapped ")
+    assert any(note.startswith("counter wrapped ") for note in wrapped["notes"])
     assert wrapped["parameters"] == good(cart.csv, "--method", method)["parameters"]
 
 
@@ -424,14 +424,14 @@ def test_a_jump_of_the_counter_is_flagged_and_left_out(tmp_path: Path, cart: Car
 
 @pytest.mark.parametrize("method", METHODS)
 def test_out_writes_the_report_the_numbers_and_the_track(tmp_path: Path, cart: Cart, method: str) -> None:
-    track = issubclass(ESTIMATORS[method], RecursiveEstimator)
     out = tmp_path / "new" / "folder"
     printed = good(cart.csv, "--method", method, "--out", str(out))
+    track = issubclass(ESTIMATORS[printed["method"]], RecursiveEstimator)
     expected = {"report.html", "result.json"} | ({"track.parquet"} if track else set())
     assert {path.name for path in out.iterdir()} == expected
     assert json.loads((out / "result.json").read_text()) == printed
     html = (out / "report.html").read_text()
-    assert f"<h1>cart.csv: {method}</h1>" in html
+    assert f"<h1>cart.csv: {printed['method']}</h1>" in html
     assert html.count("<svg") >= 2
     if track:
         last = pl.read_parquet(out / "track.parquet").row(-1, named=True)

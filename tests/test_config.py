@@ -63,7 +63,7 @@ def test_minimal_file_gets_the_defaults(tmp_path: Path) -> None:
     assert (axis.encoder.bits, axis.encoder.standstill_time, axis.encoder.max_speed) == (None, 0.2, None)
     assert (axis.model.kind, axis.model.input_gain, axis.model.offset) == ("drive", 2.0, False)
     estimator = axis.estimator
-    assert (estimator.method, estimator.order, estimator.forgetting) == ("bcrls", 2, 1.0)
+    assert (estimator.method, estimator.order, estimator.forgetting) == ("auto", 2, 1.0)
     assert (estimator.discretization, estimator.precision) == ("matched", "float64")
     assert estimator.prefilter_zeros is None
 

@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     from pmfid.estimators.batch import LS as LS
     from pmfid.estimators.batch import Fit as Fit
     from pmfid.estimators.bcrls import BCRLS as BCRLS
+    from pmfid.estimators.interval import IntervalML as IntervalML
     from pmfid.estimators.iv import IV as IV
     from pmfid.estimators.iv import RIV as RIV
     from pmfid.estimators.known_step import KnownStep as KnownStep
     from pmfid.estimators.known_step import RKnownStep as RKnownStep
+    from pmfid.estimators.output_error import OE as OE
     from pmfid.estimators.recursive import Track as Track
     from pmfid.estimators.rls import RLS as RLS
     from pmfid.models.drive import Drive as Drive
@@ -35,6 +37,8 @@ _PUBLIC = {
     "Fit": "pmfid.estimators.batch",
     "IV": "pmfid.estimators.iv",
     "RIV": "pmfid.estimators.iv",
+    "OE": "pmfid.estimators.output_error",
+    "IntervalML": "pmfid.estimators.interval",
     "KnownStep": "pmfid.estimators.known_step",
     "RKnownStep": "pmfid.estimators.known_step",
     "LS": "pmfid.estimators.batch",

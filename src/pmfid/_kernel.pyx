@@ -2,6 +2,9 @@
 """Thin binding of the C kernel; compiled twice, as `_kernel64` and `_kernel32`."""
 
 from cpython.bytes cimport PyBytes_FromStringAndSize
+from cpython.long cimport PyLong_AsLongLong
+from cpython.number cimport PyNumber_Index
+from hashlib import sha256
 from libc.stdint cimport int64_t, uint32_t
 from libc.string cimport memcpy
 cimport numpy as cnp
@@ -157,6 +160,7 @@ cdef class Kernel:
 
     def __init__(self, stages, columns, encoder, direct, settle_samples, instrument=None, auxiliary=None):
         cdef pmf_network_config_t *net = &self.config.network
+        pmf_clear(&self.config, sizeof(self.config))
         n_taps = sum(len(column) for column in columns)
         if len(stages) > PMF_MAX_STAGES or n_taps > PMF_MAX_TAPS or len(columns) > PMF_MAX_COLUMNS \
                 or max(direct["n_parameters"], (instrument or direct)["n_parameters"]) > PMF_MAX_PARAMETERS:
@@ -212,9 +216,10 @@ cdef class Kernel:
         estimate.status = self.state.status
         return estimate
 
-    def step(self, double u, long long counts):
-        """One sample in, one `Estimate` out."""
-        pmf_step(&self.config, &self.state, <real_t> u, <uint32_t> counts)
+    def step(self, double u, counts):
+        """One sample in, one `Estimate` out; counts is an integer, anything else raises TypeError."""
+        cdef long long count = PyLong_AsLongLong(PyNumber_Index(counts))
+        pmf_step(&self.config, &self.state, <real_t> u, <uint32_t> count)
         return self._snapshot()
 
     def estimate(self):
@@ -257,15 +262,19 @@ cdef class Kernel:
         return np.asarray(columns), np.asarray(status)
 
     def get_state(self):
-        """The state as bytes."""
-        return PyBytes_FromStringAndSize(<char *> &self.state, sizeof(pmf_state_t))
+        """The state as bytes, after a fingerprint of the configuration that it belongs to."""
+        return self._fingerprint() + PyBytes_FromStringAndSize(<char *> &self.state, sizeof(pmf_state_t))
+
+    def _fingerprint(self):
+        return sha256(PyBytes_FromStringAndSize(<char *> &self.config, sizeof(pmf_config_t))).digest()
 
     def set_state(self, bytes state):
-        """Restores what `get_state` gave; raises ValueError for a state of another size."""
-        if len(state) != sizeof(pmf_state_t):
-            raise ValueError(f"a state of this kernel has {sizeof(pmf_state_t)} bytes, got {len(state)}; "
-                             "take it from the same version and precision")
-        memcpy(&self.state, <char *> state, sizeof(pmf_state_t))
+        """Restores what `get_state` gave; raises ValueError for a state of another configuration."""
+        own = self._fingerprint()
+        if len(state) != len(own) + sizeof(pmf_state_t) or state[:len(own)] != own:
+            raise ValueError("these bytes are not a state of this configuration; take it from an estimator with the "
+                             "same method, model, encoder, dt, filters, precision and version")
+        memcpy(&self.state, <char *> state + len(own), sizeof(pmf_state_t))
 
 
 def simulate(parameters, double input_gain, double dt, const double[::1] u, double velocity=0.0):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,6 +74,7 @@ def quantize(y: ArrayLike, resolution: float) -> NDArray[np.int64]:
     return np.floor(np.asarray(y, float) / resolution).astype(np.int64)
 
 
+@cache
 def tracker_gains(tracking_index: float) -> dict[str, float]:
     """Steady gains of a Kalman filter for piecewise constant white acceleration, and of its one-step smoother.
 

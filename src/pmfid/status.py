@@ -37,7 +37,5 @@ ADVICE = {
     Status.COUNT_JUMP: "the counts jumped further than max_speed allows: check the wiring and the counter's bits",
     Status.STANDSTILL: "no counts within standstill_time: the axis is taken to be at rest",
     Status.RESET: "a number left the range of the format: the estimator started again",
-    Status.FALLBACK: (
-        "the auxiliary model does not follow the plant: this is the estimate from the counts alone (bcrls)"
-    ),
+    Status.FALLBACK: ("the simulated motion does not follow the plant: this is the estimate of the simpler method"),
 }

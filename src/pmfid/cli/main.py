@@ -105,6 +105,45 @@ def identify(
 
 
 @main.command()
+@click.argument("record", type=click.Path(path_type=Path))
+@click.option(
+    "--config",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="AXIS.toml",
+    help="What the record holds, the encoder, the model, the estimator.",
+)
+@click.option("--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; its inverse is their time constant.")
+@click.option("--quantize", type=float, metavar="STEP", help="Floor the position to this coarser step first.")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write compare.html there."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+def compare(
+    record: Path, config: Path, cutoff: float | None, quantize: float | None, out: Path | None, as_json: bool
+) -> None:
+    """Identify the parameters of RECORD by every method, side by side."""
+    from pmfid.session.compare import compare as run
+    from pmfid.session.config import load_axis
+    from pmfid.session.records import read_record
+
+    axis = load_axis(config, {"estimator.cutoff": cutoff})
+    comparison = run(read_record(record, axis, quantize), axis)
+    if out is not None:
+        from pmfid.report.comparison import write_comparison
+
+        write_comparison(out, comparison)
+    if as_json:
+        import json
+
+        click.echo(json.dumps(comparison.to_json(), allow_nan=False))
+    else:
+        from pmfid.cli.tables import print_comparison
+
+        print_comparison(comparison, out)
+
+
+@main.command()
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pmfid.session.compare import Comparison
     from pmfid.session.pipeline import Result
 
 #: Shorter runs are over before a bar could be read.
@@ -34,6 +35,31 @@ def print_result(result: Result, out: Path | None) -> None:
         console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
     if out is not None:
         console.print(f"report: {out / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
+
+
+def print_comparison(comparison: Comparison, out: Path | None) -> None:
+    """One row for each method, and why a method has no answer."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from pmfid.report.comparison import comparison_rows
+
+    header, rows = comparison_rows(comparison)
+    table = Table(title=escape(f"{comparison.record.name}: all methods"))
+    for heading in header:
+        text = escape(heading.replace("_", "\n").replace(" [", "\n["))
+        table.add_column(
+            text, justify="left" if heading in ("method", "flags") else "right", no_wrap=heading != "flags"
+        )
+    for row in rows:
+        table.add_row(*row)
+    console = Console()
+    console.print(table)
+    for name, reason in comparison.refused.items():
+        console.print(f"{name} has no answer: {reason}", highlight=False, markup=False, soft_wrap=True)
+    if out is not None:
+        console.print(f"report: {out / 'compare.html'}", highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager

@@ -101,7 +101,7 @@ class RecursiveEstimator(Estimator):
         return state
 
     def set_state(self, state: bytes) -> None:
-        """Continues from a saved state. Raises UsageError for a state of another size."""
+        """Continues from a saved state. Raises UsageError for one of another configuration."""
         try:
             self._kernel.set_state(state)
         except ValueError as error:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BCLS, LS
 from pmfid.estimators.bcrls import BCRLS
+from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known_step import KnownStep, RKnownStep
+from pmfid.estimators.output_error import OE
 from pmfid.estimators.rls import RLS
 
-OFF_LINE = (LS, BCLS, KnownStep, IV)
+OFF_LINE = (LS, BCLS, KnownStep, IV, OE, IntervalML)
 RECURSIVE = (RLS, BCRLS, RKnownStep, RIV)
 ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (*OFF_LINE, *RECURSIVE)}

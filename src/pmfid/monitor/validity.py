@@ -20,6 +20,8 @@ POSITIVE = ("mass", "viscous_friction", "coulomb_friction")
 SIGNIFICANT = 4.5
 #: Counts per sample below which the encoder's error is no white noise.
 COARSE = 1.0
+#: A change of the counts so much larger than the usual ones is no motion.
+JUMP = 30
 #: A method's own error, relative, that is worth a word of its own.
 BIASED = 0.01
 
@@ -44,6 +46,7 @@ def judge(
         *_sizes(estimator, theta, std),
         *_bias(estimator, u, counts, theta, std),
         *_coarse(estimator, counts),
+        *_jump(counts),
         *_feedback(estimator, u, counts, theta),
     ]
     return tuple(dict.fromkeys(flag for flag, _ in found)), tuple(sentence for _, sentence in found)
@@ -131,22 +134,36 @@ def _coarse(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding
         )
 
 
+def _jump(counts: NDArray[np.int64]) -> Iterator[Finding]:
+    """One change of the counts far beyond all others: a wrap that nobody has undone, or a lost position."""
+    change = np.abs(np.diff(counts))
+    worst = int(np.argmax(change))
+    usual = float(np.quantile(change, 0.99))
+    if change[worst] > JUMP * (usual + 1):
+        yield (
+            "count_jump",
+            f"the counts jump by {change[worst]} at row {worst + 2}, usually by {usual:.3g} at most: a counter that "
+            "wraps needs [encoder] bits; for lost counts give max_speed",
+        )
+
+
 def _feedback(
     estimator: Estimator, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]
 ) -> Iterator[Finding]:
     """Does the input follow the encoder's error? Then nothing made from the input is a clean instrument."""
     theta = theta[: len(estimator.model.equation.names)]
-    if not theta[0] > 0:
+    if not theta[0] > 0 or estimator.method == "interval":
         return
     columns = like(IV, estimator, prefilter_zeros=None).columns_at(theta, u, counts)
     error = columns.z - columns.phi @ theta
     change = np.diff(u, prepend=u[0])
-    score = correlation_score(error, change[columns.used])
+    recent = slice(-round(min(error.size, 3 / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None)
+    score = correlation_score(error[recent], change[columns.used][recent])
     if score > SIGNIFICANT:
         yield (
             "feedback",
-            "the input follows the encoder's error (position control through it): small biases beyond the error bars "
-            "are possible; a finer encoder in the loop, or open-loop motion, is free of them",
+            "the input follows what the model leaves unexplained, the encoder's error or unmodelled friction, as under "
+            "position control: small biases beyond the error bars are possible; open-loop motion is free of them",
         )
 
 

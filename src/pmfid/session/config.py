@@ -87,9 +87,19 @@ class ModelConfig(_Section):
 class EstimatorConfig(_Section):
     """[estimator]: method, filter chain (`cutoff` in rad/s, `order` stages) and memory."""
 
-    method: Literal["ls", "bcls", "known-step", "iv", "rls", "bcrls", "rknown-step", "riv"] = Field(
-        "bcrls", description="the estimation method"
-    )
+    method: Literal[
+        "auto",
+        "ls",
+        "bcls",
+        "known-step",
+        "iv",
+        "output-error",
+        "interval",
+        "rls",
+        "bcrls",
+        "rknown-step",
+        "riv",
+    ] = Field("auto", description="the estimation method")
     cutoff: Positive = Field(description="the pole of the filter chain in rad/s, for example 50.0")
     order: int = Field(2, ge=2, le=6, description="the number of filter stages, 2 to 6")
     forgetting: float = Field(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.auto import AUTO, choose
 from pmfid.estimators.base import Estimator, like, status_names
 from pmfid.estimators.batch import BatchEstimator, Columns, Fit, check_identifiable
 from pmfid.estimators.recursive import RecursiveEstimator, Track
@@ -65,7 +66,7 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
     """The estimator that a configuration asks for, at the record's sample period and resolution."""
     check_sampling(axis, record.dt)
     config = axis.estimator
-    cls = ESTIMATORS[config.method]
+    cls = ESTIMATORS["iv" if config.method == AUTO else config.method]
     options: dict[str, Any] = {"order": config.order, "discretization": config.discretization}
     options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
     if issubclass(cls, RecursiveEstimator):
@@ -85,7 +86,26 @@ def identify(record: Record, axis: Axis, progress: Progress | None = None) -> Re
     Raises UsageError for a configuration that does not fit the record and NotIdentifiableError where the record
     cannot identify every parameter.
     """
-    estimator = make_estimator(axis, record)
+    estimator, reason = make_estimator(axis, record), ""
+    if axis.estimator.method == AUTO:
+        estimator, reason = choose(estimator, record.u, record.counts, axis.estimator.forgetting)
+    result = _identify(estimator, record, axis, progress)
+    _check_known(result)
+    return replace(result, notes=(f"auto chose {reason}", *result.notes)) if reason else result
+
+
+def _check_known(result: Result) -> None:
+    """A mass that is not known to its own size is no estimate."""
+    mass, std = result.theta[0], result.theta_std[0]
+    if not std < abs(mass):
+        advice = "; ".join(result.notes) or "record a motion with reversals and varying speed"
+        raise NotIdentifiableError(
+            f"{result.estimator.names[0]} comes out as {mass:.3g} with a standard deviation of {std:.2g}: this record "
+            f"cannot identify it ({advice})"
+        )
+
+
+def _identify(estimator: Estimator, record: Record, axis: Axis, progress: Progress | None) -> Result:
     batch = _batch_twin(estimator)
     columns = batch.columns(record.u, record.counts)
     check_identifiable(columns, batch.names)
@@ -93,7 +113,7 @@ def identify(record: Record, axis: Axis, progress: Progress | None = None) -> Re
         return _recursive(estimator, record, columns, progress)
     fit = batch.fit(record.u, record.counts)
     flags, notes = judge(estimator, record.u, record.counts, fit.theta, fit.theta_std)
-    if axis.estimator.forgetting < 1:
+    if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
         notes = (*notes, f"{estimator.method} is an off-line method: forgetting is not used")
     notes = (*record.notes, *notes, *Status(fit.status).advice)
     status = (*status_names(fit.status), *flags)

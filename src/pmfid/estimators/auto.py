@@ -1,0 +1,47 @@
+"""The method for those who choose none."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.base import Estimator, like
+from pmfid.estimators.batch import BCLS, LS, Fit
+from pmfid.estimators.interval import IntervalML
+from pmfid.estimators.iv import IV, RIV
+from pmfid.status import Status
+
+AUTO = "auto"
+
+
+def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: float) -> tuple[Estimator, str]:
+    """The best method that a record carries, and a line that says why; u, counts: (n,).
+
+    With a memory: recursive instrumental variables, which fall back on BCRLS by themselves. Without: the interval
+    likelihood where the model explains the counts to half of one, else instrumental variables where the simulated
+    motion follows the measured one, else bias-compensated, else plain least squares.
+    Raises NotIdentifiableError where none of them can identify every parameter.
+    """
+    if forgetting < 1:
+        return like(RIV, configured, prefilter_zeros=None, forgetting=forgetting), "riv: parameters may change"
+    refused: list[str] = []
+    for cls, reason in _CANDIDATES:
+        candidate: Any = like(cls, configured, **({"model": configured.model.symmetric} if cls in (BCLS, LS) else {}))
+        try:
+            fit: Fit = candidate.fit(u, counts)
+        except NotIdentifiableError as error:
+            refused.append(f"{cls.method}: {error}")
+            continue
+        if fit.theta[0] > 0 and not fit.status & Status.FALLBACK:
+            return candidate, f"{cls.method}: {reason}"
+    raise NotIdentifiableError(refused[0].partition(": ")[2])
+
+
+_CANDIDATES: tuple[tuple[type[Estimator], str], ...] = (
+    (IntervalML, "the model explains every count"),
+    (IV, "the simulated motion follows the measured one"),
+    (BCLS, "the input carries enough to take out the encoder's bias"),
+    (LS, "nothing but least squares settles on this record; mind the encoder's bias"),
+)

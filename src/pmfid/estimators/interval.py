@@ -1,0 +1,109 @@
+"""Interval likelihood: a count says between which two positions the axis is, and nothing more."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import log_ndtr
+
+from pmfid.estimators.batch import Fit
+from pmfid.estimators.output_error import OE, Difference, Floats, inverted, rms, without_nuisance
+from pmfid.status import Status
+
+#: Least standard deviation of the position's own noise, in counts: below, the likelihood is a box without slopes.
+NOISE_FLOOR = 0.02
+MAX_ITERATIONS = 100
+TOLERANCE = 1e-6
+MAX_DAMPING = 1e8
+#: Noise, in counts, from which on the edges of the counts no longer show.
+WIDE = 3.0
+TINY = 1e-300
+HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
+
+
+@dataclass(frozen=True)
+class IntervalML(OE):
+    """Maximum likelihood of the counts, off-line (Ljung 1999, section 7.4, for a quantised output).
+
+    log L = sum log(Phi((b - x)/s) - Phi((a - x)/s)): x(k) the simulated position, a = resolution * counts and
+    b = a + resolution the edges of the count, s the standard deviation of what else is in the position, estimated
+    too, of at least 0.02 counts. Starts from `OE`. theta_cov is the inverse of the expected information, not of the
+    observed: far from the edges a count shows no curvature, whatever it says.
+
+    Where y - x is more than the encoder explains, and wherever `OE` has a high-pass, the edges of the counts say
+    nothing on x: the result is then that of `OE`, with `Status.FALLBACK`. drift_cutoff, initial: as for `OE`.
+    """
+
+    method: ClassVar[str] = "interval"
+
+    def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
+        NotIdentifiableError where the record cannot identify every parameter, or the simulation does not follow."""
+        difference, q, status = self.followed(u, counts)
+        if difference.pole > 0 or rms(difference(q)) > difference.explained:
+            return self.by_squares(difference, q, status | int(Status.FALLBACK))
+        q, noise = likeliest(difference, q)
+        root = np.sqrt(expected_information(difference(q), noise))
+        sensitivity = without_nuisance(difference.jacobian(q) * root[:, None], len(self.names))
+        return self.result(difference, q, inverted(sensitivity, self.names), status)
+
+
+def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
+    """q (q,) and noise [counts] of the largest likelihood from q: damped Newton steps, each with the best noise."""
+    damping, step = 1e-3, np.inf
+    e, jacobian = difference(q), difference.jacobian(q)
+    noise = likeliest_noise(e)
+    for _ in range(MAX_ITERATIONS):
+        now, slope, curvature = cost(e, noise)
+        hessian = jacobian.T @ (curvature[:, None] * jacobian)
+        # counts far from their edges have no curvature: without the last term a step would leave them
+        hessian += damping * (np.diag(np.diagonal(hessian)) + jacobian.T @ jacobian)
+        trial = np.maximum(q - np.linalg.lstsq(hessian, jacobian.T @ slope)[0], difference.lower)
+        e_trial = difference(trial)
+        if cost(e_trial, noise)[0] < now:
+            step, q, e, damping = float(np.max(np.abs(trial - q))), trial, e_trial, damping / 10
+            noise, jacobian = likeliest_noise(e), difference.jacobian(q)
+        else:
+            damping *= 10
+        if step < TOLERANCE or damping > MAX_DAMPING:
+            break
+    return q, noise
+
+
+def likeliest_noise(e: Floats) -> float:
+    """Noise [counts] of the largest likelihood for the differences e (n,) [counts]."""
+    from scipy.optimize import minimize_scalar  # slow to import, and only this needs it
+
+    bounds = (math.log(NOISE_FLOOR), math.log(1 + 2 * float(np.max(np.abs(e)))))
+    return math.exp(minimize_scalar(lambda log: cost(e, math.exp(log))[0], bounds=bounds, method="bounded").x)
+
+
+def cost(e: Floats, noise: float) -> tuple[float, Floats, Floats]:
+    """Negative log-likelihood, and its first and second derivative by each of the differences e (n,) [counts]."""
+    log_p, slope, bend = count_likelihood(np.abs(e), noise)
+    return -float(np.sum(log_p)), np.sign(e) * slope, np.maximum(slope**2 + bend, 0.0)
+
+
+def expected_information(e: Floats, noise: float) -> Floats:
+    """Fisher information (n,) on the position [counts] at differences e (n,), mean over the counts that may come."""
+    if noise > WIDE:
+        return np.full(e.size, 1 / (noise**2 + 1 / 12))  # Sheppard's correction
+    reach, total = math.ceil(6 * noise), np.zeros(e.size)
+    for count in range(-reach, reach + 1):
+        log_p, slope, _ = count_likelihood(np.abs(e - np.round(e) + count), noise)
+        total += np.exp(log_p) * slope**2
+    return total
+
+
+def count_likelihood(apart: Floats, noise: float) -> tuple[Floats, Floats, Floats]:
+    """Logarithm of the probability P of a count whose middle is `apart` >= 0 (n,) [counts] from the position, with
+    -P'/P and P''/P negative. All from logarithms: far outside the count P itself is zero in floating point."""
+    inner, outer = (0.5 - apart) / noise, (-0.5 - apart) / noise
+    log_inner = log_ndtr(inner)
+    log_p = log_inner + np.log(-np.expm1(np.minimum(log_ndtr(outer) - log_inner, -TINY)))
+    at_inner, at_outer = (np.exp(-0.5 * edge**2 - HALF_LOG_2_PI - log_p) for edge in (inner, outer))
+    return log_p, (at_inner - at_outer) / noise, (inner * at_inner - outer * at_outer) / noise**2

@@ -1,0 +1,57 @@
+"""The report of all methods side by side."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from pmfid.report.figures import figure_style
+from pmfid.report.html import Section, svg, write_report
+from pmfid.session.compare import Comparison
+
+
+def write_comparison(out: Path, comparison: Comparison) -> None:
+    """Writes compare.html and compare.json into the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "compare.json").write_text(json.dumps(comparison.to_json(), indent=2, allow_nan=False) + "\n")
+    header, rows = comparison_rows(comparison)
+    refused = " ".join(f"{name} has no answer: {reason}." for name, reason in comparison.refused.items())
+    sections = [
+        Section("Methods", refused, (header, rows)),
+        Section("Estimates with two standard deviations", svg=svg(comparison_dots(comparison))),
+    ]
+    write_report(out / "compare.html", f"{comparison.record.name}: all methods", sections)
+
+
+def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
+    """Header and one row of text for each method."""
+    first = next(iter(comparison.results.values())).estimator
+    header = ["method", *(f"{name} [{unit}]" for name, unit in zip(first.names, first.units, strict=True)), "flags"]
+    rows = []
+    for method, result in comparison.results.items():
+        values = dict(zip(result.estimator.names, zip(result.theta, result.theta_std, strict=True), strict=True))
+        cells = [f"{values[n][0]:.5g} ± {values[n][1]:.2g}" if n in values else "-" for n in first.names]
+        rows.append([method, *cells, ", ".join(result.status)])
+    return header, rows
+
+
+def comparison_dots(comparison: Comparison) -> Figure:
+    """One panel for each parameter: estimates by method with bars of two standard deviations."""
+    first = next(iter(comparison.results.values())).estimator
+    methods = list(comparison.results)
+    with figure_style():
+        figure = Figure(figsize=(10, 1.2 + 0.34 * len(methods)), layout="constrained")
+        panels = figure.subplots(1, len(first.names), sharey=True, squeeze=False)[0]
+        for panel, name, unit in zip(panels, first.names, first.units, strict=True):
+            for row, result in enumerate(comparison.results.values()):
+                if name not in result.estimator.names:
+                    continue
+                i = result.estimator.names.index(name)
+                panel.errorbar(result.theta[i], row, xerr=2 * result.theta_std[i], fmt="o", color="#0072B2", capsize=3)
+            panel.set_xlabel(f"{name.replace('_', ' ')} in {unit}")
+            panel.locator_params(axis="x", nbins=4)
+        panels[0].set_yticks(range(len(methods)), methods)
+        panels[0].invert_yaxis()
+    return figure

@@ -1,0 +1,121 @@
+"""Instrumental variables with the auxiliary model: reversals, standstill, real data."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.io
+
+import pmfid
+from pmfid import Status
+from pmfid.encoder import quantize
+from pmfid.monitor.validity import judge
+from pmfid.simulation.scenarios import make_scenario
+from tests.conftest import EMPS, TRUTH, assert_near, cart_run, needs_emps
+
+DT = 0.01
+START = {"mass": 0.8, "viscous_friction": 10.0, "coulomb_friction": 0.3}
+
+
+@pytest.mark.parametrize("time_constant", [2, 5])
+@pytest.mark.parametrize("increments", [None, 256])
+def test_no_discretisation_error(time_constant, increments, drive):
+    """Reversals inside samples included: the mean over seeds is the truth."""
+    cutoff = 1 / (time_constant * DT)
+    found = [
+        pmfid.IV(drive, run.encoder, DT, cutoff).fit(run.u, run.counts).theta
+        for run in (cart_run(seed, increments=increments) for seed in range(10))
+    ]
+    assert_near(np.mean(found, axis=0), TRUTH, [1e-3, 2e-3, 1e-2])
+    if increments is None:
+        np.testing.assert_allclose(found[0], TRUTH, rtol=1e-4)
+
+
+@pytest.mark.parametrize("increments", [4096, 512, 128])
+def test_stop_and_go_through_the_encoder(increments, drive):
+    for seed in range(3):
+        scenario = make_scenario("stop-and-go", seed=seed, increments=increments)
+        encoder, u = pmfid.Encoder(scenario.resolution), scenario.motion.u
+        fit = pmfid.IV(drive, encoder, DT, 100 / 3).fit(u, scenario.counts)
+        assert_near(fit.theta, TRUTH, [0.005, 0.005, 0.02])
+        track = pmfid.RIV(drive, encoder, DT, 100 / 3, forgetting=0.99, initial=START).run(u, scenario.counts)
+        assert_near(track.theta[1000:].mean(axis=0), TRUTH, [0.005, 0.005, 0.02])
+        assert not np.any(track.flagged(Status.FALLBACK)[1000:])
+
+
+def test_riv_falls_back_and_recovers(drive):
+    """A start so wrong that the model leaves the plant: said, bridged by BCRLS, and over after some seconds."""
+    run = cart_run(1, increments=1024)
+    lost = {"mass": 40.0, "viscous_friction": 1.0, "coulomb_friction": 5.5}
+    track = pmfid.RIV(drive, run.encoder, DT, 100 / 3, forgetting=0.99, initial=lost).run(run.u, run.counts)
+    assert np.any(track.flagged(Status.FALLBACK))
+    assert not np.any(track.flagged(Status.FALLBACK)[1500:])
+    assert_near(track.theta[1500:].mean(axis=0), TRUTH, [0.01, 0.01, 0.05])
+
+
+def test_riv_tracks_a_mass_step(drive):
+    scenario = make_scenario("mass-step", seed=2, increments=256)
+    track = pmfid.RIV(drive, pmfid.Encoder(scenario.resolution), DT, 50.0, forgetting=0.99).run(
+        scenario.motion.u, scenario.counts
+    )
+    mass = track["mass"]
+    assert np.all((mass[100:] > 0.7 * 1.07) & (mass[100:] < 1.5 * 1.44))
+    assert mass[-300:].mean() == pytest.approx(1.44, rel=0.005)
+
+
+def test_error_bars_of_iv(drive):
+    """The claimed standard deviation of the mass is the observed one within a third."""
+    fits = [
+        pmfid.IV(drive, run.encoder, DT, 100 / 3).fit(run.u, run.counts)
+        for run in (cart_run(seed, increments=512) for seed in range(40))
+    ]
+    observed = np.std([fit.theta for fit in fits], axis=0)
+    claimed = np.mean([fit.theta_std for fit in fits], axis=0)
+    np.testing.assert_allclose(claimed, observed, rtol=0.34)
+
+
+def test_judge_knows_feedback_and_the_bias_of_the_others(drive):
+    scenario = make_scenario("stop-and-go", seed=1, increments=256)
+    encoder, u, counts = pmfid.Encoder(scenario.resolution), scenario.motion.u, scenario.counts
+    for cls, flag in ((pmfid.IV, "feedback"), (pmfid.BCLS, "biased"), (pmfid.LS, "biased")):
+        estimator = cls(drive, encoder, DT, 100 / 3)
+        fit = estimator.fit(u, counts)
+        assert flag in judge(estimator, u, counts, fit.theta, fit.theta_std)[0]
+    run = cart_run(3, increments=256)
+    estimator = pmfid.IV(drive, run.encoder, DT, 100 / 3)
+    fit = estimator.fit(run.u, run.counts)
+    assert judge(estimator, run.u, run.counts, fit.theta, fit.theta_std)[0] == ()
+
+
+@needs_emps
+@pytest.mark.parametrize(
+    ("step", "cutoff", "within"),
+    [(5e-8, 100.0, (0.01, 0.02, 0.02)), (1e-3, 100.0, (0.02, 0.04, 0.04)), (2e-3, 20.0, (0.03, 0.06, 0.06))],
+)
+def test_emps(step, cutoff, within):
+    """Direction and standstill from the model alone; published 95.11, 203.5, 20.39."""
+    u, q = emps_record()
+    fit = pmfid.IV(pmfid.Drive(1.0, offset=True), pmfid.Encoder(step), 1e-3, cutoff).fit(u, quantize(q, step))
+    np.testing.assert_allclose(fit.theta[:3] / [95.1089, 203.5034, 20.3935], np.ones(3), atol=max(within))
+    assert np.all(np.abs(fit.theta[:3] / [95.1089, 203.5034, 20.3935] - 1) < within)
+
+
+@needs_emps
+def test_emps_recursive():
+    u, q = emps_record()
+    track = pmfid.RIV(pmfid.Drive(1.0, offset=True), pmfid.Encoder(1e-3), 1e-3, 100.0).run(u, quantize(q, 1e-3))
+    assert np.all(np.abs(track.theta[-1, :3] / [95.1089, 203.5034, 20.3935] - 1) < [0.04, 0.08, 0.08])
+
+
+@needs_emps
+def test_emps_friction_by_direction():
+    """Published: 95.15, 166.7, 240.4, 20.14, 20.63; at 200 rad/s all within 3 %."""
+    u, q = emps_record()
+    drive = pmfid.Drive(1.0, friction="directional")
+    fit = pmfid.IV(drive, pmfid.Encoder(5e-8), 1e-3, 200.0).fit(u, quantize(q + 1e-12, 5e-8))
+    np.testing.assert_allclose(fit.theta, [95.154, 166.7061, 240.4236, 20.1440, 20.6277], rtol=0.03)
+
+
+def emps_record() -> tuple[np.ndarray, np.ndarray]:
+    record = scipy.io.loadmat(EMPS)
+    return record["vir"].ravel() * float(record["gtau"][0, 0]), record["qm"].ravel()
