@@ -194,6 +194,7 @@ typedef struct {
     uint32_t running; /* has parameters */
     uint32_t trial;   /* samples until it is judged */
     uint32_t trusted;
+    uint32_t in_charge; /* the instrumental estimate has taken over from the direct one */
 } pmf_auxiliary_state_t;
 
 typedef struct {

@@ -3,6 +3,8 @@
  */
 #include "pmf.h"
 
+#define TAKE_OVER PMF_R(1.5)
+
 void pmf_clear(void *memory, uint32_t size)
 {
     unsigned char *byte = (unsigned char *)memory;
@@ -76,12 +78,28 @@ const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t
     return (state->status & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
 }
 
+/* The instrumental estimate takes over once it knows as much as the direct one, which has gathered for longer. */
+static uint32_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
+{
+    const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
+    uint32_t i;
+    for (i = 0; i < PMF_ROLES && state->direct.started != 0U; ++i) {
+        if (auxiliary->index[i] != PMF_NO_PARAMETER && auxiliary->direct_index[i] != PMF_NO_PARAMETER &&
+            state->instrument.estimate.variance_factor[auxiliary->index[i]] >
+                TAKE_OVER * state->direct.estimate.variance_factor[auxiliary->direct_index[i]]) {
+            return 0U;
+        }
+    }
+    return state->instrument.started > 0U ? 1U : 0U;
+}
+
 /* Instrumental variables where the auxiliary model follows the plant, else the direct estimate. */
 static uint32_t instrument_step(const pmf_config_t *config, pmf_state_t *state, uint32_t direct_status, uint32_t settled)
 {
     const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
     uint32_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column);
     uint32_t status = PMF_STARTING;
+    state->auxiliary.in_charge &= trusted;
     if (trusted == 0U) { /* what was gathered with a wrong direction would stay */
         pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument);
     } else if (settled != 0U) {
@@ -89,7 +107,10 @@ static uint32_t instrument_step(const pmf_config_t *config, pmf_state_t *state, 
     } else {
         status = state->instrument.started != 0U ? 0U : status;
     }
-    if (trusted != 0U && state->instrument.started != 0U) {
+    if (trusted != 0U && state->auxiliary.in_charge == 0U) {
+        state->auxiliary.in_charge = takes_over(config, state);
+    }
+    if (state->auxiliary.in_charge != 0U) {
         pmf_auxiliary_follow(auxiliary, &state->auxiliary, state->instrument.estimate.theta, auxiliary->index);
         return status;
     }
@@ -106,7 +127,8 @@ uint32_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, 
     uint32_t status = pmf_filter(config, state, input, count);
     uint32_t settled = (status & PMF_SETTLING) == 0U ? 1U : 0U;
     uint32_t direct_status = state->direct.started == 0U ? (uint32_t)PMF_STARTING : 0U;
-    if (settled != 0U) {
+    /* with an auxiliary model the second half of the settling is the model's */
+    if (settled != 0U || (config->auxiliary.enabled != 0U && state->settle < config->settle_samples / 2U)) {
         direct_status = pmf_recursion_step(&config->direct, &state->direct, state->network.column);
     }
     if (config->auxiliary.enabled != 0U) {

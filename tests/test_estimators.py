@@ -101,7 +101,7 @@ def test_no_motion_and_no_excitation_are_said(drive):
     with pytest.raises(pmfid.NotIdentifiableError, match=r"viscous_friction|coulomb_friction"):
         batch.fit(np.full(1000, 1.0), np.arange(1000) * 10)
     with pytest.raises(pmfid.NotIdentifiableError, match="too few"):
-        batch.fit(np.ones(26), np.arange(26))
+        batch.fit(np.ones(20), np.arange(20))
 
 
 @pytest.mark.parametrize("cls", ESTIMATORS.values())

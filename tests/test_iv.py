@@ -119,3 +119,20 @@ def test_emps_friction_by_direction():
 def emps_record() -> tuple[np.ndarray, np.ndarray]:
     record = scipy.io.loadmat(EMPS)
     return record["vir"].ravel() * float(record["gtau"][0, 0]), record["qm"].ravel()
+
+
+@pytest.mark.parametrize("name", ["mass-step", "stop-and-go-mass-step"])
+@pytest.mark.parametrize("increments", [4096, 256])
+@pytest.mark.parametrize("time_constant", [2, 5])
+def test_riv_never_spikes(name, increments, time_constant, drive):
+    """From 1 s on, but for the second after the mass step, no sample outside 0.7 to 1.5 of the true mass."""
+    for seed in range(4):
+        scenario = make_scenario(name, seed=seed, increments=increments)
+        n = scenario.counts.size
+        track = pmfid.RIV(drive, pmfid.Encoder(scenario.resolution), DT, 1 / (time_constant * DT), forgetting=0.99).run(
+            scenario.motion.u, scenario.counts
+        )
+        ratio = track["mass"] / np.where(np.arange(n) < n // 2, 1.07, 1.44)
+        late = np.r_[ratio[100 : n // 2], ratio[n // 2 + 100 :]]
+        assert late.min() > 0.7
+        assert late.max() < 1.5

@@ -19,8 +19,8 @@ from pmfid.filters.network import Network, Taps, scaled
 from pmfid.models.drive import Drive
 from pmfid.status import Status
 
-#: The filters' start has decayed to 5e-4 of itself after so many time constants (order 2).
-SETTLE_TIME_CONSTANTS = 10.0
+#: Time constants after which the filters' start has decayed to less than 1 %, by their order.
+SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
 MAX_SETTLE_SAMPLES = 10**8
 #: Information that is never forgotten, as a part of the largest seen: P stays below 1e4 times its best.
 REGULARIZATION = 1e-4
@@ -136,7 +136,8 @@ class Estimator:
 
     @property
     def settle_samples(self) -> int:
-        return math.ceil(SETTLE_TIME_CONSTANTS / (self.cutoff * self.dt)) + 3
+        constants = SETTLE_TIME_CONSTANTS.get(self.order, 2.0 + 2.0 * self.order)
+        return math.ceil(constants / (self.cutoff * self.dt)) + 3
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
@@ -147,7 +148,7 @@ class Estimator:
             "n_parameters": parameters,
             "instrumental": int(instrumental),
             "first_column": first_column,
-            "min_updates": math.ceil(3 / (self.cutoff * self.dt)) + 2 * parameters,
+            "min_updates": math.ceil(1 / (self.cutoff * self.dt)) + 2 * parameters,
             "residual_updates": 2**32 - 1 if exact else RESIDUAL_UPDATES,
             "forgetting": forgetting,
             "regularization": REGULARIZATION,

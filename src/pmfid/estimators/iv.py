@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import make_auxiliary_kernel
 from pmfid.estimators.base import check_arrays, check_size, like
-from pmfid.estimators.batch import BCLS, BatchEstimator, Columns, Fit, check_identifiable
+from pmfid.estimators.batch import BCLS, TINY, BatchEstimator, Columns, Fit, check_identifiable
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.status import Status
 
@@ -52,7 +52,8 @@ class IV(BatchEstimator):
             before, theta = theta, self._plausible(theta, self._solve(columns)[0])
             if turn >= DAMPED_FROM:
                 theta = (theta + before) / 2
-            change = np.max(np.abs(theta - before) / np.maximum(np.abs(theta), np.abs(before)))
+            size = np.maximum(np.maximum(np.abs(theta), np.abs(before)), TINY)
+            change = np.max(np.abs(theta - before) / size)
             if change <= TOLERANCE or (turn == MAX_ITERATIONS - 1 and change <= ACCEPTED):
                 return self._result(columns, theta, self._gain(columns, theta, u, counts))
         raise NotIdentifiableError(
