@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.py' -o -name '*.pyi' -o -name '*.pyx' -o -name '*.[ch]' -o -name '*.j2')
 
-.PHONY: demo test check format bench images clean
+.PHONY: demo test check format bench study images clean
 
 .venv/installed: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	test -x .venv/bin/python || $(PYTHON) -m venv .venv
@@ -32,6 +32,9 @@ bench: .venv/installed
 	mkdir -p .benchmarks
 	.venv/bin/python -m pytest benchmarks --benchmark-only --benchmark-sort=name --benchmark-json=.benchmarks/latest.json
 	.venv/bin/python -m benchmarks.table .benchmarks/latest.json docs/benchmarks.md
+
+study: .venv/installed
+	.venv/bin/python -m pmfid.studies.accuracy --out docs/accuracy.md
 
 images: .venv/installed
 	.venv/bin/python -m pmfid.studies.demo --images docs/images

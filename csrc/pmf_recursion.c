@@ -34,6 +34,7 @@
 #define POOR PMF_R(20.0)    /* information below POOR times the regularisation is called poor */
 #define FREEZE PMF_R(1e-3)  /* and below FREEZE times it there is nothing left worth forgetting */
 #define PEAK_LEAK PMF_R(0.01)
+#define LEAST_CLEAN PMF_R(0.02) /* of a column's information */
 #define BLOCK_MEMORY 100U
 #define MIN_BLOCKS 8U
 #define SKIPPED_INNOVATIONS 4U /* innovations of a fresh estimate say nothing of the noise */
@@ -54,7 +55,7 @@ PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], r
             lower[i][j] = sum * inverse[j];
             pivot -= sum * lower[i][j];
         }
-        inverse[i] = PMF_R(1.0) / (pivot > floor ? pivot : floor);
+        inverse[i] = PMF_R(1.0) / (pivot > floor ? pivot : floor); /* floor > 0: P is positive whatever comes */
     }
 }
 
@@ -155,6 +156,25 @@ PMF_INLINE real_t project(pmf_recursion_state_t *state, uint32_t p, real_t infor
         move[i] = projected[i];
     }
     return state->started == 0U ? smallest_pivot(p, state->square, inverse) : PMF_R(1.0);
+}
+
+/* Information less what the known noise feigns. Where hardly anything is left, that is poor excitation: some is kept,
+ * so that P stays positive. */
+PMF_INLINE uint32_t subtract_noise(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, uint32_t p,
+                                   real_t information[N][N])
+{
+    uint32_t i, j, poor = 0U;
+    for (i = 0; i < p; ++i) {
+        real_t least = LEAST_CLEAN * information[i][i];
+        for (j = 0; j <= i; ++j) {
+            information[i][j] -= state->updates_weight * config->noise[i][j];
+        }
+        if (information[i][i] < least) {
+            information[i][i] = least;
+            poor = PMF_POOR_EXCITATION;
+        }
+    }
+    return poor;
 }
 
 /* Adds the regularisation and says whether there is information left to forget. */
@@ -289,7 +309,7 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
     real_t information[N][N], move[N], pivot = PMF_R(1.0), own;
-    uint32_t i, j, status;
+    uint32_t i, j, status, compensated = 0U;
     state->estimate.innovation = column[p];
     for (i = 0; i < p; ++i) {
         state->estimate.innovation -= column[i] * state->estimate.theta[i];
@@ -302,15 +322,13 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
         for (i = 0; i < p; ++i) {
             for (j = 0; j <= i; ++j) {
                 information[i][j] = state->cross[i][j];
-                if (config->compensated != 0U) {
-                    information[i][j] -= state->updates_weight * config->noise[i][j];
-                }
             }
         }
+        compensated = config->compensated != 0U ? subtract_noise(config, state, p, information) : 0U;
     }
     regularise(config, state, p, information);
     factorise(p, information, state->factor, state->inverse_pivot);
-    status = judge(config, state, p);
+    status = judge(config, state, p) | compensated;
     if (state->started == 0U) {
         own = smallest_pivot(p, information, state->inverse_pivot);
         pivot = own < pivot ? own : pivot;

@@ -78,19 +78,12 @@ const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t
     return (state->status & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
 }
 
-/* The instrumental estimate takes over once it knows as much as the direct one, which has gathered for longer. */
+/* The instrumental estimate takes over once it knows the mass as well as the direct one, which has gathered longer. */
 static uint32_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
 {
-    const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
-    uint32_t i;
-    for (i = 0; i < PMF_ROLES && state->direct.started != 0U; ++i) {
-        if (auxiliary->index[i] != PMF_NO_PARAMETER && auxiliary->direct_index[i] != PMF_NO_PARAMETER &&
-            state->instrument.estimate.variance_factor[auxiliary->index[i]] >
-                TAKE_OVER * state->direct.estimate.variance_factor[auxiliary->direct_index[i]]) {
-            return 0U;
-        }
-    }
-    return state->instrument.started > 0U ? 1U : 0U;
+    real_t own = state->instrument.estimate.variance_factor[config->auxiliary.index[PMF_MASS]];
+    real_t direct = state->direct.estimate.variance_factor[config->auxiliary.direct_index[PMF_MASS]];
+    return state->instrument.started > 0U && (state->direct.started == 0U || own < TAKE_OVER * direct) ? 1U : 0U;
 }
 
 /* Instrumental variables where the auxiliary model follows the plant, else the direct estimate. */

@@ -385,7 +385,7 @@ def test_the_three_kinds_of_file_give_the_same_object(cart: Cart, method: str) -
 
 def test_the_json_object_has_its_keys_and_types(cart: Cart) -> None:
     printed = good(cart.csv)
-    assert (printed["model"], printed["method"], printed["samples"]) == ("drive", "bcrls", 3000)
+    assert (printed["model"], printed["method"], printed["samples"]) == ("drive", "riv", 3000)
     assert printed["dt"] == pytest.approx(CART_DT, rel=1e-12)
     units = {name: entry["unit"] for name, entry in printed["parameters"].items()}
     assert units == {"mass": "kg", "viscous_friction": "N s/m", "coulomb_friction": "N"}
@@ -455,7 +455,7 @@ def test_brackets_in_names_are_shown_as_they_are(tmp_path: Path, cart: Cart) -> 
     out = tmp_path / "o[" / "x]"
     result = run(record, "--out", str(out))
     assert (result.exit_code, result.stderr) == (0, "")
-    assert "run[red].csv: bcrls" in result.stdout
+    assert "run[red].csv: riv" in result.stdout
     assert f"report: {out / 'report.html'}" in result.stdout
 
 

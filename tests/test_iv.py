@@ -113,7 +113,12 @@ def test_emps_friction_by_direction():
     u, q = emps_record()
     drive = pmfid.Drive(1.0, friction="directional")
     fit = pmfid.IV(drive, pmfid.Encoder(5e-8), 1e-3, 200.0).fit(u, quantize(q + 1e-12, 5e-8))
-    np.testing.assert_allclose(fit.theta, [95.154, 166.7061, 240.4236, 20.1440, 20.6277], rtol=0.03)
+    published = [95.154, 166.7061, 240.4236, 20.1440, 20.6277]
+    np.testing.assert_allclose(fit.theta, published, rtol=0.03)
+    track = pmfid.RIV(drive, pmfid.Encoder(5e-8), 1e-3, 200.0).run(u, quantize(q + 1e-12, 5e-8))
+    np.testing.assert_allclose(track.theta[-1], published, rtol=0.08)
+    with pytest.raises(pmfid.UsageError, match="use iv"):
+        pmfid.BCLS(drive, pmfid.Encoder(5e-8), 1e-3, 200.0)
 
 
 def emps_record() -> tuple[np.ndarray, np.ndarray]:
@@ -136,3 +141,34 @@ def test_riv_never_spikes(name, increments, time_constant, drive):
         late = np.r_[ratio[100 : n // 2], ratio[n // 2 + 100 :]]
         assert late.min() > 0.7
         assert late.max() < 1.5
+
+
+def test_judge_knows_what_the_encoder_explains(drive):
+    """The error of the equation is that of the encoder's step, and not where the input comes 2 ms late."""
+    from pmfid.simulation.drive import simulate_drive
+    from pmfid.simulation.scenarios import CART, resolution_of
+
+    run = cart_run(1, increments=1024)
+    estimator = pmfid.IV(drive, run.encoder, DT, 100 / 3)
+    fit = estimator.fit(run.u, run.counts)
+    columns = estimator.columns_at(fit.theta, run.u, run.counts)
+    error = columns.z - columns.phi @ fit.theta
+    assert np.mean(error**2) == pytest.approx(fit.theta @ estimator.noise() @ fit.theta, rel=0.1)
+    late = np.r_[np.zeros(2), np.repeat(run.u, 10)[:-2]]
+    counts = quantize(simulate_drive(CART, late, DT / 10).x[::10], resolution_of(1024))
+    fit = estimator.fit(run.u, counts)
+    assert "unmodelled" in judge(estimator, run.u, counts, fit.theta, fit.theta_std)[0]
+
+
+def test_no_coulomb_friction(drive):
+    from dataclasses import replace
+
+    from pmfid.simulation.drive import simulate_drive
+    from pmfid.simulation.scenarios import CART
+
+    for seed in range(3):
+        run = cart_run(seed, increments=1024)
+        counts = quantize(simulate_drive(replace(CART, coulomb_friction=0.0), run.u, DT).x, run.encoder.resolution)
+        fit = pmfid.IV(drive, run.encoder, DT, 100 / 3).fit(run.u, counts)
+        assert fit["mass"] == pytest.approx(1.07, rel=2e-3)
+        assert fit["coulomb_friction"] < 0.02

@@ -160,7 +160,7 @@ def compare(
     help="Of the input and the start phase.",
 )
 def demo(out: Path, seed: int) -> None:
-    """Watch a cart's mass step with four encoders: RLS against BCRLS, on-line, beside the truth."""
+    """Watch a cart's mass step with four encoders, by four methods on-line, beside the truth."""
     from rich.console import Console
 
     from pmfid.studies.demo import demo_table, run_demo, write_demo

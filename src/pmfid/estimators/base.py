@@ -76,11 +76,19 @@ class Estimator:
         self._check_zeros()
 
     def _check_zeros(self) -> None:
-        zeros = self.zeros
-        needed = len(self.model.equation.noisy)
+        zeros, needed = self.zeros, self._zeros_needed
+        if zeros and needed > len(zeros) and self.prefilter_zeros is None:
+            raise UsageError(
+                f"{self.method} with {needed} noisy columns needs {needed} prefilter_zeros; give them, or use iv or riv"
+            )
         wrong = zeros and (len(zeros) != needed or len(set(zeros)) < needed)
         if wrong or any(not (math.isfinite(z) and z < 0) for z in zeros):
             raise UsageError(f"prefilter_zeros must be {needed} different negative numbers in rad/s, got {list(zeros)}")
+
+    @property
+    def _zeros_needed(self) -> int:
+        """One zero for each noisy column."""
+        return len(self.model.equation.noisy)
 
     @property
     def zeros(self) -> tuple[float, ...]:

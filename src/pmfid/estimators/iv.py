@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.auxiliary import make_auxiliary_kernel
+from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
 from pmfid.estimators.base import check_arrays, check_size, like
 from pmfid.estimators.batch import BCLS, TINY, BatchEstimator, Columns, Fit, check_identifiable
+from pmfid.estimators.known_step import impulse_products
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.status import Status
 
@@ -22,6 +23,8 @@ TOLERANCE = 1e-7
 DAMPED_FROM = 15
 #: and a cycle of this relative size is an answer.
 ACCEPTED = 2e-3
+#: A parameter whose term is less than this part of the target may be zero: its change is measured against that.
+SMALL = 1e-2
 #: The first part of a record, in which the model's velocity forgets that its start was not known.
 START_PART = 0.05
 #: Relative step of the differences for the covariance.
@@ -52,7 +55,8 @@ class IV(BatchEstimator):
             before, theta = theta, self._plausible(theta, self._solve(columns)[0])
             if turn >= DAMPED_FROM:
                 theta = (theta + before) / 2
-            size = np.maximum(np.maximum(np.abs(theta), np.abs(before)), TINY)
+            small = SMALL * np.linalg.norm(columns.z) / np.maximum(np.linalg.norm(columns.phi, axis=0), TINY)
+            size = np.maximum(np.maximum(np.abs(theta), np.abs(before)), small)
             change = np.max(np.abs(theta - before) / size)
             if change <= TOLERANCE or (turn == MAX_ITERATIONS - 1 and change <= ACCEPTED):
                 return self._result(columns, theta, self._gain(columns, theta, u, counts))
@@ -96,6 +100,12 @@ class IV(BatchEstimator):
         columns, p = columns[used, first:], len(self.names)
         occurred = int(np.bitwise_or.reduce(status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP)
         return Columns(columns[:, :p], columns[:, p], columns[:, p + 1 : 2 * p + 1], used, occurred)
+
+    def noise(self) -> NDArray[np.float64]:
+        """(p, p) covariance that a white encoder error of the step's variance has in the regressors of one sample."""
+        network, columns, first, _ = auxiliary_columns(self)
+        products = impulse_products(self, network, columns[first : first + len(self.names)])
+        return np.asarray(self.encoder.resolution**2 / 12 * products)
 
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return BCLS._solve(self, columns)  # type: ignore[arg-type]
@@ -147,3 +157,8 @@ class RIV(RecursiveEstimator):
     def make_kernel(self, forgetting: float = 1.0) -> Any:
         initial = None if self.initial is None else list(initial_vector(self.initial, self.names))
         return make_auxiliary_kernel(self, forgetting, initial, adapt=True)[0]
+
+    @property
+    def _zeros_needed(self) -> int:
+        """Those of the direct estimate, which does not tell the directions apart."""
+        return len(self.model.symmetric.equation.noisy)

@@ -7,11 +7,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator, Columns
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.filters.network import VELOCITY
+from pmfid.filters.network import SPLIT_FORWARD, VELOCITY, Network, Taps
 
 
 def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[np.float64]:
@@ -22,17 +23,19 @@ def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[n
     """
     sigma = estimator.encoder.resolution / np.sqrt(12.0) if noise_std is None else noise_std
     network, columns = estimator._columns
+    return np.asarray(sigma**2 * impulse_products(estimator, network, columns[: len(estimator.names)]))
+
+
+def impulse_products(estimator: Estimator, network: Network, columns: list[Taps]) -> NDArray[np.float64]:
+    """(p, p): sum over time of the products of the columns' responses to one wrong position."""
     samples = 4 * estimator.settle_samples
-    nodes = np.zeros((samples, network.first + len(network.stages)))
-    nodes[:2, VELOCITY] = np.array([1.0, -1.0]) / estimator.dt  # the mean velocities of one wrong position
-    memory = np.zeros(len(network.stages))
-    for k in range(samples):
-        for i, (source, a, b0, b1) in enumerate(network.stages):
-            nodes[k, network.first + i] = b0 * nodes[k, source] + memory[i]
-            memory[i] = b1 * nodes[k, source] + a * nodes[k, network.first + i]
-    p = len(estimator.names)
-    g = np.array([sum(weight * nodes[:, node] for node, weight in taps) for taps in columns[:p]])
-    return np.asarray(sigma**2 * g @ g.T)
+    nodes = [np.zeros(samples) for _ in range(network.first)]
+    nodes[VELOCITY][:2] = np.array([1.0, -1.0]) / estimator.dt  # the mean velocities of one wrong position
+    nodes[SPLIT_FORWARD][1:3] = nodes[VELOCITY][:2]
+    for source, a, b0, b1 in network.stages:
+        nodes.append(lfilter([b0, b1], [1.0, -a], nodes[source]))
+    g = np.array([sum(weight * nodes[node] for node, weight in taps) for taps in columns])
+    return np.asarray(g @ g.T)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ def choose_prefilter_zeros(estimator: Estimator, u: ArrayLike, counts: ArrayLike
     Raises what `BCLS.columns` raises.
     """
     pairs = [(-estimator.cutoff * part, -estimator.cutoff * part / RATIO) for part in FRACTIONS]
-    batches = [like(BCLS, estimator, prefilter_zeros=pair) for pair in pairs]
+    batches = [like(BCLS, estimator, model=estimator.model.symmetric, prefilter_zeros=pair) for pair in pairs]
     information = [_log_information(batch, u, counts) for batch in batches]
     return pairs[int(np.argmax(information))]
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator, like
-from pmfid.estimators.batch import BCLS
+from pmfid.estimators.batch import BCLS, TINY
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.status import Status
@@ -18,6 +18,8 @@ from pmfid.status import Status
 POSITIVE = ("mass", "viscous_friction", "coulomb_friction")
 #: A correlation this many standard deviations from zero is taken for real.
 SIGNIFICANT = 4.5
+#: Root mean square of the equation's error, over that of a white encoder error, beyond which the model is wrong.
+UNEXPLAINED = 1.4
 #: Counts per sample below which the encoder's error is no white noise.
 COARSE = 1.0
 #: A change of the counts so much larger than the usual ones is no motion.
@@ -38,16 +40,17 @@ def judge(
     """Flags and sentences on an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,).
 
     implausible: a negative mass or friction; uncertain: not known to half its value; biased: the method's own error
-    is larger than its error bar and 2 %; std_too_small: larger than its error bar; feedback: the encoder's error comes
-    back through the input; coarse_motion: too few counts per sample for a method that takes the encoder's error for
-    white noise.
+    is larger than its error bar and 2 %; std_too_small: larger than its error bar; unmodelled: the equation is off by
+    more than the encoder explains; feedback: what is unexplained comes back through the input; count_jump: one change
+    of the counts is no motion; coarse_motion: too few counts per sample for a method that takes the encoder's error
+    for white noise.
     """
     found = [
         *_sizes(estimator, theta, std),
         *_bias(estimator, u, counts, theta, std),
         *_coarse(estimator, counts),
         *_jump(counts),
-        *_feedback(estimator, u, counts, theta),
+        *_residual(estimator, u, counts, theta),
     ]
     return tuple(dict.fromkeys(flag for flag, _ in found)), tuple(sentence for _, sentence in found)
 
@@ -147,19 +150,28 @@ def _jump(counts: NDArray[np.int64]) -> Iterator[Finding]:
         )
 
 
-def _feedback(
+def _residual(
     estimator: Estimator, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]
 ) -> Iterator[Finding]:
-    """Does the input follow the encoder's error? Then nothing made from the input is a clean instrument."""
-    theta = theta[: len(estimator.model.equation.names)]
-    if not theta[0] > 0 or estimator.method == "interval":
+    """The error of the equation at theta with the simulated direction: its size, and does the input follow it?"""
+    theta = theta[: len(estimator.model.equation.names)].copy()
+    if not theta[0] > 0:
         return
-    columns = like(IV, estimator, prefilter_zeros=None).columns_at(theta, u, counts)
+    positive = [not name.startswith("offset") for name in estimator.model.equation.names]
+    theta[positive] = np.maximum(theta[positive], 0.0)
+    twin = like(IV, estimator, prefilter_zeros=None)
+    columns = twin.columns_at(theta, u, counts)
     error = columns.z - columns.phi @ theta
     change = np.diff(u, prepend=u[0])
     recent = slice(-round(min(error.size, 3 / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None)
-    score = correlation_score(error[recent], change[columns.used][recent])
-    if score > SIGNIFICANT:
+    times = np.sqrt(np.mean(error[recent] ** 2) / max(float(theta @ twin.noise() @ theta), TINY))
+    if times > UNEXPLAINED:
+        yield (
+            "unmodelled",
+            f"the equation is off by {times:.2g} times what the encoder's step explains: friction, load or delay that "
+            "the model lacks, or a parameter that changes; the error bars do not cover it",
+        )
+    if correlation_score(error[recent], change[columns.used][recent]) > SIGNIFICANT:
         yield (
             "feedback",
             "the input follows what the model leaves unexplained, the encoder's error or unmodelled friction, as under "

@@ -9,6 +9,7 @@ import numpy as np
 
 from pmfid.report.figures import estimate_figure, residual_figure, signals_figure, status_figure
 from pmfid.report.html import Section, svg, write_report
+from pmfid.report.model_checks import model_checks
 from pmfid.session.pipeline import Result
 
 
@@ -20,7 +21,7 @@ def write_result(out: Path, result: Result) -> None:
     if result.track is not None:
         _write_track(out / "track.parquet", result)
     title = f"{result.record.name}: {result.estimator.method}"
-    write_report(out / "report.html", title, [_parameters(result), *_figures(result)])
+    write_report(out / "report.html", title, [_parameters(result), *_figures(result), *model_checks(result)])
 
 
 def _write_track(path: Path, result: Result) -> None:
@@ -49,9 +50,9 @@ def _parameters(result: Result) -> Section:
         f"resolution {result.record.resolution:.4g} per count. "
         f"Filters: order {estimator.order}, cutoff {estimator.cutoff:g} rad/s"
         + (f", pre-filter zeros {zeros} rad/s" if zeros else "")
-        + f". Relative error of the filtered equation: {100 * result.relative_error:.3g} %. "
-        + " ".join(f"Note: {note}." for note in result.notes)
+        + f". Relative error of the filtered equation: {100 * result.relative_error:.3g} %."
     )
+    text = "\n\n".join([text, *(f"Note: {note}." for note in result.notes)])
     return Section("Parameters", text, (("parameter", "value", "std", "unit"), rows))
 
 
@@ -59,7 +60,9 @@ def _figures(result: Result) -> list[Section]:
     record = result.record
     t = np.arange(record.u.size) * record.dt
     velocity = np.gradient(record.counts * record.resolution, record.dt)
-    sections = [Section("Input and motion", svg=svg(signals_figure(t, record.u, velocity)))]
+    signals = signals_figure(t, record.u, velocity)
+    signals.axes[0].set_ylabel("input u")  # no record says in which unit
+    sections = [Section("Input and motion", svg=svg(signals))]
     if result.track is not None:
         sections.insert(0, Section("Estimates", svg=svg(estimate_figure(t, result.track, None))))
         sections.append(Section("Status", svg=svg(status_figure(t, result.track.status))))

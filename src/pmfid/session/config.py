@@ -81,6 +81,9 @@ class ModelConfig(_Section):
 
     kind: Literal["drive"] = Field("drive", description="the kind of model; there is one so far")
     input_gain: Positive = Field(description="the force in N per unit of u, for example 2.0")
+    friction: Literal["symmetric", "directional"] = Field(
+        "symmetric", description="whether friction differs between forward and backward"
+    )
     offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
 
 

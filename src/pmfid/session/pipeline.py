@@ -12,7 +12,8 @@ from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auto import AUTO, choose
 from pmfid.estimators.base import Estimator, like, status_names
-from pmfid.estimators.batch import BatchEstimator, Columns, Fit, check_identifiable
+from pmfid.estimators.batch import LS, BatchEstimator, Columns, Fit, check_identifiable
+from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.zeros import choose_prefilter_zeros
@@ -72,7 +73,7 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
     if issubclass(cls, RecursiveEstimator):
         options["forgetting"] = config.forgetting
     encoder = Encoder(record.resolution, standstill_time=axis.encoder.standstill_time, max_speed=axis.encoder.max_speed)
-    model = Drive(axis.model.input_gain, offset=axis.model.offset)
+    model = Drive(axis.model.input_gain, offset=axis.model.offset, friction=axis.model.friction)
     estimator = cls(model, encoder, record.dt, config.cutoff, **options)
     if cls.instrumental and config.prefilter_zeros is None:
         zeros = choose_prefilter_zeros(estimator, record.u, record.counts)
@@ -124,6 +125,8 @@ def _batch_twin(estimator: Estimator) -> BatchEstimator:
     """The off-line method on the same columns."""
     if isinstance(estimator, BatchEstimator):
         return estimator
+    if isinstance(estimator, RIV):
+        return like(LS, estimator, prefilter_zeros=None)
     twin = like(ESTIMATORS["bcls" if estimator.instrumental else "ls"], estimator)
     if not isinstance(twin, BatchEstimator):
         raise UsageError(f"{estimator.method} has no off-line method beside it")

@@ -1,0 +1,254 @@
+"""Model checks: calm where the model is right, clear where it is not, and labelled."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid.estimators.registry import ESTIMATORS
+from pmfid.report import model_checks as checks
+from pmfid.report.record import write_result
+from pmfid.session.config import load_axis
+from pmfid.session.pipeline import Result, identify
+from pmfid.session.records import Record, read_record
+from pmfid.simulation.scenarios import CART, CART_DT, resolution_of
+from pmfid.simulation.signals import prbs
+from tests.conftest import EMPS, TRUTH, cart_run, needs_emps
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+WARNING = "Look here"
+HEADINGS = (
+    "Simulated from the input alone",
+    "Residual over velocity and position",
+    "Friction over velocity",
+    "Correlation of the residual",
+)
+STEPS = 10
+
+Friction = Callable[[float], float]
+
+
+def result_of(
+    u: np.ndarray, counts: np.ndarray, resolution: float, method: str = "iv", theta: np.ndarray | None = None
+) -> Result:
+    record = Record(u, counts, CART_DT, resolution, (), "cart")
+    axis = load_axis(EXAMPLES / "cart.toml", {"estimator.method": method, "estimator.forgetting": 1.0})
+    result = identify(record, axis)
+    return result if theta is None else replace(result, theta=theta)
+
+
+def clean(method: str = "iv", increments: int = 4096, seed: int = 1) -> Result:
+    run = cart_run(seed, increments=increments)
+    return result_of(run.u, run.counts, run.encoder.resolution, method)
+
+
+def other_drive(friction: Friction, spring: float = 0.0, load: float = 0.0, seed: int = 3) -> Result:
+    """The cart with another friction [N] over speed, by Runge-Kutta; a step through rest ends there."""
+    rng = np.random.default_rng(seed)
+    u = prbs(3000, clock=20, amplitude=3.0, rng=rng) * rng.choice([0.5, 0.75, 1.0], 3000 // 20).repeat(20)
+    x = v = 0.0
+    positions, h = [], CART_DT / STEPS
+    for force in (CART.input_gain * u - load).tolist():
+        positions.append(x)
+        for _ in range(STEPS):
+            x, v = _step(x, v, force, h, friction, spring)
+    resolution = resolution_of(4096)
+    return result_of(u, pmfid.quantize(positions, resolution), resolution)
+
+
+def _step(x: float, v: float, force: float, h: float, friction: Friction, spring: float) -> tuple[float, float]:
+    if v == 0.0 and abs(force - spring * x) <= friction(0.0):
+        return x, 0.0
+    way = math.copysign(1.0, v if v != 0.0 else force - spring * x)
+
+    def slope(x: float, v: float) -> float:
+        return (force - spring * x - way * friction(max(way * v, 0.0))) / CART.mass
+
+    a1 = slope(x, v)
+    a2 = slope(x + h / 2 * v, v + h / 2 * a1)
+    a3 = slope(x + h / 2 * v, v + h / 2 * a2)
+    a4 = slope(x + h * v, v + h * a3)
+    v_new = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+    return x + h * (v + v_new) / 2, v_new if way * v_new > 0 else 0.0
+
+
+def linear(speed: float) -> float:
+    return CART.coulomb_friction + CART.viscous_friction * speed
+
+
+def stribeck(speed: float) -> float:
+    return linear(speed) + 1.0 * math.exp(-((speed / 0.08) ** 2))
+
+
+def quadratic(speed: float) -> float:
+    return CART.coulomb_friction + 4.0 * speed + 20.0 * speed**2
+
+
+def sentences(result: Result) -> dict[str, str]:
+    return {section.heading.removeprefix("Model check: "): section.text for section in checks.model_checks(result)}
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("increments", [4096, 512, 128])
+def test_the_right_model_is_left_in_peace(increments: int, seed: int) -> None:
+    said = sentences(clean(increments=increments, seed=seed))
+    assert tuple(said) == HEADINGS
+    assert WARNING not in " ".join(said.values()), said
+
+
+@pytest.mark.parametrize("method", sorted(set(ESTIMATORS) - {"iv"}))
+def test_every_method_has_calm_checks_on_a_fine_encoder(method: str) -> None:
+    said = sentences(clean(method, 16384))
+    assert tuple(said) == HEADINGS
+    assert WARNING not in " ".join(said.values()), said
+
+
+def test_the_same_simulation_with_the_right_friction_is_left_in_peace() -> None:
+    assert WARNING not in " ".join(sentences(other_drive(linear)).values())
+
+
+def test_stribeck_friction_is_seen_at_low_speed() -> None:
+    said = sentences(other_drive(stribeck))
+    assert "Look here: the residual changes with velocity" in said["Residual over velocity and position"]
+    assert "changes with position" not in said["Residual over velocity and position"]
+
+
+def test_quadratic_friction_is_seen_with_its_place() -> None:
+    said = sentences(other_drive(quadratic))
+    assert "Look here: the residual changes with velocity" in said["Residual over velocity and position"]
+    more = re.search(r"which is ([\d.]+) N (\w+) at (-?[\d.]+) m/s", said["Friction over velocity"])
+    assert more is not None, said
+    assert float(more[1]) > 0.1
+
+
+def test_a_spring_is_seen_over_the_position() -> None:
+    said = sentences(other_drive(linear, spring=3.0))
+    assert "Look here: the residual changes with position" in said["Residual over velocity and position"]
+    assert "Look here" in said["Correlation of the residual"]
+
+
+def test_a_constant_load_is_seen() -> None:
+    said = sentences(other_drive(linear, load=0.3))
+    assert "set offset = true" in said["Residual over velocity and position"]
+
+
+def test_wrong_parameters_do_not_follow() -> None:
+    run = cart_run(1)
+    wrong = result_of(run.u, run.counts, run.encoder.resolution, theta=TRUTH * [1.0, 1.3, 1.0])
+    said = sentences(wrong)
+    assert "Look here: the model does not follow" in said["Simulated from the input alone"]
+    assert "Look here" in said["Friction over velocity"]
+
+
+def test_the_residual_is_that_of_the_estimator_and_the_velocities_lie_on_each_other() -> None:
+    result = clean()
+    balance = checks.make_balance(result)
+    assert balance is not None
+    assert result.fit is not None
+    np.testing.assert_allclose(balance.residual, result.fit.residual, atol=1e-6)
+    assert 99.0 < balance.fit <= 100.0
+    # the columns are as late as the velocity: the viscous force is d times it
+    viscous = balance.part("viscous")
+    np.testing.assert_allclose(viscous, result.theta[1] * balance.measured, atol=1e-9)
+
+
+def test_the_encoder_response_is_that_of_the_balance() -> None:
+    """One wrong count in the record moves the residual by the response."""
+    run = cart_run(1, increments=None)
+    result = result_of(run.u, run.counts, run.encoder.resolution)
+    wrong = run.counts.copy()
+    wrong[2000] += 1000
+    moved = checks.make_balance(replace(result, record=replace(result.record, counts=wrong)))
+    balance = checks.make_balance(result)
+    assert moved is not None
+    assert balance is not None
+    difference = -(moved.residual - balance.residual) / (1000 * run.encoder.resolution)
+    response = checks.encoder_response(balance)[1]
+    start = int(np.flatnonzero(np.abs(difference) > 1e-6 * np.abs(response).max())[0])
+    np.testing.assert_allclose(difference[start : start + 20], response[:20], atol=1e-3 * np.abs(response).max())
+
+
+def test_standard_errors_hold_for_correlated_forces() -> None:
+    rng = np.random.default_rng(5)
+    scores = []
+    for _ in range(60):
+        force = np.convolve(rng.standard_normal(6030), np.ones(10) / 10, "valid")[:6000]
+        found = checks.binned(np.sin(np.arange(6000) / 200), force, 30)
+        scores.append(found.mean / found.error)
+    assert np.std(scores) == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_mass_below_zero_is_said_instead() -> None:
+    run = cart_run(1)
+    wrong = result_of(run.u, run.counts, run.encoder.resolution, theta=TRUTH * [-1.0, 1.0, 1.0])
+    assert list(sentences(wrong)) == ["Model checks"]
+
+
+def test_negative_friction_is_no_traceback() -> None:
+    run = cart_run(1)
+    wrong = result_of(run.u, run.counts, run.encoder.resolution, theta=TRUTH * [1.0, -1.0, -1.0])
+    assert WARNING in " ".join(sentences(wrong).values())
+
+
+def test_every_axis_has_a_label_with_its_unit() -> None:
+    balance = checks.make_balance(clean())
+    assert balance is not None
+    draws = (
+        checks.simulation_figure,
+        checks.residual_figure,
+        checks.friction_figure,
+        checks.correlation_figure,
+    )
+    for draw in draws:
+        labels = [label for axes in draw(balance).axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
+        assert len(labels) >= 2
+        assert all(re.fullmatch(r"(?s).+ \[.+\]", label) for label in labels), labels
+
+
+def test_a_coarse_encoder_in_the_loop_is_named_as_a_cause() -> None:
+    result = clean(increments=128)
+    remark = "Look at a record in open loop"
+    assert remark not in sentences(result)["Residual over velocity and position"]
+    looped = replace(result, status=("feedback",))
+    assert remark in sentences(looped)["Residual over velocity and position"]
+
+
+def test_with_forgetting_only_the_last_memories_are_judged() -> None:
+    run = cart_run(1)
+    record = Record(run.u, run.counts, CART_DT, run.encoder.resolution, (), "cart")
+    result = identify(record, load_axis(EXAMPLES / "cart.toml", {"estimator.forgetting": 0.995}))
+    balance = checks.make_balance(result)
+    assert balance is not None
+    assert balance.t[-1] - balance.t[0] == pytest.approx(6.0, abs=0.02)
+    assert "3 memories" in checks.model_checks(result)[0].text
+
+
+def test_report_has_the_checks_last_and_each_note_on_its_line(tmp_path: Path) -> None:
+    result = replace(clean(), notes=("one", "two"))
+    write_result(tmp_path, result)
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert re.findall(r"<h2>(?:Model check: )?(.*)</h2>", page)[-4:] == list(HEADINGS)
+    assert "<p>Note: one.</p>\n<p>Note: two.</p>" in page
+    assert "input u" in page
+    assert "unit of u" not in page
+
+
+@needs_emps
+def test_emps_report_has_the_checks(tmp_path: Path) -> None:
+    axis = load_axis(EXAMPLES / "emps.toml", {"estimator.method": "iv"})
+    result = identify(read_record(EMPS, axis), axis)
+    said = sentences(result)
+    assert tuple(said) == HEADINGS
+    assert "The model follows the measured motion" in said["Simulated from the input alone"]
+    assert "Look here: the residual changes with velocity" in said["Residual over velocity and position"]
+    write_result(tmp_path, result)
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert all(f"Model check: {heading}" in page for heading in HEADINGS)
+    assert len(page) < 2_000_000
