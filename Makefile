@@ -35,6 +35,7 @@ bench: .venv/installed
 
 study: .venv/installed
 	.venv/bin/python -m pmfid.studies.accuracy --out docs/accuracy.md
+	.venv/bin/python -m pmfid.studies.automatic --out docs/automatic.md
 
 images: .venv/installed
 	.venv/bin/python -m pmfid.studies.demo --images docs/images

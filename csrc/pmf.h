@@ -136,6 +136,7 @@ typedef struct {
     real_t forgetting;
     real_t regularization; /* information that is never forgotten, as a part of the largest seen */
     real_t pivot;          /* smallest relative pivot for a first estimate */
+    uint32_t directional;  /* forget only in the direction of each phi; least squares only */
     uint32_t compensated;  /* the noise of the columns is known: */
     real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* its covariance in one sample's phi phi^T */
     uint32_t block;        /* updates whose errors may be correlated; the spread of such blocks scales P */

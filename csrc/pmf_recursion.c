@@ -91,12 +91,39 @@ PMF_INLINE void backward(uint32_t p, real_t lower[N][N], real_t x[N])
     }
 }
 
+/* Directional forgetting (Cao and Schwartz 2000): W - (1 - f) W phi phi^T W / (phi^T W phi). What phi says nothing of is
+ * not forgotten, so that there is nothing to wind up and no regularisation is needed. */
+PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *phi,
+                                 uint32_t p)
+{
+    real_t along[N], size = PMF_R(0.0);
+    uint32_t i, j;
+    for (i = 0; i < p; ++i) {
+        along[i] = PMF_R(0.0);
+        for (j = 0; j < p; ++j) {
+            along[i] += (j > i ? state->cross[j][i] : state->cross[i][j]) * phi[j];
+        }
+        size += along[i] * phi[i];
+    }
+    if (size > TINY) {
+        for (i = 0; i < p; ++i) {
+            real_t part = (PMF_R(1.0) - config->forgetting) * along[i] / size;
+            for (j = 0; j <= i; ++j) {
+                state->cross[i][j] -= part * along[j];
+            }
+        }
+    }
+}
+
 PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
-    real_t f = state->frozen != 0U ? PMF_R(1.0) : config->forgetting;
+    real_t f = state->frozen != 0U || config->directional != 0U ? PMF_R(1.0) : config->forgetting;
     const real_t *zeta = instrumental != 0U ? &column[p + 1U] : column;
     uint32_t i, j;
+    if (config->directional != 0U && state->started != 0U) {
+        forget_direction(config, state, column, p);
+    }
     for (i = 0; i < p; ++i) {
         for (j = 0; j < (instrumental != 0U ? p : i + 1U); ++j) {
             state->cross[i][j] = f * state->cross[i][j] + zeta[i] * column[j];

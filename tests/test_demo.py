@@ -19,13 +19,11 @@ from pmfid.studies.demo import (
     INCREMENTS,
     METHODS,
     DemoResult,
-    demo_table,
-    findings,
     main,
     run_demo,
     settling_time,
-    write_demo,
 )
+from pmfid.studies.demo_report import demo_table, findings, write_demo
 
 
 @pytest.fixture(scope="module")

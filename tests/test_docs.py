@@ -45,3 +45,9 @@ def test_methods_named_are_the_methods_there_are():
 def test_version_is_one():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert project["version"] == pmfid.__version__
+
+
+def test_pages_that_the_readme_names_exist():
+    links = re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert links
+    assert all((ROOT / link).exists() for link in links)

@@ -45,7 +45,7 @@ cdef extern from "pmf.h":
     ctypedef struct pmf_recursion_config_t:
         uint32_t n_parameters, instrumental, first_column, min_updates, residual_updates
         real_t forgetting, regularization, pivot
-        uint32_t compensated, block
+        uint32_t compensated, block, directional
         real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]
     ctypedef struct pmf_auxiliary_config_t:
         uint32_t enabled, adapt, has_initial, check_column, target_column, mass_column, trial_samples
@@ -138,6 +138,7 @@ cdef _set_recursion(pmf_recursion_config_t *target, source):
     target.first_column, target.min_updates = source["first_column"], source["min_updates"]
     target.residual_updates, target.forgetting = source["residual_updates"], source["forgetting"]
     target.regularization, target.pivot, target.block = source["regularization"], source["pivot"], source["block"]
+    target.directional = source.get("directional", 0)
     noise = source.get("noise")
     target.compensated = noise is not None
     for i in range(target.n_parameters):

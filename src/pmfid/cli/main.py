@@ -163,7 +163,8 @@ def demo(out: Path, seed: int) -> None:
     """Watch a cart's mass step with four encoders, by four methods on-line, beside the truth."""
     from rich.console import Console
 
-    from pmfid.studies.demo import demo_table, run_demo, write_demo
+    from pmfid.studies.demo import run_demo
+    from pmfid.studies.demo_report import demo_table, write_demo
 
     result = run_demo(seed=seed)
     Console().print(demo_table(result))

@@ -38,7 +38,8 @@ class Track:
         known = self.innovation_variance > 0
         scale = np.where(self.inflation[known] > 0, self.inflation[known], 1.0)
         std = np.full_like(self.theta, np.inf)
-        std[known] = np.sqrt(self.variance_factor[known] * self.innovation_variance[known, None] * scale)
+        with np.errstate(over="ignore"):  # infinite is right where nothing is known
+            std[known] = np.sqrt(self.variance_factor[known] * self.innovation_variance[known, None] * scale)
         return std
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:

@@ -1,0 +1,110 @@
+"""The figures of the model checks."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pmfid.report.check_balance import Balance, Binned, Floats
+from pmfid.report.check_numbers import correlations
+from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, decimation, figure_style
+
+MAX_DOTS = 1200
+
+
+def simulation_figure(balance: Balance) -> Figure:
+    """Filtered velocity measured and simulated, and the position measured less simulated, over time."""
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 4.4), layout="constrained")
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        for signal, label, style in ((balance.measured, "measured", "-"), (balance.simulated, "simulated", "--")):
+            i = decimation(signal)
+            upper.plot(balance.t[i], signal[i], style, lw=0.9, label=label)
+        upper.set_ylabel("filtered velocity [m/s]")
+        upper.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, borderaxespad=0.2)
+        i = decimation(balance.drift)
+        lower.plot(balance.t[i], balance.drift[i], color=COLOURS[2])
+        lower.set_ylabel("position, measured\nless simulated [m]")
+        lower.set_xlabel("time [s]")
+        lower.margins(x=0)
+    return figure
+
+
+def residual_figure(balance: Balance) -> Figure:
+    """The residual over velocity and position: samples, and means with two standard errors."""
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
+        panels = figure.subplots(1, 2, sharey=True)
+        views = (
+            (balance.velocity, balance.residual, balance.by_velocity, "filtered velocity [m/s]"),
+            (balance.position, balance.beside_velocity, balance.by_position, "filtered position [m]"),
+        )
+        for axes, (x, force, found, label) in zip(panels, views, strict=True):
+            _dots(axes, x, force)
+            _means(axes, found, found.mean)
+            axes.set_xlabel(label)
+        panels[0].set_ylabel("residual [N]")
+        panels[1].set_ylabel("less its mean at the velocity [N]")
+        _limits(panels[0], balance.residual)
+        panels[0].legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, borderaxespad=0.2)
+    return figure
+
+
+def friction_figure(balance: Balance) -> Figure:
+    """Friction force over velocity, measured, with the model's line."""
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.8), layout="constrained")
+        axes = figure.subplots()
+        if balance.friction is not None:
+            left = balance.friction.left
+            _dots(axes, balance.friction.velocity, balance.friction.force)
+            _means(axes, left, left.mean + balance.model_friction(left.x))
+            _limits(axes, balance.friction.force)
+        end = np.max(np.abs(balance.velocity)) * 1.02
+        line = np.array([-end, -1e-9 * end, 1e-9 * end, end])
+        axes.plot(line, balance.model_friction(line), color=MAGENTA, ls="--", label="model")
+        axes.set_xlabel("filtered velocity [m/s]")
+        axes.set_ylabel("filtered friction [N]")
+        axes.legend(loc="upper left")
+    return figure
+
+
+def correlation_figure(balance: Balance) -> Figure:
+    """Correlation of the residual with itself and with the input force, with bounds of three standard deviations."""
+    found, dt = correlations(balance), balance.estimator.dt
+    lags = np.arange(found.own.size) * dt
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+        own, cross = figure.subplots(1, 2)
+        own.plot(lags, found.own, label="residual")
+        own.plot(lags, found.encoder, "--", color=GREY, label="encoder's error alone, filtered")
+        own.set_ylabel("autocorrelation [-]")
+        own.legend(loc="upper right")
+        cross.plot(np.r_[-lags[:0:-1], lags], found.cross)
+        cross.set_ylabel("correlation with the input [-]")
+        cross.set_ylim(*(np.array([-1.15, 1.15]) * max(np.max(np.abs(found.cross)), 3 * found.cross_error)))
+        for axes, error in ((own, found.own_error), (cross, found.cross_error)):
+            axes.axhspan(-3 * error, 3 * error, color=COLOURS[3], alpha=0.25, lw=0)
+            axes.margins(x=0)
+            axes.locator_params(axis="x", nbins=6)
+        own.set_xlabel("lag [s]")
+        cross.set_xlabel("lag behind the input [s]")
+    return figure
+
+
+def _dots(axes: Axes, x: Floats, y: Floats) -> None:
+    every = -(-x.size // MAX_DOTS)
+    axes.plot(x[::every], y[::every], ".", color=COLOURS[4], alpha=0.7, ms=3.5, mew=0, label="samples")
+
+
+def _means(axes: Axes, found: Binned, mean: Floats) -> None:
+    label = "means ±2 standard errors"
+    axes.errorbar(found.x, mean, 2 * found.error, fmt="o", color=COLOURS[1], ms=4, capsize=2, label=label)
+
+
+def _limits(axes: Axes, y: Floats) -> None:
+    """So that a few wild samples do not flatten the rest."""
+    low, high = (float(limit) for limit in np.quantile(y, (0.002, 0.998)))
+    margin = 0.1 * (high - low) or 1e-6
+    axes.set_ylim(low - margin, high + margin)
