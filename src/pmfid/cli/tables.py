@@ -47,15 +47,16 @@ def print_comparison(comparison: Comparison, out: Path | None) -> None:
 
     header, rows = comparison_rows(comparison)
     table = Table(title=escape(f"{comparison.record.name}: all methods"))
-    for heading in header:
+    for heading in header[:-1]:
         text = escape(heading.replace("_", "\n").replace(" [", "\n["))
-        table.add_column(
-            text, justify="left" if heading in ("method", "flags") else "right", no_wrap=heading != "flags"
-        )
+        table.add_column(text, justify="left" if heading == "method" else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*row[:-1])
     console = Console()
     console.print(table)
+    for row in rows:  # beside the numbers there is no room for them in a narrow terminal
+        if row[-1]:
+            console.print(f"{row[0]}: {row[-1]}", highlight=False, markup=False, soft_wrap=True)
     for name, reason in comparison.refused.items():
         console.print(f"{name} has no answer: {reason}", highlight=False, markup=False, soft_wrap=True)
     if out is not None:

@@ -45,12 +45,15 @@ def judge(
     of the counts is no motion; coarse_motion: too few counts per sample for a method that takes the encoder's error
     for white noise.
     """
+    residual = list(_residual(estimator, u, counts, theta))
+    # where the model is wrong, methods differ because they weigh its error differently: only large differences count
+    limit = 10 * BIASED if any(flag == "unmodelled" for flag, _ in residual) else 2 * BIASED
     found = [
         *_sizes(estimator, theta, std),
-        *_bias(estimator, u, counts, theta, std),
+        *_bias(estimator, u, counts, theta, std, limit),
         *_coarse(estimator, counts),
         *_jump(counts),
-        *_residual(estimator, u, counts, theta),
+        *residual,
     ]
     return tuple(dict.fromkeys(flag for flag, _ in found)), tuple(sentence for _, sentence in found)
 
@@ -71,6 +74,7 @@ def _bias(
     counts: NDArray[np.int64],
     theta: NDArray[np.float64],
     std: NDArray[np.float64],
+    limit: float,
 ) -> Iterator[Finding]:
     """Against instrumental variables on the same record, which know the direction of motion between the counts."""
     if estimator.method in ("iv", "riv", "output-error", "interval") or (estimator.plain and estimator.zeros):
@@ -89,9 +93,9 @@ def _bias(
             continue
         known, bar = better[name]
         own = abs(value - known)
-        if own > np.hypot(deviation, bar) and own > 2 * BIASED * abs(known):
+        if own > np.hypot(deviation, bar) and own > limit * abs(known):
             yield "biased", f"{name} = {value:.4g} has an error of its own: iv gives {known:.4g}"
-        elif own > max(deviation, bar):
+        elif own > max(deviation, bar) and limit <= 2 * BIASED:
             percent = 100 * own / abs(known)
             yield "std_too_small", f"the std of {name} leaves out the method's own error, about {percent:.2g} %"
 

@@ -1,0 +1,52 @@
+"""`pmfid compare`: every method on one record."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from pmfid.cli.main import main
+from pmfid.estimators import METHODS
+from pmfid.simulation.scenarios import CART, make_scenario, write_csv
+
+CONFIG = Path(__file__).parents[1] / "examples" / "cart.toml"
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("compare") / "cart.csv"
+    write_csv(make_scenario("prbs", seed=1), path)
+    return path
+
+
+def run(*arguments: str) -> str:
+    result = CliRunner().invoke(main, ["compare", *arguments])
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_json_has_every_method_near_the_truth(record):
+    found = json.loads(run(str(record), "--config", str(CONFIG), "--json"))
+    assert set(found["methods"]) == set(METHODS) - {"auto"}
+    for result in found["methods"].values():
+        assert result["parameters"]["mass"]["value"] == pytest.approx(CART.mass, rel=0.005)
+
+
+def test_table_and_report(record, tmp_path):
+    printed = run(str(record), "--config", str(CONFIG), "--out", str(tmp_path))
+    assert all(method in printed for method in METHODS[1:])
+    assert {path.name for path in tmp_path.iterdir()} == {"compare.html", "compare.json"}
+    page = (tmp_path / "compare.html").read_text()
+    assert "mass in kg" in page
+    assert page.count("<svg") == 1
+
+
+def test_nothing_to_identify_is_said_once(tmp_path):
+    path = tmp_path / "still.csv"
+    path.write_text("t,u,counts\n" + "".join(f"{k / 100},1.0,5\n" for k in range(500)))
+    result = CliRunner().invoke(main, ["compare", str(path), "--config", str(CONFIG)])
+    assert result.exit_code == 3
+    assert result.stderr.count("does not move") == 1
