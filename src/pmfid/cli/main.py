@@ -16,6 +16,19 @@ from pmfid.estimators import METHODS
 EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
 
 
+RECORD = click.argument("record", type=click.Path(path_type=Path))
+CONFIG = click.option(
+    "--config",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="AXIS.toml",
+    help="What the record holds, the encoder, the model, the estimator.",
+)
+CUTOFF = click.option(
+    "--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; its inverse is their time constant."
+)
+
+
 class Group(click.Group):
     """Turns every error that is meant for people into one line and an exit code."""
 
@@ -44,20 +57,14 @@ def main() -> None:
 
 
 @main.command()
-@click.argument("record", type=click.Path(path_type=Path))
-@click.option(
-    "--config",
-    required=True,
-    type=click.Path(path_type=Path),
-    metavar="AXIS.toml",
-    help="What the record holds, the encoder, the model, the estimator.",
-)
+@RECORD
+@CONFIG
 @click.option(
     "--method",
     type=click.Choice(METHODS),
     help="Least squares, bias-compensated, or instrumental variables; off-line (ls, bcls, iv) or recursive.",
 )
-@click.option("--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; its inverse is their time constant.")
+@CUTOFF
 @click.option("--order", type=int, help="Stages of the filters.")
 @click.option("--forgetting", type=float, help="Weight of the past per sample, in (0, 1].")
 @click.option("--resolution", type=float, metavar="STEP", help="Unit of position per count.")
@@ -105,15 +112,9 @@ def identify(
 
 
 @main.command()
-@click.argument("record", type=click.Path(path_type=Path))
-@click.option(
-    "--config",
-    required=True,
-    type=click.Path(path_type=Path),
-    metavar="AXIS.toml",
-    help="What the record holds, the encoder, the model, the estimator.",
-)
-@click.option("--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; its inverse is their time constant.")
+@RECORD
+@CONFIG
+@CUTOFF
 @click.option("--quantize", type=float, metavar="STEP", help="Floor the position to this coarser step first.")
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write compare.html there."
