@@ -86,7 +86,7 @@ def test_kernel_columns_equal_the_oracle(drive):
 
 @pytest.mark.parametrize("discretization", ["matched", "paper"])
 def test_order_of_convergence_in_dt(discretization, drive):
-    """Without reversals (no direction error) the parameter error falls at least with dt^2."""
+    """Without reversals (no direction error) the parameter error falls with about dt^2."""
     from pmfid.simulation.drive import DriveParameters, quantize, simulate_drive
 
     parameters = DriveParameters(1.07, 12.8, 0.8, 2.0)

@@ -134,11 +134,18 @@ class BCLS(BatchEstimator):
     instrumental: ClassVar[bool] = True
 
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        # By the orthogonal part of the instruments: the square of their condition number does not enter.
-        scale = np.linalg.norm(columns.zeta, axis=0)
-        Q, R = np.linalg.qr(columns.zeta / scale)
-        inverse = np.linalg.inv(Q.T @ columns.phi)
-        return inverse @ (Q.T @ columns.z), inverse @ np.linalg.inv(R.T) / scale
+        return solve_with_instruments(columns)
+
+
+def solve_with_instruments(columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """theta = (sum zeta phi^T)^-1 sum zeta z (p,), and that inverse (p, p).
+
+    By the orthogonal part of the instruments: the square of their condition number does not enter.
+    """
+    scale = np.linalg.norm(columns.zeta, axis=0)
+    Q, R = np.linalg.qr(columns.zeta / scale)
+    inverse = np.linalg.inv(Q.T @ columns.phi)
+    return inverse @ (Q.T @ columns.z), inverse @ np.linalg.inv(R.T) / scale
 
 
 def long_run_covariance(scores: NDArray[np.float64], lags: int) -> NDArray[np.float64]:

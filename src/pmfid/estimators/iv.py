@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
 from pmfid.estimators.base import check_arrays, check_size, like
-from pmfid.estimators.batch import BCLS, TINY, BatchEstimator, Columns, Fit, check_identifiable
+from pmfid.estimators.batch import BCLS, TINY, BatchEstimator, Columns, Fit, check_identifiable, solve_with_instruments
 from pmfid.estimators.known_step import impulse_products
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.status import Status
@@ -108,12 +108,12 @@ class IV(BatchEstimator):
         return np.asarray(self.encoder.resolution**2 / 12 * products)
 
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        return BCLS._solve(self, columns)  # type: ignore[arg-type]
+        return solve_with_instruments(columns)
 
     def _plausible(self, theta: NDArray[np.float64], found: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The step, no further than half-way to a mass or friction of zero and not beyond twice the mass."""
+        """What was found, but no further than half-way from theta to a mass or friction of zero."""
         positive = np.array([name != "offset" for name in self.names])
-        low = np.where(positive, np.minimum(0.5 * theta, theta), -np.inf)
+        low = np.where(positive, 0.5 * theta, -np.inf)
         return np.maximum(found, low)
 
 
