@@ -31,7 +31,7 @@
 #define PIVOT_FLOOR PMF_R(1e-14)
 #define TINY PMF_R(1e-200)
 #endif
-#define POOR PMF_R(20.0)    /* information below POOR times the regularisation is called poor */
+#define POOR PMF_R(50.0)    /* information below POOR times the regularisation is called poor */
 #define FREEZE PMF_R(1e-3)  /* and below FREEZE times it there is nothing left worth forgetting */
 #define PEAK_LEAK PMF_R(0.01)
 #define LEAST_CLEAN PMF_R(0.02) /* of a column's information */
