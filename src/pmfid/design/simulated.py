@@ -16,7 +16,7 @@ from pmfid.design.problem import Float, Problem
 from pmfid.errors import UsageError
 from pmfid.simulation.drive import DriveParameters, Motion, simulate_drive
 
-__all__ = ["simulate", "simulated_information"]
+__all__ = ["both_ways", "drive_of", "simulate", "simulated_information"]
 
 #: Change of a parameter as a part of its nominal value: far above rounding, far below what bends the motion.
 STEP = 1e-4
@@ -35,30 +35,35 @@ def simulate(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | N
     x0, v0 = problem.start
     held = np.r_[np.repeat(u, problem.samples_per_interval), 0.0]
     dt = problem.dt / problem.samples_per_interval
-    return simulate_drive(_drive(problem, parameters or {}), held, dt, x0, v0)
+    return simulate_drive(drive_of(problem, parameters or {}), held, dt, x0, v0)
 
 
-def simulated_information(problem: Problem, u: ArrayLike, *, step: float = STEP) -> Float:
+def simulated_information(problem: Problem, u: ArrayLike, *, side: int = 0, step: float = STEP) -> Float:
     """Fisher information (p, p) of one run over unknown + nuisance, in their own units, without the prior.
 
-    u: (n,); step: change of each parameter as a part of its nominal value, > 0. Central differences.
+    u: (n,); step: change of each parameter as a part of its nominal value, > 0; side: 1 to change them upwards, -1
+    downwards, 0 both ways. Where the axis just fails to stop, or just stops, the sides differ.
     Raises UsageError as `simulate` does.
     """
     columns = []
     for name in problem.names:
-        low, high = _both_ways(name, problem.nominal[name], step)
+        nominal = problem.nominal[name]
+        low, high = both_ways(name, nominal, step)
+        low, high = (nominal if side > 0 else low), (nominal if side < 0 and low < nominal else high)
         apart = simulate(problem, u, {name: high}).x[1:] - simulate(problem, u, {name: low}).x[1:]
         columns.append(apart / (high - low))
     sensitivity = np.column_stack(columns)
     return np.asarray(sensitivity.T @ sensitivity / problem.variance)
 
 
-def _both_ways(name: str, nominal: float, step: float) -> tuple[float, float]:
+def both_ways(name: str, nominal: float, step: float = STEP) -> tuple[float, float]:
+    """The values below and above the nominal one for a difference quotient; friction stays at 0 or above."""
     change = step * (abs(nominal) or 1.0)
     return (nominal - change if name == "offset" else max(nominal - change, 0.0)), nominal + change
 
 
-def _drive(problem: Problem, changed: Mapping[str, float]) -> DriveParameters:
+def drive_of(problem: Problem, changed: Mapping[str, float]) -> DriveParameters:
+    """The drive of a problem for the simulation; `changed` values go before the nominal ones. Raises UsageError."""
     if problem.drive.friction != "symmetric":
         raise UsageError("the simulation with stiction has symmetric friction only; use friction = 'symmetric'")
     values = {**problem.nominal, **changed}
