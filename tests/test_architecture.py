@@ -39,7 +39,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "simulation": {"errors"},
     "design": FILTERS | {"estimators", "monitor", "simulation", "session"},
     "session": SESSION,
-    "report": SESSION | {"session"},
+    "report": SESSION | {"session", "design"},
     "studies": SESSION | {"simulation", "report", "design"},
     "cli": SESSION | {"session", "report", "studies", "design", "pmfid"},
     "pmfid": SESSION,

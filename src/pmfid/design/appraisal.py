@@ -44,6 +44,7 @@ class Appraisal:
     """A design beside the standard inputs; worths: by name, that of the design itself as "design"."""
 
     design: Design
+    rule: Criterion
     standard: Mapping[str, StandardInput]
     worths: Mapping[str, Worth]
     warnings: tuple[str, ...]
@@ -79,7 +80,7 @@ def appraise(design: Design, criterion: Criterion, seed: int = 0) -> Appraisal:
     standard = standard_inputs(design.problem, seed)
     inputs = {"design": design.u} | {name: found.u for name, found in standard.items()}
     worths = {name: worth_of(design.problem, criterion, u) for name, u in inputs.items()}
-    return Appraisal(design, standard, worths, (*design.warnings, *_warnings(design, worths["design"])))
+    return Appraisal(design, criterion, standard, worths, (*design.warnings, *_warnings(design, worths["design"])))
 
 
 def worth_of(problem: Problem, criterion: Criterion, u: ArrayLike) -> Worth:

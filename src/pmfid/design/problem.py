@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +34,8 @@ class Relaxation:
 
 class InfeasibleError(PmfidError):
     """No input meets all limits (exit code 3); `relaxations` are single changes that would do, smallest first."""
+
+    exit_code: ClassVar[int] = 3
 
     def __init__(self, message: str, relaxations: tuple[Relaxation, ...] = ()) -> None:
         super().__init__(message)

@@ -8,17 +8,21 @@ from pathlib import Path
 import numpy as np
 
 from pmfid.design.appraisal import Appraisal, gathered
-from pmfid.design.criteria import CRITERIA, Criterion
+from pmfid.design.criteria import CRITERIA
+from pmfid.design.result import Design
+from pmfid.design.sequential import Commissioning
 from pmfid.report.design_figures import ellipse_figure, gathering_figure, motion_figure
-from pmfid.report.html import Section, Table, svg, write_report
+from pmfid.report.html import Section, svg, write_report
 
-__all__ = ["criteria_table", "std_table", "write_design"]
+__all__ = ["criteria_table", "proof", "rounds_table", "std_table", "write_design"]
+
+Rows = tuple[list[str], list[list[str]]]
 
 #: Standard inputs that the figures show beside the design; the tables have all.
 SHOWN = ("trapezoid", "s_curve", "minimum_time", "prbs")
 
 
-def write_design(out: Path, appraisal: Appraisal, criterion: Criterion) -> None:
+def write_design(out: Path, appraisal: Appraisal) -> None:
     """Writes report.html, design.json, design.csv and one CSV for each standard input into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     (out / "design.json").write_text(json.dumps(appraisal.to_json(), indent=2, allow_nan=False) + "\n")
@@ -27,7 +31,7 @@ def write_design(out: Path, appraisal: Appraisal, criterion: Criterion) -> None:
         _write_csv(out / f"{name}.csv", design.t, *columns)
     unknown = ", ".join(name.replace("_", " ") for name in design.problem.unknown)
     title = f"Input for {unknown}: criterion {design.criterion}"
-    write_report(out / "report.html", title, _sections(appraisal, criterion))
+    write_report(out / "report.html", title, _sections(appraisal))
 
 
 def _write_csv(path: Path, t: np.ndarray, u: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
@@ -37,20 +41,20 @@ def _write_csv(path: Path, t: np.ndarray, u: np.ndarray, x: np.ndarray, v: np.nd
     path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")
 
 
-def criteria_table(appraisal: Appraisal) -> Table:
+def criteria_table(appraisal: Appraisal) -> Rows:
     """One row for each input: value, gain of the design over it, part that survives stiction, what was bent."""
-    header = ["input", appraisal.design.criterion, "gain of the design", "surviving stiction", "profile"]
+    header = ["input", appraisal.design.criterion, "gain of design", "survives stiction", "profile"]
     rows = []
     for name, worth in appraisal.worths.items():
         standard = appraisal.standard.get(name)
         surviving = "-" if worth.surviving is None else f"{worth.surviving:.3f}"
-        bent = "" if standard is None else "nearest within the limits" if standard.bent else "as it is"
+        bent = "" if standard is None else "bent to the limits" if standard.bent else "exact"
         gain = "" if standard is None else f"{appraisal.gain[name]:.3g}"
         rows.append([name.replace("_", " "), f"{worth.value:.4g}", gain, surviving, bent])
     return header, rows
 
 
-def std_table(appraisal: Appraisal) -> Table:
+def std_table(appraisal: Appraisal) -> Rows:
     """Predicted standard deviation of every unknown parameter, by input, in percent of its nominal value."""
     problem = appraisal.design.problem
     header = ["input", *(f"{_words(name)} [% of {problem.nominal[name]:.4g}]" for name in problem.unknown)]
@@ -68,10 +72,10 @@ def _percent(std: float, nominal: float) -> str:
     return f"{100 * std / abs(nominal):.3g}" if np.isfinite(std) and nominal else "-"
 
 
-def _sections(appraisal: Appraisal, criterion: Criterion) -> list[Section]:
+def _sections(appraisal: Appraisal) -> list[Section]:
     design = appraisal.design
     motions = {name: columns for name, columns in _motions(appraisal).items() if name in ("design", *SHOWN)}
-    curves = {name: gathered(design.problem, criterion, columns[0]) for name, columns in motions.items()}
+    curves = {name: gathered(design.problem, appraisal.rule, columns[0]) for name, columns in motions.items()}
     units = dict(zip(design.problem.drive.equation.names, design.problem.drive.equation.units, strict=True))
     nominal = np.array([design.problem.nominal[name] for name in design.problem.unknown])
     fishers = {name: appraisal.worths[name].fisher for name in motions}
@@ -100,19 +104,34 @@ _STD_TEXT = (
 )
 
 
-def _summary(appraisal: Appraisal) -> str:
-    design = appraisal.design
+def rounds_table(state: Commissioning) -> Rows:
+    """One row for each round: value and standard deviation of each parameter, distance travelled."""
+    header = ["round", *(_words(name) for name in state.problem.names), "travel [m]", "inflation"]
+    rows = []
+    for number, each in enumerate(state.rounds, 1):
+        std = each.known.std(state.problem.names)
+        cells = [f"{each.known.parameters[name]:.5g} ± {std[name]:.2g}" for name in state.problem.names]
+        rows.append([str(number), *cells, f"{each.run.y[-1] - each.run.y[0]:.4f}", f"{each.known.inflation:.2f}"])
+    return header, rows
+
+
+def proof(design: Design) -> str:
+    """How near the optimum is, and how the design was found."""
     proved = (
         "No bound is proved: another input may be better."
         if design.gap is None
-        else f"No input within these limits and directions is better by more than {100 * design.gap:.2g} %."
+        else f"Proved: no input within these limits and directions is better by more than {100 * design.gap:.2g} %."
     )
-    found = (
-        f"Found from {design.starts} starts in {design.solve_seconds:.2g} s; {100 * design.reached:.0f} % of them end "
-        f"within 0.1 % of the best."
+    return (
+        f"{proved} Found from {design.starts} starts in {design.solve_seconds:.2g} s; {100 * design.reached:.0f} % of "
+        "them end within 0.1 % of the best."
     )
+
+
+def _summary(appraisal: Appraisal) -> str:
+    design = appraisal.design
     meaning = f"Criterion {design.criterion}: {CRITERIA[design.criterion]}; larger is better."
-    return "\n\n".join([meaning, f"{proved} {found}", *(f"Warning: {text}." for text in appraisal.warnings)])
+    return "\n\n".join([meaning, proof(design), *(f"Warning: {text}." for text in appraisal.warnings)])
 
 
 def _motions(appraisal: Appraisal) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
