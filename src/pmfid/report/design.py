@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -76,24 +77,25 @@ def _sections(appraisal: Appraisal) -> list[Section]:
     design = appraisal.design
     motions = {name: columns for name, columns in _motions(appraisal).items() if name in ("design", *SHOWN)}
     curves = {name: gathered(design.problem, appraisal.rule, columns[0]) for name, columns in motions.items()}
-    units = dict(zip(design.problem.drive.equation.names, design.problem.drive.equation.units, strict=True))
-    nominal = np.array([design.problem.nominal[name] for name in design.problem.unknown])
-    fishers = {name: appraisal.worths[name].fisher for name in motions}
-    ellipses = ellipse_figure(
-        design.problem.unknown, tuple(units[name] for name in design.problem.unknown), nominal, fishers
-    )
+    problem = design.problem
+    nominal = np.array([abs(problem.nominal[name]) or 1.0 for name in problem.unknown])
+    ellipses = ellipse_figure(problem.unknown, nominal, {name: appraisal.worths[name].fisher for name in motions})
     sections = [
         Section("What it is worth", _summary(appraisal), criteria_table(appraisal)),
         Section("Predicted standard deviations", _STD_TEXT, std_table(appraisal)),
         Section(
             "Input and motion",
             "Limits are dashed, the least speed is dotted.",
-            svg=svg(motion_figure(design.problem, motions)),
+            svg=svg(motion_figure(problem, motions)),
         ),
         Section("Information gathered over time", svg=svg(gathering_figure(curves, f"criterion {design.criterion}"))),
     ]
     if ellipses is not None:
-        sections.append(Section("Confidence ellipses, 95 %", "Around the nominal values.", svg=svg(ellipses)))
+        sections.append(
+            Section(
+                "Confidence ellipses, 95 %", "Deviation from the nominal values in percent of them.", svg=svg(ellipses)
+            )
+        )
     return sections
 
 
@@ -110,9 +112,15 @@ def rounds_table(state: Commissioning) -> Rows:
     rows = []
     for number, each in enumerate(state.rounds, 1):
         std = each.known.std(state.problem.names)
-        cells = [f"{each.known.parameters[name]:.5g} ± {std[name]:.2g}" for name in state.problem.names]
+        cells = [_with_std(each.known.parameters[name], std[name]) for name in state.problem.names]
         rows.append([str(number), *cells, f"{each.run.y[-1] - each.run.y[0]:.4f}", f"{each.known.inflation:.2f}"])
     return header, rows
+
+
+def _with_std(value: float, std: float) -> str:
+    """To two digits of the standard deviation."""
+    digits = max(0, 1 - math.floor(math.log10(std))) if std > 0 else 4
+    return f"{value:.{digits}f} ± {std:.{digits}f}"
 
 
 def proof(design: Design) -> str:
