@@ -69,9 +69,7 @@ def _sections(whole: type[FileSection]) -> dict[str, type[BaseModel]]:
     return {name: cls for name, cls in types.items() if isinstance(cls, type) and issubclass(cls, BaseModel)}
 
 
-def _problem(
-    whole: type[FileSection], error: ErrorDetails, raw: Mapping[str, Any], given: Mapping[str, object]
-) -> str:
+def _problem(whole: type[FileSection], error: ErrorDetails, raw: Mapping[str, Any], given: Mapping[str, object]) -> str:
     section, *rest = (str(part) for part in error["loc"][:2])
     label = f"[{section}] {rest[0]}" if rest else f"[{section}]"
     if error["type"] == "extra_forbidden":
