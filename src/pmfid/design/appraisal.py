@@ -17,7 +17,7 @@ from pmfid.design.result import Design
 from pmfid.design.simulated import simulated_information
 from pmfid.design.standard import StandardInput, standard_inputs
 
-__all__ = ["Appraisal", "Worth", "appraise", "gathered", "worth_of"]
+__all__ = ["Appraisal", "Worth", "appraise", "gathered", "start_free", "worth_of"]
 
 #: Below this part of the claimed information the design is not what it says.
 SURVIVES = 0.95
@@ -31,12 +31,15 @@ class Worth:
     surviving: part of the claimed information that is there with true stiction, the least for parameters that are a
     little larger, smaller or both; None where that cannot be simulated.
     predicted_std: of each unknown parameter after one run; inf where the run and the prior leave it open.
+    std_unknown_start: the same where the start position on the encoder's lattice is estimated as well, from a sample at
+    the start and all others.
     """
 
     fisher: Float
     value: float
     surviving: float | None
     predicted_std: Mapping[str, float]
+    std_unknown_start: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +71,7 @@ class Appraisal:
             "gain": {name: _finite(gain) for name, gain in self.gain.items()},
             "surviving": worth.surviving,
             "predicted_std": {name: _finite(std) for name, std in worth.predicted_std.items()},
+            "predicted_std_unknown_start": {name: _finite(std) for name, std in worth.std_unknown_start.items()},
             "solve_seconds": design.solve_seconds,
             "starts": design.starts,
             "feasible": design.feasible,
@@ -86,10 +90,28 @@ def appraise(design: Design, criterion: Criterion, seed: int = 0) -> Appraisal:
 def worth_of(problem: Problem, criterion: Criterion, u: ArrayLike) -> Worth:
     """What one run of the input u (n,) tells by a criterion."""
     maps = affine(problem)
+    sensitivity = maps.weighted(u)
     F = maps.information(u)
-    scale = maps.scale[: criterion.size]
-    fisher = eliminate(F, criterion.size)[0] / np.outer(scale, scale)
-    return Worth(fisher, criterion.value(F), _surviving(problem, criterion, u, F - maps.prior), _stds(problem, fisher))
+    return Worth(
+        _on_unknown(problem, F),
+        criterion.value(F),
+        _surviving(problem, criterion, u, F - maps.prior),
+        _stds(problem, _on_unknown(problem, F)),
+        _stds(problem, _on_unknown(problem, start_free(sensitivity) + maps.prior)),
+    )
+
+
+def start_free(sensitivity: Float) -> Float:
+    """Information (p, p) of sensitivities (p, N) where the start position is unknown, but measured as well."""
+    s = np.column_stack([np.zeros(len(sensitivity)), sensitivity])
+    s = s - s.mean(axis=1, keepdims=True)
+    return np.asarray(s @ s.T)
+
+
+def _on_unknown(problem: Problem, F: Float) -> Float:
+    """Information on the unknown parameters in their own units from that on all scaled ones."""
+    size = len(problem.unknown)
+    return np.asarray(eliminate(F, size)[0] / np.outer(problem.scale[:size], problem.scale[:size]))
 
 
 def gathered(problem: Problem, criterion: Criterion, u: ArrayLike) -> tuple[Float, Float]:

@@ -55,17 +55,14 @@ def criteria_table(appraisal: Appraisal) -> Rows:
     return header, rows
 
 
-def std_table(appraisal: Appraisal) -> Rows:
+def std_table(appraisal: Appraisal, *, start_known: bool = True) -> Rows:
     """Predicted standard deviation of every unknown parameter, by input, in percent of its nominal value."""
     problem = appraisal.design.problem
     header = ["input", *(f"{_words(name)} [% of {problem.nominal[name]:.4g}]" for name in problem.unknown)]
-    rows = [
-        [
-            key.replace("_", " "),
-            *(_percent(worth.predicted_std[name], problem.nominal[name]) for name in problem.unknown),
-        ]
-        for key, worth in appraisal.worths.items()
-    ]
+    rows = []
+    for key, worth in appraisal.worths.items():
+        std = worth.predicted_std if start_known else worth.std_unknown_start
+        rows.append([key.replace("_", " "), *(_percent(std[name], problem.nominal[name]) for name in problem.unknown)])
     return header, rows
 
 
@@ -83,6 +80,7 @@ def _sections(appraisal: Appraisal) -> list[Section]:
     sections = [
         Section("What it is worth", _summary(appraisal), criteria_table(appraisal)),
         Section("Predicted standard deviations", _STD_TEXT, std_table(appraisal)),
+        Section("The same, start position unknown", _START_TEXT, std_table(appraisal, start_known=False)),
         Section(
             "Input and motion",
             "Limits are dashed, the least speed is dotted.",
@@ -121,6 +119,12 @@ def _with_std(value: float, std: float) -> str:
     """To two digits of the standard deviation."""
     digits = max(0, 1 - math.floor(math.log10(std))) if std > 0 else 4
     return f"{value:.{digits}f} ± {std:.{digits}f}"
+
+
+_START_TEXT = (
+    "An encoder does not tell where within a count the axis starts. An estimator that finds the start position as "
+    "well, as pmfid commission does, has these standard deviations at best."
+)
 
 
 def proof(design: Design) -> str:
