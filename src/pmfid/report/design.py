@@ -30,7 +30,7 @@ def write_design(out: Path, appraisal: Appraisal) -> None:
     design = appraisal.design
     for name, columns in _motions(appraisal).items():
         _write_csv(out / f"{name}.csv", design.t, *columns)
-    unknown = ", ".join(name.replace("_", " ") for name in design.problem.unknown)
+    unknown = ", ".join(_words(name) for name in design.problem.unknown)
     title = f"Input for {unknown}: criterion {design.criterion}"
     write_report(out / "report.html", title, _sections(appraisal))
 
