@@ -13,7 +13,7 @@ from pmfid.design.polytope import Polytope
 from pmfid.design.problem import Float
 from pmfid.errors import PmfidError
 
-__all__ = ["Oracle", "SolverError", "model"]
+__all__ = ["EmptyError", "Oracle", "SolverError", "model"]
 
 #: A point that misses the energy limit by less is taken to meet it.
 ENERGY_TOLERANCE = 1e-9
@@ -30,6 +30,10 @@ OPTIONS: dict[str, bool | int | str] = {
 
 class SolverError(PmfidError):
     """The linear solver gave up; not an answer about the problem."""
+
+
+class EmptyError(SolverError):
+    """There is no input within the limits and the restrictions."""
 
 
 class Oracle:
@@ -73,17 +77,28 @@ class Oracle:
             u = self._vertex(objective)
         return self._retreat(u)
 
-    def bound(self, objective: Float) -> float:
-        """The maximum of objective' u, or more where the energy limit counts: the tangents alone stand for it."""
-        return float(objective @ self._vertex(objective))
+    def relaxed(self, objective: Float) -> Float:
+        """Like `maximise`, but of the energy limit only the tangents met so far count: the value is not too small."""
+        return self._vertex(objective)
+
+    def restrict(self, normal: Float, lower: float, upper: float) -> int:
+        """Adds lower <= normal' u <= upper until `start`; returns the row, for `release`."""
+        self._highs.addRow(lower, upper, self.shape.inputs, self._columns, normal)
+        return int(self._highs.getNumRow()) - 1
+
+    def release(self, row: int) -> None:
+        """Takes a restriction back."""
+        self._highs.deleteRows(1, np.array([row], dtype=np.int32))
 
     def _vertex(self, objective: Float) -> Float:
         # HiGHS works to absolute tolerances: an objective of order one makes them relative
         size = float(np.abs(objective).max()) or 1.0
         self._cost(-objective / size)
         status = self._run()
-        if status != highspy.HighsModelStatus.kOptimal:
+        if status not in (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kInfeasible):
             status = self._again()
+        if status == highspy.HighsModelStatus.kInfeasible:
+            raise EmptyError("no input meets all limits")
         if status != highspy.HighsModelStatus.kOptimal:
             raise SolverError(
                 f"the linear solver ended with {self._highs.modelStatusToString(status)!r}; "
@@ -110,7 +125,7 @@ class Oracle:
     def _cut(self, u: Float) -> None:
         """Cuts off a point outside the ball by the tangent below it."""
         normal = u / np.linalg.norm(u)
-        self._highs.addRow(-highspy.kHighsInf, self.shape.radius, len(u), self._columns, normal)
+        self.restrict(normal, -np.inf, self.shape.radius)
 
     def _least_norm(self) -> float:
         free = replace(self.shape, radius=np.inf)

@@ -43,11 +43,12 @@ def solve(
     workers: int = 1,
     progress: Progress | None = None,
     certify: float | None = None,
+    gap: float = 0.01,
 ) -> Design:
     """The best input that `starts` random starts find, each the same for the same seed.
 
     criterion: a key of `CRITERIA`; combination: {parameter: weight} for "c". workers: threads. progress: called after
-    every start. certify: seconds to spend on a proved upper bound (`bounds.certify`), None for none.
+    every start. certify: seconds to spend on a proved upper bound, None for none; gap: where to stop with it.
     Raises UsageError, NotIdentifiableError (a parameter that no input tells), InfeasibleError (with what to relax),
     SolverError.
     """
@@ -63,7 +64,7 @@ def solve(
     u = _refine(maps, rule, shape, results[int(np.argmax(values))][1])
     design = _design(problem, maps, rule, shape, u)
     reached = float(np.mean(values >= np.log(design.value) + np.log1p(-REACHED)))
-    bound = None if certify is None else upper_bound(problem, rule, design.u, seconds=certify)
+    bound = None if certify is None else upper_bound(problem, rule, design.u, gap=gap, seconds=certify)
     seconds = time.perf_counter() - began
     return replace(design, starts=starts, reached=reached, bound=bound, solve_seconds=seconds)
 
