@@ -149,16 +149,18 @@ def centred(y: Float) -> Float:
 
 
 def _check(problem: Problem, objective: _Objective, q: Float, J: Float) -> None:
+    motion = float(
+        np.linalg.norm(np.concatenate([centred(run.y) for run in objective.runs]) / np.sqrt(problem.variance))
+    )
+    left = float(np.linalg.norm(objective.data(q)))
+    if left > WORST_FIT * motion:
+        raise NotIdentifiableError(
+            f"the simulated position does not follow the runs, {left / max(motion, 1e-300):.0%} of the motion is left; "
+            "check the sign and size of input_gain, that the run starts at rest, and for a load that the model lacks"
+        )
     size = np.linalg.norm(J, axis=0)
     open_ = [name for name, s in zip(problem.names, size, strict=True) if not s > 1e-9 * size.max()]
-    if open_ or np.linalg.cond(J / np.where(size > 0, size, 1.0)) > 1e6:
+    if open_ or np.linalg.cond(J / size) > 1e6:
         raise NotIdentifiableError(
             f"the runs cannot tell {', '.join(open_ or problem.names)}; make another, or take one out of unknown"
-        )
-    motion = np.concatenate([centred(run.y) for run in objective.runs]) / np.sqrt(problem.variance)
-    left = np.linalg.norm(objective.data(q)) / max(1e-300, float(np.linalg.norm(motion)))
-    if left > WORST_FIT:
-        raise NotIdentifiableError(
-            f"the simulated position does not follow the runs, {left:.0%} of the motion is left; check the sign and "
-            "size of input_gain, the order of the samples, and for a load that the model lacks"
         )
