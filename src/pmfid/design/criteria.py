@@ -44,9 +44,14 @@ class Criterion:
         return float(np.exp(self.log_value(F)))
 
     def gradient(self, F: Float) -> Float:
-        """d log value / d F, symmetric, (p, p)."""
+        """d log value / d F, symmetric, (p, p); where F is singular, that of a nearby matrix that is not."""
         S, G = eliminate(F, self.size)
-        return np.asarray(G @ _slope(self.name, S, self.combination) @ G.T)
+        try:
+            slope = _slope(self.name, S, self.combination)
+        except np.linalg.LinAlgError:
+            ridge = 1e-9 * max(float(np.trace(S)), 1e-300)
+            slope = _slope(self.name, S + ridge * np.eye(self.size), self.combination)
+        return np.asarray(G @ slope @ G.T)
 
     @property
     def concave(self) -> bool:
