@@ -44,28 +44,39 @@ KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": 
     metavar="S",
     help="Seconds for a proof of how near the optimum is; 0 for none.",
 )
+@click.option(
+    "--motions",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    metavar="K",
+    help="Also a campaign of so many different motions, with the share of the runs that each deserves.",
+)
 @OUT
 @JSON
-def design(spec: Path, workers: int, certify: float, out: Path | None, as_json: bool, **options: Any) -> None:
+def design(
+    spec: Path, workers: int, certify: float, motions: int, out: Path | None, as_json: bool, **options: Any
+) -> None:
     """Find the input that tells most about an axis within its limits.
 
     Exit code 0: a design; 2: wrong usage; 3: the limits cannot be met, or no input tells a parameter.
     """
-    from pmfid.design.job import appraised, designed
+    from pmfid.design.job import appraised, campaigned, designed
     from pmfid.report.design import write_design
 
     loaded = _load(spec, options)
     with _infeasible_as_json(as_json), _progress(loaded.search.starts, as_json) as progress:
         found = designed(loaded, workers=workers, certify=certify or None, progress=progress)
     appraisal = appraised(loaded, found)
+    together = campaigned(loaded, motions) if motions > 1 else None
     if out is not None:
-        write_design(out, appraisal)
+        write_design(out, appraisal, together)
     if as_json:
-        click.echo(json.dumps(appraisal.to_json(), allow_nan=False))
+        click.echo(json.dumps(appraisal.to_json() | _campaign(together), allow_nan=False))
     else:
         from pmfid.cli.design_tables import print_appraisal
 
-        print_appraisal(appraisal, out)
+        print_appraisal(appraisal, together, out)
 
 
 @click.command()
@@ -118,6 +129,13 @@ def commission(
         from pmfid.cli.design_tables import print_commissioning
 
         print_commissioning(state, out)
+
+
+def _campaign(together: Any) -> dict[str, Any]:
+    if together is None:
+        return {}
+    numbers = {name: getattr(together, name) for name in ("value", "gain", "ideal")}
+    return {"campaign": numbers | {"weights": [float(weight) for weight in together.weights]}}
 
 
 def _load(spec: Path, options: dict[str, Any]) -> Any:

@@ -9,6 +9,7 @@ import numpy as np
 
 from pmfid.design.appraisal import Appraisal, appraise
 from pmfid.design.calibration import Run
+from pmfid.design.campaign import Campaign, campaign
 from pmfid.design.criteria import criterion_of
 from pmfid.design.result import Design
 from pmfid.design.sequential import Commissioning, redesign, sequential, simulated_experiment
@@ -18,7 +19,7 @@ from pmfid.errors import UsageError
 from pmfid.session.config import Axis, EncoderConfig, EstimatorConfig, ModelConfig
 from pmfid.session.records import read_record
 
-__all__ = ["appraised", "commissioned", "designed", "read_run"]
+__all__ = ["appraised", "campaigned", "commissioned", "designed", "read_run"]
 
 #: (starts done, starts in all, best value so far)
 Progress = Callable[[int, int, float], None]
@@ -35,6 +36,18 @@ def designed(spec: Spec, *, workers: int = 1, certify: float | None = None, prog
         workers=workers,
         certify=certify,
         progress=progress,
+    )
+
+
+def campaigned(spec: Spec, motions: int) -> Campaign:
+    """At most so many motions that tell the most together. Raises as `campaign`."""
+    return campaign(
+        make_problem(spec),
+        spec.experiment.criterion,
+        motions=motions,
+        combination=spec.experiment.weights,
+        starts=spec.search.starts,
+        seed=spec.search.seed,
     )
 
 

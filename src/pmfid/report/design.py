@@ -9,13 +9,22 @@ from pathlib import Path
 import numpy as np
 
 from pmfid.design.appraisal import Appraisal, gathered
+from pmfid.design.campaign import Campaign
 from pmfid.design.criteria import CRITERIA
 from pmfid.design.result import Design
 from pmfid.design.sequential import Commissioning
 from pmfid.report.design_figures import ellipse_figure, gathering_figure, motion_figure
 from pmfid.report.html import Section, svg, write_report
 
-__all__ = ["criteria_table", "proof", "rounds_table", "std_table", "write_design"]
+__all__ = [
+    "campaign_table",
+    "campaign_words",
+    "criteria_table",
+    "proof",
+    "rounds_table",
+    "std_table",
+    "write_design",
+]
 
 Rows = tuple[list[str], list[list[str]]]
 
@@ -23,8 +32,11 @@ Rows = tuple[list[str], list[list[str]]]
 SHOWN = ("trapezoid", "s_curve", "minimum_time", "prbs")
 
 
-def write_design(out: Path, appraisal: Appraisal) -> None:
-    """Writes report.html, design.json, design.csv and one CSV for each standard input into the folder `out`."""
+def write_design(out: Path, appraisal: Appraisal, campaign: Campaign | None = None) -> None:
+    """Writes report.html, design.json, design.csv and one CSV for each standard input into the folder `out`.
+
+    With a campaign also one CSV for each of its motions.
+    """
     out.mkdir(parents=True, exist_ok=True)
     (out / "design.json").write_text(json.dumps(appraisal.to_json(), indent=2, allow_nan=False) + "\n")
     design = appraisal.design
@@ -32,7 +44,14 @@ def write_design(out: Path, appraisal: Appraisal) -> None:
         _write_csv(out / f"{name}.csv", design.t, *columns)
     unknown = ", ".join(_words(name) for name in design.problem.unknown)
     title = f"Input for {unknown}: criterion {design.criterion}"
-    write_report(out / "report.html", title, _sections(appraisal))
+    sections = _sections(appraisal)
+    if campaign is not None:
+        motions = _campaign_motions(campaign)
+        for name, columns in motions.items():
+            _write_csv(out / f"{name}.csv", design.t, *columns)
+        figure = svg(motion_figure(design.problem, motions))
+        sections.append(Section("Campaign", campaign_words(campaign), campaign_table(campaign), figure))
+    write_report(out / "report.html", title, sections)
 
 
 def _write_csv(path: Path, t: np.ndarray, u: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
@@ -102,6 +121,30 @@ _STD_TEXT = (
     "encoder's error is white with the variance given. An encoder of coarse steps is not white, and an estimate may be "
     "better or worse."
 )
+
+
+def campaign_table(campaign: Campaign) -> Rows:
+    """One row for each motion: share of the runs, how many of 10 and of 100 runs that is, value alone."""
+    header = ["motion", "share of the runs", "of 10 runs", "of 100 runs", f"{campaign.single.criterion} alone"]
+    rows = [
+        [f"motion {number}", f"{weight:.3f}", str(ten), str(hundred), f"{motion.value:.4g}"]
+        for number, (weight, ten, hundred, motion) in enumerate(
+            zip(campaign.weights, campaign.runs(10), campaign.runs(100), campaign.motions, strict=True), 1
+        )
+    ]
+    return header, rows
+
+
+def campaign_words(campaign: Campaign) -> str:
+    """What a campaign brings."""
+    return (
+        f"Per run the motions together tell {campaign.gain:.3g} times as much as the best single one repeated "
+        f"({campaign.single.criterion} {campaign.value:.4g}); any number of motions, {campaign.ideal:.4g}."
+    )
+
+
+def _campaign_motions(campaign: Campaign) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    return {f"motion_{number}": (each.u, each.x, each.v) for number, each in enumerate(campaign.motions, 1)}
 
 
 def rounds_table(state: Commissioning) -> Rows:

@@ -26,6 +26,7 @@ def how_to(spec: Spec, text: str, appraisal: Appraisal) -> Iterator[str]:
     yield from _paragraphs(DEVIATIONS)
     yield from table(*std_table(appraisal))
     yield from _paragraphs(AFTER)
+    yield from _paragraphs(PYTHON)
 
 
 def measured(runs: int) -> Iterator[str]:
@@ -90,6 +91,27 @@ Run it, record `t, u, counts`, and let the next round use what is known by then:
 It estimates the unknown parameters from all runs so far, says whether the wanted standard deviation is reached, and if
 not writes the next design. Without a record it writes the first one; with `--truth mass=1.8` it plays all rounds on a
 simulated axis. The limits cannot be met: exit code 3, and one line says which limit to relax and by how much.
+"""
+PYTHON = """
+The same in Python:
+
+```python
+from pathlib import Path
+
+from pmfid.design.sequential import sequential, simulated_experiment
+from pmfid.design.solver import solve
+from pmfid.design.spec import load_spec, make_problem
+from pmfid.design.standard import standard_inputs
+import numpy as np
+
+problem = make_problem(load_spec(Path("examples/cart_design.toml")))
+design = solve(problem, "D", starts=20, seed=0)  # t, u, x, v, fisher, value, predicted_std
+trapezoid = standard_inputs(problem)["trapezoid"]  # u, x, v within the same limits
+
+experiment = simulated_experiment(problem, {"mass": 1.8}, np.random.default_rng(0))  # or your machine: Design -> Run
+state = sequential(problem, experiment, {"mass": 0.001}, rounds=5)
+mass = state.rounds[-1].known.parameters["mass"]
+```
 """
 GAINS = """
 # What was measured
