@@ -113,11 +113,11 @@ def best_mixture(
 
 def _largest_share(maps: Affine, weight: Float, oracle: Oracle, rng: np.random.Generator) -> Float:
     """Input with the largest trace(weight F(u)) that a few local searches find: full steps climb a convex function."""
-    climber = Climber(replace_weight(maps, weight), Criterion("trace", len(maps.scale)), oracle)
+    climber = Climber((_turned(maps, weight),), Criterion("trace", len(maps.scale)), oracle)
     return max((climber.start(rng) for _ in range(SEARCHES)), key=lambda found: found[0])[1]
 
 
-def replace_weight(maps: Affine, weight: Float) -> Affine:
+def _turned(maps: Affine, weight: Float) -> Affine:
     """The maps after which the plain trace is trace(weight F)."""
     eigenvalues, vectors = np.linalg.eigh(weight)
     root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))) @ vectors.T
@@ -152,7 +152,7 @@ def _joint(maps: Affine, rule: Criterion, oracle: Oracle, inputs: list[Float]) -
         for i in range(len(inputs)):
             rest = _mean(maps, inputs, weights) - weights[i] * maps.information(inputs[i])
             beside = replace(maps, prior=maps.prior + rest / weights[i])
-            inputs[i] = Climber(beside, rule, oracle).ascend(inputs[i], tolerance=1e-7, steps=100)[1]
+            inputs[i] = Climber((beside,), rule, oracle).ascend(inputs[i], tolerance=1e-7, steps=100)[1]
 
 
 def _mean(maps: Affine, inputs: list[Float], weights: Float) -> Float:

@@ -11,7 +11,7 @@ from scipy.sparse import csc_matrix
 from pmfid.design.nearest import input_set, nearest
 from pmfid.design.polytope import Polytope
 from pmfid.design.problem import Float
-from pmfid.errors import PmfidError
+from pmfid.errors import PmfidError, UsageError
 
 __all__ = ["EmptyError", "Oracle", "SolverError", "model"]
 
@@ -99,6 +99,8 @@ class Oracle:
             status = self._again()
         if status == highspy.HighsModelStatus.kInfeasible:
             raise EmptyError("no input meets all limits")
+        if status in (highspy.HighsModelStatus.kUnbounded, highspy.HighsModelStatus.kUnboundedOrInfeasible):
+            raise UsageError("the limits leave the input without a bound; give a limit for input, energy or rms")
         if status != highspy.HighsModelStatus.kOptimal:
             raise SolverError(
                 f"the linear solver ended with {self._highs.modelStatusToString(status)!r}; "

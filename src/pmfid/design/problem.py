@@ -93,7 +93,8 @@ class Problem:
     directions: 1 forward, -1 backward, 0 at rest, for each interval; empty: forward throughout. Between forward and
     backward there is at least one interval of rest, where friction holds the axis: only so the sensitivities are exact.
     end_tolerance: (position, velocity) by which the end may be missed; scenarios: other parameter sets {name: value}
-    (missing ones nominal) in which the limits must hold as well.
+    (missing ones nominal) in which the limits must hold as well; there, the end counts only where it has a tolerance.
+    average: of the criterion, "mean" (geometric) or "worst" over the nominal case and the scenarios; None: nominal.
     Raises UsageError naming the field that is wrong.
     """
 
@@ -114,12 +115,22 @@ class Problem:
     scaled: bool = True
     directions: tuple[int, ...] = ()
     scenarios: tuple[Mapping[str, float], ...] = field(default=())
+    average: str | None = None
 
     def __post_init__(self) -> None:
         _check_parameters(self)
         _check_grid(self)
         _check_ends(self)
         _check_noise(self)
+        if self.average not in (None, "mean", "worst"):
+            raise UsageError(
+                f"average must be 'mean' or 'worst', or left out for the nominal case, got {self.average!r}"
+            )
+
+    @property
+    def cases(self) -> tuple[Mapping[str, float], ...]:
+        """The parameters over which the criterion is: the nominal ones, and with an average those of the scenarios."""
+        return (self.nominal, *(({**self.nominal, **case} for case in self.scenarios) if self.average else ()))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -209,6 +220,10 @@ def _check_ends(problem: Problem) -> None:
             raise UsageError(f"{name} must be a (position, velocity) of finite numbers, got {pair}")
     if min(problem.end_tolerance) < 0:
         raise UsageError(f"end_tolerance must not be negative, got {problem.end_tolerance}")
+    if problem.end[0] is not None and (problem.end[0] - problem.start[0]) * sum(sorted(set(problem.sense))) < 0:
+        raise UsageError(
+            f"directions never lead from start {problem.start[0]} to end {problem.end[0]}; give directions"
+        )
     for name, position in (("start", problem.start[0]), ("end", problem.end[0])):
         bounds = problem.limits.position
         if bounds and position is not None and not bounds[0] <= position <= bounds[1]:
