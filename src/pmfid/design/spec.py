@@ -181,6 +181,7 @@ def make_problem(spec: Spec) -> Problem:
         scaled=experiment.scaled,
         directions=motion.directions,
         scenarios=_scenarios(spec.robust, nominal),
+        average=spec.robust.average,
     )
 
 
