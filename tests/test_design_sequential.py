@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmfid.design.appraisal import start_free
 from pmfid.design.calibration import Run, calibrate, correlation_time
+from pmfid.design.encoder_error import start_free
 from pmfid.design.fisher import affine
 from pmfid.design.sequential import redesign, sequential, simulated_experiment
 from pmfid.design.simulated import simulate

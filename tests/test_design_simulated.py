@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmfid.design.appraisal import appraise, gathered, start_free, worth_of
+from pmfid.design.appraisal import appraise, gathered, worth_of
+from pmfid.design.calibration import Run, calibrate
 from pmfid.design.criteria import criterion_of
+from pmfid.design.encoder_error import encoder_covariance, start_free
 from pmfid.design.fisher import affine, information
 from pmfid.design.result import Design
 from pmfid.design.simulated import both_ways, simulate, simulated_information
@@ -105,9 +107,6 @@ def test_an_unknown_start_costs_information(best: Design) -> None:
     wide = np.vstack([np.c_[np.zeros(3), s], np.ones(s.shape[1] + 1)])
     covariance = np.linalg.inv(wide @ wide.T)[:3, :3]
     assert np.linalg.inv(start_free(s)) == pytest.approx(covariance, rel=1e-6)
-    worth = worth_of(CASE, criterion_of(CASE, "D"), best.u)
-    for name, std in worth.predicted_std.items():
-        assert worth.std_unknown_start[name] > std
 
 
 def test_prediction_counts_what_was_known_before(best: Design) -> None:
@@ -129,3 +128,35 @@ def test_parameters_that_a_run_cannot_tell_apart_have_no_deviation() -> None:
     )
     std = worth_of(forward, criterion_of(forward, "trace"), np.full(40, 1.0)).predicted_std
     assert std["coulomb_friction"] == std["offset"] == np.inf
+
+
+def test_the_encoder_predicts_the_scatter_of_estimates_from_counts() -> None:
+    problem = replace(CASE, resolution=9.1e-5)
+    u = standard_inputs(problem, names=("trapezoid",))["trapezoid"].u
+    motion = simulate(problem, u)
+    errors = []
+    for phase in (np.arange(40) + 0.5) / 40 * 9.1e-5:
+        y = np.floor((motion.x + phase) / 9.1e-5) * 9.1e-5
+        found = calibrate(problem, [Run(motion.u, y, problem.dt)]).parameters
+        errors.append([found[name] - problem.nominal[name] for name in problem.names])
+    covariance = encoder_covariance(problem, u)
+    assert covariance is not None
+    observed = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert observed == pytest.approx(np.sqrt(covariance.diagonal()), rel=0.15)
+    white = np.sqrt(np.linalg.inv(start_free(affine(problem).weighted(u))).diagonal()) * problem.scale
+    assert observed[2] > 1.4 * white[2], "a trapezoid through an encoder is worse than white noise says"
+
+
+def test_without_an_encoder_there_is_no_encoder_error() -> None:
+    noisy = replace(CASE, resolution=None, noise_variance=1e-10)
+    u = standard_inputs(noisy, names=("trapezoid",))["trapezoid"].u
+    assert encoder_covariance(noisy, u) is None
+    assert set(worth_of(noisy, criterion_of(noisy, "D"), u).std_encoder.values()) == {np.inf}
+
+
+def test_a_strong_prior_is_the_encoders_limit() -> None:
+    known = replace(CASE, prior=np.diag([1e12, 1e12, 1e12]))
+    u = standard_inputs(known, names=("trapezoid",))["trapezoid"].u
+    covariance = encoder_covariance(known, u)
+    assert covariance is not None
+    assert covariance.diagonal() == pytest.approx(np.full(3, 1e-12), rel=0.05)

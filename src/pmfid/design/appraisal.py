@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.design.criteria import Criterion, eliminate
+from pmfid.design.encoder_error import encoder_covariance
 from pmfid.design.fisher import affine
 from pmfid.design.problem import Float, Problem
 from pmfid.design.result import Design
 from pmfid.design.simulated import simulated_information
 from pmfid.design.standard import StandardInput, standard_inputs
 
-__all__ = ["Appraisal", "Worth", "appraise", "gathered", "start_free", "worth_of"]
+__all__ = ["Appraisal", "Worth", "appraise", "gathered", "worth_of"]
 
 #: Below this part of the claimed information the design is not what it says.
 SURVIVES = 0.95
@@ -31,15 +32,15 @@ class Worth:
     surviving: part of the claimed information that is there with true stiction, the least for parameters that are a
     little larger, smaller or both; None where that cannot be simulated.
     predicted_std: of each unknown parameter after one run; inf where the run and the prior leave it open.
-    std_unknown_start: the same where the start position on the encoder's lattice is estimated as well, from a sample at
-    the start and all others.
+    std_encoder: that of least squares on the encoder's counts, start position unknown (`encoder_covariance`); inf as
+    above and where the noise is not that of an encoder.
     """
 
     fisher: Float
     value: float
     surviving: float | None
     predicted_std: Mapping[str, float]
-    std_unknown_start: Mapping[str, float]
+    std_encoder: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ class Appraisal:
             "gain": {name: _finite(gain) for name, gain in self.gain.items()},
             "surviving": worth.surviving,
             "predicted_std": {name: _finite(std) for name, std in worth.predicted_std.items()},
-            "predicted_std_unknown_start": {name: _finite(std) for name, std in worth.std_unknown_start.items()},
+            "predicted_std_encoder": {name: _finite(std) for name, std in worth.std_encoder.items()},
             "solve_seconds": design.solve_seconds,
             "starts": design.starts,
             "feasible": design.feasible,
@@ -90,22 +91,14 @@ def appraise(design: Design, criterion: Criterion, seed: int = 0) -> Appraisal:
 def worth_of(problem: Problem, criterion: Criterion, u: ArrayLike) -> Worth:
     """What one run of the input u (n,) tells by a criterion."""
     maps = affine(problem)
-    sensitivity = maps.weighted(u)
     F = maps.information(u)
     return Worth(
         _on_unknown(problem, F),
         criterion.value(F),
         _surviving(problem, criterion, u, F - maps.prior),
         _stds(problem, _on_unknown(problem, F)),
-        _stds(problem, _on_unknown(problem, start_free(sensitivity) + maps.prior)),
+        _encoder_stds(problem, u),
     )
-
-
-def start_free(sensitivity: Float) -> Float:
-    """Information (p, p) of sensitivities (p, N) where the start position is unknown, but measured as well."""
-    s = np.column_stack([np.zeros(len(sensitivity)), sensitivity])
-    s = s - s.mean(axis=1, keepdims=True)
-    return np.asarray(s @ s.T)
 
 
 def _on_unknown(problem: Problem, F: Float) -> Float:
@@ -143,6 +136,13 @@ def _stds(problem: Problem, fisher: Float) -> dict[str, float]:
     with np.errstate(divide="ignore"):
         variance = (vectors**2 / np.where(values > 1e-12 * values[-1], values, 0.0)).sum(axis=1)
     return {name: float(std) for name, std in zip(problem.unknown, scale * np.sqrt(variance), strict=True)}
+
+
+def _encoder_stds(problem: Problem, u: ArrayLike) -> dict[str, float]:
+    covariance = encoder_covariance(problem, u)
+    if covariance is None:
+        return dict.fromkeys(problem.unknown, math.inf)
+    return {name: math.sqrt(value) for name, value in zip(problem.unknown, covariance.diagonal(), strict=False)}
 
 
 def _warnings(design: Design, worth: Worth) -> list[str]:

@@ -74,13 +74,13 @@ def criteria_table(appraisal: Appraisal) -> Rows:
     return header, rows
 
 
-def std_table(appraisal: Appraisal, *, start_known: bool = True) -> Rows:
+def std_table(appraisal: Appraisal, *, through_encoder: bool = False) -> Rows:
     """Predicted standard deviation of every unknown parameter, by input, in percent of its nominal value."""
     problem = appraisal.design.problem
     header = ["input", *(f"{_words(name)} [% of {problem.nominal[name]:.4g}]" for name in problem.unknown)]
     rows = []
     for key, worth in appraisal.worths.items():
-        std = worth.predicted_std if start_known else worth.std_unknown_start
+        std = worth.std_encoder if through_encoder else worth.predicted_std
         rows.append([key.replace("_", " "), *(_percent(std[name], problem.nominal[name]) for name in problem.unknown)])
     return header, rows
 
@@ -99,7 +99,7 @@ def _sections(appraisal: Appraisal) -> list[Section]:
     sections = [
         Section("What it is worth", _summary(appraisal), criteria_table(appraisal)),
         Section("Predicted standard deviations", _STD_TEXT, std_table(appraisal)),
-        Section("The same, start position unknown", _START_TEXT, std_table(appraisal, start_known=False)),
+        Section("The same through this encoder", _ENCODER_TEXT, std_table(appraisal, through_encoder=True)),
         Section(
             "Input and motion",
             "Limits are dashed, the least speed is dotted.",
@@ -117,9 +117,8 @@ def _sections(appraisal: Appraisal) -> list[Section]:
 
 
 _STD_TEXT = (
-    "The Cramér-Rao bound for one run, with what was known before: no unbiased estimate can do better where the "
-    "encoder's error is white with the variance given. An encoder of coarse steps is not white, and an estimate may be "
-    "better or worse."
+    "The Cramér-Rao bound for one run, with what was known before: no unbiased estimate does better where the error of "
+    "the position is white with the variance given and the start is known."
 )
 
 
@@ -164,9 +163,9 @@ def _with_std(value: float, std: float) -> str:
     return f"{value:.{digits}f} ± {std:.{digits}f}"
 
 
-_START_TEXT = (
-    "An encoder does not tell where within a count the axis starts. An estimator that finds the start position as "
-    "well, as pmfid commission does, has these standard deviations at best."
+_ENCODER_TEXT = (
+    "An encoder does not tell where within a count the axis starts, and its error is not white: it repeats with the "
+    "motion. This is what least squares, as in pmfid commission, gets from its counts."
 )
 
 

@@ -25,6 +25,8 @@ def how_to(spec: Spec, text: str, appraisal: Appraisal) -> Iterator[str]:
     yield from (proof(appraisal.design), "")
     yield from _paragraphs(DEVIATIONS)
     yield from table(*std_table(appraisal))
+    yield from _paragraphs(ENCODER)
+    yield from table(*std_table(appraisal, through_encoder=True))
     yield from _paragraphs(AFTER)
     yield from _paragraphs(PYTHON)
 
@@ -44,7 +46,7 @@ def measured(runs: int) -> Iterator[str]:
     header = ["believed / true mass", "round", *design_wrong.HEADER[:3], "worst error of the mass after it"]
     yield from table(header, list(design_wrong.rounds(seeds=10)))
     yield from _paragraphs(EXPERIMENTS.format(runs=runs, increments=design_runs.INCREMENTS))
-    header = ["sampling", "estimate", "input", "std of m, d, F_c [%]", "/ predicted", "/ start unknown"]
+    header = ["sampling", "estimate", "input", "std of m, d, F_c [%]", "/ predicted", "/ start unknown", "/ encoder"]
     yield from table([*header, "failed", "gain", "predicted"], list(design_runs.experiments(runs)))
     yield from _paragraphs(EXPLANATION)
 
@@ -81,7 +83,11 @@ with `u`, or let a position controller follow `x` and `v`.
 """
 DEVIATIONS = """
 *Gain* is the criterion of the design over that of a standard input within the same limits; *survives* is the part of
-the information that is still there in a simulation with stiction. Standard deviations to be expected, in percent:
+the information that is still there in a simulation with stiction. Standard deviations to be expected in percent, if the
+error of the position were white and the start known (Cramér-Rao):
+"""
+ENCODER = """
+And those of least squares on the counts of this encoder, from an unknown start:
 """
 AFTER = """
 Run it, record `t, u, counts`, and let the next round use what is known by then:
@@ -156,10 +162,13 @@ the position has white noise of the encoder's variance in place of the encoder. 
 by its determinant, trapezoid over design, as observed and as predicted.
 """
 EXPLANATION = """
-With white noise the deviations are those predicted, once the start position counts as unknown: an encoder does not tell
-it. The encoder's own error is not white. On the constant velocity of a trapezoid it repeats from sample to sample, and
-least squares does worse than predicted; where the axis creeps through many counts, with several samples in each, the
-edges of the counts tell more than their variance says, and `interval`, which uses them, does much better.
+The columns after the observed standard deviations divide them by those expected: for white noise and a known start, as
+predicted; for white noise and an unknown start; and for the error that the encoder makes along this motion, from all
+start phases alike, start unknown (`predicted_std_encoder` of `pmfid design`).
+
+With white noise the deviations are those of the second column: an encoder does not tell where it starts. On counts
+least squares has those of the third: the encoder's error is not white, it repeats with the motion, which makes much of
+the difference on the constant velocity of a trapezoid. `interval` takes the counts for the intervals that they are.
 """
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.design.appraisal import start_free
 from pmfid.design.calibration import Run, calibrate
+from pmfid.design.encoder_error import encoder_covariance, start_free
 from pmfid.design.fisher import affine
 from pmfid.design.problem import Problem
 from pmfid.design.simulated import simulate
@@ -30,11 +30,15 @@ INCREMENTS = 1024
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """Experiments with one input. names of the parameters; predicted, unknown_start: standard deviations [%] with the
-    start position known and unknown; errors (runs, p) [%]; failures: runs without an estimate."""
+    """Experiments with one input.
+
+    predicted, unknown_start: standard deviations (p,) [%] for white noise, with the start position known and unknown;
+    encoder: those of `encoder_covariance`; errors (runs, p) [%]; failures: runs without an estimate.
+    """
 
     predicted: Floats
     unknown_start: Floats
+    encoder: Floats
     errors: Floats
     failures: int
 
@@ -87,6 +91,8 @@ def trial(problem: Problem, u: Floats, method: str, runs: int) -> Trial:
     nominal = np.array([problem.nominal[name] for name in problem.names])
     s = affine(problem).weighted(u)
     predicted, unknown_start = (100 * np.sqrt(np.linalg.inv(F).diagonal()) for F in (s @ s.T, start_free(s)))
+    covariance = encoder_covariance(problem, u)
+    encoder = np.full(nominal.size, np.nan) if covariance is None else 100 * np.sqrt(covariance.diagonal()) / nominal
     motion = simulate(problem, u)
     errors, failures = [], 0
     for seed in range(runs):
@@ -96,7 +102,7 @@ def trial(problem: Problem, u: Floats, method: str, runs: int) -> Trial:
             failures += 1
         else:
             errors.append(100 * (theta / nominal - 1))
-    return Trial(predicted, unknown_start, np.array(errors), failures)
+    return Trial(predicted, unknown_start, encoder, np.array(errors), failures)
 
 
 def experiments(runs: int) -> Iterator[list[str]]:
