@@ -11,6 +11,7 @@ from pmfid.design.appraisal import appraise, gathered, worth_of
 from pmfid.design.calibration import Run, calibrate
 from pmfid.design.criteria import criterion_of
 from pmfid.design.encoder_error import encoder_covariance, start_free
+from pmfid.design.evaluation import setting
 from pmfid.design.fisher import affine, information
 from pmfid.design.result import Design
 from pmfid.design.simulated import both_ways, simulate, simulated_information
@@ -63,7 +64,7 @@ def test_simulate_wants_one_value_per_interval() -> None:
 
 
 def test_a_design_with_a_least_speed_survives(best: Design) -> None:
-    found = appraise(best, criterion_of(CASE, "D"))
+    found = appraise(best)
     assert found.worths["design"].surviving == pytest.approx(1.0, abs=1e-3)
     assert found.warnings == ()
     assert found.gain["trapezoid"] > 4.5
@@ -73,7 +74,7 @@ def test_a_design_with_a_least_speed_survives(best: Design) -> None:
 @pytest.mark.parametrize(("unknown", "criterion"), [("m", "trace"), ("m, d, F_c", "D")])
 def test_without_a_least_speed_there_is_a_warning_with_the_fraction(unknown: str, criterion: str) -> None:
     problem = case(unknown, min_speed=0.0)
-    found = appraise(solve(problem, criterion, starts=5), criterion_of(problem, criterion))
+    found = appraise(solve(problem, criterion, starts=5))
     surviving = found.worths["design"].surviving
     assert surviving is not None
     assert any(f"{100 * surviving:.0f} % of the claimed" in text for text in found.warnings)
@@ -86,7 +87,7 @@ def test_directional_friction_is_not_checked_and_says_so() -> None:
     nominal |= {f"viscous_friction_{side}": 6.0 for side in ("forward", "backward")}
     nominal |= {f"coulomb_friction_{side}": 0.6 for side in ("forward", "backward")}
     problem = replace(CASE, drive=Drive(2.0, friction="directional"), nominal=nominal, unknown=("mass",))
-    found = appraise(solve(problem, "trace", starts=2), criterion_of(problem, "trace"))
+    found = appraise(solve(problem, "trace", starts=2))
     assert found.worths["design"].surviving is None
     assert "not checked with stiction" in found.warnings[0]
 
@@ -96,7 +97,7 @@ def test_what_is_gathered_ends_at_the_value(best: Design, criterion: str) -> Non
     rule = criterion_of(CASE, criterion)
     t, value = gathered(CASE, rule, best.u)
     assert t[[0, -1]] == pytest.approx([0.05, 2.0])
-    assert value[-1] == pytest.approx(worth_of(CASE, rule, best.u).value)
+    assert value[-1] == pytest.approx(worth_of(setting(CASE, criterion), best.u).value)
     if criterion != "ME":
         assert np.diff(value).min() > -1e-6 * value[-1]
 
@@ -110,11 +111,10 @@ def test_an_unknown_start_costs_information(best: Design) -> None:
 
 
 def test_prediction_counts_what_was_known_before(best: Design) -> None:
-    rule = criterion_of(CASE, "D")
-    alone = worth_of(CASE, rule, best.u)
+    alone = worth_of(setting(CASE, "D"), best.u)
     std = alone.predicted_std["mass"]
     prior = np.diag([std**-2, 0.0, 0.0])
-    both = worth_of(replace(CASE, prior=prior), rule, best.u)
+    both = worth_of(setting(replace(CASE, prior=prior), "D"), best.u)
     assert both.predicted_std["mass"] == pytest.approx(std / np.sqrt(2), rel=1e-6)
     assert both.surviving == pytest.approx(alone.surviving, rel=1e-9)
 
@@ -126,7 +126,7 @@ def test_parameters_that_a_run_cannot_tell_apart_have_no_deviation() -> None:
         nominal={**CASE.nominal, "offset": 0.1},
         unknown=("mass", "coulomb_friction", "offset"),
     )
-    std = worth_of(forward, criterion_of(forward, "trace"), np.full(40, 1.0)).predicted_std
+    std = worth_of(setting(forward, "trace"), np.full(40, 1.0)).predicted_std
     assert std["coulomb_friction"] == std["offset"] == np.inf
 
 
@@ -151,7 +151,7 @@ def test_without_an_encoder_there_is_no_encoder_error() -> None:
     noisy = replace(CASE, resolution=None, noise_variance=1e-10)
     u = standard_inputs(noisy, names=("trapezoid",))["trapezoid"].u
     assert encoder_covariance(noisy, u) is None
-    assert set(worth_of(noisy, criterion_of(noisy, "D"), u).std_encoder.values()) == {np.inf}
+    assert set(worth_of(setting(noisy, "D"), u).std_encoder.values()) == {np.inf}
 
 
 def test_a_strong_prior_is_the_encoders_limit() -> None:
@@ -160,3 +160,14 @@ def test_a_strong_prior_is_the_encoders_limit() -> None:
     covariance = encoder_covariance(known, u)
     assert covariance is not None
     assert covariance.diagonal() == pytest.approx(np.full(3, 1e-12), rel=0.05)
+
+
+def test_a_robust_design_says_what_that_costs_and_is_judged_over_its_scenarios() -> None:
+    scenarios = ({"mass": 1.2}, {"mass": 1.8})
+    robust = replace(case("m"), scenarios=scenarios, end_tolerance=(0.01, 0.01), average="worst")
+    found = appraise(solve(robust, "trace", starts=5))
+    assert found.price is not None
+    assert 0.0 < found.price < 0.15
+    assert found.worths["design"].value == pytest.approx(found.design.value)
+    assert found.gain["trapezoid"] > 1.2
+    assert appraise(solve(case("m"), "trace", starts=2)).price is None

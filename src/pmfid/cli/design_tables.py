@@ -13,12 +13,14 @@ if TYPE_CHECKING:
 
 def print_appraisal(appraisal: Appraisal, together: Campaign | None, out: Path | None) -> None:
     """The design beside the standard inputs, its predicted standard deviations, and what to mind."""
-    from pmfid.report.design import campaign_table, campaign_words, criteria_table, proof, std_table
+    from pmfid.report.design import campaign_table, campaign_words, criteria_table, price_words, proof, std_table
 
     unknown = ", ".join(name.replace("_", " ") for name in appraisal.design.problem.unknown)
     _table(f"Input for {unknown}", criteria_table(appraisal))
     _table("Predicted standard deviation after one run", std_table(appraisal))
     _lines(proof(appraisal.design), *(f"warning: {text}" for text in appraisal.warnings))
+    if appraisal.price is not None:
+        _lines(price_words(appraisal.price))
     if together is not None:
         _table("Campaign", campaign_table(together))
         _lines(campaign_words(together))

@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike
 
 from pmfid.design.criteria import Criterion, eliminate
 from pmfid.design.encoder_error import encoder_covariance
+from pmfid.design.evaluation import Setting, setting
 from pmfid.design.fisher import affine
 from pmfid.design.problem import Float, Problem
 from pmfid.design.result import Design
 from pmfid.design.simulated import simulated_information
+from pmfid.design.solver import price_of_robustness
 from pmfid.design.standard import StandardInput, standard_inputs
 
 __all__ = ["Appraisal", "Worth", "appraise", "gathered", "worth_of"]
@@ -28,7 +30,8 @@ SURVIVES = 0.95
 class Worth:
     """What one run of an input tells.
 
-    fisher: (p, p) on the unknown parameters, in their own units, prior included; value: of the criterion.
+    fisher: (p, p) on the unknown parameters, in their own units, prior included; value: of the criterion, over the
+    scenarios where the problem has an average.
     surviving: part of the claimed information that is there with true stiction, the least for parameters that are a
     little larger, smaller or both; None where that cannot be simulated.
     predicted_std: of each unknown parameter after one run; inf where the run and the prior leave it open.
@@ -45,13 +48,17 @@ class Worth:
 
 @dataclass(frozen=True, eq=False)
 class Appraisal:
-    """A design beside the standard inputs; worths: by name, that of the design itself as "design"."""
+    """A design beside the standard inputs; worths: by name, that of the design itself as "design".
+
+    price: part of the nominal information that robustness costs, None where the design is not robust.
+    """
 
     design: Design
     rule: Criterion
     standard: Mapping[str, StandardInput]
     worths: Mapping[str, Worth]
     warnings: tuple[str, ...]
+    price: float | None = None
 
     @property
     def gain(self) -> dict[str, float]:
@@ -77,25 +84,30 @@ class Appraisal:
             "starts": design.starts,
             "feasible": design.feasible,
             "warnings": list(self.warnings),
+            "price_of_robustness": self.price,
         }
 
 
-def appraise(design: Design, criterion: Criterion, seed: int = 0) -> Appraisal:
-    """The design beside the standard inputs; seed: of the PRBS among them."""
-    standard = standard_inputs(design.problem, seed)
+def appraise(design: Design, combination: Mapping[str, float] | None = None, seed: int = 0) -> Appraisal:
+    """The design beside the standard inputs; combination: for criterion "c"; seed: of the PRBS among them."""
+    problem = design.problem
+    ready = setting(problem, design.criterion, combination)
+    standard = standard_inputs(problem, seed)
     inputs = {"design": design.u} | {name: found.u for name, found in standard.items()}
-    worths = {name: worth_of(design.problem, criterion, u) for name, u in inputs.items()}
-    return Appraisal(design, criterion, standard, worths, (*design.warnings, *_warnings(design, worths["design"])))
+    worths = {name: worth_of(ready, u) for name, u in inputs.items()}
+    price = price_of_robustness(design, combination) if problem.scenarios else None
+    warnings = (*design.warnings, *_warnings(design, worths["design"]))
+    return Appraisal(design, ready.rule, standard, worths, warnings, price)
 
 
-def worth_of(problem: Problem, criterion: Criterion, u: ArrayLike) -> Worth:
-    """What one run of the input u (n,) tells by a criterion."""
-    maps = affine(problem)
+def worth_of(ready: Setting, u: Float) -> Worth:
+    """What one run of the input u (n,) tells."""
+    problem, maps = ready.problem, ready.maps[0]
     F = maps.information(u)
     return Worth(
         _on_unknown(problem, F),
-        criterion.value(F),
-        _surviving(problem, criterion, u, F - maps.prior),
+        ready.value(u),
+        _surviving(problem, ready.rule, u, F - maps.prior),
         _stds(problem, _on_unknown(problem, F)),
         _encoder_stds(problem, u),
     )

@@ -10,7 +10,6 @@ import numpy as np
 from pmfid.design.appraisal import Appraisal, appraise
 from pmfid.design.calibration import Run
 from pmfid.design.campaign import Campaign, campaign
-from pmfid.design.criteria import criterion_of
 from pmfid.design.result import Design
 from pmfid.design.sequential import Commissioning, redesign, sequential, simulated_experiment
 from pmfid.design.solver import solve
@@ -53,8 +52,7 @@ def campaigned(spec: Spec, motions: int) -> Campaign:
 
 def appraised(spec: Spec, design: Design) -> Appraisal:
     """A design of the specification beside the standard inputs."""
-    rule = criterion_of(design.problem, spec.experiment.criterion, spec.experiment.weights)
-    return appraise(design, rule, spec.search.seed)
+    return appraise(design, spec.experiment.weights, spec.search.seed)
 
 
 def commissioned(

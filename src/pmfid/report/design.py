@@ -20,6 +20,7 @@ __all__ = [
     "campaign_table",
     "campaign_words",
     "criteria_table",
+    "price_words",
     "proof",
     "rounds_table",
     "std_table",
@@ -182,10 +183,16 @@ def proof(design: Design) -> str:
     )
 
 
+def price_words(price: float) -> str:
+    """What robustness costs."""
+    return f"That the limits hold in every scenario costs {100 * price:.1f} % of the nominal information."
+
+
 def _summary(appraisal: Appraisal) -> str:
     design = appraisal.design
     meaning = f"Criterion {design.criterion}: {CRITERIA[design.criterion]}; larger is better."
-    return "\n\n".join([meaning, proof(design), *(f"Warning: {text}." for text in appraisal.warnings)])
+    price = [price_words(appraisal.price)] if appraisal.price is not None else []
+    return "\n\n".join([meaning, proof(design), *price, *(f"Warning: {text}." for text in appraisal.warnings)])
 
 
 def _motions(appraisal: Appraisal) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:

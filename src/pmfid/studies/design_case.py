@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pmfid.design.appraisal import appraise
-from pmfid.design.criteria import criterion_of
 from pmfid.design.problem import Limits, Problem
 from pmfid.design.solver import solve
 from pmfid.models.drive import Drive
@@ -45,7 +44,7 @@ def gains() -> Iterator[list[str]]:
         for criterion in ("trace", "D", "A") if len(UNKNOWN[unknown]) > 1 else ("trace",):
             problem = case(unknown)
             design = solve(problem, criterion, starts=STARTS)
-            found = appraise(design, criterion_of(problem, criterion))
+            found = appraise(design)
             cells = [f"{found.gain[name]:.2f}" for name in GAINS]
             yield [unknown, criterion, f"{design.value:.4g}", *cells, f"{found.worths['design'].surviving:.4f}"]
 
@@ -58,6 +57,6 @@ def trap() -> Iterator[list[str]]:
     for unknown, criterion in (("m", "trace"), ("m, d", "D"), ("m, d, F_c", "D"), ("m, d, F_c", "A")):
         careful = solve(case(unknown), criterion, starts=STARTS)
         problem = case(unknown, min_speed=0.0)
-        found = appraise(solve(problem, criterion, starts=STARTS), criterion_of(problem, criterion))
+        found = appraise(solve(problem, criterion, starts=STARTS))
         worth = found.worths["design"]
         yield [unknown, criterion, f"{worth.value / careful.value:.3f}", f"{worth.surviving:.3f}"]
