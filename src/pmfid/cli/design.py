@@ -39,10 +39,10 @@ KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": 
 @click.option(
     "--certify",
     type=click.FloatRange(min=0),
-    default=2.0,
+    default=5.0,
     show_default=True,
     metavar="S",
-    help="Seconds for a proof of how near the optimum is; 0 for none.",
+    help="Seconds at most for a proof of how near the optimum is; 0 for none.",
 )
 @click.option(
     "--motions",

@@ -69,7 +69,7 @@ def criteria_table(appraisal: Appraisal) -> Rows:
     for name, worth in appraisal.worths.items():
         standard = appraisal.standard.get(name)
         surviving = "-" if worth.surviving is None else f"{worth.surviving:.3f}"
-        bent = "" if standard is None else "bent to the limits" if standard.bent else "exact"
+        bent = "" if standard is None else "bent" if standard.bent else "exact"
         gain = "" if standard is None else f"{appraisal.gain[name]:.3g}"
         rows.append([name.replace("_", " "), f"{worth.value:.4g}", gain, surviving, bent])
     return header, rows
