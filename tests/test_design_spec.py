@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from pmfid.design.job import appraised, designed, read_run
 from pmfid.design.spec import Spec, load_spec, make_problem
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.models.drive import Drive
 from pmfid.studies.design_case import case
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cart_design.toml"
@@ -135,3 +137,8 @@ def test_a_record_needs_the_resolution(tmp_path: Path) -> None:
     path.write_text(EXAMPLE.read_text().replace("resolution = 22.75e-6", "noise_std = 1e-5"))
     with pytest.raises(UsageError, match="resolution"):
         read_run(load_spec(path), tmp_path / "run.csv")
+
+
+def test_a_spring_is_refused_rather_than_left_out() -> None:
+    with pytest.raises(UsageError, match="spring"):
+        replace(case("m"), drive=Drive(2.0, spring=True))
