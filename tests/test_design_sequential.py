@@ -10,6 +10,7 @@ import pytest
 from pmfid.design.calibration import Run, calibrate, correlation_time
 from pmfid.design.encoder_error import start_free
 from pmfid.design.fisher import affine
+from pmfid.design.problem import InfeasibleError
 from pmfid.design.sequential import redesign, sequential, simulated_experiment
 from pmfid.design.simulated import simulate
 from pmfid.design.standard import standard_inputs
@@ -113,6 +114,7 @@ def test_it_stops_when_the_wanted_deviation_is_reached() -> None:
     state = sequential(CASE, experiment, {"mass": 1e-3}, starts=3, rounds=5)
     assert state.reached
     assert len(state.rounds) == 1
+    assert len(sequential(CASE, experiment, {}, starts=2, rounds=3).rounds) == 3
     stds = [each.known.std(CASE.names)["mass"] for each in state.rounds]
     assert stds[-1] <= 1e-3
 
@@ -126,6 +128,9 @@ def test_a_later_design_is_for_what_is_known_by_then() -> None:
     before, after = (each["mass"] for each in (state.rounds[-1].known.std(CASE.names), state.next.predicted_std))
     assert after < before
     assert redesign(CASE, [run(TRUTH)], {"mass": 1.0}).next is None
+    tight = replace(CASE, horizon=0.8)
+    with pytest.raises(InfeasibleError, match=r"the runs say mass = 2\.2.*with that no input"):
+        redesign(tight, [run({"mass": 2.2})], {})
     first = redesign(CASE, [], {}, starts=3)
     assert first.next is not None
     assert first.rounds == ()

@@ -34,8 +34,9 @@ def print_commissioning(state: Commissioning, out: Path | None) -> None:
 
     if state.rounds:
         _table("After each round: value ± standard deviation", rounds_table(state))
+    if state.wanted and state.rounds:
+        _lines("every wanted deviation is reached" if state.reached else "a wanted deviation is not yet reached")
     if state.next is None:
-        _lines("every wanted deviation is reached" if state.reached else "a wanted deviation is not reached")
         return
     predicted = ", ".join(f"{name.replace('_', ' ')} {std:.3g}" for name, std in state.next.predicted_std.items())
     _lines(f"next design: standard deviations expected after it: {predicted}")

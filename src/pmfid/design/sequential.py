@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pmfid.design.calibration import Calibration, Run, calibrate
-from pmfid.design.problem import Problem
+from pmfid.design.problem import InfeasibleError, Problem
 from pmfid.design.result import Design
 from pmfid.design.simulated import simulate
 from pmfid.design.solver import solve
@@ -43,8 +43,8 @@ class Commissioning:
 
     @property
     def reached(self) -> bool:
-        """Whether every wanted standard deviation is reached; False without a round."""
-        return bool(self.rounds) and reached(self.problem, self.rounds[-1].known, self.wanted)
+        """Whether every wanted standard deviation is reached; False without a round or a wish."""
+        return bool(self.rounds and self.wanted) and reached(self.problem, self.rounds[-1].known, self.wanted)
 
     def to_json(self) -> dict[str, Any]:
         """The object that `--json` prints."""
@@ -75,14 +75,14 @@ def sequential(
 ) -> Commissioning:
     """Rounds of design, experiment and estimate until every wanted standard deviation is reached, at most `rounds`.
 
-    wanted: {unknown parameter: standard deviation, its unit}. The first design is for the problem's nominal values and
-    prior; the prior belongs to the nominal values as an earlier estimate does. Raises UsageError for a wrong `wanted`,
-    and as `solve`, `calibrate` and the experiment do.
+    wanted: {unknown parameter: standard deviation, its unit}; empty: all the rounds. The first design is for the
+    problem's nominal values and prior; the prior belongs to the nominal values as an earlier estimate does. Raises
+    UsageError for a wrong `wanted`, and as `solve`, `calibrate` and the experiment do.
     """
     _check_wanted(problem, wanted, rounds)
     done: list[Round] = []
     current = problem
-    while len(done) < rounds and not (done and reached(problem, done[-1].known, wanted)):
+    while len(done) < rounds and not (done and wanted and reached(problem, done[-1].known, wanted)):
         design = solve(current, criterion, combination=combination, starts=starts, seed=seed + len(done))
         run = experiment(design)
         known = calibrate(problem, [*(each.run for each in done), run])
@@ -108,10 +108,16 @@ def redesign(
     _check_wanted(problem, wanted, 1)
     rounds = (Round(runs[-1], calibrate(problem, runs)),) if runs else ()
     state = Commissioning(problem, wanted, rounds)
-    if wanted and state.reached:
+    if state.reached:
         return state
     current = rounds[-1].known.update(problem) if rounds else problem
-    found = solve(current, criterion, combination=combination, starts=starts, seed=seed + len(runs))
+    try:
+        found = solve(current, criterion, combination=combination, starts=starts, seed=seed + len(runs))
+    except InfeasibleError as error:
+        if not rounds:
+            raise
+        said = ", ".join(f"{name} = {rounds[-1].known.parameters[name]:.6g}" for name in problem.names)
+        raise InfeasibleError(f"the runs say {said}; with that {error}", error.relaxations) from None
     return replace(state, next=found)
 
 
