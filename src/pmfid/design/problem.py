@@ -226,6 +226,12 @@ def _check_ends(problem: Problem) -> None:
         raise UsageError(
             f"directions never lead from start {problem.start[0]} to end {problem.end[0]}; give directions"
         )
+    for name, velocity, direction in (
+        ("start", problem.start[1], problem.sense[0]),
+        ("end", problem.end[1] or 0.0, problem.sense[-1]),
+    ):
+        if velocity * direction < 0 or (velocity and not direction):
+            raise UsageError(f"{name} velocity {velocity} is against the direction {direction} there; give directions")
     for name, position in (("start", problem.start[0]), ("end", problem.end[0])):
         bounds = problem.limits.position
         if bounds and position is not None and not bounds[0] <= position <= bounds[1]:
