@@ -66,7 +66,9 @@ def test_simulate_wants_one_value_per_interval() -> None:
 def test_a_design_with_a_least_speed_survives(best: Design) -> None:
     found = appraise(best)
     assert found.worths["design"].surviving == pytest.approx(1.0, abs=1e-3)
-    assert found.warnings == ()
+    # 0.01 m/s are 21.98 counts per sample: the encoder's error hardly changes from sample to sample
+    assert len(found.warnings) == 1
+    assert "the encoder's error repeats" in found.warnings[0]
     assert found.gain["trapezoid"] > 4.5
     assert found.gain["minimum_time"] >= 1 - 1e-6
 
@@ -145,6 +147,13 @@ def test_the_encoder_predicts_the_scatter_of_estimates_from_counts() -> None:
     assert observed == pytest.approx(np.sqrt(covariance.diagonal()), rel=0.15)
     white = np.sqrt(np.linalg.inv(start_free(affine(problem).weighted(u))).diagonal()) * problem.scale
     assert observed[2] > 1.4 * white[2], "a trapezoid through an encoder is worse than white noise says"
+
+
+def test_another_least_speed_breaks_the_pattern_of_the_encoder() -> None:
+    problem = case("m, d, F_c", min_speed=0.0103)
+    found = appraise(solve(problem, "D", starts=5))
+    assert found.warnings == ()
+    assert found.worths["design"].value > 0.98 * solve(CASE, "D", starts=5).value
 
 
 def test_without_an_encoder_there_is_no_encoder_error() -> None:

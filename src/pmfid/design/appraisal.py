@@ -22,6 +22,8 @@ from pmfid.design.standard import StandardInput, standard_inputs
 
 __all__ = ["Appraisal", "Worth", "appraise", "gathered", "worth_of"]
 
+#: An encoder that makes a deviation so many times larger than predicted deserves a word.
+WORSE = 2.0
 #: Below this part of the claimed information the design is not what it says.
 SURVIVES = 0.95
 
@@ -158,6 +160,10 @@ def _encoder_stds(problem: Problem, u: ArrayLike) -> dict[str, float]:
 
 
 def _warnings(design: Design, worth: Worth) -> list[str]:
+    return [*_stiction_warnings(design, worth), *_encoder_warnings(worth)]
+
+
+def _stiction_warnings(design: Design, worth: Worth) -> list[str]:
     if worth.surviving is None:
         return ["the design was not checked with stiction, which the simulation has for symmetric friction only"]
     careful = design.problem.limits.min_speed > 0
@@ -165,6 +171,18 @@ def _warnings(design: Design, worth: Worth) -> list[str]:
         return []
     part = f"{100 * worth.surviving:.0f} % of the claimed information survives a simulation with stiction"
     return [f"{part}; raise min_speed" if careful else f"{part}; min_speed is 0: set it above"]
+
+
+def _encoder_warnings(worth: Worth) -> list[str]:
+    ratio = {name: worth.std_encoder[name] / std for name, std in worth.predicted_std.items() if std < math.inf}
+    bad = {name: value for name, value in ratio.items() if WORSE < value < math.inf}
+    if not bad:
+        return []
+    worst = max(bad, key=bad.__getitem__)
+    return [
+        f"the encoder's error repeats along this motion, so that least squares gets {bad[worst]:.1f} times the "
+        f"predicted deviation of {worst}; another min_speed or sampling, apart from whole counts per sample, may help"
+    ]
 
 
 def _finite(value: float) -> float | None:

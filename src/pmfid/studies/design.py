@@ -37,6 +37,9 @@ def measured(runs: int) -> Iterator[str]:
     yield from table(header, list(design_case.gains()))
     yield from _paragraphs(TRAP)
     yield from table(["unknown", "criterion", "value / with least speed", "survives"], list(design_case.trap()))
+    yield from _paragraphs(PATTERN)
+    header = ["least speed", "counts per sample", "value of D", "std of m, d, F_c through the encoder / predicted"]
+    yield from table(header, list(design_case.pattern()))
     yield from _paragraphs(WRONG)
     yield from table(["believed / true mass", *design_wrong.HEADER], list(design_wrong.wrong_masses()))
     yield from _paragraphs(ROBUST)
@@ -136,6 +139,10 @@ TRAP = """
 With `min_speed = 0` the optimum parks at standstill with just the input that friction balances. There the linear
 sensitivities promise information that stiction takes away. Part that survives, the least for parameters that are a
 little smaller, larger, or both:
+"""
+PATTERN = """
+The least speed itself matters, too: at a whole number of counts per sample the encoder's error stays the same from
+sample to sample while the axis creeps, and does not average out. `pmfid design` warns where that shows.
 """
 WRONG = """
 ## A wrong mass

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pmfid.design.appraisal import appraise
+from pmfid.design.appraisal import appraise, worth_of
+from pmfid.design.evaluation import setting
 from pmfid.design.problem import Limits, Problem
 from pmfid.design.solver import solve
 from pmfid.models.drive import Drive
@@ -60,3 +61,13 @@ def trap() -> Iterator[list[str]]:
         found = appraise(solve(problem, criterion, starts=STARTS))
         worth = found.worths["design"]
         yield [unknown, criterion, f"{worth.value / careful.value:.3f}", f"{worth.surviving:.3f}"]
+
+
+def pattern() -> Iterator[list[str]]:
+    """Rows: least speed, counts per sample at it, value, deviations of m, d, F_c through the encoder over predicted."""
+    for min_speed in (0.0095, 0.01, 0.0102, 0.0103, 0.0105, 0.011):
+        problem = case("m, d, F_c", min_speed=min_speed)
+        worth = worth_of(setting(problem, "D"), solve(problem, "D", starts=STARTS).u)
+        ratios = [f"{worth.std_encoder[name] / std:.2f}" for name, std in worth.predicted_std.items()]
+        counts = min_speed * problem.dt / RESOLUTION
+        yield [f"{1e3 * min_speed:g} mm/s", f"{counts:.2f}", f"{worth.value:.4g}", ", ".join(ratios)]

@@ -119,10 +119,8 @@ def experiments(runs: int) -> Iterator[list[str]]:
             found = {name: trial(problem, u, method, runs) for name, u in inputs.items()}
             gain = found["trapezoid"].size / found["design"].size
             for name, each in found.items():
-                ratios = [
-                    _cell(each.std, 4),
-                    *(_cell(each.std / std, 2) for std in (each.predicted, each.unknown_start)),
-                ]
+                expected = (each.predicted, each.unknown_start, each.encoder)
+                ratios = [_cell(each.std, 4), *(_cell(each.std / std, 2) for std in expected)]
                 gains = [f"{gain:.2f}", f"{predicted_gain(problem, inputs):.2f}"] if name == "design" else ["", ""]
                 yield [f"{1e3 * problem.dt / samples:g} ms", method, name, *ratios, str(each.failures), *gains]
 
