@@ -158,6 +158,8 @@ class _Search:
 
     def _turn(self, node: _Node) -> None:
         """A new tangent, at the best mixture of what has been seen, where the present one is too high."""
+        if len(node.seen) < 2 or time.perf_counter() > self.until:
+            return
         informations = np.array([self.maps.information(u) for u in node.seen])
         truth = np.tensordot(informations, node.frame.weight, 2).max()
         if truth <= (1.0 + self.target) / 2.0:

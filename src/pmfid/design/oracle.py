@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import highspy
 import numpy as np
-from scipy.sparse import csc_matrix
+from scipy.sparse import csc_matrix, csr_matrix, vstack
 
 from pmfid.design.nearest import input_set, nearest
 from pmfid.design.polytope import Polytope
@@ -146,16 +146,30 @@ class Oracle:
 
 def _load(shape: Polytope) -> highspy.Highs:
     """A HiGHS model; rows of one term become bounds of their column."""
-    terms = np.diff(shape.matrix.tocsr().indptr)
-    single = np.flatnonzero(terms == 1)
-    low, high = np.full(shape.matrix.shape[1], -np.inf), np.full(shape.matrix.shape[1], np.inf)
+    rows, lower, upper = _summed(shape)
+    terms = np.diff(rows.indptr)
+    low, high = np.full(rows.shape[1], -np.inf), np.full(rows.shape[1], np.inf)
     low[: shape.inputs], high[: shape.inputs] = -shape.radius, shape.radius
-    rows = shape.matrix.tocsr()
-    for i in single:
+    for i in np.flatnonzero(terms == 1):
         j, value = rows.indices[rows.indptr[i]], rows.data[rows.indptr[i]]
-        ends = sorted((shape.lower[i] / value, shape.upper[i] / value))
+        ends = sorted((lower[i] / value, upper[i] / value))
         low[j], high[j] = max(low[j], ends[0]), min(high[j], ends[1])
-    return model(rows[terms > 1].tocsc(), shape.lower[terms > 1], shape.upper[terms > 1], low, high)
+    return model(rows[terms > 1].tocsc(), lower[terms > 1], upper[terms > 1], low, high)
+
+
+def _summed(shape: Polytope) -> tuple[csr_matrix, Float, Float]:
+    """The rows; where only the last nominal position is limited, one sum of steps stands for all positions."""
+    K, rows = shape.inputs, shape.matrix.tocsr()
+    chain = np.flatnonzero([name == "motion" for name in shape.names])[: 2 * K : 2]
+    inner = np.arange(K, 3 * K - 2, 2)
+    if (np.diff(shape.matrix.indptr)[inner] > 2).any():
+        return rows, shape.lower, shape.upper
+    others = np.setdiff1d(np.arange(rows.shape[0]), chain)
+    matrix = vstack([rows[others], csr_matrix(rows[chain].sum(axis=0))]).tocsr()
+    matrix.data[np.abs(matrix.data) < 1e-15] = 0.0
+    matrix.eliminate_zeros()
+    total = shape.lower[chain].sum()
+    return matrix, np.r_[shape.lower[others], total], np.r_[shape.upper[others], total]
 
 
 def model(matrix: csc_matrix, lower: Float, upper: Float, low: Float, high: Float) -> highspy.Highs:
