@@ -211,6 +211,11 @@ def _check_grid(problem: Problem) -> None:
     sense = problem.sense
     if len(sense) != problem.intervals or set(sense) - {-1, 0, 1}:
         raise UsageError(f"directions must hold 1, -1 or 0 for each of the {problem.intervals} intervals, got {sense}")
+    if problem.scenarios and 0 in sense:
+        raise UsageError(
+            "no input brings the axis to rest at the same instant in every scenario; leave out the scenarios (robust), "
+            "or the rests in directions"
+        )
     if any(a * b < 0 for a, b in pairwise(sense)):
         raise UsageError("directions must have an interval of rest, 0, between forward and backward")
 

@@ -175,7 +175,7 @@ def proof(design: Design) -> str:
     proved = (
         "No bound is proved: another input may be better."
         if design.gap is None
-        else f"Proved: no input within these limits and directions is better by more than {100 * design.gap:.2g} %."
+        else f"Proved: no input within these limits and directions is better by more than {100 * design.gap:.3g} %."
     )
     return (
         f"{proved} Found from {design.starts} starts in {design.solve_seconds:.2g} s; {100 * design.reached:.0f} % of "
