@@ -100,7 +100,7 @@ def _sections(appraisal: Appraisal) -> list[Section]:
     sections = [
         Section("What it is worth", _summary(appraisal), criteria_table(appraisal)),
         Section("Predicted standard deviations", _STD_TEXT, std_table(appraisal)),
-        Section("The same through this encoder", _ENCODER_TEXT, std_table(appraisal, through_encoder=True)),
+        *_through_encoder(appraisal),
         Section(
             "Input and motion",
             "Limits are dashed, the least speed is dotted.",
@@ -115,6 +115,12 @@ def _sections(appraisal: Appraisal) -> list[Section]:
             )
         )
     return sections
+
+
+def _through_encoder(appraisal: Appraisal) -> list[Section]:
+    if not any(np.isfinite(std) for std in appraisal.worths["design"].std_encoder.values()):
+        return []
+    return [Section("The same through this encoder", _ENCODER_TEXT, std_table(appraisal, through_encoder=True))]
 
 
 _STD_TEXT = (
