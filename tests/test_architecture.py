@@ -40,7 +40,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "session": SESSION,
     "report": SESSION | {"session"},
     "studies": SESSION | {"simulation", "report"},
-    "cli": SESSION | {"session", "report", "studies", "pmfid"},
+    "cli": SESSION | {"session", "report", "studies", "simulation", "pmfid"},
     "pmfid": SESSION,
 }
 
