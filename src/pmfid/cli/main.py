@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from pmfid import __version__
+from pmfid.cli.reproduce import reproduce
 from pmfid.cli.simulate import simulate
 from pmfid.errors import NotIdentifiableError, PmfidError
 from pmfid.estimators import METHODS
@@ -175,6 +176,7 @@ def demo(out: Path, seed: int) -> None:
 
 
 main.add_command(simulate)
+main.add_command(reproduce)
 
 
 def _progress(samples: int, quiet: bool) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pmfid.session.compare import Comparison
     from pmfid.session.pipeline import Result
+    from pmfid.studies.reproduce.merit import Merit
 
 #: Shorter runs are over before a bar could be read.
 PROGRESS_FROM = 1_000_000
@@ -61,6 +62,29 @@ def print_comparison(comparison: Comparison, out: Path | None) -> None:
         console.print(f"{name} has no answer: {reason}", highlight=False, markup=False, soft_wrap=True)
     if out is not None:
         console.print(f"report: {out / 'compare.html'}", highlight=False, markup=False, soft_wrap=True)
+
+
+def print_merits(rows: Sequence[Merit], out: Path) -> None:
+    """The figures of merit, a table for each figure and condition; columns without a number are left out."""
+    from itertools import groupby
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from pmfid.studies.reproduce.merit import HEADER, cells
+
+    console = Console()
+    for (figure, condition), group in groupby(rows, key=lambda row: (row.figure, row.condition)):
+        texts = [cells(row)[2:] for row in group]
+        kept = [i for i in range(len(HEADER) - 2) if any(row[i] not in ("–", "0") for row in texts)]
+        table = Table(box=None, title=f"\n{figure}: {condition}", title_justify="left", title_style="bold")
+        for i in kept:
+            heading = HEADER[i + 2].replace(" [", "\n\\[").replace("increments", "inc")
+            table.add_column(heading, justify="right" if i else "left", no_wrap=True)
+        for row in texts:
+            table.add_row(*(row[i] for i in kept))
+        console.print(table)
+    console.print(f"table, pictures and their data: {out}", highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager

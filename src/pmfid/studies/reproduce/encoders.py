@@ -1,0 +1,60 @@
+"""How coarse may the encoder be? The mass by every method, open loop and under position control."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pmfid.simulation import CART, CART_DT, make_scenario
+from pmfid.studies.reproduce.estimates import OFF_LINE, mass_of, mass_score, record_of, track_of, track_score
+from pmfid.studies.reproduce.figure import PaperFigure, Task
+from pmfid.studies.reproduce.merit import Merit, Score, merit
+
+#: Scenario -> increments of the encoder.
+RUNS = {"prbs": (4096, 1024, 512, 256), "stop-and-go": (4096, 1024, 512, 256, 128, 64), "moves": (256, 64)}
+DIRECT = ("rls", "bcrls")
+METHODS = (*DIRECT, *OFF_LINE, "riv")
+TIME_CONSTANT = 3  # samples: 30 ms
+DURATION = 20.0  # s
+#: Of riv; the others never forget.
+FORGETTING = 0.99
+AFTER = 10.0  # s
+
+
+def tasks(seeds: int) -> list[Task]:
+    return [(name, inc, seed) for name, encoders in RUNS.items() for inc in encoders for seed in range(seeds)]
+
+
+def work(name: str, increments: int, seed: int) -> dict[str, Score]:
+    """The last value of a method without forgetting; of riv all samples after the first ones."""
+    record = record_of(make_scenario(name, seed=seed, increments=increments, duration=DURATION))
+    last, late = slice(-1, None), slice(round(AFTER / CART_DT), None)
+    scores = {m: track_score(track_of(m, record, TIME_CONSTANT, 1.0), last, CART.mass) for m in DIRECT}
+    scores |= {m: mass_score(mass_of(m, record, TIME_CONSTANT), CART.mass) for m in OFF_LINE}
+    return scores | {"riv": track_score(track_of("riv", record, TIME_CONSTANT, FORGETTING), late, CART.mass)}
+
+
+def rows(results: Mapping[Task, Any]) -> list[Merit]:
+    return [
+        merit("encoders", name, m, inc, [r[m] for task, r in results.items() if task[:2] == (name, inc)])
+        for name, encoders in RUNS.items()
+        for inc in encoders
+        for m in METHODS
+    ]
+
+
+def draw(out: Path) -> list[Path]:
+    """Nothing: it is a table."""
+    return []
+
+
+FIGURE = PaperFigure(
+    "encoders",
+    "Beyond the paper: every method with encoders from 4096 down to 64 increments; 20 s, filters of 30 ms. rls, bcrls: "
+    "forgetting 1, the last value; riv: forgetting 0.99, all samples after 10 s; the others off-line.",
+    tasks,
+    work,
+    rows,
+    draw,
+)
