@@ -37,10 +37,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     "estimators": ESTIMATORS,
     "monitor": MONITOR,
     "simulation": {"errors"},
+    "design": FILTERS | {"estimators", "monitor", "simulation", "session"},
     "session": SESSION,
     "report": SESSION | {"session"},
-    "studies": SESSION | {"simulation", "report"},
-    "cli": SESSION | {"session", "report", "studies", "simulation", "pmfid"},
+    "studies": SESSION | {"simulation", "report", "design"},
+    "cli": SESSION | {"session", "report", "studies", "design", "simulation", "pmfid"},
     "pmfid": SESSION,
 }
 
