@@ -76,13 +76,17 @@ def print_merits(rows: Sequence[Merit], out: Path) -> None:
     console = Console()
     for (figure, condition), group in groupby(rows, key=lambda row: (row.figure, row.condition)):
         texts = [cells(row)[2:] for row in group]
-        kept = [i for i in range(len(HEADER) - 2) if any(row[i] not in ("–", "0") for row in texts)]
-        table = Table(box=None, title=f"\n{figure}: {condition}", title_justify="left", title_style="bold")
-        for i in kept:
-            heading = HEADER[i + 2].replace(" [", "\n\\[").replace("increments", "inc")
-            table.add_column(heading, justify="right" if i else "left", no_wrap=True)
-        for row in texts:
-            table.add_row(*(row[i] for i in kept))
+        columns = list(zip(HEADER[2:], zip(*texts, strict=True), strict=True))
+        given = [(name, values) for name, values in columns if set(values) - {"–", "0"}]
+        common = ", ".join(f"{name} {values[0]}" for name, values in given[1:] if len(set(values)) == 1)
+        console.print(f"\n{figure}: {condition} ({common})", style="bold", highlight=False, markup=False)
+        table = Table(box=None)
+        for name, values in given:
+            if name == "method" or len(set(values)) > 1:
+                heading = name.replace(" [", "\n\\[").replace("increments", "inc")
+                table.add_column(heading, justify="left" if name == "method" else "right", no_wrap=True)
+        for row in zip(*(values for name, values in given if name == "method" or len(set(values)) > 1), strict=True):
+            table.add_row(*row)
         console.print(table)
     console.print(f"table, pictures and their data: {out}", highlight=False, markup=False, soft_wrap=True)
 

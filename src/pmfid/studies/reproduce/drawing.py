@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import cycle
+from itertools import chain, cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,6 +44,50 @@ def write_drawing(drawing: Drawing, out: Path) -> list[Path]:
     curves = {f"{title}: {name}": y for title, panel in drawing.panels.items() for name, y in panel.items()}
     write_columns({"t [s]": drawing.t, label: truth, **curves}, data)
     return [picture, data]
+
+
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """Inputs and the motion under each. name: of the files; t: (n,) [s]; u [V], x [m]: label -> (n,)."""
+
+    name: str
+    t: Floats
+    u: Mapping[str, Floats]
+    x: Mapping[str, Floats]
+
+
+def write_motions(motions: Motions, out: Path) -> list[Path]:
+    """Write name.png and name.csv into the folder `out`; returns their paths. Raises OSError."""
+    from pmfid.report.figures import save_png
+
+    picture, data = out / f"{motions.name}.png", out / f"{motions.name}.csv"
+    save_png(draw_motions(motions), picture)
+    inputs = {f"input [V], {label}": y for label, y in motions.u.items()}
+    places = {f"position [m], {label}": y for label, y in motions.x.items()}
+    write_columns({"t [s]": motions.t, **inputs, **places}, data)
+    return [picture, data]
+
+
+def draw_motions(motions: Motions) -> Figure:
+    """The inputs above, the positions below; the first solid, the others dashed."""
+    from matplotlib.figure import Figure
+
+    from pmfid.report.figures import COLOURS, WIDTH, figure_style
+
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
+        above, below = figure.subplots(2, 1, sharex=True)
+        for colour, style, label in zip(
+            cycle(COLOURS), chain(["-"], cycle(["--", "-.", ":"])), motions.u, strict=False
+        ):
+            above.plot(motions.t, motions.u[label], color=colour, ls=style, label=label, drawstyle="steps-post")
+            below.plot(motions.t, motions.x[label], color=colour, ls=style)
+        above.set_ylabel("input [V]")
+        below.set_ylabel("position [m]")
+        below.set_xlabel("time [s]")
+        below.set_xlim(motions.t[0], motions.t[-1])
+        figure.legend(loc="outside upper center", ncols=len(motions.u))
+    return figure
 
 
 def write_columns(columns: Mapping[str, Floats], path: Path) -> None:

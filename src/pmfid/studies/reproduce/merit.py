@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -26,19 +27,16 @@ class Score:
     square: float
     covered: float
     settled: float = math.nan
-    information: float = math.nan
 
 
 NO_ANSWER = Score(math.nan, math.nan, math.nan)
 
 
-def score(
-    values: Floats, std: Floats, truth: Floats | float, settled: float = math.nan, information: float = math.nan
-) -> Score:
+def score(values: Floats, std: Floats, truth: float, settled: float = math.nan) -> Score:
     """The score of a run with estimates and standard deviations (n,) of one parameter."""
     error = values / truth - 1
     covered = np.abs(values - truth) < QUANTILE * std
-    return Score(float(error.mean()), float(np.mean(error**2)), float(covered.mean()), settled, information)
+    return Score(float(error.mean()), float(np.mean(error**2)), float(covered.mean()), settled)
 
 
 @dataclass(frozen=True)
@@ -46,27 +44,31 @@ class Merit:
     """A row of the table. figure; condition: of the runs; method; increments: of the encoder; runs, and those
     `refused` without an estimate; of the mass: bias, std about it, rms and coverage of the 95 % intervals [%];
     settled: median time to come to stay near the truth [s], inf: never in half of the runs; information: Fisher
-    information of the input on the mass [1/kg^2], mean; nan where it does not apply."""
+    information of the input on the mass with friction known (paper eq. 40) and `joint`: with friction unknown as well
+    [1/kg^2]; loss: what of the former a design loses for a wrong mass [%]; terminal: by how much it then misses its end
+    [mm]; nan where it does not apply."""
 
     figure: str
     condition: str
     method: str
     increments: int
     runs: int
-    refused: int
-    bias: float
-    std: float
-    rms: float
-    coverage: float
-    settled: float
-    information: float
+    refused: int = 0
+    bias: float = math.nan
+    std: float = math.nan
+    rms: float = math.nan
+    coverage: float = math.nan
+    settled: float = math.nan
+    information: float = math.nan
+    joint: float = math.nan
+    loss: float = math.nan
+    terminal: float = math.nan
 
 
 def merit(figure: str, condition: str, method: str, increments: int, scores: Sequence[Score]) -> Merit:
     """The row of so many runs, all with the same number of samples."""
     answered = [s for s in scores if not math.isnan(s.error)]
     bias, square, covered = np.mean([(s.error, s.square, s.covered) for s in answered] or [(math.nan,) * 3], axis=0)
-    information = float(np.mean([s.information for s in answered] or [math.nan]))
     return Merit(
         figure,
         condition,
@@ -79,7 +81,6 @@ def merit(figure: str, condition: str, method: str, increments: int, scores: Seq
         100 * math.sqrt(square),
         100 * float(covered),
         _median([s.settled for s in answered]),
-        information,
     )
 
 
@@ -104,15 +105,27 @@ HEADER = (
     "coverage [%]",
     "settled [s]",
     "information [1/kg²]",
+    "joint [1/kg²]",
+    "loss [%]",
+    "terminal [mm]",
 )
+_FORMS = {
+    "bias": "+.2f",
+    "std": ".2f",
+    "rms": ".2f",
+    "coverage": ".1f",
+    "settled": ".2f",
+    "information": ".3g",
+    "joint": ".3g",
+    "loss": "+.1f",
+    "terminal": "+.1f",
+}
 
 
 def cells(row: Merit) -> list[str]:
     """The row as text, in the order of HEADER; "–" where a figure does not apply."""
-    numbers = (("bias", "+.2f"), ("std", ".2f"), ("rms", ".2f"), ("coverage", ".1f"), ("settled", ".2f"))
-    texts = [_text(getattr(row, name), form) for name, form in numbers]
     named = [row.figure, row.condition, row.method, str(row.increments), str(row.runs), str(row.refused)]
-    return [*named, *texts, _text(row.information, ".3g")]
+    return [*named, *(_text(getattr(row, name), form) for name, form in _FORMS.items())]
 
 
 def _text(value: float, form: str) -> str:
@@ -122,12 +135,8 @@ def _text(value: float, form: str) -> str:
 def write_table(rows: Sequence[Merit], path: Path) -> None:
     """The rows as CSV, all digits; empty where a figure does not apply. Raises OSError."""
     names = [field.name for field in fields(Merit)]
-    lines = [",".join(names)]
-    for row in rows:
-        values = [getattr(row, name) for name in names]
-        lines.append(
-            ",".join(
-                "" if isinstance(v, float) and math.isnan(v) else f'"{v}"' if "," in str(v) else f"{v}" for v in values
-            )
-        )
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(names)
+        for row in rows:
+            writer.writerow("" if value != value else value for value in (getattr(row, name) for name in names))

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
+from multiprocessing.pool import Pool
 from pathlib import Path
 from typing import Any
 
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.studies.reproduce import encoders, figure3, figure4
+from pmfid.studies.reproduce import encoders, figure2, figure3, figure4, figure5
 from pmfid.studies.reproduce.figure import PaperFigure, Task
 from pmfid.studies.reproduce.merit import Merit, write_table
 
-FIGURES: dict[str, PaperFigure] = {f.name: f for f in (figure3.FIGURE, figure4.FIGURE, encoders.FIGURE)}
+FIGURES: dict[str, PaperFigure] = {
+    f.name: f for f in (figure2.FIGURE, figure3.FIGURE, figure4.FIGURE, figure5.FIGURE, encoders.FIGURE)
+}
 SEEDS = 200
 
 
@@ -28,12 +31,14 @@ def reproduce(names: Sequence[str], out: Path, seeds: int = SEEDS, jobs: int | N
         if value < 1:
             raise UsageError(f"{name} must be at least 1, got {value}")
     out.mkdir(parents=True, exist_ok=True)
-    for figure in chosen:
-        figure.draw(out)
     tasks = [(figure.name, task) for figure in chosen for task in figure.tasks(seeds)]
     results: dict[str, dict[Task, Any]] = {figure.name: {} for figure in chosen}
-    for (name, task), result in zip(tasks, _results(tasks, jobs), strict=True):
-        results[name][task] = result
+    with _pool(jobs) as pool:
+        found = pool.imap(_work, tasks, chunksize=8)
+        for figure in chosen:  # while the others work
+            figure.draw(out)
+        for (name, task), result in zip(tasks, _shown(found, len(tasks)), strict=True):
+            results[name][task] = result
     rows = [row for figure in chosen for row in figure.rows(results[figure.name])]
     write_table(rows, out / "table.csv")
     return rows
@@ -45,17 +50,18 @@ def _figure(name: str) -> PaperFigure:
     return FIGURES[name]
 
 
-def _results(tasks: Sequence[tuple[str, Task]], jobs: int | None) -> Iterator[Any]:
-    """In processes that start afresh with one thread each: neither jobs nor threads change the last bit."""
+def _pool(jobs: int | None) -> Pool:
+    """Processes that start afresh with one thread each: neither jobs nor threads change the last bit."""
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    return multiprocessing.get_context("spawn").Pool(jobs or os.cpu_count() or 1)
+
+
+def _shown(results: Iterable[Any], total: int) -> Iterable[Any]:
     from rich.console import Console
     from rich.progress import track
 
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")
-    with multiprocessing.get_context("spawn").Pool(jobs or os.cpu_count() or 1) as pool:
-        found = pool.imap(_work, tasks, chunksize=8)
-        console = Console(stderr=True)
-        yield from track(found, "runs", total=len(tasks), console=console, transient=True)
+    return track(results, "runs", total=total, console=Console(stderr=True), transient=True)
 
 
 def _work(task: tuple[str, Task]) -> Any:
