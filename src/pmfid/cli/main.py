@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from pmfid import __version__
+from pmfid.cli.monitor import monitor
 from pmfid.cli.reproduce import reproduce
 from pmfid.cli.simulate import simulate
 from pmfid.errors import NotIdentifiableError, PmfidError
@@ -175,6 +176,7 @@ def demo(out: Path, seed: int) -> None:
     click.echo(f"\nreport: {out / 'report.html'}\nrecord: {out / 'cart.csv'}")
 
 
+main.add_command(monitor)
 main.add_command(simulate)
 main.add_command(reproduce)
 

@@ -92,7 +92,7 @@ def print_merits(rows: Sequence[Merit], out: Path) -> None:
 
 
 @contextmanager
-def progress_bar(samples: int, quiet: bool) -> Iterator[Callable[[float], None] | None]:
+def progress_bar(samples: int, quiet: bool, what: str = "") -> Iterator[Callable[[float], None] | None]:
     """A progress bar on standard error for long runs, or nothing."""
     if quiet or samples < PROGRESS_FROM:
         yield None
@@ -101,5 +101,5 @@ def progress_bar(samples: int, quiet: bool) -> Iterator[Callable[[float], None] 
     from rich.progress import Progress
 
     with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task(f"{samples} samples", total=1.0)
+        task = progress.add_task(what or f"{samples} samples", total=1.0)
         yield lambda done: progress.update(task, completed=done)

@@ -55,6 +55,6 @@ def explain(blocks: Blocks, scale: Scale, theta: Floats, names: Sequence[str], i
     share = float(gain[start, which] / max(S[start] @ np.linalg.solve(Z[start], S[start]), np.finfo(float).tiny))
     if which < theta.size:
         return Cause(names[which], size, std, size / abs(float(theta[which])), start, share)
-    factor = 1 / (1 + size) if size > -1 else float("inf")
+    factor = 1 / max(1 + size, 0.01)
     relative = factor - 1
     return Cause(INPUT_GAIN, relative * input_gain, std * factor**2 * abs(input_gain), relative, start, share)

@@ -68,6 +68,7 @@ class Monitor:
         self._scale = self.calibration.scale
         self._refer(self.calibration.theta)
         self._sum = Blocks(np.zeros((1, p)), np.zeros((1, p, p)), np.zeros((1, p, p)))
+        self._counts = 0
         self._silent_blocks = max(SILENT_BLOCKS, round(SILENT_TIME / self._block_time))
 
     @property
@@ -82,9 +83,18 @@ class Monitor:
     def step(self, u: float, counts: int) -> tuple[Any, list[Event]]:
         """One sample as in `RecursiveEstimator.step`: the estimate, and what there is to tell."""
         estimate = self.estimator.step(u, counts)
+        self._counts = counts
         self.samples += 1
         block = self._filter.step(u, counts)
         return estimate, [] if block is None else self._on_block(block, estimate)
+
+    def skip(self, samples: int) -> list[Event]:
+        """Samples that were lost: the filters settle anew, and time goes on. What there is to tell."""
+        few, events = min(samples, self._front.settle_samples), []
+        for _ in range(few):
+            events += self.step(float("nan"), self._counts)[1]
+        self.samples += samples - few
+        return events
 
     def _refer(self, theta: Floats) -> None:
         """Starts to watch for deviations from theta (p,)."""
