@@ -203,6 +203,7 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
                            real_t root)
 {
     real_t keep = root * root;
+    uint32_t i;
     if (state->started == 0U) {
         return;
     }
@@ -213,6 +214,13 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
     }
     state->weight *= keep; /* the innovations since the change say nothing of the noise */
     state->innovation_square *= keep;
+    state->blocks = 0U; /* nor of how white it is */
+    state->block_updates = 0U;
+    for (i = 0; i < config->n_parameters; ++i) {
+        state->score[i] = PMF_R(0.0);
+        state->spread[i] = PMF_R(0.0);
+        state->estimate.inflation[i] = PMF_R(0.0);
+    }
 }
 
 void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter, real_t root)

@@ -189,6 +189,7 @@ class Monitor:
             self._sum = self._sum + block
         if not self._refined and self._gathered >= MODEL_INFORMATION and self._usable(estimate):
             self._before = self.reference
+            self.estimator.open_memory(1.0)  # the error bars need not remember the change
             self._refer(np.array(estimate.theta))
             self._sum = block - block
             self._refined = True

@@ -75,6 +75,9 @@ def run_figure(data: RunData) -> Figure:
         ):
             _line(axes, data.t, values, lw=0.8, color=COLOURS[0])
             axes.set_ylabel(_label(name, unit))
+        spread = 1.5 * np.percentile(np.abs(data.innovation[_trusted(data)]), 99.9) if np.any(_trusted(data)) else 0.0
+        if spread > 0:
+            panels[-1].set_ylim(-spread, spread)
         for axes in panels:
             _mark_alarms(axes, data.alarms)
         figure.align_ylabels(panels)
@@ -114,7 +117,7 @@ def _limits(axes: Axes, values: Floats, nominal: float) -> None:
 def _strip_rows(data: RunData) -> list[tuple[str, str, NDArray[np.bool_]]]:
     """Label, colour and flags (n,) of the rows that occur."""
     rows = [(state, colour, data.state == state) for state, colour in STATES.items()]
-    rows += [(name, COLOURS[1], (data.status & int(bits)) != 0) for name, bits in STRIP_BITS.items()]
+    rows += [(name, COLOURS[4 if name == "standstill" else 1], (data.status & int(bits)) != 0) for name, bits in STRIP_BITS.items()]
     return [row for row in rows if np.any(row[2])]
 
 
