@@ -40,6 +40,14 @@ def work(name: str, increments: int, seed: int) -> dict[str, Score]:
     return scores | {"riv": track_score(track_of("riv", record, TIME_CONSTANT, FORGETTING), late, CART.mass)}
 
 
+def without_encoder() -> dict[str, float]:
+    """Error of the mass [%] under stop-and-go with an encoder so fine that it adds nothing, by method."""
+    record = record_of(make_scenario("stop-and-go", increments=2**24, duration=DURATION))
+    scores = {m: track_score(track_of(m, record, TIME_CONSTANT, 1.0), slice(-1, None), CART.mass) for m in DIRECT}
+    scores["iv"] = mass_score(mass_of("iv", record, TIME_CONSTANT), CART.mass)
+    return {method: 100 * found.error for method, found in scores.items()}
+
+
 def rows(results: Mapping[Task, Any]) -> list[Merit]:
     return [
         merit("encoders", name, m, inc, [r[m] for task, r in results.items() if task[:2] == (name, inc)])

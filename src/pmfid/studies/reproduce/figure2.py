@@ -36,8 +36,8 @@ def rows(results: Mapping[Task, Any]) -> list[Merit]:
     return [
         Merit(
             "2",
+            "designed input",
             label,
-            "designed",
             CART_INCREMENTS,
             1,
             information=known,

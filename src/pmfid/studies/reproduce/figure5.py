@@ -17,7 +17,7 @@ from pmfid.studies.reproduce.estimates import OFF_LINE, TITLES, known_mass, mass
 from pmfid.studies.reproduce.figure import PaperFigure, Task
 from pmfid.studies.reproduce.inputs import HORIZON, INTERVALS, experiments, information, problem
 from pmfid.studies.reproduce.merit import Floats, Merit, Score, merit
-from pmfid.studies.truth import Record
+from pmfid.studies.truth import Record, make_estimator
 
 ON_LINE = ("rls", "bcrls", "rknown-step", "riv")
 INCREMENTS = 4096
@@ -64,6 +64,11 @@ def rows(results: Mapping[Task, Any]) -> list[Merit]:
         plain = [merit("5", name, m, INCREMENTS, [run[m] for run in runs]) for m in runs[0]]
         found += [replace(row, information=known, joint=joint) for row in plain]
     return found
+
+
+def settle_time() -> float:
+    """Until then the filters remember their start and no sample is used [s]."""
+    return CART_DT * make_estimator("rls", record_of("pulses", 0), TIME_CONSTANT).settle_samples
 
 
 def draw(out: Path) -> list[Path]:

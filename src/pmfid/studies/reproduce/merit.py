@@ -105,7 +105,7 @@ HEADER = (
     "coverage [%]",
     "settled [s]",
     "information [1/kg²]",
-    "joint [1/kg²]",
+    "joint information [1/kg²]",
     "loss [%]",
     "terminal [mm]",
 )
@@ -118,7 +118,7 @@ _FORMS = {
     "information": ".3g",
     "joint": ".3g",
     "loss": "+.1f",
-    "terminal": "+.1f",
+    "terminal": "+.2f",
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Iterable, Sequence
 from multiprocessing.pool import Pool
 from pathlib import Path
@@ -54,7 +55,9 @@ def _pool(jobs: int | None) -> Pool:
     """Processes that start afresh with one thread each: neither jobs nor threads change the last bit."""
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
-    return multiprocessing.get_context("spawn").Pool(jobs or os.cpu_count() or 1)
+    # an interrupt is the parent's to answer: it ends the others
+    ignored = (signal.SIGINT, signal.SIG_IGN)
+    return multiprocessing.get_context("spawn").Pool(jobs or os.cpu_count() or 1, signal.signal, ignored)
 
 
 def _shown(results: Iterable[Any], total: int) -> Iterable[Any]:
