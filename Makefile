@@ -42,4 +42,4 @@ images: .venv/installed
 	.venv/bin/python -m pmfid.studies.demo --images docs/images
 
 clean:
-	rm -rf .venv build demo-report
+	rm -rf .venv build demo-report reproduced
