@@ -39,7 +39,7 @@ MODEL_INFORMATION, REFERENCE_INFORMATION = 15.0, 60.0
 #: Information after which a cause that explains so much of what is to explain is named, and after which the best is.
 CAUSE_INFORMATION, CAUSE_SHARE, CAUSE_LATEST = 4.0, 0.95, 8.0
 #: What all parameters keep of what was gathered before, at the first suspicion, and what the changed one keeps.
-KEEP_ALL, KEEP_ONE = 0.02, 1e-3
+KEEP_ALL, KEEP_ONE = 0.01, 1e-3
 NO_ALARM = Status.STARTING | Status.POOR_EXCITATION
 
 

@@ -51,7 +51,6 @@ def _false_alarms(results: list[dict[str, Any]]) -> list[str]:
         f"an alarm a detector starts anew {false_alarms.HOLD:g} s later.",
         "",
         *table(head, rows),
-        "",
         f"Correlation of a block's deviation (mass, viscous, Coulomb) with the next block's: {near}; two apart: {far}.",
         "",
     ]
@@ -73,7 +72,6 @@ def _detection(results: list[dict[str, Any]], tasks: Sequence[Any]) -> list[str]
         "alarm with its cause, dwells included.",
         "",
         *table(head, rows),
-        "",
     ]
 
 
@@ -114,7 +112,6 @@ def _recovery(results: list[tuple[float, float]], tasks: Sequence[Any]) -> list[
         f"good, with constant forgetting {FORGETTING}, and with the memory opened by the alarm.",
         "",
         *table(head, rows),
-        "",
     ]
 
 
@@ -133,7 +130,6 @@ def _standstill(results: list[dict[str, Any]], tasks: Sequence[Any]) -> list[str
         "viscous and Coulomb friction from their values at the beginning of the rest.",
         "",
         *table(head, rows),
-        "",
     ]
 
 
@@ -147,6 +143,6 @@ def _pipe(pipe: PipeFigures | None) -> list[str]:
         f"`pmfid monitor - --out -`, fed with {pipe.sent} lines at 1 kHz: delay from line in to estimate out "
         f"{1e3 * pipe.median:.2f} ms (median), {1e3 * pipe.worst:.1f} ms (largest); {lost} estimates missing. Fed as "
         f"fast as it takes them, {pipe.long_samples} samples with `--out FILE.parquet`: {pipe.rate:.0f} samples per "
-        f"second, {pipe.early_memory:.0f} MiB resident after a tenth of them and {pipe.late_memory:.0f} MiB at the end.",
+        f"second, {pipe.early_memory:.0f} MiB resident after a tenth of them, {pipe.late_memory:.0f} MiB at the end.",
         "",
     ]

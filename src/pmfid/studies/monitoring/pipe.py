@@ -106,6 +106,7 @@ def delays(axis: Path, seconds: float, rate: float = 1000.0) -> tuple[np.ndarray
     process.stdin.close()
     process.wait()
     reader.join()
+    process.stdout.close()
     n = min(len(sent_at), len(back_at) - 1)
     return np.array(back_at[1 : n + 1]) - np.array(sent_at[:n]), len(sent_at), len(back_at) - 1
 

@@ -21,7 +21,7 @@ from pmfid.studies.monitoring.detection import MTBF_HOURS
 from pmfid.studies.monitoring.detection import RECOVERY_INCREMENTS as RECOVERY
 from pmfid.studies.monitoring.pipe import measure
 
-HOURS, SEEDS, PIPE_SECONDS, LONG_SAMPLES = 512.5, 200, 60.0, 1_000_000
+HOURS, SEEDS, PIPE_SECONDS, LONG_SAMPLES = 512.5, 100, 60.0, 1_000_000
 
 
 def tasks(hours: float, seeds: int) -> dict[str, list[tuple[Any, ...]]]:
@@ -33,8 +33,8 @@ def tasks(hours: float, seeds: int) -> dict[str, list[tuple[Any, ...]]]:
     return {
         "false alarms": [(task,) for task in range(max(1, round(hours / per_task)))],
         "detection": [(detector, change, tol, seed) for change, detector, tol in cases for seed in range(seeds)],
-        "recovery": [(inc, seed) for inc in detection.RECOVERY_INCREMENTS for seed in range(max(1, seeds // 4))],
-        "standstill": [(detector, seed) for detector in DETECTORS for seed in range(max(1, min(3, seeds // 10)))],
+        "recovery": [(inc, seed) for inc in detection.RECOVERY_INCREMENTS for seed in range(max(1, seeds // 2))],
+        "standstill": [(detector, seed) for detector in DETECTORS for seed in range(max(1, min(2, seeds // 50)))],
     }
 
 
