@@ -145,4 +145,10 @@ def _pipe(pipe: PipeFigures | None) -> list[str]:
         f"fast as it takes them, {pipe.long_samples} samples with `--out FILE.parquet`: {pipe.rate:.0f} samples per "
         f"second, {pipe.early_memory:.0f} MiB resident after a tenth of them, {pipe.late_memory:.0f} MiB at the end.",
         "",
+        "### The lines of a run",
+        "",
+        "The load grows by a fifth after 20 s:",
+        "",
+        *(f"    {line}" for line in pipe.example),
+        "",
     ]

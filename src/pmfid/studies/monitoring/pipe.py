@@ -8,14 +8,15 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 
+from pmfid.simulation.drive import Schedule
 from pmfid.simulation.scenarios import CART, CART_DT, resolution_of
-from pmfid.studies.monitoring.axis import CUTOFF, FORGETTING, INCREMENTS, normal_work
+from pmfid.studies.monitoring.axis import CUTOFF, FORGETTING, INCREMENTS, changing, normal_work
 
 AXIS = """[record]
 input = "u"
@@ -42,7 +43,8 @@ mtbf_hours = 1.0
 @dataclass(frozen=True)
 class PipeFigures:
     """Delays from line in to estimate out [s]; lines sent and estimates that came back; resident memory [MiB] after a
-    tenth of the long run and at its end; samples of the long run, and its rate [1/s]."""
+    tenth of the long run and at its end; samples of the long run, and its rate [1/s];
+    the lines of a short run."""
 
     median: float
     worst: float
@@ -52,6 +54,7 @@ class PipeFigures:
     late_memory: float
     long_samples: int
     rate: float
+    example: list[str]
 
 
 def write_axis(folder: Path, seconds: float = 600.0) -> Path:
@@ -162,9 +165,21 @@ def terminated(axis: Path, out: Path, samples: int = 3000) -> tuple[int, int]:
     return process.returncode, read(out).height
 
 
+def example(folder: Path) -> list[str]:
+    """The lines of a run in which the load grows by a fifth after 20 s."""
+    axis = write_axis(folder)
+    heavier = Schedule(((0.0, CART), (20.0, replace(CART, mass=1.2 * CART.mass))))
+    u, counts = changing(heavier, 3, INCREMENTS, 45.0)
+    rows = (f"{k * CART_DT:.2f},{a!r},{b}" for k, (a, b) in enumerate(zip(u.tolist(), counts.tolist(), strict=True)))
+    text = "\n".join(["t,u,counts", *rows]) + "\n"
+    found = subprocess.run(command(axis), input=text, capture_output=True, text=True, check=True)
+    return [line for line in found.stdout.splitlines() if " s  " in line or line.endswith(("alarm", "alarms"))]
+
+
 def measure(folder: Path, seconds: float, samples: int) -> PipeFigures:
     """All of it."""
     axis = write_axis(folder)
     found, sent, received = delays(axis, seconds)
     early, late, rate = memory(axis, samples, folder / "long.parquet")
-    return PipeFigures(float(np.median(found)), float(np.max(found)), sent, received, early, late, samples, rate)
+    median, worst = float(np.median(found)), float(np.max(found))
+    return PipeFigures(median, worst, sent, received, early, late, samples, rate, example(folder))
