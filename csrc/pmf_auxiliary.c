@@ -9,6 +9,8 @@
  */
 #include "pmf.h"
 
+#if PMF_WITH_AUXILIARY
+
 #define NEWTON_TURNS 3
 
 typedef struct {
@@ -192,3 +194,5 @@ void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_st
     }
     state->running = 1U;
 }
+
+#endif

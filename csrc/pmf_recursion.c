@@ -15,7 +15,9 @@
 #include "pmf.h"
 
 /* The loops unroll only where the number of parameters arrives as a constant. */
-#if defined(__GNUC__)
+#if defined(PMF_PARAMETERS)
+#define PMF_INLINE static
+#elif defined(__GNUC__)
 #define PMF_INLINE static inline __attribute__((always_inline))
 #else
 #define PMF_INLINE static inline
@@ -23,6 +25,8 @@
 
 #define N PMF_MAX_PARAMETERS
 #define SATURATED 0xffffffffU
+#define DIRECTIONAL(config) (PMF_WITH_DIRECTIONAL != 0 && (config)->directional != 0U)
+#define COMPENSATED(config) (PMF_WITH_NOISE != 0 && (config)->compensated != 0U)
 
 #ifdef PMF_FLOAT32
 #define PIVOT_FLOOR PMF_R(1e-6)
@@ -118,10 +122,10 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
 PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
-    real_t f = state->frozen != 0U || config->directional != 0U ? PMF_R(1.0) : config->forgetting;
+    real_t f = state->frozen != 0U || DIRECTIONAL(config) ? PMF_R(1.0) : config->forgetting;
     const real_t *zeta = instrumental != 0U ? &column[p + 1U] : column;
     uint32_t i, j;
-    if (config->directional != 0U && state->started != 0U) {
+    if (DIRECTIONAL(config) && state->started != 0U) {
         forget_direction(config, state, column, p);
     }
     for (i = 0; i < p; ++i) {
@@ -269,7 +273,7 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
                 move[i] -= (instrumental == 0U && j > i ? state->cross[j][i] : state->cross[i][j]) * state->estimate.theta[j];
             }
         }
-        if (config->compensated != 0U) {
+        if (COMPENSATED(config)) {
             real_t weight = young != 0U ? state->updates_weight : PMF_R(1.0);
             for (j = 0; j < p; ++j) {
                 move[i] += weight * config->noise[i][j] * state->estimate.theta[j];
@@ -312,7 +316,7 @@ static void note_score(const pmf_recursion_config_t *config, pmf_recursion_state
     uint32_t p = config->n_parameters, i, j;
     for (i = 0; i < p; ++i) {
         state->score[i] += zeta[i] * state->estimate.innovation;
-        for (j = 0; j < p && config->compensated != 0U; ++j) {
+        for (j = 0; j < p && COMPENSATED(config); ++j) {
             state->score[i] += config->noise[i][j] * state->estimate.theta[j];
         }
     }
@@ -351,7 +355,7 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
                 information[i][j] = state->cross[i][j];
             }
         }
-        compensated = config->compensated != 0U ? subtract_noise(config, state, p, information) : 0U;
+        compensated = COMPENSATED(config) ? subtract_noise(config, state, p, information) : 0U;
     }
     regularise(config, state, p, information);
     factorise(p, information, state->factor, state->inverse_pivot);
@@ -381,17 +385,18 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
 /* The same code with the number of parameters as a constant: loops unroll, the bits stay. */
 static uint32_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
 {
-#if PMF_MAX_PARAMETERS >= 5
+#ifdef PMF_PARAMETERS
+    return update(config, state, column, PMF_PARAMETERS, PMF_INSTRUMENTAL);
+#else
     switch (config->n_parameters * 2U + config->instrumental) {
     case 6: return update(config, state, column, 3U, 0U);
     case 7: return update(config, state, column, 3U, 1U);
     case 8: return update(config, state, column, 4U, 0U);
     case 9: return update(config, state, column, 4U, 1U);
     case 10: return update(config, state, column, 5U, 0U);
-    default: break;
+    default: return update(config, state, column, config->n_parameters, config->instrumental);
     }
 #endif
-    return update(config, state, column, config->n_parameters, config->instrumental);
 }
 
 static int finite_state(const pmf_recursion_state_t *state, uint32_t p)
