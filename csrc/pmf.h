@@ -132,7 +132,7 @@ typedef struct {
     real_t pivot;          /* smallest relative pivot for a first estimate */
     uint32_t directional;  /* forget only in the direction of each phi; least squares only */
     uint32_t compensated;  /* the noise of the columns is known: */
-    real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* its covariance in one sample's phi phi^T */
+    real_t noise[PMF_MAX_NOISE][PMF_MAX_NOISE]; /* its covariance in one sample's phi phi^T */
     uint32_t block;        /* updates whose errors may be correlated; the spread of such blocks scales P */
 } pmf_recursion_config_t;
 

@@ -111,9 +111,12 @@ static uint32_t check(const pmf_encoder_config_t *config, pmf_encoder_state_t *s
 /* The signals of the interval before the last. */
 static void emit(const pmf_encoder_state_t *state, real_t direction, real_t *signal)
 {
+#if PMF_WITH_SPLIT
     real_t half = PMF_R(0.5) * direction, moving = PMF_R(0.5) * state->moving;
+#endif
     signal[PMF_INPUT] = state->moving * state->input_before;
     signal[PMF_DIRECTION] = direction;
+#if PMF_WITH_SPLIT
     signal[PMF_MOVING] = state->moving;
     signal[PMF_FORWARD] = moving + half;
     signal[PMF_BACKWARD] = half - moving;
@@ -121,6 +124,7 @@ static void emit(const pmf_encoder_state_t *state, real_t direction, real_t *sig
     signal[PMF_BACKWARD_VELOCITY] = direction > PMF_R(0.0) ? PMF_R(0.0) : state->mean_velocity;
     signal[PMF_LATE_INPUT] = state->input_before;
     signal[PMF_LATE_VELOCITY] = state->mean_velocity;
+#endif
 }
 
 uint32_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,

@@ -23,6 +23,13 @@
 #define PMF_INLINE static inline
 #endif
 
+/* What runs seldom is compiled for size. */
+#if defined(__GNUC__)
+#define PMF_SELDOM __attribute__((cold, noinline)) static
+#else
+#define PMF_SELDOM static
+#endif
+
 #define N PMF_MAX_PARAMETERS
 #define SATURATED 0xffffffffU
 #define DIRECTIONAL(config) (PMF_WITH_DIRECTIONAL != 0 && (config)->directional != 0U)
@@ -159,13 +166,19 @@ PMF_INLINE void forward_row(uint32_t p, uint32_t i, real_t cross[N][N], real_t l
     }
 }
 
-/* information = W^T Z^-1 W (lower half), move = W^T Z^-1 move; smallest relative pivot of Z before the first estimate. */
-PMF_INLINE real_t project(pmf_recursion_state_t *state, uint32_t p, real_t information[N][N], real_t move[N])
+/* Z = L D L^T, and half = L^-1 W. */
+typedef struct {
+    real_t lower[N][N], inverse[N], half[N][N];
+} projection_t;
+
+/* information = W^T Z^-1 W (lower half), move = W^T Z^-1 move; keeps what `project_more` needs. */
+PMF_INLINE void project(pmf_recursion_state_t *state, uint32_t p, projection_t *projection, real_t information[N][N],
+                        real_t move[N])
 {
-    real_t lower[N][N], inverse[N], half[N][N], projected[N];
+    real_t projected[N];
     uint32_t i, j, k;
-    factorise(p, state->square, lower, inverse);
-    forward(p, lower, move);
+    factorise(p, state->square, projection->lower, projection->inverse);
+    forward(p, projection->lower, move);
     for (i = 0; i < p; ++i) {
         projected[i] = PMF_R(0.0);
         for (j = 0; j <= i; ++j) {
@@ -173,20 +186,39 @@ PMF_INLINE real_t project(pmf_recursion_state_t *state, uint32_t p, real_t infor
         }
     }
     for (k = 0; k < p; ++k) {
-        real_t scaled = move[k] * inverse[k];
-        forward_row(p, k, state->cross, lower, half);
+        real_t scaled = move[k] * projection->inverse[k];
+        forward_row(p, k, state->cross, projection->lower, projection->half);
         for (i = 0; i < p; ++i) {
-            real_t weighted = half[k][i] * inverse[k];
-            projected[i] += half[k][i] * scaled;
+            real_t weighted = projection->half[k][i] * projection->inverse[k];
+            projected[i] += projection->half[k][i] * scaled;
             for (j = 0; j <= i; ++j) {
-                information[i][j] += weighted * half[k][j];
+                information[i][j] += weighted * projection->half[k][j];
             }
         }
     }
     for (i = 0; i < p; ++i) {
         move[i] = projected[i];
     }
-    return state->started == 0U ? smallest_pivot(p, state->square, inverse) : PMF_R(1.0);
+}
+
+/* The same projection of another vector. */
+PMF_INLINE void project_more(uint32_t p, projection_t *projection, real_t move[N])
+{
+    real_t projected[N];
+    uint32_t i, k;
+    forward(p, projection->lower, move);
+    for (i = 0; i < p; ++i) {
+        move[i] *= projection->inverse[i];
+    }
+    for (i = 0; i < p; ++i) {
+        projected[i] = PMF_R(0.0);
+        for (k = 0; k < p; ++k) {
+            projected[i] += projection->half[k][i] * move[k];
+        }
+    }
+    for (i = 0; i < p; ++i) {
+        move[i] = projected[i];
+    }
 }
 
 /* Information less what the known noise feigns. Where hardly anything is left, that is poor excitation: some is kept,
@@ -284,7 +316,7 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
 
 /* Spread of theta by blocks of innovations against that of white ones: an estimate by batch means of how much longer
  * or shorter than sqrt(P) times the innovations' size the error bars must be. `move` is a block's sum after the gain. */
-static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t move[N])
+PMF_SELDOM void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t move[N])
 {
     real_t share = state->updates_weight / (real_t)config->block, keep, white;
     uint32_t i;
@@ -311,9 +343,10 @@ PMF_INLINE void solve(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
 }
 
 /* Gathers the innovations of a block; at its end its effect on theta is compared with that of white ones. */
-static void note_score(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *zeta)
+PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *zeta,
+                           uint32_t p, uint32_t instrumental, projection_t *projection)
 {
-    uint32_t p = config->n_parameters, i, j;
+    uint32_t i, j;
     for (i = 0; i < p; ++i) {
         state->score[i] += zeta[i] * state->estimate.innovation;
         for (j = 0; j < p && COMPENSATED(config); ++j) {
@@ -322,13 +355,13 @@ static void note_score(const pmf_recursion_config_t *config, pmf_recursion_state
     }
     state->block_updates += 1U;
     if (state->block_updates >= config->block) {
-        real_t move[N], unused[N][N];
+        real_t move[N];
         for (i = 0; i < p; ++i) {
             move[i] = state->score[i];
             state->score[i] = PMF_R(0.0);
         }
-        if (config->instrumental != 0U) {
-            (void)project(state, p, unused, move);
+        if (instrumental != 0U) {
+            project_more(p, projection, move);
         }
         solve(state, p, move);
         note_block(config, state, move);
@@ -340,6 +373,7 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
     real_t information[N][N], move[N], pivot = PMF_R(1.0), own;
+    projection_t projection;
     uint32_t i, j, status, compensated = 0U;
     state->estimate.innovation = column[p];
     for (i = 0; i < p; ++i) {
@@ -348,7 +382,8 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
     accumulate(config, state, column, p, instrumental);
     residual(config, state, instrumental != 0U ? &column[p + 1U] : column, p, instrumental, move);
     if (instrumental != 0U) {
-        pivot = project(state, p, information, move);
+        project(state, p, &projection, information, move);
+        pivot = state->started == 0U ? smallest_pivot(p, state->square, projection.inverse) : PMF_R(1.0);
     } else {
         for (i = 0; i < p; ++i) {
             for (j = 0; j <= i; ++j) {
@@ -377,7 +412,7 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
     }
     note_innovation(config, state);
     if (config->block > 0U && state->weight > PMF_R(0.0) && status == 0U) {
-        note_score(config, state, instrumental != 0U ? &column[p + 1U] : column);
+        note_score(config, state, instrumental != 0U ? &column[p + 1U] : column, p, instrumental, &projection);
     }
     return status != 0U && instrumental != 0U ? status | PMF_COMPENSATION_HELD : status;
 }
@@ -410,7 +445,7 @@ static int finite_state(const pmf_recursion_state_t *state, uint32_t p)
 }
 
 /* Forget everything but the last finite estimate. */
-static void restart(pmf_recursion_state_t *state, const real_t theta[N], uint32_t p)
+PMF_SELDOM void restart(pmf_recursion_state_t *state, const real_t theta[N], uint32_t p)
 {
     uint32_t i;
     pmf_clear(state, (uint32_t)sizeof *state);

@@ -7,11 +7,13 @@
 #define PMF_MAX_STAGES 64
 #define PMF_MAX_TAPS 96
 #define PMF_MAX_PARAMETERS 8
+#define PMF_MAX_NOISE PMF_MAX_PARAMETERS
 #define PMF_MAX_COLUMNS (4 * PMF_MAX_PARAMETERS + 4)
 
 /* 0 leaves a part out, its code and its memory. */
 #define PMF_WITH_AUXILIARY 1   /* the auxiliary model and its recursion */
 #define PMF_WITH_DIRECTIONAL 1 /* forgetting in the direction of each phi */
+#define PMF_WITH_SPLIT 1       /* signals beyond input, velocity and direction */
 #define PMF_WITH_NOISE 1       /* known covariance of the noise */
 
 #define PMF_LAYOUT 0U /* CRC-32 of the state's fields; in the module Python knows it */

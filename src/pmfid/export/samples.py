@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import UsageError
 from pmfid.estimators.base import check_arrays
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.layout.saved import configuration, shape_of
-from pmfid.layout.structures import resized, structures
+from pmfid.layout.saved import tight_state
 
 SAMPLES = 800
 #: Of the made-up motion: counts per sample at full speed, and the parts of the input that the frictions take.
@@ -66,14 +65,11 @@ def recorded(estimator: RecursiveEstimator, u: ArrayLike, counts: ArrayLike) -> 
     if u.size == 0 or not np.all(np.isfinite(u)):
         raise UsageError("the samples of the self-test must be finite, and at least one; take another record")
     kernel = estimator.make_kernel(estimator.forgetting)
-    own = structures(None, estimator.precision)["pmf_state_t"]
-    tight = structures(shape_of(configuration(kernel, estimator.precision)), estimator.precision)["pmf_state_t"]
     given = u.astype(kernel.dtype)
     expected = []
     for value, count in zip(given.tolist(), counts.tolist(), strict=True):
         estimate = kernel.step(value, count)
-        state = np.frombuffer(kernel.raw_state(), own)[0]
-        expected.append(zlib.crc32(resized(state, tight).tobytes()))
+        expected.append(zlib.crc32(tight_state(kernel, estimator.precision).tobytes()))
     return Samples(given, counts.astype(np.uint32), np.array(expected, np.uint32), estimate.theta)
 
 

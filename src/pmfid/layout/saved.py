@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
-from pmfid.layout.structures import Shape, Structures, constants_of, copy_fields, layout_number, resized, structures
+from pmfid.layout.structures import Shape, Structures, constants_of, layout_number, resized, structures
 
 
 def configuration(kernel: Any, precision: str) -> NDArray[Any]:
@@ -22,15 +22,36 @@ def shape_of(config: NDArray[Any]) -> Shape:
     network, direct = config["network"], config["direct"]
     recursions = [direct, config["instrument"]] if config["auxiliary"]["enabled"] else [direct]
     columns = int(network["n_columns"])
+    parameters = max(int(recursion["n_parameters"]) for recursion in recursions)
+    noise = any(recursion["compensated"] for recursion in recursions)
+    nodes = {*network["stage"]["source"].tolist(), *network["tap"]["node"].tolist()}
     return Shape(
         max_stages=max(1, int(network["n_stages"])),
         max_taps=int(network["tap_end"][columns - 1]),
-        max_parameters=max(int(recursion["n_parameters"]) for recursion in recursions),
+        max_parameters=parameters,
+        max_noise=parameters if noise else 1,
         max_columns=columns,
         with_auxiliary=int(config["auxiliary"]["enabled"]),
         with_directional=int(any(recursion["directional"] for recursion in recursions)),
-        with_noise=int(any(recursion["compensated"] for recursion in recursions)),
+        with_split=int(any(node in split_signals() for node in nodes)),
+        with_noise=int(noise),
     )
+
+
+def split_signals() -> range:
+    """Nodes of the signals beyond input, velocity and direction, which only some models and methods use."""
+    constants = constants_of(None)
+    return range(constants["PMF_MOVING"], constants["PMF_SIGNALS"])
+
+
+def tight_state(kernel: Any, precision: str) -> NDArray[Any]:
+    """The kernel's state as firmware with its configuration has it."""
+    shape = shape_of(configuration(kernel, precision))
+    own = np.frombuffer(kernel.raw_state(), structures(None, precision)["pmf_state_t"])[0]
+    state = resized(own, structures(shape, precision)["pmf_state_t"])
+    if not shape.with_split:
+        state["network"]["node"][split_signals()] = 0
+    return state
 
 
 def save_state(kernel: Any, precision: str) -> bytes:
@@ -39,8 +60,7 @@ def save_state(kernel: Any, precision: str) -> bytes:
     shape = shape_of(config)
     types = structures(shape, precision)
     saved = _envelope(config, shape, precision)
-    own = structures(None, precision)["pmf_state_t"]
-    copy_fields(np.frombuffer(kernel.raw_state(), own)[0], saved["state"])
+    saved["state"] = tight_state(kernel, precision)
     saved["checksum"] = _checksum(saved.tobytes(), types)
     return saved.tobytes()
 

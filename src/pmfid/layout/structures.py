@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -29,9 +30,11 @@ class Shape:
     max_stages: int
     max_taps: int
     max_parameters: int
+    max_noise: int
     max_columns: int
     with_auxiliary: int
     with_directional: int
+    with_split: int
     with_noise: int
 
     def macros(self) -> dict[str, int]:
@@ -80,7 +83,7 @@ def constants_of(shape: Shape | None) -> dict[str, int]:
     constants = {} if shape is None else shape.macros()
     for text in (header("pmf_sizes.h"), header("pmf.h")):
         for name, expression in re.findall(r"^#define (PMF_\w+) +(\S.*)$", text, re.MULTILINE):
-            if "PMF_R(" not in expression:
+            with suppress(NameError):  # not an integer: a macro of the arithmetic
                 constants.setdefault(name, value(expression, constants))
         for body in re.findall(r"\benum \{(.*?)\}", text, re.DOTALL):
             following = 0
