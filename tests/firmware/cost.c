@@ -1,7 +1,7 @@
 /* Instructions of pmf_step on an emulated Cortex-M whose clock goes on by 64 ns with every instruction (-icount shift=6)
  * while SysTick counts every 40 ns. Prints the mean and the largest number over the samples of the self-test.
  */
-#include AXIS_H
+#include EXPORT_HEADER
 
 #include <stdio.h>
 
@@ -27,7 +27,7 @@ __attribute__((noinline)) static uint32_t nothing(const pmf_config_t *config, pm
 static uint32_t ticks_of(uint32_t (*step)(const pmf_config_t *, pmf_state_t *, real_t, uint32_t), uint32_t k)
 {
     uint32_t start = SYST_CVR;
-    (void)step(&AXIS_CONFIG, &axis, sample[k].u, sample[k].count);
+    (void)step(&EXPORT_CONFIG, &axis, sample[k].u, sample[k].count);
     return (start - SYST_CVR) & 0xFFFFFFU;
 }
 
@@ -37,7 +37,7 @@ int main(void)
     SYST_RVR = 0xFFFFFFU;
     SYST_CVR = 0U;
     SYST_CSR = 5U;
-    pmf_init(&AXIS_CONFIG, &axis);
+    pmf_init(&EXPORT_CONFIG, &axis);
     (void)ticks_of(nothing, 0U);
     base = ticks_of(nothing, 0U);
     for (k = 0U; k < SAMPLES; ++k) {

@@ -1,7 +1,7 @@
 /* Replays a file of samples through an export and writes what comes out, sample by sample, then the state.
- * Compiled with -DAXIS_H='"NAME.h"' -DAXIS_CONFIG=NAME_config.
+ * Compiled with -DEXPORT_HEADER='"NAME.h"' -DEXPORT_CONFIG=NAME_config.
  */
-#include AXIS_H
+#include EXPORT_HEADER
 
 #include <stdio.h>
 
@@ -26,9 +26,9 @@ static void step(const input_t *in, output_t *out)
 {
     const pmf_estimate_t *estimate;
     uint32_t i;
-    out->status = pmf_step(&AXIS_CONFIG, &axis, in->u, in->count);
-    estimate = pmf_estimate(&AXIS_CONFIG, &axis);
-    for (i = 0; i < pmf_parameters(&AXIS_CONFIG); ++i) {
+    out->status = pmf_step(&EXPORT_CONFIG, &axis, in->u, in->count);
+    estimate = pmf_estimate(&EXPORT_CONFIG, &axis);
+    for (i = 0; i < pmf_parameters(&EXPORT_CONFIG); ++i) {
         out->theta[i] = estimate->theta[i];
         out->variance_factor[i] = estimate->variance_factor[i];
         out->inflation[i] = estimate->inflation[i];
@@ -49,7 +49,7 @@ int main(int argc, char **argv)
     if (in == NULL || out == NULL) {
         return 3;
     }
-    pmf_init(&AXIS_CONFIG, &axis);
+    pmf_init(&EXPORT_CONFIG, &axis);
     while ((n = fread(input, sizeof input[0], BLOCK, in)) > 0U) {
         for (k = 0; k < n; ++k) {
             step(&input[k], &output[k]);
