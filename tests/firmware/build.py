@@ -48,11 +48,8 @@ def compiled(folder: Path, prefix: str, target: Target, main: Path, optimize: st
     sources = [str(main), *sorted(map(str, folder.glob("pmf_*.c"))), f"{prefix}_config.c"]
     board = ["--specs=rdimon.specs", f"-T{HERE / 'mps2.ld'}", str(HERE / "startup.c")] if target.board else []
     macros = [f'-DEXPORT_HEADER="{prefix}.h"', f"-DEXPORT_CONFIG={prefix}_config", "-I."]
-    done = command(
-        [target.compiler, *REQUIRED, optimize, *target.options, *options, *macros, *sources, *board]
-        + ["-Wl,--gc-sections", "-o", program.name],
-        folder,
-    )
+    options = (*REQUIRED, optimize, *target.options, *options, *macros)
+    done = command([target.compiler, *options, *sources, *board, "-Wl,--gc-sections", "-o", program.name], folder)
     if done.returncode != 0:
         raise RuntimeError(done.stderr[:2000])
     return program

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from pmfid import __version__
+from pmfid.cli.export import export
 from pmfid.errors import NotIdentifiableError, PmfidError
 from pmfid.estimators import METHODS
 
@@ -171,6 +172,9 @@ def demo(out: Path, seed: int) -> None:
     Console().print(demo_table(result))
     write_demo(out, result)
     click.echo(f"\nreport: {out / 'report.html'}\nrecord: {out / 'cart.csv'}")
+
+
+main.add_command(export)
 
 
 def _progress(samples: int, quiet: bool) -> Any:
