@@ -57,6 +57,7 @@ uint32_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input
         if (state->settle == config->settle_samples / 2U && config->auxiliary.enabled != 0U) {
             /* by now the measured velocity is known: the model need not run up to it with its own time constant */
             state->auxiliary.velocity = state->network.column[config->auxiliary.check_column];
+            state->auxiliary.position = state->network.node[PMF_LATE_POSITION];
         }
 #endif
         state->settle -= 1U;
@@ -118,7 +119,7 @@ static uint32_t instrument_step(const pmf_config_t *config, pmf_state_t *state, 
         pmf_auxiliary_follow(auxiliary, &state->auxiliary, state->direct.estimate.theta, auxiliary->direct_index);
     }
     borrow_estimate(config, state);
-    return (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK | (status & PMF_RESET);
+    return (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK | (status & (PMF_RESET | PMF_UNMODELLED));
 }
 
 #endif
@@ -173,6 +174,7 @@ static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
     state->auxiliary.velocity = PMF_R(0.0);
+    state->auxiliary.position = PMF_R(0.0);
 #endif
 }
 

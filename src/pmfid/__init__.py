@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from pmfid.estimators.rls import RLS as RLS
     from pmfid.export.firmware import export_firmware as export_firmware
     from pmfid.models.drive import Drive as Drive
+    from pmfid.models.drive import EquationModel as EquationModel
+    from pmfid.models.equation import Equation as Equation
+    from pmfid.models.equation import Term as Term
     from pmfid.status import Status as Status
 
 #: Public name -> module. Modules are imported when a name is used: `pmfid --help` stays quick.
@@ -34,6 +37,9 @@ _PUBLIC = {
     "BCRLS": "pmfid.estimators.bcrls",
     "Drive": "pmfid.models.drive",
     "Encoder": "pmfid.encoder",
+    "Equation": "pmfid.models.equation",
+    "EquationModel": "pmfid.models.drive",
+    "Term": "pmfid.models.equation",
     "Estimate": "pmfid._kernel64",
     "Fit": "pmfid.estimators.batch",
     "IV": "pmfid.estimators.iv",

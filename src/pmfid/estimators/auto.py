@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.batch import BCLS, LS, Fit
+from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV, RIV
 from pmfid.status import Status
@@ -24,17 +25,24 @@ def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: f
     motion follows the measured one, else bias-compensated, else plain least squares.
     Raises NotIdentifiableError where none of them can identify every parameter.
     """
+    if forgetting < 1 and configured.equation.without_simulation:
+        return like(
+            BCRLS, configured, forgetting=forgetting
+        ), "bcrls: parameters may change, and nothing can simulate this"
     if forgetting < 1:
         return like(RIV, configured, prefilter_zeros=None, forgetting=forgetting), "riv: parameters may change"
     refused: list[str] = []
+    without = configured.equation.without_simulation
     for cls, reason in _CANDIDATES:
+        if cls.simulates and without:
+            continue
         candidate: Any = like(cls, configured, **({"model": configured.model.symmetric} if cls in (BCLS, LS) else {}))
         try:
             fit: Fit = candidate.fit(u, counts)
         except NotIdentifiableError as error:
             refused.append(f"{cls.method}: {error}")
             continue
-        if fit.theta[0] > 0 and not fit.status & Status.FALLBACK:
+        if fit.theta[candidate.equation.leading] > 0 and not fit.status & Status.FALLBACK:
             return candidate, f"{cls.method}: {reason}"
     raise NotIdentifiableError(refused[0].partition(": ")[2])
 

@@ -120,16 +120,29 @@ def _context(estimator: RecursiveEstimator, prefix: str, record: tuple[ArrayLike
     }
 
 
-def fixed_recursion(config: Any) -> tuple[int, int] | None:
-    """Number of parameters and whether there are instruments, if all recursions agree."""
+def fixed_recursion(config: Any) -> tuple[int, int, int] | None:
+    """Number of parameters, whether there are instruments, and scheme of forgetting, if all recursions agree."""
     recursions = [config["direct"], *([config["instrument"]] if config["auxiliary"]["enabled"] else [])]
-    kinds = {(int(one["n_parameters"]), int(one["instrumental"])) for one in recursions}
+    kinds = {(int(one["n_parameters"]), int(one["instrumental"]), int(one["scheme"])) for one in recursions}
     return kinds.pop() if len(kinds) == 1 else None
+
+
+#: How a signal reads in the header.
+SIGNALS = {
+    "output": "x",
+    "input": "u",
+    "direction": "sign(x')",
+    "moving": "(while it moves)",
+    "forward": "(moving forward)",
+    "backward": "(moving backward)",
+    "forward_output": "(x forward)",
+    "backward_output": "(x backward)",
+}
 
 
 def equation_text(estimator: Estimator) -> str:
     """The model in one line."""
-    split = any(name.endswith("_forward") for name in estimator.names)
-    friction = "friction(x')" if split else "viscous_friction x' + coulomb_friction sign(x')"
-    offset = " + offset" if "offset" in estimator.names else ""
-    return f"mass x'' + {friction}{offset} = {estimator.model.input_gain:.9g} u"
+    equation = estimator.equation
+    left = [f"{term.name} {SIGNALS[term.signal]}{chr(39) * term.derivative}" for term in equation.unknown]
+    right = [f"{term.coefficient:.9g} {SIGNALS[term.signal]}{chr(39) * term.derivative}" for term in equation.known]
+    return f"{' + '.join(left)} = {' + '.join(right)}"

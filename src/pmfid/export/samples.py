@@ -34,13 +34,13 @@ class Samples:
 def made_up_record(estimator: RecursiveEstimator) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Input and counts (n,) of a body that suits the axis; it reverses, rests, and its counter wraps."""
     full_speed = COUNTS_PER_SAMPLE * estimator.encoder.resolution / estimator.dt
-    gain = estimator.model.input_gain
-    viscous, coulomb = VISCOUS_PART * gain / full_speed, COULOMB_PART * gain
+    gain = estimator.equation.input_gain
+    viscous, coulomb = VISCOUS_PART * abs(gain) / full_speed, COULOMB_PART * abs(gain)
     mass = viscous * 2 / estimator.cutoff
     u = _input(SAMPLES)
     from pmfid._kernel64 import simulate
 
-    velocity, *_ = simulate([mass, viscous, viscous, coulomb, coulomb, 0.0], gain, estimator.dt, u)
+    velocity, *_ = simulate([mass, viscous, viscous, coulomb, coulomb, 0.0, 0.0], gain, estimator.dt, u)
     position = np.concatenate([[0.0], np.cumsum(np.asarray(velocity)[:-1])]) * estimator.dt
     return u, np.floor(position / estimator.encoder.resolution).astype(np.int64) - 100
 

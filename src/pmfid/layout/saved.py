@@ -23,7 +23,8 @@ def shape_of(config: NDArray[Any]) -> Shape:
     recursions = [direct, config["instrument"]] if config["auxiliary"]["enabled"] else [direct]
     columns = int(network["n_columns"])
     parameters = max(int(recursion["n_parameters"]) for recursion in recursions)
-    noise = any(recursion["compensated"] for recursion in recursions)
+    noise = any(recursion["compensated"] or recursion["unexplained"] > 0 for recursion in recursions)
+    window = any(recursion["scheme"] == constants_of(None)["PMF_WINDOW"] for recursion in recursions)
     nodes = {*network["stage"]["source"].tolist(), *network["tap"]["node"].tolist()}
     return Shape(
         max_stages=max(1, int(network["n_stages"])),
@@ -31,8 +32,8 @@ def shape_of(config: NDArray[Any]) -> Shape:
         max_parameters=parameters,
         max_noise=parameters if noise else 1,
         max_columns=columns,
+        window_blocks=constants_of(None)["PMF_WINDOW_BLOCKS"] if window else 0,
         with_auxiliary=int(config["auxiliary"]["enabled"]),
-        with_directional=int(any(recursion["directional"] for recursion in recursions)),
         with_split=int(any(node in split_signals() for node in nodes)),
         with_noise=int(noise),
     )
@@ -51,6 +52,7 @@ def tight_state(kernel: Any, precision: str) -> NDArray[Any]:
     state = resized(own, structures(shape, precision)["pmf_state_t"])
     if not shape.with_split:
         state["network"]["node"][split_signals()] = 0
+        state["encoder"]["change"] = state["encoder"]["travel"] = 0
     return state
 
 

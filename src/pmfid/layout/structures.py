@@ -32,8 +32,8 @@ class Shape:
     max_parameters: int
     max_noise: int
     max_columns: int
+    window_blocks: int
     with_auxiliary: int
-    with_directional: int
     with_split: int
     with_noise: int
 

@@ -14,6 +14,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import ErrorDetails
 
 from pmfid.errors import UsageError, did_you_mean
+from pmfid.models.drive import Drive, EquationModel, Model
+from pmfid.models.equation import Equation, Signal, Term
 
 __all__ = ["Axis", "check_sampling", "load_axis"]
 
@@ -76,15 +78,65 @@ class EncoderConfig(_Section):
     max_speed: Positive | None = Field(None, description="the highest possible speed in unit of y per s")
 
 
-class ModelConfig(_Section):
-    """[model]: the equation, mass x'' + viscous_friction x' + coulomb_friction sign(x') = input_gain u."""
+class UnknownTerm(_Section):
+    """A term of the user's own equation, whose coefficient is to be found."""
 
-    kind: Literal["drive"] = Field("drive", description="the kind of model; there is one so far")
-    input_gain: Positive = Field(description="the force in N per unit of u, for example 2.0")
+    signal: Signal
+    derivative: int = 0
+    name: Name
+    unit: str = ""
+
+
+class KnownTerm(_Section):
+    """A term of the user's own equation with a known coefficient."""
+
+    signal: Signal = "input"
+    derivative: int = 0
+    coefficient: float = 1.0
+
+
+class ModelConfig(_Section):
+    """[model]: the equation, mass x'' + viscous_friction x' + coulomb_friction sign(x') [+ ...] = input_gain u, or one
+    of the user's own terms: kind = "equation"."""
+
+    kind: Literal["drive", "equation"] = Field(
+        "drive", description='"drive", or "equation" for the terms in unknown and known'
+    )
+    input_gain: Positive | None = Field(None, description="the force in N per unit of u, for example 2.0")
     friction: Literal["symmetric", "directional"] = Field(
         "symmetric", description="whether friction differs between forward and backward"
     )
     offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
+    spring: bool = Field(False, description="true if the load hangs on a spring, false if there is none")
+    unknown: tuple[UnknownTerm, ...] = Field(
+        (), strict=False, description='terms as { signal = "output", derivative = 2, name = "inertia", unit = "kg m2" }'
+    )
+    known: tuple[KnownTerm, ...] = Field(
+        (KnownTerm(),), strict=False, description='terms as { signal = "input", coefficient = 0.35 }'
+    )
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.kind == "drive" and self.input_gain is None:
+            raise ValueError("input_gain is missing; give the force in N per unit of u, for example 2.0")
+        if self.kind == "drive" and (self.unknown or "known" in self.model_fields_set):
+            raise ValueError('unknown and known are for kind = "equation"; add that, or drop them')
+        own = {"input_gain", "friction", "offset", "spring"} & self.model_fields_set
+        if self.kind == "equation" and own:
+            raise ValueError(f'{", ".join(sorted(own))} is for kind = "drive"; write it as a term of unknown or known')
+        try:
+            self.make()
+        except UsageError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    def make(self) -> Model:
+        """The model that the section describes. Raises UsageError where the terms make no equation."""
+        if self.kind == "drive" and self.input_gain is not None:
+            return Drive(self.input_gain, offset=self.offset, friction=self.friction, spring=self.spring)
+        unknown = tuple(Term(term.signal, term.derivative, term.name, term.unit) for term in self.unknown)
+        known = tuple(Term(term.signal, term.derivative, coefficient=term.coefficient) for term in self.known)
+        return EquationModel(Equation(unknown, known))
 
 
 class EstimatorConfig(_Section):
@@ -110,6 +162,9 @@ class EstimatorConfig(_Section):
         gt=0,
         le=1,
         description="a factor in (0, 1]; for a memory of T seconds use 1 - dt/T, 1 never forgets",
+    )
+    forgetting_scheme: Literal["exponential", "directional", "constant-trace", "window"] = Field(
+        "exponential", description="what becomes of old samples where forgetting < 1"
     )
     discretization: Literal["matched", "paper"] = Field("matched", description="the discretisation of the filters")
     # not strict, because TOML has lists and a frozen object wants a tuple
@@ -184,6 +239,8 @@ def _read_toml(path: Path) -> dict[str, Any]:
 def _problem(error: ErrorDetails, raw: Mapping[str, Any], given: Mapping[str, object]) -> str:
     section, *rest = (str(part) for part in error["loc"])
     label = f"[{section}] {rest[0]}" if rest else f"[{section}]"
+    if rest and rest[0] in ("unknown", "known") and len(rest) > 1:
+        return _term_problem(label, rest, error)
     if error["type"] == "extra_forbidden":
         return _unknown(section, rest)
     field = _SECTIONS[section].model_fields[rest[0]] if rest else Axis.model_fields[section]
@@ -194,6 +251,16 @@ def _problem(error: ErrorDetails, raw: Mapping[str, Any], given: Mapping[str, ob
         return f"{label}: {message}" if isinstance(raw[section], dict) else f"{label} must be a section of keys"
     origin = " (given as an option)" if f"{section}.{rest[0]}" in given else ""
     return f"{label} = {raw[section][rest[0]]!r}{origin}: {message}; give {field.description}"
+
+
+def _term_problem(label: str, rest: list[str], error: ErrorDetails) -> str:
+    """Of a key in a term of the user's own equation."""
+    term, *key = rest[1:]
+    place = f"{label}, term {int(term) + 1 if term.isdigit() else term}" + (f": {key[0]}" if key else "")
+    example = f"write {ModelConfig.model_fields[rest[0]].description}"
+    if error["type"] == "missing":
+        return f"{place} is missing; {example}"
+    return f"{place} = {error['input']!r}: {error['msg'].replace('Input should', 'it should')}; {example}"
 
 
 def _unknown(section: str, rest: list[str]) -> str:

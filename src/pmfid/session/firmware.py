@@ -35,7 +35,8 @@ def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None =
     if record is None:
         record = _no_record(axis, dt)
         if ESTIMATORS[config.method].instrumental and config.prefilter_zeros is None:
-            config = config.model_copy(update={"prefilter_zeros": default_zeros(config.cutoff)})
+            needed = len(axis.model.make().equation.symmetric.noisy)
+            config = config.model_copy(update={"prefilter_zeros": default_zeros(config.cutoff)[:needed]})
     estimator = make_estimator(axis.model_copy(update={"estimator": config}), record)
     encoder = replace(estimator.encoder, bits=axis.encoder.bits or 32)
     return replace(estimator, encoder=encoder)  # type: ignore[return-value]

@@ -15,7 +15,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.auto import choose
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.registry import OFF_LINE
-from pmfid.models.drive import Drive
+from pmfid.models.drive import Drive, Model
 from pmfid.simulation.control import position_control
 from pmfid.simulation.scenarios import CART, CART_DT, make_scenario, resolution_of
 from pmfid.studies.truth import table
@@ -63,7 +63,7 @@ def mass_errors(motion: str, increments: int, time_constant: int, seeds: int) ->
     )
 
 
-def _positional(settings: IV) -> tuple[Drive, Encoder, float, float]:
+def _positional(settings: IV) -> tuple[Model, Encoder, float, float]:
     return settings.model, settings.encoder, settings.dt, settings.cutoff
 
 

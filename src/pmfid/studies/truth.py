@@ -149,7 +149,7 @@ def positions(u: Floats, theta: Floats, v0: float) -> Floats:
     from pmfid import _kernel64
 
     mass, viscous, coulomb = theta.tolist()
-    roles = [mass, viscous, viscous, coulomb, coulomb, 0.0]
+    roles = [mass, viscous, viscous, coulomb, coulomb, 0.0, 0.0]
     mean_velocity = _kernel64.simulate(roles, CART.input_gain, CART_DT, u, v0)[0]
     return np.asarray(np.r_[0.0, np.cumsum(mean_velocity[:-1]) * CART_DT])
 
