@@ -77,7 +77,7 @@ PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], r
 }
 
 /* The smallest pivot relative to its diagonal entry. */
-PMF_INLINE real_t smallest_pivot(uint32_t p, real_t matrix[N][N], const real_t inverse[N])
+PMF_SELDOM real_t smallest_pivot(uint32_t p, real_t matrix[N][N], const real_t inverse[N])
 {
     real_t smallest = PMF_R(1.0), relative;
     uint32_t i;
@@ -426,7 +426,7 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
 
 /* Spread of theta by blocks of innovations against that of white ones: an estimate by batch means of how much longer
  * or shorter than sqrt(P) times the innovations' size the error bars must be. `move` is a block's sum after the gain. */
-PMF_SELDOM void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t move[N])
+static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t move[N])
 {
     real_t share = state->sums.weight / (real_t)config->block, keep, white;
     uint32_t i;
@@ -452,9 +452,27 @@ PMF_INLINE void solve(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
     backward(p, state->factor, move);
 }
 
-/* Gathers the innovations of a block; at its end its effect on theta is compared with that of white ones. */
+/* At the end of a block its effect on theta is compared with that of white innovations. */
+PMF_SELDOM void end_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p,
+                          uint32_t instrumental, projection_t *projection)
+{
+    real_t move[N];
+    uint32_t i;
+    for (i = 0; i < p; ++i) {
+        move[i] = state->score[i];
+        state->score[i] = PMF_R(0.0);
+    }
+    if (instrumental != 0U) {
+        project_more(p, projection, move);
+    }
+    solve(state, p, move);
+    note_block(config, state, move);
+    state->block_updates = 0U;
+}
+
+/* Gathers the innovations of a block. */
 PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *zeta,
-                           uint32_t p, uint32_t instrumental, projection_t *projection)
+                           uint32_t p)
 {
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
@@ -464,25 +482,12 @@ PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_s
         }
     }
     state->block_updates += 1U;
-    if (state->block_updates >= config->block) {
-        real_t move[N];
-        for (i = 0; i < p; ++i) {
-            move[i] = state->score[i];
-            state->score[i] = PMF_R(0.0);
-        }
-        if (instrumental != 0U) {
-            project_more(p, projection, move);
-        }
-        solve(state, p, move);
-        note_block(config, state, move);
-        state->block_updates = 0U;
-    }
 }
 
 PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
-    real_t information[N][N], move[N], pivot = PMF_R(1.0), own;
+    real_t information[N][N], move[N], pivot, own;
     projection_t projection;
     uint32_t i, j, status, compensated = 0U, unmodelled = 0U;
     state->estimate.innovation = column[p];
@@ -493,7 +498,6 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
     residual(config, state, instrumental != 0U ? &column[p + 1U] : column, p, instrumental, move);
     if (instrumental != 0U) {
         project(state, p, &projection, information, move);
-        pivot = state->started == 0U ? smallest_pivot(p, state->sums.square, projection.inverse) : PMF_R(1.0);
     } else {
         for (i = 0; i < p; ++i) {
             for (j = 0; j <= i; ++j) {
@@ -506,8 +510,11 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
     factorise(p, information, state->factor, state->inverse_pivot);
     status = judge(config, state, p) | compensated;
     if (state->started == 0U) {
-        own = smallest_pivot(p, information, state->inverse_pivot);
-        pivot = own < pivot ? own : pivot;
+        pivot = smallest_pivot(p, information, state->inverse_pivot);
+        if (instrumental != 0U) {
+            own = smallest_pivot(p, state->sums.square, projection.inverse);
+            pivot = own < pivot ? own : pivot;
+        }
         if (state->updates < config->min_updates || !(pivot > config->pivot)) {
             state->estimate.innovation = PMF_R(0.0);
             return PMF_STARTING | PMF_POOR_EXCITATION;
@@ -528,7 +535,10 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
         unmodelled = check_model(config, state, column[p]);
     }
     if (config->block > 0U && state->weight > PMF_R(0.0) && status == 0U) {
-        note_score(config, state, instrumental != 0U ? &column[p + 1U] : column, p, instrumental, &projection);
+        note_score(config, state, instrumental != 0U ? &column[p + 1U] : column, p);
+        if (state->block_updates >= config->block) {
+            end_block(config, state, p, instrumental, &projection);
+        }
     }
     status |= unmodelled | (status != 0U && instrumental != 0U ? (uint32_t)PMF_COMPENSATION_HELD : 0U);
     return status;
