@@ -32,6 +32,13 @@
 
 #define N PMF_MAX_PARAMETERS
 #define SATURATED 0xffffffffU
+#ifdef PMF_PARAMETERS
+#define PARAMETERS(config) PMF_PARAMETERS
+#define INSTRUMENTAL(config) PMF_INSTRUMENTAL
+#else
+#define PARAMETERS(config) ((config)->n_parameters)
+#define INSTRUMENTAL(config) ((config)->instrumental)
+#endif
 /* An export has one scheme of forgetting: the code of the others is left out. */
 #ifdef PMF_SCHEME
 #define SCHEME(config) PMF_SCHEME
@@ -232,7 +239,7 @@ static void note_trace(const pmf_recursion_config_t *config, pmf_recursion_state
     if (!(state->trace > PMF_R(0.0)) && (memories < PMF_R(1.0) || status != 0U)) {
         return;
     }
-    for (i = 0; i < config->n_parameters; ++i) {
+    for (i = 0; i < PARAMETERS(config); ++i) {
         if (!(state->trace > PMF_R(0.0))) {
             state->reference[i] = state->estimate.variance_factor[i];
         }
@@ -251,8 +258,8 @@ static uint32_t check_model(const pmf_recursion_config_t *config, pmf_recursion_
     state->check_innovation =
         memory * state->check_innovation + state->estimate.innovation * state->estimate.innovation;
     state->check_target = memory * state->check_target + target * target;
-    for (i = 0; i < config->n_parameters; ++i) {
-        for (j = 0; j < config->n_parameters; ++j) {
+    for (i = 0; i < PARAMETERS(config); ++i) {
+        for (j = 0; j < PARAMETERS(config); ++j) {
             explained += theta[i] * config->noise[i][j] * theta[j];
         }
     }
@@ -432,7 +439,7 @@ static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state
     uint32_t i;
     state->blocks += state->blocks < BLOCK_MEMORY ? 1U : 0U;
     keep = PMF_R(1.0) - PMF_R(1.0) / (real_t)state->blocks;
-    for (i = 0; i < config->n_parameters; ++i) {
+    for (i = 0; i < PARAMETERS(config); ++i) {
         white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
         state->spread[i] = keep * state->spread[i] +
                            (PMF_R(1.0) - keep) * (white > TINY ? move[i] * move[i] * share / white : PMF_R(1.0));
@@ -548,7 +555,7 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
 static uint32_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
 {
 #ifdef PMF_PARAMETERS
-    return update(config, state, column, PMF_PARAMETERS, PMF_INSTRUMENTAL);
+    return update(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
 #else
     switch (config->n_parameters * 2U + config->instrumental) {
     case 6: return update(config, state, column, 3U, 0U);
@@ -556,7 +563,7 @@ static uint32_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_sta
     case 8: return update(config, state, column, 4U, 0U);
     case 9: return update(config, state, column, 4U, 1U);
     case 10: return update(config, state, column, 5U, 0U);
-    default: return update(config, state, column, config->n_parameters, config->instrumental);
+    default: return update(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
     }
 #endif
 }
@@ -584,7 +591,7 @@ PMF_SELDOM void restart(pmf_recursion_state_t *state, const real_t theta[N], uin
 uint32_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                             const real_t *column)
 {
-    uint32_t p = config->n_parameters, i, status;
+    uint32_t p = PARAMETERS(config), i, status;
     real_t theta[N];
     for (i = 0; i < p; ++i) {
         theta[i] = state->estimate.theta[i];

@@ -34,7 +34,7 @@ static uint32_t checksum(const pmf_saved_t *saved)
 static void copy_state(const pmf_state_t *from, pmf_state_t *to)
 {
     const unsigned char *source = (const unsigned char *)from;
-    unsigned char *target = (unsigned char *)to;
+    volatile unsigned char *target = (volatile unsigned char *)to; /* else compilers call memcpy of the C library */
     uint32_t i;
     for (i = 0; i < (uint32_t)sizeof *to; ++i) {
         target[i] = source[i];

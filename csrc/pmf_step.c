@@ -7,7 +7,7 @@
 
 void pmf_clear(void *memory, uint32_t size)
 {
-    unsigned char *byte = (unsigned char *)memory;
+    volatile unsigned char *byte = (volatile unsigned char *)memory; /* else compilers call memset of the C library */
     uint32_t i;
     for (i = 0; i < size; ++i) {
         byte[i] = 0;
@@ -100,8 +100,10 @@ static uint32_t instrument_step(const pmf_config_t *config, pmf_state_t *state, 
     uint32_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column);
     uint32_t status = PMF_STARTING;
     state->auxiliary.in_charge &= trusted;
-    if (trusted == 0U) { /* what was gathered with a wrong direction would stay */
-        pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument);
+    if (trusted == 0U) {
+        if (state->instrument.updates != 0U) { /* what was gathered with a wrong direction would stay */
+            pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument);
+        }
     } else if (settled != 0U) {
         status = pmf_recursion_step(&config->instrument, &state->instrument, state->network.column);
     } else {

@@ -32,14 +32,15 @@ def expected(estimator: RecursiveEstimator, u: NDArray[np.float64], counts: NDAr
     kernel = estimator.make_kernel(estimator.forgetting)
     theta, factor, inflation, innovation, variance, status = kernel.run(u, counts)
     real = np.dtype(kernel.dtype)
-    columns = (shape_of(configuration(kernel, estimator.precision)).max_parameters,)
+    shape = shape_of(configuration(kernel, estimator.precision))
+    columns = (shape.max_parameters,)
     fields: list[Any] = [("status", np.uint32), ("theta", real, columns), ("factor", real, columns)]
     fields += [("inflation", real, columns), ("innovation", real), ("variance", real)]
     rows = np.zeros(u.size, np.dtype(fields, align=True))
     p = theta.shape[1]
     rows["theta"][:, :p], rows["factor"][:, :p], rows["inflation"][:, :p] = theta, factor, inflation
     rows["status"], rows["innovation"], rows["variance"] = status, innovation, variance
-    return rows.tobytes() + tight_state(kernel, estimator.precision).tobytes()
+    return rows.tobytes() + tight_state(kernel, estimator.precision, shape).tobytes()
 
 
 def difference(folder: Path, target: Target, optimize: str, *options: str) -> int | None:

@@ -45,9 +45,8 @@ def split_signals() -> range:
     return range(constants["PMF_MOVING"], constants["PMF_SIGNALS"])
 
 
-def tight_state(kernel: Any, precision: str) -> NDArray[Any]:
-    """The kernel's state as firmware with its configuration has it."""
-    shape = shape_of(configuration(kernel, precision))
+def tight_state(kernel: Any, precision: str, shape: Shape) -> NDArray[Any]:
+    """The kernel's state as firmware with its configuration has it; shape: of the configuration."""
     own = np.frombuffer(kernel.raw_state(), structures(None, precision)["pmf_state_t"])[0]
     state = resized(own, structures(shape, precision)["pmf_state_t"])
     if not shape.with_split:
@@ -62,7 +61,7 @@ def save_state(kernel: Any, precision: str) -> bytes:
     shape = shape_of(config)
     types = structures(shape, precision)
     saved = _envelope(config, shape, precision)
-    saved["state"] = tight_state(kernel, precision)
+    saved["state"] = tight_state(kernel, precision, shape)
     saved["checksum"] = _checksum(saved.tobytes(), types)
     return saved.tobytes()
 

@@ -79,7 +79,9 @@ def value(text: str, constants: Mapping[str, int]) -> int:
     return int(eval(re.sub(r"\b(0x[0-9a-fA-F]+|\d+)[uU]\b", r"\1", text), {"__builtins__": {}}, dict(constants)))
 
 
+@cache
 def constants_of(shape: Shape | None) -> dict[str, int]:
+    """Integers that pmf_sizes.h and pmf.h name. shape: None: of the module."""
     constants = {} if shape is None else shape.macros()
     for text in (header("pmf_sizes.h"), header("pmf.h")):
         for name, expression in re.findall(r"^#define (PMF_\w+) +(\S.*)$", text, re.MULTILINE):
