@@ -11,6 +11,11 @@
 #define FAST_COUNTS 2 /* counts in one sample from which on the tracker is trusted */
 #define FAST_SAMPLES 3
 #define CLOSE 3
+#ifdef PMF_FLOAT32
+#define LARGEST_INPUT PMF_R(1e15)
+#else
+#define LARGEST_INPUT PMF_R(1e100)
+#endif
 
 static uint32_t magnitude(int32_t x)
 {
@@ -104,7 +109,7 @@ static uint32_t check(const pmf_encoder_config_t *config, pmf_encoder_state_t *s
                       int32_t *change)
 {
     uint32_t status = 0;
-    if (!(*input - *input == PMF_R(0.0))) { /* NaN or infinite */
+    if (!(*input >= -LARGEST_INPUT && *input <= LARGEST_INPUT)) { /* NaN, infinite, or its square would be */
         *input = state->input;
         status |= PMF_INVALID_INPUT;
     }

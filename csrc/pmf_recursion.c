@@ -435,14 +435,16 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
  * or shorter than sqrt(P) times the innovations' size the error bars must be. `move` is a block's sum after the gain. */
 static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t move[N])
 {
-    real_t share = state->sums.weight / (real_t)config->block, keep, white;
+    real_t share = state->sums.weight / (real_t)config->block, keep, white, ratio;
     uint32_t i;
     state->blocks += state->blocks < BLOCK_MEMORY ? 1U : 0U;
     keep = PMF_R(1.0) - PMF_R(1.0) / (real_t)state->blocks;
     for (i = 0; i < PARAMETERS(config); ++i) {
         white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
-        state->spread[i] = keep * state->spread[i] +
-                           (PMF_R(1.0) - keep) * (white > TINY ? move[i] * move[i] * share / white : PMF_R(1.0));
+        ratio = white > TINY ? move[i] * move[i] * share / white : PMF_R(1.0);
+        if (ratio - ratio == PMF_R(0.0)) { /* else it is beyond the number format and would stay */
+            state->spread[i] = keep * state->spread[i] + (PMF_R(1.0) - keep) * ratio;
+        }
         if (state->blocks >= MIN_BLOCKS) {
             state->estimate.inflation[i] = state->spread[i];
         }
@@ -568,12 +570,19 @@ static uint32_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_sta
 #endif
 }
 
-static int finite_state(const pmf_recursion_state_t *state, uint32_t p)
+/* The sums as well: one that left the range would show in theta much later, or never. */
+static int finite_state(const pmf_recursion_state_t *state, uint32_t p, uint32_t instrumental)
 {
     real_t sum = state->innovation_square;
-    uint32_t i;
+    uint32_t i, j;
     for (i = 0; i < p; ++i) {
-        sum += state->estimate.theta[i] + state->estimate.variance_factor[i];
+        sum += state->estimate.theta[i] + state->estimate.variance_factor[i] + state->sums.right[i];
+        for (j = 0; j < p; ++j) {
+            sum += state->sums.cross[i][j];
+            if (instrumental != 0U) {
+                sum += state->sums.square[i][j];
+            }
+        }
     }
     return sum - sum == PMF_R(0.0);
 }
@@ -597,7 +606,7 @@ uint32_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_
         theta[i] = state->estimate.theta[i];
     }
     status = dispatch(config, state, &column[config->first_column]);
-    if (!finite_state(state, p)) {
+    if (!finite_state(state, p, INSTRUMENTAL(config))) {
         restart(state, theta, p);
         status = PMF_RESET | PMF_STARTING;
     }

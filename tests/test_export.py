@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -105,7 +106,7 @@ def test_a_difference_is_found(tmp_path: Path) -> None:
     folder = exported(make(pmfid.RLS), tmp_path, *hostile())
     config = folder / f"{PREFIX}_config.c"
     text = config.read_text()
-    config.write_text(text.replace("20U, /* standstill_samples", "19U, /* standstill_samples"))
+    config.write_text(re.sub(r"(\d+)U, /\* settle_samples", lambda m: f"{int(m[1]) + 1}U, /* settle_samples", text))
     assert config.read_text() != text
     assert difference(folder, GCC, "-O1") is not None
     assert selftest(folder, GCC).returncode not in (0, 255)
