@@ -9,6 +9,8 @@
  */
 #include "pmf.h"
 
+#if PMF_WITH_AUXILIARY
+
 #define NEWTON_TURNS 3
 
 typedef struct {
@@ -109,6 +111,7 @@ void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_stat
 {
     real_t middle = state->position + PMF_R(0.5) * config->dt * state->velocity;
     body_t body = body_of(config, state->parameter, signal[PMF_LATE_INPUT], middle);
+    real_t sum;
     phase_t phase;
     uint32_t turn, direction;
     phase.velocity = state->velocity;
@@ -125,6 +128,11 @@ void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_stat
         }
     }
     signal[PMF_ACCELERATION] = (phase.velocity - state->velocity) / config->dt;
+    sum = signal[PMF_ACCELERATION] + phase.distance[0] + phase.distance[1] + middle;
+    if (!(sum - sum == PMF_R(0.0))) { /* absurd parameters: it starts again from rest */
+        phase.velocity = phase.distance[0] = phase.distance[1] = signal[PMF_ACCELERATION] = PMF_R(0.0);
+        state->position = middle = signal[PMF_LATE_POSITION];
+    }
     state->velocity = phase.velocity;
     emit(&phase, middle, signal);
     state->position += config->dt * (phase.distance[0] + phase.distance[1]) +
@@ -198,3 +206,5 @@ void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_st
     }
     state->running = 1U;
 }
+
+#endif

@@ -11,6 +11,11 @@
 #define FAST_COUNTS 2 /* counts in one sample from which on the tracker is trusted */
 #define FAST_SAMPLES 3
 #define CLOSE 3
+#ifdef PMF_FLOAT32
+#define LARGEST_INPUT PMF_R(1e15)
+#else
+#define LARGEST_INPUT PMF_R(1e100)
+#endif
 
 static uint32_t magnitude(int32_t x)
 {
@@ -28,10 +33,12 @@ static int32_t count_change(uint32_t mask, uint32_t now, uint32_t before)
     return -(int32_t)(mask - change) - 1;
 }
 
+#if PMF_WITH_SPLIT
 static real_t signed_count(uint32_t count)
 {
     return count <= 0x7fffffffU ? (real_t)count : -(real_t)((uint32_t)0 - count);
 }
+#endif
 
 /* Signed moving fraction of an interval from the velocities at its start and end. */
 static real_t signed_fraction(real_t start, real_t end)
@@ -102,7 +109,7 @@ static uint32_t check(const pmf_encoder_config_t *config, pmf_encoder_state_t *s
                       int32_t *change)
 {
     uint32_t status = 0;
-    if (!(*input - *input == PMF_R(0.0))) { /* NaN or infinite */
+    if (!(*input >= -LARGEST_INPUT && *input <= LARGEST_INPUT)) { /* NaN, infinite, or its square would be */
         *input = state->input;
         status |= PMF_INVALID_INPUT;
     }
@@ -116,11 +123,15 @@ static uint32_t check(const pmf_encoder_config_t *config, pmf_encoder_state_t *s
 /* The signals of the interval before the last. */
 static void emit(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t direction, real_t *signal)
 {
+#if PMF_WITH_SPLIT
     real_t half = PMF_R(0.5) * direction, moving = PMF_R(0.5) * state->moving;
     real_t position = config->position_per_count *
                       (signed_count(state->travel) - PMF_R(0.5) * (real_t)state->change);
+#endif
+    (void)config;
     signal[PMF_INPUT] = state->moving * state->input_before;
     signal[PMF_DIRECTION] = direction;
+#if PMF_WITH_SPLIT
     signal[PMF_MOVING] = state->moving;
     signal[PMF_FORWARD] = moving + half;
     signal[PMF_BACKWARD] = half - moving;
@@ -130,6 +141,7 @@ static void emit(const pmf_encoder_config_t *config, const pmf_encoder_state_t *
     signal[PMF_POSITION] = state->moving * position;
     signal[PMF_LATE_INPUT] = state->input_before;
     signal[PMF_LATE_VELOCITY] = state->mean_velocity;
+#endif
 }
 
 uint32_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
@@ -148,8 +160,10 @@ uint32_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_
     track(config, state, innovation, predicted);
     status |= note_motion(config, state, change);
     state->mean_velocity = signal[PMF_VELOCITY];
+#if PMF_WITH_SPLIT
     state->change = change;
     state->travel += (uint32_t)change;
+#endif
     state->count = count;
     state->started = 1;
     state->fast = fast;

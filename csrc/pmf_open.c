@@ -79,19 +79,27 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
     }
 }
 
-void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter, real_t root)
+#if PMF_WITH_AUXILIARY
+/* The parameter of the direct estimate that has a part of the instrumental one's; all where none has. */
+static uint32_t direct_part(const pmf_auxiliary_config_t *config, uint32_t parameter)
 {
     uint32_t role;
-    if (config->auxiliary.enabled == 0U) {
-        open_recursion(&config->direct, &state->direct, parameter, root);
-        return;
-    }
-    open_recursion(&config->instrument, &state->instrument, parameter, root);
-    for (role = 0; role < PMF_ROLES; ++role) { /* the parameter of the direct estimate that has its part */
-        if (parameter != PMF_NO_PARAMETER && config->auxiliary.index[role] == parameter) {
-            break;
+    for (role = 0; role < PMF_ROLES; ++role) {
+        if (parameter != PMF_NO_PARAMETER && config->index[role] == parameter) {
+            return config->direct_index[role];
         }
     }
-    open_recursion(&config->direct, &state->direct,
-                   role < PMF_ROLES ? config->auxiliary.direct_index[role] : PMF_NO_PARAMETER, root);
+    return PMF_NO_PARAMETER;
+}
+#endif
+
+void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter, real_t root)
+{
+#if PMF_WITH_AUXILIARY
+    if (config->auxiliary.enabled != 0U) {
+        open_recursion(&config->instrument, &state->instrument, parameter, root);
+        parameter = direct_part(&config->auxiliary, parameter);
+    }
+#endif
+    open_recursion(&config->direct, &state->direct, parameter, root);
 }

@@ -7,7 +7,7 @@
 
 void pmf_clear(void *memory, uint32_t size)
 {
-    unsigned char *byte = (unsigned char *)memory;
+    volatile unsigned char *byte = (volatile unsigned char *)memory; /* else compilers call memset of the C library */
     uint32_t i;
     for (i = 0; i < size; ++i) {
         byte[i] = 0;
@@ -19,40 +19,54 @@ void pmf_init(const pmf_config_t *config, pmf_state_t *state)
     pmf_clear(state, (uint32_t)sizeof *state);
     state->settle = config->settle_samples;
     state->encoder.idle = config->encoder.standstill_samples; /* at rest until a count says otherwise */
+#if PMF_WITH_AUXILIARY
     pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
+#endif
 }
 
 uint32_t pmf_parameters(const pmf_config_t *config)
 {
-    return config->auxiliary.enabled != 0U ? config->instrument.n_parameters : config->direct.n_parameters;
+#if PMF_WITH_AUXILIARY
+    if (config->auxiliary.enabled != 0U) {
+        return config->instrument.n_parameters;
+    }
+#endif
+    return config->direct.n_parameters;
 }
 
 uint32_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, uint32_t count)
 {
     uint32_t status =
         pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
+#if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U && state->auxiliary.running != 0U) {
         pmf_auxiliary_step(&config->auxiliary, &state->auxiliary, state->network.node);
     }
+#endif
     pmf_network_step(&config->network, &state->network);
+#if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
         pmf_auxiliary_correct(&config->auxiliary, &state->auxiliary, state->network.column);
     }
+#endif
     if ((status & (PMF_INVALID_INPUT | PMF_COUNT_JUMP)) != 0U) {
         state->settle = config->settle_samples;
     }
     if (state->settle > 0U) {
+#if PMF_WITH_AUXILIARY
         if (state->settle == config->settle_samples / 2U && config->auxiliary.enabled != 0U) {
             /* by now the measured velocity is known: the model need not run up to it with its own time constant */
             state->auxiliary.velocity = state->network.column[config->auxiliary.check_column];
             state->auxiliary.position = state->network.node[PMF_LATE_POSITION];
         }
+#endif
         state->settle -= 1U;
         status |= PMF_SETTLING;
     }
     return status;
 }
 
+#if PMF_WITH_AUXILIARY
 /* The direct estimate in the parameters of the instrumental one. */
 static void borrow_estimate(const pmf_config_t *config, pmf_state_t *state)
 {
@@ -71,14 +85,6 @@ static void borrow_estimate(const pmf_config_t *config, pmf_state_t *state)
     borrowed->innovation_variance = state->direct.estimate.innovation_variance;
 }
 
-const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state)
-{
-    if (config->auxiliary.enabled == 0U) {
-        return &state->direct.estimate;
-    }
-    return (state->status & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
-}
-
 /* The instrumental estimate takes over once it knows the mass as well as the direct one, which has gathered longer. */
 static uint32_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
 {
@@ -94,8 +100,10 @@ static uint32_t instrument_step(const pmf_config_t *config, pmf_state_t *state, 
     uint32_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column);
     uint32_t status = PMF_STARTING;
     state->auxiliary.in_charge &= trusted;
-    if (trusted == 0U) { /* what was gathered with a wrong direction would stay */
-        pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument);
+    if (trusted == 0U) {
+        if (state->instrument.updates != 0U) { /* what was gathered with a wrong direction would stay */
+            pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument);
+        }
     } else if (settled != 0U) {
         status = pmf_recursion_step(&config->instrument, &state->instrument, state->network.column);
     } else {
@@ -116,26 +124,68 @@ static uint32_t instrument_step(const pmf_config_t *config, pmf_state_t *state, 
     return (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK | (status & (PMF_RESET | PMF_UNMODELLED));
 }
 
+#endif
+
+const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state)
+{
+#if PMF_WITH_AUXILIARY
+    if (config->auxiliary.enabled != 0U) {
+        return (state->status & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
+    }
+#endif
+    (void)config;
+    return &state->direct.estimate;
+}
+
+real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter)
+{
+    const pmf_estimate_t *estimate = pmf_estimate(config, state);
+    real_t inflation = estimate->inflation[parameter];
+    if (!(estimate->innovation_variance > PMF_R(0.0))) {
+        return PMF_UNKNOWN;
+    }
+    return estimate->variance_factor[parameter] * estimate->innovation_variance *
+           (inflation > PMF_R(0.0) ? inflation : PMF_R(1.0));
+}
+
+/* The recursions on the columns of this sample. */
+static uint32_t estimate_step(const pmf_config_t *config, pmf_state_t *state, uint32_t settled)
+{
+    uint32_t status = state->direct.started == 0U ? (uint32_t)PMF_STARTING : 0U, use = settled;
+#if PMF_WITH_AUXILIARY
+    if (config->auxiliary.enabled != 0U && state->settle < config->settle_samples / 2U) {
+        use = 1U; /* with an auxiliary model the second half of the settling is the model's */
+    }
+#endif
+    if (use != 0U) {
+        status = pmf_recursion_step(&config->direct, &state->direct, state->network.column);
+    }
+#if PMF_WITH_AUXILIARY
+    if (config->auxiliary.enabled != 0U) {
+        status = instrument_step(config, state, status, settled);
+    }
+#endif
+    return status;
+}
+
+/* A value beyond the number format may sit in the filters as well. */
+static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
+{
+    pmf_clear(&state->network, (uint32_t)sizeof state->network);
+    state->settle = config->settle_samples;
+#if PMF_WITH_AUXILIARY
+    pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
+    state->auxiliary.velocity = PMF_R(0.0);
+    state->auxiliary.position = PMF_R(0.0);
+#endif
+}
+
 uint32_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, uint32_t count)
 {
     uint32_t status = pmf_filter(config, state, input, count);
-    uint32_t settled = (status & PMF_SETTLING) == 0U ? 1U : 0U;
-    uint32_t direct_status = state->direct.started == 0U ? (uint32_t)PMF_STARTING : 0U;
-    /* with an auxiliary model the second half of the settling is the model's */
-    if (settled != 0U || (config->auxiliary.enabled != 0U && state->settle < config->settle_samples / 2U)) {
-        direct_status = pmf_recursion_step(&config->direct, &state->direct, state->network.column);
-    }
-    if (config->auxiliary.enabled != 0U) {
-        status |= instrument_step(config, state, direct_status, settled);
-    } else {
-        status |= direct_status;
-    }
-    if ((status & PMF_RESET) != 0U) { /* a value beyond the number format may sit in the filters as well */
-        pmf_clear(&state->network, (uint32_t)sizeof state->network);
-        pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
-        state->auxiliary.velocity = PMF_R(0.0);
-        state->auxiliary.position = PMF_R(0.0);
-        state->settle = config->settle_samples;
+    status |= estimate_step(config, state, (status & PMF_SETTLING) == 0U ? 1U : 0U);
+    if ((status & PMF_RESET) != 0U) {
+        restart_filters(config, state);
     }
     state->status = status;
     return status;
@@ -143,14 +193,18 @@ uint32_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, 
 
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
 {
-    uint32_t n = pmf_parameters(config), i;
-    if (config->auxiliary.enabled == 0U) {
-        pmf_recursion_covariance(&config->direct, &state->direct, p);
-    } else if ((state->status & PMF_FALLBACK) == 0U) {
+#if PMF_WITH_AUXILIARY
+    if (config->auxiliary.enabled != 0U && (state->status & PMF_FALLBACK) == 0U) {
         pmf_recursion_covariance(&config->instrument, &state->instrument, p);
-    } else {
+        return;
+    }
+    if (config->auxiliary.enabled != 0U) {
+        uint32_t n = pmf_parameters(config), i;
         for (i = 0; i < n * n; ++i) {
             p[i] = i % (n + 1U) == 0U ? state->borrowed.variance_factor[i / (n + 1U)] : PMF_R(0.0);
         }
+        return;
     }
+#endif
+    pmf_recursion_covariance(&config->direct, &state->direct, p);
 }

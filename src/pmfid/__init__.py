@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pmfid.estimators.output_error import OE as OE
     from pmfid.estimators.recursive import Track as Track
     from pmfid.estimators.rls import RLS as RLS
+    from pmfid.export.firmware import export_firmware as export_firmware
     from pmfid.models.drive import Drive as Drive
     from pmfid.models.drive import EquationModel as EquationModel
     from pmfid.models.equation import Equation as Equation
@@ -54,6 +55,7 @@ _PUBLIC = {
     "Status": "pmfid.status",
     "Track": "pmfid.estimators.recursive",
     "UsageError": "pmfid.errors",
+    "export_firmware": "pmfid.export.firmware",
     "quantize": "pmfid.encoder",
 }
 

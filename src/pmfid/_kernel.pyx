@@ -4,7 +4,6 @@
 from cpython.bytes cimport PyBytes_FromStringAndSize
 from cpython.long cimport PyLong_AsLongLong
 from cpython.number cimport PyNumber_Index
-from hashlib import sha256
 from libc.stdint cimport int64_t, uint32_t
 from libc.string cimport memcpy
 cimport numpy as cnp
@@ -271,20 +270,19 @@ cdef class Kernel:
                     columns[k, i] = self.state.network.column[i]
         return np.asarray(columns), np.asarray(status)
 
-    def get_state(self):
-        """The state as bytes, after a fingerprint of the configuration that it belongs to."""
-        return self._fingerprint() + PyBytes_FromStringAndSize(<char *> &self.state, sizeof(pmf_state_t))
+    def raw_config(self):
+        """The bytes of the configuration, as a `pmf_config_t` of this module's sizes."""
+        return PyBytes_FromStringAndSize(<char *> &self.config, sizeof(pmf_config_t))
 
-    def _fingerprint(self):
-        return sha256(PyBytes_FromStringAndSize(<char *> &self.config, sizeof(pmf_config_t))).digest()
+    def raw_state(self):
+        """The bytes of the state, as a `pmf_state_t` of this module's sizes."""
+        return PyBytes_FromStringAndSize(<char *> &self.state, sizeof(pmf_state_t))
 
-    def set_state(self, bytes state):
-        """Restores what `get_state` gave; raises ValueError for a state of another configuration."""
-        own = self._fingerprint()
-        if len(state) != len(own) + sizeof(pmf_state_t) or state[:len(own)] != own:
-            raise ValueError("these bytes are not a state of this configuration; take it from an estimator with the "
-                             "same method, model, encoder, dt, filters, precision and version")
-        memcpy(&self.state, <char *> state + len(own), sizeof(pmf_state_t))
+    def set_raw_state(self, bytes state):
+        """Takes the bytes that `raw_state` of the same configuration gave. Raises ValueError for another number."""
+        if len(state) != sizeof(pmf_state_t):
+            raise ValueError(f"a state has {sizeof(pmf_state_t)} bytes, got {len(state)}")
+        memcpy(&self.state, <char *> state, sizeof(pmf_state_t))
 
 
 def simulate(parameters, double input_gain, double dt, const double[::1] u, double velocity=0.0, double position=0.0):

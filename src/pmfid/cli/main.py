@@ -11,6 +11,7 @@ import click
 
 from pmfid import __version__
 from pmfid.cli.design import commission, design
+from pmfid.cli.export import export
 from pmfid.cli.monitor import monitor
 from pmfid.cli.reproduce import reproduce
 from pmfid.cli.simulate import simulate
@@ -182,6 +183,7 @@ main.add_command(commission)
 main.add_command(monitor)
 main.add_command(simulate)
 main.add_command(reproduce)
+main.add_command(export)
 
 
 def _progress(samples: int, quiet: bool) -> Any:

@@ -155,13 +155,14 @@ class RecursiveEstimator(Estimator):
         self._kernel.reset()
 
     def get_state(self) -> bytes:
-        """The whole state; `set_state` of an estimator with the same configuration continues from it."""
-        state: bytes = self._kernel.get_state()
-        return state
+        """The whole state, with a version and checksums; `set_state` of an estimator with the same configuration, or
+        the firmware exported from it, continues from it."""
+        from pmfid.layout.saved import save_state
+
+        return save_state(self._kernel, self.precision)
 
     def set_state(self, state: bytes) -> None:
-        """Continues from a saved state. Raises UsageError for one of another configuration."""
-        try:
-            self._kernel.set_state(state)
-        except ValueError as error:
-            raise UsageError(str(error)) from None
+        """Continues from a saved state. Raises UsageError for one of another configuration or a damaged one."""
+        from pmfid.layout.saved import load_state
+
+        load_state(self._kernel, self.precision, state)
