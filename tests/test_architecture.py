@@ -41,7 +41,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "session": SESSION,
     "report": SESSION | {"session", "design"},
     "studies": SESSION | {"simulation", "report", "design"},
-    "cli": SESSION | {"session", "report", "studies", "design", "pmfid"},
+    "cli": SESSION | {"session", "report", "studies", "design", "simulation", "pmfid"},
     "pmfid": SESSION,
 }
 
