@@ -62,7 +62,7 @@ Multiple shooting with the same exact steps and exact second derivatives; positi
 variables, and the Cholesky factor of the information is for D and A; scaled, built once, not timed. {peer_starts}
 random starts each, 40 intervals. Time to target: mean time of a start over the part that reaches 99.9 % of the best.
 
-∞: no start of the peer comes that near; for the trace of the mass all end in one optimum, 0.5 % below the best.
+∞: no start of the peer comes that near.
 
 Pyomo.DoE was not run: it needs an IPOPT program, and PyPI and Debian have the library alone.
 
