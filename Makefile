@@ -51,9 +51,12 @@ firmware: .venv/installed
 study: .venv/installed
 	.venv/bin/python -m pmfid.studies.accuracy --out docs/accuracy.md
 	.venv/bin/python -m pmfid.studies.automatic --out docs/automatic.md
+	.venv/bin/python -m pmfid.studies.design --out docs/design.md
+	.venv/bin/python -m pmfid.studies.monitoring --out docs/monitoring.md
+	.venv/bin/python -m pmfid.studies.laboratory --out docs/laboratory.md --images docs/images
 
 images: .venv/installed
 	.venv/bin/python -m pmfid.studies.demo --images docs/images
 
 clean:
-	rm -rf .venv build demo-report
+	rm -rf .venv build demo-report reproduced

@@ -258,6 +258,10 @@ const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t
 /* Variance of a parameter of the estimate, for innovations as coloured as they are; PMF_UNKNOWN until there is one. */
 real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter);
 #define PMF_UNKNOWN PMF_R(1e30)
+/* Opens the memory after a change of the plant: of what was gathered on one parameter, or with PMF_NO_PARAMETER on all, only
+ * the part root^2 counts on, 0 < root <= 1. The estimate stays where it is; filters and auxiliary model go on. What the
+ * innovations said of the error bars counts anew, also with root = 1. */
+void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter, real_t root);
 /* The number of parameters of the estimate. */
 uint32_t pmf_parameters(const pmf_config_t *config);
 

@@ -38,11 +38,12 @@ MAY_IMPORT: dict[str, set[str]] = {
     "estimators": ESTIMATORS,
     "monitor": MONITOR,
     "simulation": {"errors"},
+    "design": FILTERS | {"estimators", "monitor", "simulation", "session"},
     "session": SESSION,
     "export": ESTIMATORS | {"estimators", "pmfid"},
-    "report": SESSION | {"session"},
-    "studies": SESSION | {"simulation", "report"},
-    "cli": SESSION | {"session", "report", "studies", "export", "pmfid"},
+    "report": SESSION | {"session", "design"},
+    "studies": SESSION | {"simulation", "report", "design"},
+    "cli": SESSION | {"session", "report", "studies", "design", "simulation", "export", "pmfid"},
     "pmfid": SESSION | {"export"},
 }
 

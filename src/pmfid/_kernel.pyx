@@ -19,6 +19,7 @@ cdef extern from "pmf.h":
         PMF_MAX_PARAMETERS
         PMF_MAX_COLUMNS
         PMF_ROLES
+        PMF_NO_PARAMETER
         PMF_SIGNALS
         PMF_AUXILIARY
         PMF_VELOCITY
@@ -75,6 +76,7 @@ cdef extern from "pmf.h":
     void pmf_init(const pmf_config_t *, pmf_state_t *) nogil
     uint32_t pmf_step(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
     uint32_t pmf_filter(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
+    void pmf_open(const pmf_config_t *, pmf_state_t *, uint32_t, real_t) nogil
     const pmf_estimate_t *pmf_estimate(const pmf_config_t *, const pmf_state_t *) nogil
     void pmf_clear(void *, uint32_t) nogil
     void pmf_auxiliary_step(const pmf_auxiliary_config_t *, pmf_auxiliary_state_t *, real_t *) nogil
@@ -204,6 +206,10 @@ cdef class Kernel:
     def reset(self):
         """Back to the state before the first sample."""
         pmf_init(&self.config, &self.state)
+
+    def open(self, double keep, int parameter=-1):
+        """Only the part keep in (0, 1] of what was gathered on a parameter (-1: on all) counts from now on; the estimate stays."""
+        pmf_open(&self.config, &self.state, PMF_NO_PARAMETER if parameter < 0 else parameter, <real_t> keep ** 0.5)
 
     cdef Estimate _snapshot(self):
         cdef Estimate estimate = Estimate.__new__(Estimate)

@@ -5,17 +5,16 @@ The description of a field ends the error message about it: it must read well af
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
-from pydantic_core import ErrorDetails
+from pydantic import AfterValidator, Field, model_validator
 
-from pmfid.errors import UsageError, did_you_mean
+from pmfid.errors import UsageError
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation, Signal, Term
+from pmfid.session.toml_file import FileSection, load_sections
 
 __all__ = ["Axis", "check_sampling", "load_axis"]
 
@@ -37,12 +36,7 @@ Negative = Annotated[float, Field(lt=0)]
 Name = Annotated[str, Field(min_length=1)]
 
 
-class _Section(BaseModel):
-    # strict: a string "50" or the truth value `true` in place of a number is a slip, not a number.
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class RecordConfig(_Section):
+class RecordConfig(FileSection):
     """[record]: which columns of the file hold the input u, the output and the time [s]."""
 
     input: Name = Field(description="the name of the column that holds the input")
@@ -64,7 +58,7 @@ class RecordConfig(_Section):
         return self
 
 
-class EncoderConfig(_Section):
+class EncoderConfig(FileSection):
     """[encoder]: resolution in unit of y per count, and what is known of the counter and the motion."""
 
     resolution: Positive = Field(description="the unit of y per count, for example 22.75e-6 (m)")
@@ -78,7 +72,7 @@ class EncoderConfig(_Section):
     max_speed: Positive | None = Field(None, description="the highest possible speed in unit of y per s")
 
 
-class UnknownTerm(_Section):
+class UnknownTerm(FileSection):
     """A term of the user's own equation, whose coefficient is to be found."""
 
     signal: Signal
@@ -87,7 +81,7 @@ class UnknownTerm(_Section):
     unit: str = ""
 
 
-class KnownTerm(_Section):
+class KnownTerm(FileSection):
     """A term of the user's own equation with a known coefficient."""
 
     signal: Signal = "input"
@@ -95,7 +89,7 @@ class KnownTerm(_Section):
     coefficient: float = 1.0
 
 
-class ModelConfig(_Section):
+class ModelConfig(FileSection):
     """[model]: the equation, mass x'' + viscous_friction x' + coulomb_friction sign(x') [+ ...] = input_gain u, or one
     of the user's own terms: kind = "equation"."""
 
@@ -139,7 +133,7 @@ class ModelConfig(_Section):
         return EquationModel(Equation(unknown, known))
 
 
-class EstimatorConfig(_Section):
+class EstimatorConfig(FileSection):
     """[estimator]: method, filter chain (`cutoff` in rad/s, `order` stages) and memory."""
 
     method: Literal[
@@ -174,21 +168,33 @@ class EstimatorConfig(_Section):
     precision: Literal["float64", "float32"] = Field("float64", description="the arithmetic of the kernel")
 
 
-class Axis(_Section):
+class MonitorConfig(FileSection):
+    """[monitor]: what `pmfid monitor` compares with, and how often it may be wrong."""
+
+    reference: Name | None = Field(
+        None, description='a record of normal work with the same columns, beside AXIS.toml: "normal.csv"'
+    )
+    nominal: dict[str, float] | None = Field(
+        None,
+        description="the normal value of every parameter, { mass = 1.07, ... }, or leave it out: from the reference",
+    )
+    detector: Literal["cusum", "page-hinkley", "glr", "chi-square"] = Field("glr", description="the detector")
+    mtbf_hours: float = Field(
+        24.0, ge=0.1, le=1e6, description="the mean time between false alarms in hours, for example 24.0"
+    )
+    tolerance: float = Field(
+        0.02, ge=0, lt=1, description="the relative deviation that is no change, for example 0.02 for 2 %"
+    )
+
+
+class Axis(FileSection):
     """One axis of motion: the whole of AXIS.toml."""
 
     record: RecordConfig = Field(description="a section that names the columns input, output and time")
     encoder: EncoderConfig = Field(description="a section with at least the resolution")
     model: ModelConfig = Field(description="a section with at least the input_gain")
     estimator: EstimatorConfig = Field(description="a section with at least the cutoff")
-
-
-_SECTIONS: dict[str, type[_Section]] = {
-    "record": RecordConfig,
-    "encoder": EncoderConfig,
-    "model": ModelConfig,
-    "estimator": EstimatorConfig,
-}
+    monitor: MonitorConfig = Field(MonitorConfig(), description="a section that names the reference")
 
 
 def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis:
@@ -197,21 +203,7 @@ def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis
     `overrides` holds dotted keys, {"estimator.cutoff": 50.0}, that go before the file's; None is ignored.
     Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
     """
-    given = {key: value for key, value in (overrides or {}).items() if value is not None}
-    raw = _read_toml(path)
-    for dotted, value in given.items():
-        section, _, key = dotted.partition(".")
-        table = raw.setdefault(section, {})
-        if isinstance(table, dict):
-            table[key] = value
-    try:
-        return Axis.model_validate(raw)
-    except ValidationError as error:
-        # A misspelt key is also a missing one: the misspelling comes first, as it explains the other.
-        details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
-    # A value that fits neither number nor name fails twice at one place: one text for each place.
-    problems = {detail["loc"][:2]: _problem(detail, raw, given) for detail in details}
-    raise UsageError(f"{path}: " + "\n  ".join(problems.values()))
+    return load_sections(Axis, path, overrides, "an AXIS.toml")
 
 
 def check_sampling(axis: Axis, dt: float) -> None:
@@ -223,50 +215,3 @@ def check_sampling(axis: Axis, dt: float) -> None:
             f"past the Nyquist limit and alternate in sign; use at most 2/dt = {2 / dt:g} rad/s, "
             "and check that the time is in s"
         )
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise UsageError(f"{path}: cannot read the configuration: {error.strerror}; give an AXIS.toml") from None
-    except UnicodeDecodeError:
-        raise UsageError(f"{path}: the configuration is not UTF-8 text; give an AXIS.toml") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise UsageError(f"{path}: not valid TOML: {error}; correct that line") from None
-
-
-def _problem(error: ErrorDetails, raw: Mapping[str, Any], given: Mapping[str, object]) -> str:
-    section, *rest = (str(part) for part in error["loc"])
-    label = f"[{section}] {rest[0]}" if rest else f"[{section}]"
-    if rest and rest[0] in ("unknown", "known") and len(rest) > 1:
-        return _term_problem(label, rest, error)
-    if error["type"] == "extra_forbidden":
-        return _unknown(section, rest)
-    field = _SECTIONS[section].model_fields[rest[0]] if rest else Axis.model_fields[section]
-    if error["type"] == "missing":
-        return f"{label} is missing; give {field.description}"
-    message = error["msg"].removeprefix("Value error, ").replace("Input should", "it should")
-    if not rest:
-        return f"{label}: {message}" if isinstance(raw[section], dict) else f"{label} must be a section of keys"
-    origin = " (given as an option)" if f"{section}.{rest[0]}" in given else ""
-    return f"{label} = {raw[section][rest[0]]!r}{origin}: {message}; give {field.description}"
-
-
-def _term_problem(label: str, rest: list[str], error: ErrorDetails) -> str:
-    """Of a key in a term of the user's own equation."""
-    term, *key = rest[1:]
-    place = f"{label}, term {int(term) + 1 if term.isdigit() else term}" + (f": {key[0]}" if key else "")
-    example = f"write {ModelConfig.model_fields[rest[0]].description}"
-    if error["type"] == "missing":
-        return f"{place} is missing; {example}"
-    return f"{place} = {error['input']!r}: {error['msg'].replace('Input should', 'it should')}; {example}"
-
-
-def _unknown(section: str, rest: list[str]) -> str:
-    word = rest[0] if rest else section
-    home = next((name for name, model in _SECTIONS.items() if word in model.model_fields), None)
-    known = list(_SECTIONS[section].model_fields) if rest else list(_SECTIONS)
-    what = f"[{section}] {word} is an unknown key" if rest else f"[{section}] is an unknown section or key"
-    hint = f"; it belongs in [{home}]" if home else did_you_mean(word, known)
-    return f"{what}; known are {', '.join(known)}{hint}"

@@ -28,7 +28,7 @@ TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 TIME_CONSTANT = 3
 #: Methods that simulate the whole record many times; they get fewer seeds.
 SLOW = tuple(name for name in ("output-error", "interval") if name in ESTIMATORS)
-NOT_VOUCHED = Status.STARTING | Status.SETTLING | Status.FALLBACK | Status.POOR_EXCITATION
+NOT_VOUCHED = Status.STARTING | Status.SETTLING | Status.FALLBACK | Status.POOR_EXCITATION | Status.UNMODELLED
 #: Relative step of the central differences for the bound.
 STEP = 1e-4
 
