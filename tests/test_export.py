@@ -19,13 +19,14 @@ from pmfid.export.initializer import literal
 from pmfid.layout.saved import configuration
 from pmfid.layout.structures import structures
 from tests.conftest import EMPS, cart_run, needs_emps
-from tests.firmware.build import CLANG, GCC, HERE, M4F, M7, REQUIRED, WARNINGS, Target, command
+from tests.firmware.build import CLANG, GCC, HERE, M4F, M7, REQUIRED, WARNINGS, Target, command, compiled
 from tests.firmware.footprint import cost, kept
 from tests.firmware.replay import PREFIX, difference, exported
 
 DT, CUTOFF = 0.01, 100 / 3
 PRECISIONS = ("float32", "float64")
 AXIS = Path(__file__).parents[1] / "examples" / "cart.toml"
+FIRMWARE_PAGE = Path(__file__).parents[1] / "docs" / "firmware.md"
 
 
 def needs(target: Target) -> pytest.MarkDecorator:
@@ -184,6 +185,23 @@ def test_every_file_compiles_without_a_warning(compiler: tuple[str, ...], precis
     assert (done.returncode, done.stderr) == (0, "")
 
 
+#: Rules of MISRA C:2012 that the kernel breaks on purpose; docs/firmware.md gives the reasons.
+MISRA = set(re.findall(r"^\| (\d+\.\d+) \|", FIRMWARE_PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+
+
+@needs(Target("", "cppcheck"))
+@pytest.mark.parametrize("cls", [pmfid.BCRLS, pmfid.RIV])
+def test_misra_finds_only_what_is_justified(cls: type[RecursiveEstimator], tmp_path: Path) -> None:
+    pmfid.export_firmware(make(cls), tmp_path)
+    files = sorted(path.name for path in tmp_path.glob("*.c") if path.name not in ("main.c", "selftest.c"))
+    done = command(["cppcheck", "--addon=misra", "--std=c99", "-I.", *files], tmp_path)
+    if "Bailing out from" in done.stderr or "failed to execute" in done.stderr.lower():
+        pytest.skip("this cppcheck has no working MISRA addon")
+    found = set(re.findall(r"misra-c2012-(\d+\.\d+)", done.stderr))
+    assert "15.5" in found, "the checker has looked at nothing"
+    assert found <= MISRA
+
+
 @needs(GCC)
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     folder = exported(make(pmfid.RIV), tmp_path, *hostile())
@@ -197,6 +215,21 @@ def test_valgrind_finds_nothing(tmp_path: Path) -> None:
     assert selftest(tmp_path, GCC, "-g").returncode == 0
     done = command(["valgrind", "--error-exitcode=9", "--leak-check=full", "-q", "./test"], tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs(CLANG)
+@pytest.mark.parametrize("cls", [pmfid.BCRLS, pmfid.RIV])
+def test_fuzzing_for_a_while_finds_nothing(cls: type[RecursiveEstimator], tmp_path: Path) -> None:
+    pmfid.export_firmware(make(cls), tmp_path)
+    sanitize = ("-fsanitize=fuzzer,undefined", "-fno-sanitize-recover=all")
+    try:
+        program = compiled(tmp_path, "axis", CLANG, HERE / "fuzz.c", "-O2", *sanitize)
+    except RuntimeError:
+        pytest.skip("this clang has no libFuzzer")
+    options = ["-max_total_time=3", "-max_len=600", "-len_control=0", "-seed=1"]
+    done = command([f"./{program.name}", *options], tmp_path)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert int(re.search(r"steps: (\d+)", done.stderr)[1]) > 1000
 
 
 @needs(M4F)

@@ -27,7 +27,7 @@ class Target:
         """What is not installed, as the reason of a skipped test; "" if everything is there."""
         needed = [self.compiler, *(["qemu-system-arm"] if self.board else [])]
         absent = [name for name in needed if shutil.which(name) is None]
-        return f"not installed: {', '.join(absent)} (make firmware-tools)" if absent else ""
+        return f"not installed: {', '.join(absent)} (make firmware-tools INSTALL_TOOLS=1)" if absent else ""
 
 
 ARM = ("-mthumb", "-mfloat-abi=hard")
