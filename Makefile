@@ -36,6 +36,7 @@ bench: .venv/installed
 study: .venv/installed
 	.venv/bin/python -m pmfid.studies.accuracy --out docs/accuracy.md
 	.venv/bin/python -m pmfid.studies.automatic --out docs/automatic.md
+	.venv/bin/python -m pmfid.studies.design --out docs/design.md
 	.venv/bin/python -m pmfid.studies.monitoring --out docs/monitoring.md
 	.venv/bin/python -m pmfid.studies.laboratory --out docs/laboratory.md --images docs/images
 

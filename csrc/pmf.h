@@ -33,6 +33,10 @@ typedef double real_t;
 #define PMF_MAX_PARAMETERS 8
 #endif
 #define PMF_MAX_COLUMNS (4 * PMF_MAX_PARAMETERS + 4)
+/* Blocks of a sliding window; 0 saves their memory where no window is used. */
+#ifndef PMF_WINDOW_BLOCKS
+#define PMF_WINDOW_BLOCKS 8
+#endif
 
 /* Signals of one sampling interval. A block of eight comes from the counts (nodes 0..7) and one from the auxiliary
  * model (nodes 8..15). All but the velocity from the counts are one sample late, because the direction of an interval
@@ -52,7 +56,11 @@ enum {
     PMF_LATE_INPUT = 18,
     PMF_LATE_VELOCITY = 19,
     PMF_ACCELERATION = 20, /* mean acceleration of the auxiliary model */
-    PMF_SIGNALS = 21
+    PMF_LATE_POSITION = 21, /* mean position from the counts, from the first one */
+    PMF_POSITION = 22,      /* the same times moving fraction */
+    PMF_SPLIT_POSITION = 23, /* the same times the auxiliary model's moving fraction */
+    PMF_MODEL_POSITION = 24, /* the auxiliary model's own, times its moving fraction */
+    PMF_SIGNALS = 25
 };
 
 /* What a parameter means to the auxiliary model. */
@@ -63,6 +71,7 @@ enum {
     PMF_COULOMB_FORWARD,
     PMF_COULOMB_BACKWARD,
     PMF_OFFSET,
+    PMF_STIFFNESS,
     PMF_ROLES
 };
 #define PMF_NO_PARAMETER 0xffU
@@ -77,12 +86,21 @@ enum {
     PMF_COUNT_JUMP = 32,
     PMF_STANDSTILL = 64,
     PMF_RESET = 128,
-    PMF_FALLBACK = 256
-    
+    PMF_FALLBACK = 256,
+    PMF_UNMODELLED = 512
+};
+
+/* What becomes of old samples, beside the regularisation. */
+enum {
+    PMF_EXPONENTIAL = 0,    /* every sample is forgotten alike */
+    PMF_DIRECTIONAL = 1,    /* only in the direction of each phi; least squares only */
+    PMF_CONSTANT_TRACE = 2, /* as much as keeps the trace of P */
+    PMF_WINDOW = 3          /* the last samples alike, the others not at all */
 };
 
 typedef struct {
     real_t velocity_per_count;   /* resolution / dt */
+    real_t position_per_count;   /* resolution */
     uint32_t count_mask;         /* 2^bits - 1 */
     uint32_t max_change;         /* more counts in one sample are a jump; 0: no check */
     uint32_t standstill_samples; /* without a count for so long: at rest */
@@ -96,6 +114,8 @@ typedef struct {
     uint32_t gap;  /* samples between counts lately */
     int32_t fast, fast_before;
     int32_t started;
+    int32_t change;  /* of the last interval */
+    uint32_t travel; /* counts since the first one, modulo 2^32 */
     real_t position, velocity, velocity_before, innovation; /* tracker, in counts and samples */
     real_t direction, moving; /* of the last interval */
     real_t input, input_before;
@@ -136,11 +156,21 @@ typedef struct {
     real_t forgetting;
     real_t regularization; /* information that is never forgotten, as a part of the largest seen */
     real_t pivot;          /* smallest relative pivot for a first estimate */
-    uint32_t directional;  /* forget only in the direction of each phi; least squares only */
+    uint32_t scheme;       /* of forgetting */
+    uint32_t window_block; /* samples in a block of the window */
     uint32_t compensated;  /* the noise of the columns is known: */
     real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* its covariance in one sample's phi phi^T */
     uint32_t block;        /* updates whose errors may be correlated; the spread of such blocks scales P */
+    real_t unexplained;    /* mean square innovation over what the noise explains, beyond which the model is wrong; 0: no check */
+    real_t check_memory;   /* forgetting of that comparison */
 } pmf_recursion_config_t;
+
+typedef struct {
+    real_t cross[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta phi^T; lower half if least squares */
+    real_t square[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta zeta^T, lower half; instruments only */
+    real_t right[PMF_MAX_PARAMETERS];                      /* sum zeta z */
+    real_t weight;                                         /* sum of the discounted weights */
+} pmf_sums_t;
 
 typedef struct {
     real_t theta[PMF_MAX_PARAMETERS];
@@ -150,9 +180,7 @@ typedef struct {
 } pmf_estimate_t;
 
 typedef struct {
-    real_t cross[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta phi^T; lower half if least squares */
-    real_t square[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta zeta^T, lower half; instruments only */
-    real_t right[PMF_MAX_PARAMETERS];                      /* sum zeta z */
+    pmf_sums_t sums;
     real_t peak[PMF_MAX_PARAMETERS];                       /* largest information seen, slowly leaking */
     real_t factor[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* information = L D L^T: L below the diagonal */
     real_t inverse_pivot[PMF_MAX_PARAMETERS];              /* 1 / D */
@@ -162,11 +190,17 @@ typedef struct {
     real_t innovation_square;
     uint32_t updates; /* saturating */
     uint32_t started; /* updates since the first estimate, 0 before, saturating */
-    real_t updates_weight;             /* sum of the discounted weights */
     real_t score[PMF_MAX_PARAMETERS];  /* sum of zeta times innovation in this block */
     real_t spread[PMF_MAX_PARAMETERS]; /* of theta by blocks, over that of white innovations */
     uint32_t block_updates, blocks;
     uint32_t frozen;  /* too little information left to forget any more */
+    real_t check_weight, check_innovation, check_target; /* mean squares, for the check of the model */
+    real_t reference[PMF_MAX_PARAMETERS]; /* diagonal of P that constant trace keeps */
+    real_t trace;                         /* mean of P over the reference; 0: not set yet */
+#if PMF_WINDOW_BLOCKS > 0
+    pmf_sums_t window[PMF_WINDOW_BLOCKS];
+    uint32_t window_block, window_updates; /* the one that is filled, and its updates */
+#endif
 } pmf_recursion_state_t;
 
 /* A body with friction, simulated from the input alone with a slow copy of the estimate. */
@@ -181,6 +215,7 @@ typedef struct {
     uint32_t mass_column;   /* that of the instrument of the mass */
     uint32_t trial_samples;         /* so long is a new start given before it is judged */
     real_t dt, input_gain;
+    real_t position_gain; /* of the correction of the model's position, which matters with a spring only */
     real_t initial[PMF_ROLES];
     real_t smoothing;      /* per sample, of the copy */
     real_t memory;         /* forgetting of the check, per sample */
@@ -190,7 +225,7 @@ typedef struct {
 
 typedef struct {
     real_t parameter[PMF_ROLES];
-    real_t velocity;
+    real_t velocity, position;
     real_t power, mismatch;
     uint32_t running; /* has parameters */
     uint32_t trial;   /* samples until it is judged */

@@ -21,7 +21,8 @@ typedef struct {
     real_t distance[2], moving[2]; /* forward, backward; in parts of the interval */
 } phase_t;
 
-static body_t body_of(const pmf_auxiliary_config_t *config, const real_t *parameter, real_t input)
+/* A spring acts with its force in the middle of the interval. */
+static body_t body_of(const pmf_auxiliary_config_t *config, const real_t *parameter, real_t input, real_t middle)
 {
     body_t body;
     body.mass = parameter[PMF_MASS];
@@ -29,7 +30,7 @@ static body_t body_of(const pmf_auxiliary_config_t *config, const real_t *parame
     body.viscous[1] = parameter[PMF_VISCOUS_BACKWARD];
     body.coulomb[0] = parameter[PMF_COULOMB_FORWARD];
     body.coulomb[1] = parameter[PMF_COULOMB_BACKWARD];
-    body.force = config->input_gain * input - parameter[PMF_OFFSET];
+    body.force = config->input_gain * input - parameter[PMF_OFFSET] - parameter[PMF_STIFFNESS] * middle;
     return body;
 }
 
@@ -85,11 +86,13 @@ static uint32_t breaks_away(const body_t *body)
     return -body->force > body->coulomb[1] ? 1U : 2U;
 }
 
-static void emit(const phase_t *phase, real_t *signal)
+static void emit(const phase_t *phase, real_t middle, real_t *signal)
 {
     real_t moving = phase->moving[0] + phase->moving[1];
     real_t *own = &signal[PMF_AUXILIARY];
     real_t measured = signal[PMF_LATE_VELOCITY];
+    signal[PMF_SPLIT_POSITION] = moving * signal[PMF_LATE_POSITION];
+    signal[PMF_MODEL_POSITION] = moving * middle;
     own[PMF_INPUT] = moving * signal[PMF_LATE_INPUT];
     own[PMF_VELOCITY] = phase->distance[0] + phase->distance[1];
     own[PMF_DIRECTION] = phase->moving[0] - phase->moving[1];
@@ -104,7 +107,8 @@ static void emit(const phase_t *phase, real_t *signal)
 
 void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal)
 {
-    body_t body = body_of(config, state->parameter, signal[PMF_LATE_INPUT]);
+    real_t middle = state->position + PMF_R(0.5) * config->dt * state->velocity;
+    body_t body = body_of(config, state->parameter, signal[PMF_LATE_INPUT], middle);
     phase_t phase;
     uint32_t turn, direction;
     phase.velocity = state->velocity;
@@ -122,7 +126,9 @@ void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_stat
     }
     signal[PMF_ACCELERATION] = (phase.velocity - state->velocity) / config->dt;
     state->velocity = phase.velocity;
-    emit(&phase, signal);
+    emit(&phase, middle, signal);
+    state->position += config->dt * (phase.distance[0] + phase.distance[1]) +
+                       config->position_gain * (signal[PMF_LATE_POSITION] - middle);
 }
 
 void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state, real_t *column)
@@ -185,7 +191,7 @@ void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_st
     }
     for (i = 0; i < PMF_ROLES; ++i) {
         real_t target = index[i] == PMF_NO_PARAMETER ? PMF_R(0.0) : theta[index[i]];
-        if (i != PMF_OFFSET && target < PMF_R(0.0)) {
+        if (i < PMF_OFFSET && target < PMF_R(0.0)) {
             target = PMF_R(0.0);
         }
         state->parameter[i] += smoothing * (target - state->parameter[i]);

@@ -28,6 +28,11 @@ static int32_t count_change(uint32_t mask, uint32_t now, uint32_t before)
     return -(int32_t)(mask - change) - 1;
 }
 
+static real_t signed_count(uint32_t count)
+{
+    return count <= 0x7fffffffU ? (real_t)count : -(real_t)((uint32_t)0 - count);
+}
+
 /* Signed moving fraction of an interval from the velocities at its start and end. */
 static real_t signed_fraction(real_t start, real_t end)
 {
@@ -109,9 +114,11 @@ static uint32_t check(const pmf_encoder_config_t *config, pmf_encoder_state_t *s
 }
 
 /* The signals of the interval before the last. */
-static void emit(const pmf_encoder_state_t *state, real_t direction, real_t *signal)
+static void emit(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t direction, real_t *signal)
 {
     real_t half = PMF_R(0.5) * direction, moving = PMF_R(0.5) * state->moving;
+    real_t position = config->position_per_count *
+                      (signed_count(state->travel) - PMF_R(0.5) * (real_t)state->change);
     signal[PMF_INPUT] = state->moving * state->input_before;
     signal[PMF_DIRECTION] = direction;
     signal[PMF_MOVING] = state->moving;
@@ -119,6 +126,8 @@ static void emit(const pmf_encoder_state_t *state, real_t direction, real_t *sig
     signal[PMF_BACKWARD] = half - moving;
     signal[PMF_FORWARD_VELOCITY] = direction > PMF_R(0.0) ? state->mean_velocity : PMF_R(0.0);
     signal[PMF_BACKWARD_VELOCITY] = direction > PMF_R(0.0) ? PMF_R(0.0) : state->mean_velocity;
+    signal[PMF_LATE_POSITION] = position;
+    signal[PMF_POSITION] = state->moving * position;
     signal[PMF_LATE_INPUT] = state->input_before;
     signal[PMF_LATE_VELOCITY] = state->mean_velocity;
 }
@@ -133,12 +142,14 @@ uint32_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_
     real_t predicted = state->started != 0 ? state->position + state->velocity - (real_t)change : PMF_R(0.5);
     real_t innovation = PMF_R(0.5) - predicted;
 
-    emit(state, state->moving * late_direction(config, state, innovation, fast, state->velocity_before), signal);
+    emit(config, state, state->moving * late_direction(config, state, innovation, fast, state->velocity_before), signal);
     signal[PMF_VELOCITY] = config->velocity_per_count * (real_t)change;
 
     track(config, state, innovation, predicted);
     status |= note_motion(config, state, change);
     state->mean_velocity = signal[PMF_VELOCITY];
+    state->change = change;
+    state->travel += (uint32_t)change;
     state->count = count;
     state->started = 1;
     state->fast = fast;

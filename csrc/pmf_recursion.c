@@ -31,13 +31,14 @@
 #define PIVOT_FLOOR PMF_R(1e-14)
 #define TINY PMF_R(1e-200)
 #endif
-#define POOR PMF_R(20.0)    /* information below POOR times the regularisation is called poor */
+#define POOR PMF_R(50.0)    /* information below POOR times the regularisation is called poor */
 #define FREEZE PMF_R(1e-3)  /* and below FREEZE times it there is nothing left worth forgetting */
 #define PEAK_LEAK PMF_R(0.01)
 #define LEAST_CLEAN PMF_R(0.02) /* of a column's information */
 #define BLOCK_MEMORY 100U
 #define MIN_BLOCKS 8U
 #define SKIPPED_INNOVATIONS 4U /* innovations of a fresh estimate say nothing of the noise */
+#define NEGLIGIBLE PMF_R(1e-6) /* mean square part of the target that no model need explain */
 
 /* Lower half of a symmetric matrix = L D L^T. */
 PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], real_t inverse[N])
@@ -101,7 +102,7 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
     for (i = 0; i < p; ++i) {
         along[i] = PMF_R(0.0);
         for (j = 0; j < p; ++j) {
-            along[i] += (j > i ? state->cross[j][i] : state->cross[i][j]) * phi[j];
+            along[i] += (j > i ? state->sums.cross[j][i] : state->sums.cross[i][j]) * phi[j];
         }
         size += along[i] * phi[i];
     }
@@ -109,37 +110,141 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
         for (i = 0; i < p; ++i) {
             real_t part = (PMF_R(1.0) - config->forgetting) * along[i] / size;
             for (j = 0; j <= i; ++j) {
-                state->cross[i][j] -= part * along[j];
+                state->sums.cross[i][j] -= part * along[j];
             }
         }
     }
 }
 
-PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
-                              const real_t *column, uint32_t p, uint32_t instrumental)
+/* Weight of the past at the next sample. With constant trace the part of P by which the last one had lowered it, but
+ * never less than forgetting twice as fast. */
+PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
-    real_t f = state->frozen != 0U || config->directional != 0U ? PMF_R(1.0) : config->forgetting;
+    real_t least = config->forgetting * config->forgetting;
+    if (state->frozen != 0U || config->scheme == PMF_DIRECTIONAL || config->scheme == PMF_WINDOW) {
+        return PMF_R(1.0);
+    }
+    if (config->scheme != PMF_CONSTANT_TRACE) {
+        return config->forgetting;
+    }
+    if (!(state->trace > PMF_R(0.0)) || state->trace > PMF_R(1.0)) {
+        return PMF_R(1.0);
+    }
+    return state->trace > least ? state->trace : least;
+}
+
+PMF_INLINE void add_sample(pmf_sums_t *sums, real_t f, const real_t *column, uint32_t p, uint32_t instrumental,
+                           uint32_t with_right)
+{
     const real_t *zeta = instrumental != 0U ? &column[p + 1U] : column;
     uint32_t i, j;
-    if (config->directional != 0U && state->started != 0U) {
-        forget_direction(config, state, column, p);
-    }
     for (i = 0; i < p; ++i) {
         for (j = 0; j < (instrumental != 0U ? p : i + 1U); ++j) {
-            state->cross[i][j] = f * state->cross[i][j] + zeta[i] * column[j];
+            sums->cross[i][j] = f * sums->cross[i][j] + zeta[i] * column[j];
         }
         if (instrumental != 0U) {
             for (j = 0; j <= i; ++j) {
-                state->square[i][j] = f * state->square[i][j] + zeta[i] * zeta[j];
+                sums->square[i][j] = f * sums->square[i][j] + zeta[i] * zeta[j];
             }
         }
-        if (state->started <= config->residual_updates) { /* later nobody reads it */
-            state->right[i] = f * state->right[i] + zeta[i] * column[p];
+        if (with_right != 0U) {
+            sums->right[i] = f * sums->right[i] + zeta[i] * column[p];
         }
     }
-    state->updates_weight = f * state->updates_weight + PMF_R(1.0);
-    state->mass = f * state->mass + (PMF_R(1.0) - f);
+    sums->weight = f * sums->weight + PMF_R(1.0);
+}
+
+#if PMF_WINDOW_BLOCKS > 0
+static void sum_window(pmf_recursion_state_t *state, uint32_t p)
+{
+    uint32_t i, j, block;
+    pmf_clear(&state->sums, (uint32_t)sizeof state->sums);
+    for (block = 0; block < PMF_WINDOW_BLOCKS; ++block) {
+        const pmf_sums_t *part = &state->window[block];
+        for (i = 0; i < p; ++i) {
+            for (j = 0; j < p; ++j) {
+                state->sums.cross[i][j] += part->cross[i][j];
+                state->sums.square[i][j] += part->square[i][j];
+            }
+            state->sums.right[i] += part->right[i];
+        }
+        state->sums.weight += part->weight;
+    }
+}
+
+/* The oldest block goes at once and the sums are made anew: no rounding stays. */
+static void slide_window(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
+{
+    add_sample(&state->window[state->window_block], PMF_R(1.0), column, config->n_parameters, config->instrumental, 1U);
+    state->window_updates += 1U;
+    if (state->window_updates >= config->window_block && state->frozen == 0U) {
+        state->window_updates = 0U;
+        state->window_block = state->window_block + 1U < PMF_WINDOW_BLOCKS ? state->window_block + 1U : 0U;
+        pmf_clear(&state->window[state->window_block], (uint32_t)sizeof state->window[0]);
+        sum_window(state, config->n_parameters);
+    }
+}
+#endif
+
+PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
+                              const real_t *column, uint32_t p, uint32_t instrumental)
+{
+    real_t f = weight_of_past(config, state), fade = config->scheme == PMF_EXPONENTIAL ? f : config->forgetting;
+    if (config->scheme == PMF_DIRECTIONAL) {
+        fade = PMF_R(1.0);
+        if (state->started != 0U) {
+            forget_direction(config, state, column, p);
+        }
+    }
+    add_sample(&state->sums, f, column, p, instrumental,
+               state->started <= config->residual_updates ? 1U : 0U); /* later nobody reads it */
+#if PMF_WINDOW_BLOCKS > 0
+    if (config->scheme == PMF_WINDOW) {
+        slide_window(config, state, column);
+    }
+#endif
+    state->mass = fade * state->mass + (PMF_R(1.0) - fade);
     state->updates += state->updates < SATURATED ? 1U : 0U;
+}
+
+/* Constant trace (Goodwin and Sin 1984, section 3.3) keeps that of P at the end of the first memory, each parameter in
+ * its own units. */
+static void note_trace(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t status)
+{
+    real_t sum = PMF_R(0.0), memories = (real_t)state->updates * (PMF_R(1.0) - config->forgetting);
+    uint32_t i;
+    if (!(state->trace > PMF_R(0.0)) && (memories < PMF_R(1.0) || status != 0U)) {
+        return;
+    }
+    for (i = 0; i < config->n_parameters; ++i) {
+        if (!(state->trace > PMF_R(0.0))) {
+            state->reference[i] = state->estimate.variance_factor[i];
+        }
+        sum += state->estimate.variance_factor[i] / (state->reference[i] + TINY);
+    }
+    state->trace = sum / (real_t)config->n_parameters;
+}
+
+/* Is the innovation larger than the known noise makes it? */
+static uint32_t check_model(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t target)
+{
+    const real_t *theta = state->estimate.theta, memory = config->check_memory;
+    real_t explained = PMF_R(0.0);
+    uint32_t i, j;
+    state->check_weight = memory * state->check_weight + PMF_R(1.0);
+    state->check_innovation =
+        memory * state->check_innovation + state->estimate.innovation * state->estimate.innovation;
+    state->check_target = memory * state->check_target + target * target;
+    for (i = 0; i < config->n_parameters; ++i) {
+        for (j = 0; j < config->n_parameters; ++j) {
+            explained += theta[i] * config->noise[i][j] * theta[j];
+        }
+    }
+    explained = explained * state->check_weight + NEGLIGIBLE * state->check_target;
+    if (PMF_R(2.0) * (PMF_R(1.0) - memory) * state->check_weight < PMF_R(1.0)) {
+        return 0U; /* less than half the memory is filled */
+    }
+    return state->check_innovation > config->unexplained * explained ? (uint32_t)PMF_UNMODELLED : 0U;
 }
 
 /* Row i of half = L^-1 W, with the rows above it. */
@@ -160,7 +265,7 @@ PMF_INLINE real_t project(pmf_recursion_state_t *state, uint32_t p, real_t infor
 {
     real_t lower[N][N], inverse[N], half[N][N], projected[N];
     uint32_t i, j, k;
-    factorise(p, state->square, lower, inverse);
+    factorise(p, state->sums.square, lower, inverse);
     forward(p, lower, move);
     for (i = 0; i < p; ++i) {
         projected[i] = PMF_R(0.0);
@@ -170,7 +275,7 @@ PMF_INLINE real_t project(pmf_recursion_state_t *state, uint32_t p, real_t infor
     }
     for (k = 0; k < p; ++k) {
         real_t scaled = move[k] * inverse[k];
-        forward_row(p, k, state->cross, lower, half);
+        forward_row(p, k, state->sums.cross, lower, half);
         for (i = 0; i < p; ++i) {
             real_t weighted = half[k][i] * inverse[k];
             projected[i] += half[k][i] * scaled;
@@ -182,7 +287,7 @@ PMF_INLINE real_t project(pmf_recursion_state_t *state, uint32_t p, real_t infor
     for (i = 0; i < p; ++i) {
         move[i] = projected[i];
     }
-    return state->started == 0U ? smallest_pivot(p, state->square, inverse) : PMF_R(1.0);
+    return state->started == 0U ? smallest_pivot(p, state->sums.square, inverse) : PMF_R(1.0);
 }
 
 /* Information less what the known noise feigns. Where hardly anything is left, that is poor excitation: some is kept,
@@ -194,7 +299,7 @@ PMF_INLINE uint32_t subtract_noise(const pmf_recursion_config_t *config, const p
     for (i = 0; i < p; ++i) {
         real_t least = LEAST_CLEAN * information[i][i];
         for (j = 0; j <= i; ++j) {
-            information[i][j] -= state->updates_weight * config->noise[i][j];
+            information[i][j] -= state->sums.weight * config->noise[i][j];
         }
         if (information[i][i] < least) {
             information[i][i] = least;
@@ -264,13 +369,13 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
         if (young == 0U) {
             move[i] = zeta[i] * state->estimate.innovation;
         } else {
-            move[i] = state->right[i];
+            move[i] = state->sums.right[i];
             for (j = 0; j < p; ++j) {
-                move[i] -= (instrumental == 0U && j > i ? state->cross[j][i] : state->cross[i][j]) * state->estimate.theta[j];
+                move[i] -= (instrumental == 0U && j > i ? state->sums.cross[j][i] : state->sums.cross[i][j]) * state->estimate.theta[j];
             }
         }
         if (config->compensated != 0U) {
-            real_t weight = young != 0U ? state->updates_weight : PMF_R(1.0);
+            real_t weight = young != 0U ? state->sums.weight : PMF_R(1.0);
             for (j = 0; j < p; ++j) {
                 move[i] += weight * config->noise[i][j] * state->estimate.theta[j];
             }
@@ -282,7 +387,7 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
  * or shorter than sqrt(P) times the innovations' size the error bars must be. `move` is a block's sum after the gain. */
 static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t move[N])
 {
-    real_t share = state->updates_weight / (real_t)config->block, keep, white;
+    real_t share = state->sums.weight / (real_t)config->block, keep, white;
     uint32_t i;
     state->blocks += state->blocks < BLOCK_MEMORY ? 1U : 0U;
     keep = PMF_R(1.0) - PMF_R(1.0) / (real_t)state->blocks;
@@ -336,7 +441,7 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
     real_t information[N][N], move[N], pivot = PMF_R(1.0), own;
-    uint32_t i, j, status, compensated = 0U;
+    uint32_t i, j, status, compensated = 0U, unmodelled = 0U;
     state->estimate.innovation = column[p];
     for (i = 0; i < p; ++i) {
         state->estimate.innovation -= column[i] * state->estimate.theta[i];
@@ -348,7 +453,7 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
     } else {
         for (i = 0; i < p; ++i) {
             for (j = 0; j <= i; ++j) {
-                information[i][j] = state->cross[i][j];
+                information[i][j] = state->sums.cross[i][j];
             }
         }
         compensated = config->compensated != 0U ? subtract_noise(config, state, p, information) : 0U;
@@ -372,10 +477,17 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
         }
     }
     note_innovation(config, state);
+    if (config->scheme == PMF_CONSTANT_TRACE) {
+        note_trace(config, state, status);
+    }
+    if (config->unexplained > PMF_R(0.0) && state->started > SKIPPED_INNOVATIONS) {
+        unmodelled = check_model(config, state, column[p]);
+    }
     if (config->block > 0U && state->weight > PMF_R(0.0) && status == 0U) {
         note_score(config, state, instrumental != 0U ? &column[p + 1U] : column);
     }
-    return status != 0U && instrumental != 0U ? status | PMF_COMPENSATION_HELD : status;
+    status |= unmodelled | (status != 0U && instrumental != 0U ? (uint32_t)PMF_COMPENSATION_HELD : 0U);
+    return status;
 }
 
 /* The same code with the number of parameters as a constant: loops unroll, the bits stay. */

@@ -45,6 +45,7 @@ uint32_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input
         if (state->settle == config->settle_samples / 2U && config->auxiliary.enabled != 0U) {
             /* by now the measured velocity is known: the model need not run up to it with its own time constant */
             state->auxiliary.velocity = state->network.column[config->auxiliary.check_column];
+            state->auxiliary.position = state->network.node[PMF_LATE_POSITION];
         }
         state->settle -= 1U;
         status |= PMF_SETTLING;
@@ -112,7 +113,7 @@ static uint32_t instrument_step(const pmf_config_t *config, pmf_state_t *state, 
         pmf_auxiliary_follow(auxiliary, &state->auxiliary, state->direct.estimate.theta, auxiliary->direct_index);
     }
     borrow_estimate(config, state);
-    return (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK | (status & PMF_RESET);
+    return (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK | (status & (PMF_RESET | PMF_UNMODELLED));
 }
 
 uint32_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, uint32_t count)
@@ -133,6 +134,7 @@ uint32_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, 
         pmf_clear(&state->network, (uint32_t)sizeof state->network);
         pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
         state->auxiliary.velocity = PMF_R(0.0);
+        state->auxiliary.position = PMF_R(0.0);
         state->settle = config->settle_samples;
     }
     state->status = status;
@@ -154,18 +156,31 @@ void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state,
 }
 
 /* W, Z and v by the same factor: theta = W^-1 v stays, P grows by 1 / keep. */
-static void open_all(uint32_t p, pmf_recursion_state_t *state, real_t keep)
+static void scale_sums(uint32_t p, pmf_sums_t *sums, real_t keep)
 {
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
         for (j = 0; j < p; ++j) {
-            state->cross[i][j] *= keep;
-            state->square[i][j] *= keep;
+            sums->cross[i][j] *= keep;
+            sums->square[i][j] *= keep;
         }
-        state->right[i] *= keep;
+        sums->right[i] *= keep;
+    }
+    sums->weight *= keep;
+}
+
+static void open_all(uint32_t p, pmf_recursion_state_t *state, real_t keep)
+{
+    uint32_t i;
+    scale_sums(p, &state->sums, keep);
+#if PMF_WINDOW_BLOCKS > 0
+    for (i = 0; i < PMF_WINDOW_BLOCKS; ++i) {
+        scale_sums(p, &state->window[i], keep);
+    }
+#endif
+    for (i = 0; i < p; ++i) {
         state->peak[i] *= keep; /* else the regularisation would take the new information for a poor one */
     }
-    state->updates_weight *= keep;
 }
 
 /* One parameter alone: R = L D L^T becomes R - (1 - keep) r r^T / R_ii, r = R e_i, so that what is known of the others
@@ -181,18 +196,18 @@ static void open_one(const pmf_recursion_config_t *config, pmf_recursion_state_t
             r[j] += (k < j ? state->factor[j][k] : PMF_R(1.0)) * (k < one ? state->factor[one][k] : PMF_R(1.0)) /
                     state->inverse_pivot[k];
         }
-        column[j] = state->cross[j][one];
+        column[j] = state->sums.cross[j][one];
     }
     for (i = 0; i < p; ++i) {
         for (j = 0; j < p; ++j) {
-            state->cross[i][j] -= config->instrumental != 0U ? (PMF_R(1.0) - root) * column[i] * r[j] / r[one]
+            state->sums.cross[i][j] -= config->instrumental != 0U ? (PMF_R(1.0) - root) * column[i] * r[j] / r[one]
                                                              : (PMF_R(1.0) - keep) * r[i] * r[j] / r[one];
         }
     }
     for (i = 0; i < p; ++i) {
-        state->right[i] = PMF_R(0.0);
+        state->sums.right[i] = PMF_R(0.0);
         for (j = 0; j < p; ++j) {
-            state->right[i] += (config->instrumental == 0U && j > i ? state->cross[j][i] : state->cross[i][j]) *
+            state->sums.right[i] += (config->instrumental == 0U && j > i ? state->sums.cross[j][i] : state->sums.cross[i][j]) *
                                state->estimate.theta[j];
         }
     }
@@ -207,7 +222,7 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
     if (state->started == 0U) {
         return;
     }
-    if (parameter == PMF_NO_PARAMETER) {
+    if (parameter == PMF_NO_PARAMETER || config->scheme == PMF_WINDOW) { /* a window is summed anew from its blocks */
         open_all(config->n_parameters, state, keep);
     } else {
         open_one(config, state, parameter, keep, root);

@@ -26,7 +26,7 @@ def test_equals_the_event_driven_simulation(parameters, amplitude):
     u = prbs(2000, clock=7, amplitude=amplitude, rng=rng) * rng.uniform(0.2, 1.0, 2000)
     motion = simulate_drive(parameters, u, dt)
     p = parameters
-    roles = (p.mass, p.viscous_friction, p.viscous_friction, p.coulomb_friction, p.coulomb_friction, p.offset)
+    roles = (p.mass, p.viscous_friction, p.viscous_friction, p.coulomb_friction, p.coulomb_friction, p.offset, 0.0)
     mean, direction, moving, _ = _kernel64.simulate(roles, p.input_gain, dt, u)
     x = np.r_[0.0, np.cumsum(mean) * dt]
     span = np.ptp(motion.x)
@@ -42,6 +42,6 @@ def test_approximant_is_good_at_strong_damping():
     """damping * dt = 1: the mean velocity within 1e-4 of its range."""
     p = DriveParameters(0.128, 12.8, 0.8, 2.0)
     u = prbs(1000, clock=3, amplitude=3.0, rng=np.random.default_rng(2))
-    mean, *_ = _kernel64.simulate((p.mass, 12.8, 12.8, 0.8, 0.8, 0.0), 2.0, 0.01, u)
+    mean, *_ = _kernel64.simulate((p.mass, 12.8, 12.8, 0.8, 0.8, 0.0, 0.0), 2.0, 0.01, u)
     expected = np.diff(simulate_drive(p, u, 0.01).x) / 0.01
     np.testing.assert_allclose(mean[:-1], expected, atol=1e-4 * np.ptp(mean))

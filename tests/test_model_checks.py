@@ -13,6 +13,7 @@ import pytest
 
 import pmfid
 from pmfid.estimators.registry import ESTIMATORS
+from pmfid.models.equation import VISCOUS_FORWARD
 from pmfid.report import model_checks as checks
 from pmfid.report.record import write_result
 from pmfid.session.config import load_axis
@@ -155,7 +156,7 @@ def test_the_residual_is_that_of_the_estimator_and_the_velocities_lie_on_each_ot
     np.testing.assert_allclose(balance.residual, result.fit.residual, atol=1e-6)
     assert 99.0 < balance.fit <= 100.0
     # the columns are as late as the velocity: the viscous force is d times it
-    viscous = balance.part("viscous")
+    viscous = balance.part(VISCOUS_FORWARD)
     np.testing.assert_allclose(viscous, result.theta[1] * balance.measured, atol=1e-9)
 
 

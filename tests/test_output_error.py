@@ -51,7 +51,7 @@ def white_noise_bound(increments: int) -> float:
     """Relative Cramer-Rao bound of the mass, mean over the seeds, for white noise of variance resolution^2/12."""
 
     def position(q):
-        velocity, *_ = _kernel64.simulate((q[0], q[1], q[1], q[2], q[2], 0.0), CART.input_gain, CART_DT, u, q[4])
+        velocity, *_ = _kernel64.simulate((q[0], q[1], q[1], q[2], q[2], 0.0, 0.0), CART.input_gain, CART_DT, u, q[4])
         return q[3] + np.r_[0.0, np.cumsum(velocity[:-1])] * CART_DT
 
     variances, steps = [], np.diag(1e-4 * np.r_[TRUTH, 0.01, 0.01])

@@ -214,7 +214,9 @@ def test_directional_forgetting_keeps_what_is_not_excited(precision, drive):
     resolution = 1e-7
     counts = quantize(simulate_drive(loaded, u, DT).x, resolution)
     options = {"forgetting": 0.97, "precision": precision}
-    kept = pmfid.RLS(drive, pmfid.Encoder(resolution), DT, CUTOFF, directional=True, **options).run(u, counts)
+    kept = pmfid.RLS(drive, pmfid.Encoder(resolution), DT, CUTOFF, forgetting_scheme="directional", **options).run(
+        u, counts
+    )
     np.testing.assert_allclose(kept["mass"][head + n - 1], CART.mass, rtol=0.02)
     np.testing.assert_allclose(kept["mass"][-1], 1.44, rtol=0.02)
     assert np.all(np.isfinite(kept.theta))

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from pmfid.estimators.recursive import Track as Track
     from pmfid.estimators.rls import RLS as RLS
     from pmfid.models.drive import Drive as Drive
+    from pmfid.models.drive import EquationModel as EquationModel
+    from pmfid.models.equation import Equation as Equation
+    from pmfid.models.equation import Term as Term
     from pmfid.status import Status as Status
 
 #: Public name -> module. Modules are imported when a name is used: `pmfid --help` stays quick.
@@ -33,6 +36,9 @@ _PUBLIC = {
     "BCRLS": "pmfid.estimators.bcrls",
     "Drive": "pmfid.models.drive",
     "Encoder": "pmfid.encoder",
+    "Equation": "pmfid.models.equation",
+    "EquationModel": "pmfid.models.drive",
+    "Term": "pmfid.models.equation",
     "Estimate": "pmfid._kernel64",
     "Fit": "pmfid.estimators.batch",
     "IV": "pmfid.estimators.iv",

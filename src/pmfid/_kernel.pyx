@@ -27,8 +27,9 @@ cdef extern from "pmf.h":
         PMF_DIRECTION
         PMF_MOVING
         PMF_LATE_INPUT
+        PMF_WINDOW_BLOCKS
     ctypedef struct pmf_encoder_config_t:
-        real_t velocity_per_count, position_gain, velocity_gain, smooth_end, smooth_start
+        real_t velocity_per_count, position_per_count, position_gain, velocity_gain, smooth_end, smooth_start
         uint32_t count_mask, max_change, standstill_samples
     ctypedef struct pmf_stage_t:
         uint32_t source
@@ -46,17 +47,18 @@ cdef extern from "pmf.h":
     ctypedef struct pmf_recursion_config_t:
         uint32_t n_parameters, instrumental, first_column, min_updates, residual_updates
         real_t forgetting, regularization, pivot
-        uint32_t compensated, block, directional
+        uint32_t compensated, block, scheme, window_block
+        real_t unexplained, check_memory
         real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]
     ctypedef struct pmf_auxiliary_config_t:
         uint32_t enabled, adapt, has_initial, check_column, target_column, mass_column, trial_samples
         uint32_t direct_index[PMF_ROLES]
         uint32_t index[PMF_ROLES]
-        real_t dt, input_gain, smoothing, memory, mismatch_limit, noise_power
+        real_t dt, input_gain, position_gain, smoothing, memory, mismatch_limit, noise_power
         real_t initial[PMF_ROLES]
     ctypedef struct pmf_auxiliary_state_t:
         real_t parameter[PMF_ROLES]
-        real_t velocity
+        real_t velocity, position
     ctypedef struct pmf_config_t:
         uint32_t settle_samples
         pmf_encoder_config_t encoder
@@ -140,9 +142,9 @@ cdef _set_recursion(pmf_recursion_config_t *target, source):
     target.first_column, target.min_updates = source["first_column"], source["min_updates"]
     target.residual_updates, target.forgetting = source["residual_updates"], source["forgetting"]
     target.regularization, target.pivot, target.block = source["regularization"], source["pivot"], source["block"]
-    target.directional = source.get("directional", 0)
-    noise = source.get("noise")
-    target.compensated = noise is not None
+    target.scheme, target.window_block = source["scheme"], source["window_block"]
+    target.compensated, noise = source.get("compensated", 0), source.get("noise")
+    target.unexplained, target.check_memory = source.get("unexplained", 0.0), source.get("check_memory", 0.0)
     for i in range(target.n_parameters):
         for j in range(target.n_parameters):
             target.noise[i][j] = noise[i][j] if noise is not None else 0.0
@@ -194,6 +196,7 @@ cdef class Kernel:
         config.check_column, config.trial_samples = auxiliary["check_column"], auxiliary["trial_samples"]
         config.target_column, config.mass_column = auxiliary["target_column"], auxiliary["mass_column"]
         config.dt, config.input_gain = auxiliary["dt"], auxiliary["input_gain"]
+        config.position_gain = auxiliary["position_gain"]
         config.smoothing, config.memory = auxiliary["smoothing"], auxiliary["memory"]
         config.mismatch_limit, config.noise_power = auxiliary["mismatch_limit"], auxiliary["noise_power"]
         for role in range(PMF_ROLES):
@@ -284,11 +287,11 @@ cdef class Kernel:
         memcpy(&self.state, <char *> state + len(own), sizeof(pmf_state_t))
 
 
-def simulate(parameters, double input_gain, double dt, const double[::1] u, double velocity=0.0):
+def simulate(parameters, double input_gain, double dt, const double[::1] u, double velocity=0.0, double position=0.0):
     """The auxiliary model alone: a body with friction under a held input.
 
-    parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset); u: (n,), u[k] holds for
-    the interval k; velocity: at the start. Returns (n,) mean velocity, signed moving fraction and moving fraction of
+    parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness); u: (n,),
+    u[k] holds for the interval k; velocity, position: at the start; a spring is slack at position 0. Returns (n,) mean velocity, signed moving fraction and moving fraction of
     every interval, and the velocity at the end.
     """
     cdef pmf_auxiliary_config_t config
@@ -304,7 +307,7 @@ def simulate(parameters, double input_gain, double dt, const double[::1] u, doub
     config.dt, config.input_gain = dt, input_gain
     for role in range(PMF_ROLES):
         state.parameter[role] = parameters[role]
-    state.velocity = velocity
+    state.velocity, state.position = velocity, position
     with nogil:
         for k in range(n):
             signal[PMF_LATE_INPUT] = u[k]

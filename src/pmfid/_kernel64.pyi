@@ -50,5 +50,10 @@ class Kernel:
     def set_state(self, state: bytes) -> None: ...
 
 def simulate(
-    parameters: Sequence[float], input_gain: float, dt: float, u: NDArray[np.float64], velocity: float = 0.0
+    parameters: Sequence[float],
+    input_gain: float,
+    dt: float,
+    u: NDArray[np.float64],
+    velocity: float = 0.0,
+    position: float = 0.0,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]: ...

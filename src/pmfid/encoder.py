@@ -45,6 +45,7 @@ class Encoder:
         """The encoder's part of the kernel configuration at sample period dt [s]."""
         return {
             "velocity_per_count": self.resolution / dt,
+            "position_per_count": self.resolution,
             "count_mask": 2**self.bits - 1,
             "max_change": self._max_change(dt),
             "standstill_samples": min(max(1, round(self.standstill_time / dt)), 2**32 - 1),

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import ClassVar
 
 __all__ = ["NotIdentifiableError", "PmfidError", "UsageError", "did_you_mean"]
 
 
 class PmfidError(Exception):
     """Base of all errors that pmfid raises on purpose; its text is the whole message for the user."""
+
+    #: Of the command that ends with it.
+    exit_code: ClassVar[int] = 2
 
 
 class UsageError(PmfidError):
@@ -18,6 +22,8 @@ class UsageError(PmfidError):
 
 class NotIdentifiableError(PmfidError):
     """The data are in order, but cannot identify the parameters (exit code 3)."""
+
+    exit_code: ClassVar[int] = 3
 
 
 def did_you_mean(word: str, choices: Iterable[str]) -> str:

@@ -17,6 +17,7 @@ class Status(IntFlag):
     STANDSTILL = 64
     RESET = 128
     FALLBACK = 256
+    UNMODELLED = 512
 
     @property
     def advice(self) -> tuple[str, ...]:
@@ -38,4 +39,8 @@ ADVICE = {
     Status.STANDSTILL: "no counts within standstill_time: the axis is taken to be at rest",
     Status.RESET: "a number left the range of the format: the estimator started again",
     Status.FALLBACK: ("the simulated motion does not follow the plant: this is the estimate of the simpler method"),
+    Status.UNMODELLED: (
+        "the equation is off by more than the encoder's step explains: friction, load or delay that the model lacks, "
+        "or a parameter that changes; the error bars do not cover it"
+    ),
 }

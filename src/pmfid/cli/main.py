@@ -10,13 +10,14 @@ from typing import Any
 import click
 
 from pmfid import __version__
+from pmfid.cli.design import commission, design
 from pmfid.cli.monitor import monitor
 from pmfid.cli.reproduce import reproduce
 from pmfid.cli.simulate import simulate
-from pmfid.errors import NotIdentifiableError, PmfidError
+from pmfid.errors import PmfidError
 from pmfid.estimators import METHODS
 
-EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
+EXIT_USAGE = 2
 
 
 RECORD = click.argument("record", type=click.Path(path_type=Path))
@@ -40,7 +41,7 @@ class Group(click.Group):
             return super().invoke(ctx)
         except PmfidError as error:
             click.echo(f"pmfid: {error}", err=True)
-            ctx.exit(EXIT_NOT_IDENTIFIABLE if isinstance(error, NotIdentifiableError) else EXIT_USAGE)
+            ctx.exit(error.exit_code)
         except BrokenPipeError:  # the reader went away: what it has read is all that it wanted
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             ctx.exit(0)
@@ -179,6 +180,8 @@ def demo(out: Path, seed: int) -> None:
 main.add_command(monitor)
 main.add_command(simulate)
 main.add_command(reproduce)
+main.add_command(design)
+main.add_command(commission)
 
 
 def _progress(samples: int, quiet: bool) -> Any:

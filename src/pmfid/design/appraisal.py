@@ -11,14 +11,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.design.criteria import Criterion, eliminate
+from pmfid.design.encoder_error import encoder_covariance
+from pmfid.design.evaluation import Setting, setting
 from pmfid.design.fisher import affine
 from pmfid.design.problem import Float, Problem
 from pmfid.design.result import Design
 from pmfid.design.simulated import simulated_information
+from pmfid.design.solver import price_of_robustness
 from pmfid.design.standard import StandardInput, standard_inputs
 
 __all__ = ["Appraisal", "Worth", "appraise", "gathered", "worth_of"]
 
+#: An encoder that makes a deviation so many times larger than predicted deserves a word.
+WORSE = 2.0
 #: Below this part of the claimed information the design is not what it says.
 SURVIVES = 0.95
 
@@ -27,26 +32,35 @@ SURVIVES = 0.95
 class Worth:
     """What one run of an input tells.
 
-    fisher: (p, p) on the unknown parameters, in their own units, prior included; value: of the criterion.
+    fisher: (p, p) on the unknown parameters, in their own units, prior included; value: of the criterion, over the
+    scenarios where the problem has an average.
     surviving: part of the claimed information that is there with true stiction, the least for parameters that are a
     little larger, smaller or both; None where that cannot be simulated.
     predicted_std: of each unknown parameter after one run; inf where the run and the prior leave it open.
+    std_encoder: that of least squares on the encoder's counts, start position unknown (`encoder_covariance`); inf as
+    above and where the noise is not that of an encoder.
     """
 
     fisher: Float
     value: float
     surviving: float | None
     predicted_std: Mapping[str, float]
+    std_encoder: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Appraisal:
-    """A design beside the standard inputs; worths: by name, that of the design itself as "design"."""
+    """A design beside the standard inputs; worths: by name, that of the design itself as "design".
+
+    price: part of the nominal information that robustness costs, None where the design is not robust.
+    """
 
     design: Design
+    rule: Criterion
     standard: Mapping[str, StandardInput]
     worths: Mapping[str, Worth]
     warnings: tuple[str, ...]
+    price: float | None = None
 
     @property
     def gain(self) -> dict[str, float]:
@@ -67,28 +81,44 @@ class Appraisal:
             "gain": {name: _finite(gain) for name, gain in self.gain.items()},
             "surviving": worth.surviving,
             "predicted_std": {name: _finite(std) for name, std in worth.predicted_std.items()},
+            "predicted_std_encoder": {name: _finite(std) for name, std in worth.std_encoder.items()},
             "solve_seconds": design.solve_seconds,
             "starts": design.starts,
             "feasible": design.feasible,
             "warnings": list(self.warnings),
+            "price_of_robustness": self.price,
         }
 
 
-def appraise(design: Design, criterion: Criterion, seed: int = 0) -> Appraisal:
-    """The design beside the standard inputs; seed: of the PRBS among them."""
-    standard = standard_inputs(design.problem, seed)
+def appraise(design: Design, combination: Mapping[str, float] | None = None, seed: int = 0) -> Appraisal:
+    """The design beside the standard inputs; combination: for criterion "c"; seed: of the PRBS among them."""
+    problem = design.problem
+    ready = setting(problem, design.criterion, combination)
+    standard = standard_inputs(problem, seed)
     inputs = {"design": design.u} | {name: found.u for name, found in standard.items()}
-    worths = {name: worth_of(design.problem, criterion, u) for name, u in inputs.items()}
-    return Appraisal(design, standard, worths, (*design.warnings, *_warnings(design, worths["design"])))
+    worths = {name: worth_of(ready, u) for name, u in inputs.items()}
+    price = price_of_robustness(design, combination) if problem.scenarios else None
+    warnings = (*design.warnings, *_warnings(design, worths["design"]))
+    return Appraisal(design, ready.rule, standard, worths, warnings, price)
 
 
-def worth_of(problem: Problem, criterion: Criterion, u: ArrayLike) -> Worth:
-    """What one run of the input u (n,) tells by a criterion."""
-    maps = affine(problem)
+def worth_of(ready: Setting, u: Float) -> Worth:
+    """What one run of the input u (n,) tells."""
+    problem, maps = ready.problem, ready.maps[0]
     F = maps.information(u)
-    scale = maps.scale[: criterion.size]
-    fisher = eliminate(F, criterion.size)[0] / np.outer(scale, scale)
-    return Worth(fisher, criterion.value(F), _surviving(problem, criterion, u, F - maps.prior), _stds(problem, fisher))
+    return Worth(
+        _on_unknown(problem, F),
+        ready.value(u),
+        _surviving(problem, ready.rule, u, F - maps.prior),
+        _stds(problem, _on_unknown(problem, F)),
+        _encoder_stds(problem, u),
+    )
+
+
+def _on_unknown(problem: Problem, F: Float) -> Float:
+    """Information on the unknown parameters in their own units from that on all scaled ones."""
+    size = len(problem.unknown)
+    return np.asarray(eliminate(F, size)[0] / np.outer(problem.scale[:size], problem.scale[:size]))
 
 
 def gathered(problem: Problem, criterion: Criterion, u: ArrayLike) -> tuple[Float, Float]:
@@ -122,7 +152,18 @@ def _stds(problem: Problem, fisher: Float) -> dict[str, float]:
     return {name: float(std) for name, std in zip(problem.unknown, scale * np.sqrt(variance), strict=True)}
 
 
+def _encoder_stds(problem: Problem, u: ArrayLike) -> dict[str, float]:
+    covariance = encoder_covariance(problem, u)
+    if covariance is None:
+        return dict.fromkeys(problem.unknown, math.inf)
+    return {name: math.sqrt(value) for name, value in zip(problem.unknown, covariance.diagonal(), strict=False)}
+
+
 def _warnings(design: Design, worth: Worth) -> list[str]:
+    return [*_stiction_warnings(design, worth), *_encoder_warnings(worth)]
+
+
+def _stiction_warnings(design: Design, worth: Worth) -> list[str]:
     if worth.surviving is None:
         return ["the design was not checked with stiction, which the simulation has for symmetric friction only"]
     careful = design.problem.limits.min_speed > 0
@@ -130,6 +171,18 @@ def _warnings(design: Design, worth: Worth) -> list[str]:
         return []
     part = f"{100 * worth.surviving:.0f} % of the claimed information survives a simulation with stiction"
     return [f"{part}; raise min_speed" if careful else f"{part}; min_speed is 0: set it above"]
+
+
+def _encoder_warnings(worth: Worth) -> list[str]:
+    ratio = {name: worth.std_encoder[name] / std for name, std in worth.predicted_std.items() if std < math.inf}
+    bad = {name: value for name, value in ratio.items() if WORSE < value < math.inf}
+    if not bad:
+        return []
+    worst = max(bad, key=bad.__getitem__)
+    return [
+        f"the encoder's error repeats along this motion, so that least squares gets {bad[worst]:.1f} times the "
+        f"predicted deviation of {worst}; another min_speed or sampling, apart from whole counts per sample, may help"
+    ]
 
 
 def _finite(value: float) -> float | None:

@@ -44,13 +44,16 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What the runs say: parameters {name: value}, known ones included; information (p, p) over unknown + nuisance, in
-    their units, prior included; misfit: residual variance over the encoder's, of which more than 1 is taken off the
-    information."""
+    """What the runs say.
+
+    parameters: {name: value}, known ones included. information: (p, p) over unknown + nuisance, in their units, prior
+    included. inflation: variance of the residual over the encoder's, times the samples for which it is correlated; the
+    runs' information is divided by it where it is more than 1.
+    """
 
     parameters: Mapping[str, float]
     information: Float
-    misfit: float
+    inflation: float
 
     def std(self, names: tuple[str, ...]) -> dict[str, float]:
         """Standard deviations of the parameters that the information is over, in its order."""
@@ -78,12 +81,11 @@ def calibrate(problem: Problem, runs: Sequence[Run]) -> Calibration:
         objective, objective.start, objective.jacobian, bounds=(lower, np.inf), max_nfev=MAX_EVALUATIONS
     )
     J = objective.jacobian(found.x)
-    misfit = objective.misfit(found.x)
-    information = J.T @ J
-    data = information - objective.prior
-    information = (data / max(1.0, misfit) + objective.prior) / np.outer(objective.scale, objective.scale)
     _check(problem, objective, found.x, J)
-    return Calibration(objective.parameters(found.x), information, misfit)
+    inflation = objective.inflation(found.x)
+    information = (J.T @ J - objective.prior) / max(1.0, inflation) + objective.prior
+    scale = np.outer(objective.scale, objective.scale)
+    return Calibration(objective.parameters(found.x), information / scale, inflation)
 
 
 class _Objective:
@@ -122,9 +124,23 @@ class _Objective:
             columns.append((self.data(high) - self.data(low)) / (high[i] - low[i]))
         return np.vstack([np.column_stack(columns), self.root])
 
-    def misfit(self, q: Float) -> float:
+    def inflation(self, q: Float) -> float:
         residual = self.data(q)
-        return float(residual @ residual) / max(1, residual.size - len(self.runs) - q.size)
+        free = max(1, residual.size - len(self.runs) - q.size)
+        ends = np.cumsum([run.y.size for run in self.runs])[:-1]
+        return float(residual @ residual) / free * correlation_time(np.split(residual, ends))
+
+
+def correlation_time(residuals: Sequence[Float]) -> float:
+    """1 + 2 sum of the autocorrelations of the residuals up to the first that white noise explains."""
+    power = sum(float(e @ e) for e in residuals)
+    total = 1.0
+    for lag in range(1, max(e.size for e in residuals)):
+        rho = sum(float(e[lag:] @ e[:-lag]) for e in residuals if e.size > lag) / max(power, 1e-300)
+        if rho <= 2 / np.sqrt(sum(e.size for e in residuals)):  # within what white noise shows
+            break
+        total += 2 * rho
+    return total
 
 
 def centred(y: Float) -> Float:
@@ -133,16 +149,18 @@ def centred(y: Float) -> Float:
 
 
 def _check(problem: Problem, objective: _Objective, q: Float, J: Float) -> None:
+    motion = float(
+        np.linalg.norm(np.concatenate([centred(run.y) for run in objective.runs]) / np.sqrt(problem.variance))
+    )
+    left = float(np.linalg.norm(objective.data(q)))
+    if left > WORST_FIT * motion:
+        raise NotIdentifiableError(
+            f"the simulated position does not follow the runs, {left / max(motion, 1e-300):.0%} of the motion is left; "
+            "check the sign and size of input_gain, that the run starts at rest, and for a load that the model lacks"
+        )
     size = np.linalg.norm(J, axis=0)
     open_ = [name for name, s in zip(problem.names, size, strict=True) if not s > 1e-9 * size.max()]
-    if open_ or np.linalg.cond(J / np.where(size > 0, size, 1.0)) > 1e6:
+    if open_ or np.linalg.cond(J / size) > 1e6:
         raise NotIdentifiableError(
             f"the runs cannot tell {', '.join(open_ or problem.names)}; make another, or take one out of unknown"
-        )
-    motion = np.concatenate([centred(run.y) for run in objective.runs]) / np.sqrt(problem.variance)
-    left = np.linalg.norm(objective.data(q)) / max(1e-300, float(np.linalg.norm(motion)))
-    if left > WORST_FIT:
-        raise NotIdentifiableError(
-            f"the simulated position does not follow the runs, {left:.0%} of the motion is left; check the sign and "
-            "size of input_gain, the order of the samples, and for a load that the model lacks"
         )

@@ -44,9 +44,14 @@ class Criterion:
         return float(np.exp(self.log_value(F)))
 
     def gradient(self, F: Float) -> Float:
-        """d log value / d F, symmetric, (p, p)."""
+        """d log value / d F, symmetric, (p, p); where F is singular, that of a nearby matrix that is not."""
         S, G = eliminate(F, self.size)
-        return np.asarray(G @ _slope(self.name, S, self.combination) @ G.T)
+        try:
+            slope = _slope(self.name, S, self.combination)
+        except np.linalg.LinAlgError:
+            ridge = 1e-9 * max(float(np.trace(S)), 1e-300)
+            slope = _slope(self.name, S + ridge * np.eye(self.size), self.combination)
+        return np.asarray(G @ slope @ G.T)
 
     @property
     def concave(self) -> bool:
@@ -76,8 +81,9 @@ def criterion_of(problem: Problem, name: str, combination: Mapping[str, float] |
 def eliminate(F: Float, size: int) -> tuple[Float, Float]:
     """Information S = G' F G on the first `size` parameters where the others are estimated too, (size, size), and G."""
     G = np.eye(len(F))[:, :size]
-    if len(F) > size:
-        G[size:] = -np.linalg.solve(F[size:, size:], F[size:, :size])
+    if len(F) == size:
+        return F, G
+    G[size:] = -np.linalg.solve(F[size:, size:], F[size:, :size])
     return np.asarray(G.T @ F @ G), G
 
 
@@ -92,18 +98,23 @@ def _value(name: str, S: Float, combination: Float | None) -> Float:
     p = S.shape[-1]
     if name == "trace":
         return np.asarray(np.trace(S, axis1=-2, axis2=-1))
-    eigenvalues, vectors = np.linalg.eigh(S)
-    eigenvalues = np.maximum(eigenvalues, 0.0)
     if name == "D":
-        return np.asarray(np.exp(np.log(eigenvalues).mean(axis=-1)))
+        sign, log = np.linalg.slogdet(S)
+        return np.asarray(np.where(sign > 0, np.exp(log / p), 0.0))
+    if name == "c":
+        return _along(S, np.ones(p) if combination is None else combination)
+    eigenvalues = np.maximum(np.linalg.eigvalsh(S), 0.0)
     if name == "A":
         return np.asarray(p / (1.0 / eigenvalues).sum(axis=-1))
     if name == "E":
         return np.asarray(eigenvalues[..., 0])
-    if name == "ME":
-        return np.asarray(eigenvalues[..., 0] / eigenvalues[..., -1])
-    part = np.einsum("...ij,i->...j", vectors, np.ones(p) if combination is None else combination)
-    return np.asarray(1.0 / (part**2 / eigenvalues).sum(axis=-1))
+    return np.asarray(eigenvalues[..., 0] / eigenvalues[..., -1])
+
+
+def _along(S: Float, combination: Float) -> Float:
+    eigenvalues, vectors = np.linalg.eigh(S)
+    part = np.einsum("...ij,i->...j", vectors, combination)
+    return np.asarray(1.0 / (part**2 / np.maximum(eigenvalues, 0.0)).sum(axis=-1))
 
 
 def _slope(name: str, S: Float, combination: Float | None) -> Float:

@@ -16,15 +16,20 @@ from pmfid.design.problem import InfeasibleError, Problem, Relaxation
 
 __all__ = ["minimum_time", "raise_infeasible", "relaxations"]
 
+#: A smaller change is none.
+LEAST = 1e-9
+
 
 def raise_infeasible(problem: Problem) -> NoReturn:
-    """Raises InfeasibleError that says which single limit to relax, and by how much, or the minimum time."""
+    """Raises InfeasibleError that says which limits to relax, and by how much, or the minimum time."""
     ways = relaxations(problem)
     horizon = minimum_time(problem)
     if horizon is not None:
         ways = (Relaxation("horizon", problem.horizon, horizon, "s"), *ways)
     if not ways:
-        raise InfeasibleError("no input meets all limits, and relaxing one alone does not help; check start and end")
+        ways = _together(problem)
+        several = "; ".join(map(str, ways)) or "nothing was found that helps: check start, end and directions"
+        raise InfeasibleError(f"no input meets all limits; relax together: {several}", ways)
     least = f"; the least time is {horizon:.4g} s" if horizon is not None else ""
     raise InfeasibleError(f"no input meets all limits{least}; relax one of: {'; '.join(map(str, ways))}", ways)
 
@@ -32,13 +37,22 @@ def raise_infeasible(problem: Problem) -> NoReturn:
 def relaxations(problem: Problem) -> tuple[Relaxation, ...]:
     """For each limit that alone, if relaxed, makes the problem feasible: its needed value; smallest change first."""
     shape = polytope(problem)
-    found = []
+    found = list(_energy(problem, shape))
     for name in UNITS:
-        amount = _least_widening(shape, name)
-        if amount is not None:
-            found.append(_relaxed(problem, name, amount))
-    found += _energy(problem, shape)
+        amounts = _least_widening(problem, shape, (name,))
+        if amounts is not None and amounts[0] > LEAST:
+            found.append(_relaxed(problem, name, amounts[0]))
+    found = [way for way in found if way.needed >= 0]
     return tuple(sorted(found, key=lambda way: abs(way.needed - way.value) / max(abs(way.value), 1e-9)))
+
+
+def _together(problem: Problem) -> tuple[Relaxation, ...]:
+    """Limits that help if all of them are relaxed, the sum of their relative changes being the least."""
+    names = tuple(UNITS)
+    amounts = _least_widening(problem, polytope(problem), names)
+    if amounts is None:
+        return ()
+    return tuple(_relaxed(problem, name, amount) for name, amount in zip(names, amounts, strict=True) if amount > LEAST)
 
 
 def minimum_time(problem: Problem, longest: float = 64.0) -> float | None:
@@ -63,32 +77,34 @@ def _feasible(problem: Problem) -> bool:
     return Oracle(polytope(problem)).feasible()
 
 
-def _least_widening(shape: Polytope, name: str) -> float | None:
-    """Least amount by which the bounds of one limit must move apart, or None where that does not help."""
-    rows = np.array([row == name for row in shape.names])
-    lower, upper = rows & np.isfinite(shape.lower), rows & np.isfinite(shape.upper)
-    if not rows.any():
+def _least_widening(problem: Problem, shape: Polytope, names: tuple[str, ...]) -> list[float] | None:
+    """Least amounts by which the bounds of some limits must move apart, or None where that does not help.
+
+    a' z + r >= lower, a' z - r <= upper, with one r for each limit.
+    """
+    which = np.array([names.index(name) if name in names else -1 for name in shape.names])
+    soft = which >= 0
+    if not soft.any():
         return None
-    # each bounded side of the limit gets its own row: a' z + r >= lower, a' z - r <= upper
-    order = np.r_[np.flatnonzero(~rows), np.flatnonzero(lower), np.flatnonzero(upper)]
-    matrix = csc_matrix(shape.matrix.tocsr()[order])
-    slack = np.r_[np.zeros((~rows).sum()), np.ones(lower.sum()), -np.ones(upper.sum())]
-    low = np.r_[shape.lower[~rows], shape.lower[lower], np.full(upper.sum(), -np.inf)]
-    high = np.r_[shape.upper[~rows], np.full(lower.sum(), np.inf), shape.upper[upper]]
-    columns = matrix.shape[1]
+    lower, upper = soft & np.isfinite(shape.lower), soft & np.isfinite(shape.upper)
+    order = np.r_[np.flatnonzero(~soft), np.flatnonzero(lower), np.flatnonzero(upper)]
+    sign = np.r_[np.zeros((~soft).sum()), np.ones(lower.sum()), -np.ones(upper.sum())]
+    slack = sign[:, None] * (which[order][:, None] == np.arange(len(names)))
+    columns = shape.matrix.shape[1]
     highs = model(
-        csc_matrix(hstack([matrix, slack[:, None]])),
-        low,
-        high,
-        np.r_[np.full(columns, -np.inf), 0.0],
-        np.full(columns + 1, np.inf),
+        csc_matrix(hstack([shape.matrix.tocsr()[order], csc_matrix(slack)])),
+        np.where(sign < 0, -np.inf, shape.lower[order]),
+        np.where(sign > 0, np.inf, shape.upper[order]),
+        np.r_[np.full(columns, -np.inf), np.zeros(len(names))],
+        np.full(columns + len(names), np.inf),
     )
-    highs.changeColCost(columns, 1.0)
+    for i, name in enumerate(names):
+        highs.changeColCost(columns + i, 1.0 / max(abs(_relaxed(problem, name, 0.0).value), 1e-2))
     highs.setOptionValue("presolve", "on")
     highs.run()
     if highs.getModelStatus() != highspy.HighsModelStatus.kOptimal:
         return None
-    return float(highs.getInfo().objective_function_value)
+    return [float(r) for r in highs.getSolution().col_value[columns:]]
 
 
 def _relaxed(problem: Problem, name: str, amount: float) -> Relaxation:
@@ -99,8 +115,8 @@ def _relaxed(problem: Problem, name: str, amount: float) -> Relaxation:
         return Relaxation(f"end_tolerance ({name[4:]})", value, value + amount, UNITS[name])
     if name == "min_speed":
         return Relaxation(name, problem.limits.min_speed, problem.limits.min_speed - amount, UNITS[name])
-    pair = problem.limits.pair(name)
-    value = pair[1] if pair else 0.0
+    pair = getattr(problem.limits, name)
+    value = float(pair[1] if isinstance(pair, tuple) else pair or 0.0)
     return Relaxation(name, value, value + amount, UNITS[name])
 
 

@@ -45,9 +45,9 @@ class Affine:
         return np.asarray(s @ s.T + self.prior)
 
 
-def affine(problem: Problem) -> Affine:
-    """The affine maps of a problem."""
-    steps = _steps(problem, problem.nominal, problem.names, problem.samples_per_interval)
+def affine(problem: Problem, parameters: Mapping[str, float] | None = None) -> Affine:
+    """The affine maps of a problem; parameters: {name: value} of another case than the nominal one, scaled as that."""
+    steps = _steps(problem, {**problem.nominal, **(parameters or {})}, problem.names, problem.samples_per_interval)
     n, p, K = 2, len(problem.names), problem.intervals
     X = np.zeros((n * (p + 1), K + 1))  # columns: input of each interval, then 1
     X[:n, K] = problem.start

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import highspy
 import numpy as np
-from scipy.sparse import csc_matrix
+from scipy.sparse import csc_matrix, csr_matrix, vstack
 
 from pmfid.design.nearest import input_set, nearest
 from pmfid.design.polytope import Polytope
 from pmfid.design.problem import Float
-from pmfid.errors import PmfidError
+from pmfid.errors import PmfidError, UsageError
 
-__all__ = ["Oracle", "SolverError", "model"]
+__all__ = ["EmptyError", "Oracle", "SolverError", "model"]
 
 #: A point that misses the energy limit by less is taken to meet it.
 ENERGY_TOLERANCE = 1e-9
@@ -30,6 +30,10 @@ OPTIONS: dict[str, bool | int | str] = {
 
 class SolverError(PmfidError):
     """The linear solver gave up; not an answer about the problem."""
+
+
+class EmptyError(SolverError):
+    """There is no input within the limits and the restrictions."""
 
 
 class Oracle:
@@ -73,17 +77,30 @@ class Oracle:
             u = self._vertex(objective)
         return self._retreat(u)
 
-    def bound(self, objective: Float) -> float:
-        """The maximum of objective' u, or more where the energy limit counts: the tangents alone stand for it."""
-        return float(objective @ self._vertex(objective))
+    def relaxed(self, objective: Float) -> Float:
+        """Like `maximise`, but of the energy limit only the tangents met so far count: the value is not too small."""
+        return self._vertex(objective)
+
+    def restrict(self, normal: Float, lower: float, upper: float) -> int:
+        """Adds lower <= normal' u <= upper until `start`; returns the row, for `release`."""
+        self._highs.addRow(lower, upper, self.shape.inputs, self._columns, normal)
+        return int(self._highs.getNumRow()) - 1
+
+    def release(self, row: int) -> None:
+        """Takes a restriction back."""
+        self._highs.deleteRows(1, np.array([row], dtype=np.int32))
 
     def _vertex(self, objective: Float) -> Float:
         # HiGHS works to absolute tolerances: an objective of order one makes them relative
         size = float(np.abs(objective).max()) or 1.0
         self._cost(-objective / size)
         status = self._run()
-        if status != highspy.HighsModelStatus.kOptimal:
+        if status not in (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kInfeasible):
             status = self._again()
+        if status == highspy.HighsModelStatus.kInfeasible:
+            raise EmptyError("no input meets all limits")
+        if status in (highspy.HighsModelStatus.kUnbounded, highspy.HighsModelStatus.kUnboundedOrInfeasible):
+            raise UsageError("the limits leave the input without a bound; give a limit for input, energy or rms")
         if status != highspy.HighsModelStatus.kOptimal:
             raise SolverError(
                 f"the linear solver ended with {self._highs.modelStatusToString(status)!r}; "
@@ -110,7 +127,7 @@ class Oracle:
     def _cut(self, u: Float) -> None:
         """Cuts off a point outside the ball by the tangent below it."""
         normal = u / np.linalg.norm(u)
-        self._highs.addRow(-highspy.kHighsInf, self.shape.radius, len(u), self._columns, normal)
+        self.restrict(normal, -np.inf, self.shape.radius)
 
     def _least_norm(self) -> float:
         free = replace(self.shape, radius=np.inf)
@@ -129,16 +146,30 @@ class Oracle:
 
 def _load(shape: Polytope) -> highspy.Highs:
     """A HiGHS model; rows of one term become bounds of their column."""
-    terms = np.diff(shape.matrix.tocsr().indptr)
-    single = np.flatnonzero(terms == 1)
-    low, high = np.full(shape.matrix.shape[1], -np.inf), np.full(shape.matrix.shape[1], np.inf)
+    rows, lower, upper = _summed(shape)
+    terms = np.diff(rows.indptr)
+    low, high = np.full(rows.shape[1], -np.inf), np.full(rows.shape[1], np.inf)
     low[: shape.inputs], high[: shape.inputs] = -shape.radius, shape.radius
-    rows = shape.matrix.tocsr()
-    for i in single:
+    for i in np.flatnonzero(terms == 1):
         j, value = rows.indices[rows.indptr[i]], rows.data[rows.indptr[i]]
-        ends = sorted((shape.lower[i] / value, shape.upper[i] / value))
+        ends = sorted((lower[i] / value, upper[i] / value))
         low[j], high[j] = max(low[j], ends[0]), min(high[j], ends[1])
-    return model(rows[terms > 1].tocsc(), shape.lower[terms > 1], shape.upper[terms > 1], low, high)
+    return model(rows[terms > 1].tocsc(), lower[terms > 1], upper[terms > 1], low, high)
+
+
+def _summed(shape: Polytope) -> tuple[csr_matrix, Float, Float]:
+    """The rows; where only the last nominal position is limited, one sum of steps stands for all positions."""
+    K, rows = shape.inputs, shape.matrix.tocsr()
+    chain = np.flatnonzero([name == "motion" for name in shape.names])[: 2 * K : 2]
+    inner = np.arange(K, 3 * K - 2, 2)
+    if (np.diff(shape.matrix.indptr)[inner] > 2).any():
+        return rows, shape.lower, shape.upper
+    others = np.setdiff1d(np.arange(rows.shape[0]), chain)
+    matrix = vstack([rows[others], csr_matrix(rows[chain].sum(axis=0))]).tocsr()
+    matrix.data[np.abs(matrix.data) < 1e-15] = 0.0
+    matrix.eliminate_zeros()
+    total = shape.lower[chain].sum()
+    return matrix, np.r_[shape.lower[others], total], np.r_[shape.upper[others], total]
 
 
 def model(matrix: csc_matrix, lower: Float, upper: Float, low: Float, high: Float) -> highspy.Highs:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +34,8 @@ class Relaxation:
 
 class InfeasibleError(PmfidError):
     """No input meets all limits (exit code 3); `relaxations` are single changes that would do, smallest first."""
+
+    exit_code: ClassVar[int] = 3
 
     def __init__(self, message: str, relaxations: tuple[Relaxation, ...] = ()) -> None:
         super().__init__(message)
@@ -90,7 +93,8 @@ class Problem:
     directions: 1 forward, -1 backward, 0 at rest, for each interval; empty: forward throughout. Between forward and
     backward there is at least one interval of rest, where friction holds the axis: only so the sensitivities are exact.
     end_tolerance: (position, velocity) by which the end may be missed; scenarios: other parameter sets {name: value}
-    (missing ones nominal) in which the limits must hold as well.
+    (missing ones nominal) in which the limits must hold as well; there, the end counts only where it has a tolerance.
+    average: of the criterion, "mean" (geometric) or "worst" over the nominal case and the scenarios; None: nominal.
     Raises UsageError naming the field that is wrong.
     """
 
@@ -111,12 +115,22 @@ class Problem:
     scaled: bool = True
     directions: tuple[int, ...] = ()
     scenarios: tuple[Mapping[str, float], ...] = field(default=())
+    average: str | None = None
 
     def __post_init__(self) -> None:
         _check_parameters(self)
         _check_grid(self)
         _check_ends(self)
         _check_noise(self)
+        if self.average not in (None, "mean", "worst"):
+            raise UsageError(
+                f"average must be 'mean' or 'worst', or left out for the nominal case, got {self.average!r}"
+            )
+
+    @property
+    def cases(self) -> tuple[Mapping[str, float], ...]:
+        """The parameters over which the criterion is: the nominal ones, and with an average those of the scenarios."""
+        return (self.nominal, *(({**self.nominal, **case} for case in self.scenarios) if self.average else ()))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -165,6 +179,8 @@ def _check_positive(name: str, value: float | None) -> None:
 
 
 def _check_parameters(problem: Problem) -> None:
+    if problem.drive.spring:
+        raise UsageError("a design for a load on a spring is not there yet; leave spring out")
     known = problem.drive.equation.names
     for name in (*problem.names, *problem.nominal, *(name for case in problem.scenarios for name in case)):
         if name not in known:
@@ -195,6 +211,11 @@ def _check_grid(problem: Problem) -> None:
     sense = problem.sense
     if len(sense) != problem.intervals or set(sense) - {-1, 0, 1}:
         raise UsageError(f"directions must hold 1, -1 or 0 for each of the {problem.intervals} intervals, got {sense}")
+    if problem.scenarios and 0 in sense:
+        raise UsageError(
+            "no input brings the axis to rest at the same instant in every scenario; leave out the scenarios (robust), "
+            "or the rests in directions"
+        )
     if any(a * b < 0 for a, b in pairwise(sense)):
         raise UsageError("directions must have an interval of rest, 0, between forward and backward")
 
@@ -206,6 +227,16 @@ def _check_ends(problem: Problem) -> None:
             raise UsageError(f"{name} must be a (position, velocity) of finite numbers, got {pair}")
     if min(problem.end_tolerance) < 0:
         raise UsageError(f"end_tolerance must not be negative, got {problem.end_tolerance}")
+    if problem.end[0] is not None and (problem.end[0] - problem.start[0]) * sum(sorted(set(problem.sense))) < 0:
+        raise UsageError(
+            f"directions never lead from start {problem.start[0]} to end {problem.end[0]}; give directions"
+        )
+    for name, velocity, direction in (
+        ("start", problem.start[1], problem.sense[0]),
+        ("end", problem.end[1] or 0.0, problem.sense[-1]),
+    ):
+        if velocity * direction < 0 or (velocity and not direction):
+            raise UsageError(f"{name} velocity {velocity} is against the direction {direction} there; give directions")
     for name, position in (("start", problem.start[0]), ("end", problem.end[0])):
         bounds = problem.limits.position
         if bounds and position is not None and not bounds[0] <= position <= bounds[1]:

@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 from pmfid.design.problem import Limits, Problem
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
+from pmfid.session.config import RecordConfig
 from pmfid.session.toml_file import FileSection, load_sections
 
 __all__ = ["Spec", "load_spec", "make_problem"]
@@ -129,6 +130,10 @@ class SearchSpec(FileSection):
     seed: int = Field(0, ge=0, description="a whole number, at least 0")
 
 
+#: How a run is recorded where SPEC.toml does not say.
+RECORD = RecordConfig(input="u", output="counts", output_kind="counts", time="t")
+
+
 class Spec(FileSection):
     """The whole of SPEC.toml."""
 
@@ -137,6 +142,7 @@ class Spec(FileSection):
     experiment: ExperimentSpec = Field(description="a section that names the unknown parameters")
     motion: MotionSpec = Field(description="a section with at least duration and intervals")
     limits: LimitsSpec = Field(default=LimitsSpec(), description="a section of limits")
+    record: RecordConfig = Field(default=RECORD, description="a section that names the columns of recorded runs")
     prior: PriorSpec = Field(default=PriorSpec(), description="a section of standard deviations")
     robust: RobustSpec = Field(default=RobustSpec(), description="a section of relative tolerances")
     search: SearchSpec = Field(default=SearchSpec(), description="a section with starts and seed")
@@ -175,6 +181,7 @@ def make_problem(spec: Spec) -> Problem:
         scaled=experiment.scaled,
         directions=motion.directions,
         scenarios=_scenarios(spec.robust, nominal),
+        average=spec.robust.average,
     )
 
 

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.batch import BCLS, LS, Fit
+from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV, RIV
 from pmfid.status import Status
@@ -22,6 +23,10 @@ def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: f
     With a memory: recursive instrumental variables, which fall back on BCRLS by themselves. Without: that of
     `first_fit`, which says what it raises.
     """
+    if forgetting < 1 and configured.equation.without_simulation:
+        return like(
+            BCRLS, configured, forgetting=forgetting
+        ), "bcrls: parameters may change, and nothing can simulate this"
     if forgetting < 1:
         return like(RIV, configured, prefilter_zeros=None, forgetting=forgetting), "riv: parameters may change"
     return first_fit(configured, u, counts)[:2]
@@ -35,14 +40,17 @@ def first_fit(configured: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[E
     Raises NotIdentifiableError where none of them can identify every parameter.
     """
     refused: list[str] = []
+    without = configured.equation.without_simulation
     for cls, reason in _CANDIDATES:
+        if cls.simulates and without:
+            continue
         candidate: Any = like(cls, configured, **({"model": configured.model.symmetric} if cls in (BCLS, LS) else {}))
         try:
             fit: Fit = candidate.fit(u, counts)
         except NotIdentifiableError as error:
             refused.append(f"{cls.method}: {error}")
             continue
-        if fit.theta[0] > 0 and not fit.status & Status.FALLBACK:
+        if fit.theta[candidate.equation.leading] > 0 and not fit.status & Status.FALLBACK:
             return candidate, f"{cls.method}: {reason}", fit
     raise NotIdentifiableError(refused[0].partition(": ")[2])
 

@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.bcrls import BCRLS
+from pmfid.estimators.known_step import impulse_products
 from pmfid.filters.columns import ColumnBuilder
 from pmfid.filters.network import Network, Taps
 
@@ -22,6 +23,10 @@ COPY_TIME_CONSTANTS = 17.0
 MISMATCH_LIMIT = 0.2
 #: Memory of that comparison, in filter time constants.
 CHECK_TIME_CONSTANTS = 30.0
+#: Mean square innovation, over what a white encoder error explains, beyond which the equation is called wrong on-line,
+#: and the memory of that mean in filter time constants.
+UNEXPLAINED = 2.5
+MODEL_CHECK_TIME_CONSTANTS = 100.0
 
 
 def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
@@ -29,10 +34,10 @@ def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, i
     filtered velocity measured and modelled and the modelled acceleration. Returns network, columns, first
     instrumental and first check column."""
     direct = direct_estimator(estimator)
-    builder = ColumnBuilder(direct.model.equation, direct.spec)
+    builder = ColumnBuilder(direct.equation, direct.spec)
     columns = [*builder.regressors(), builder.target(), *builder.instruments()]
     first = len(columns)
-    builder = ColumnBuilder(estimator.model.equation, estimator.spec, builder.network)
+    builder = ColumnBuilder(estimator.equation, estimator.spec, builder.network)
     columns += [*builder.regressors("modelled"), builder.target("modelled"), *builder.regressors("simulated")]
     check = len(columns)
     columns += [builder.velocity(0, simulated=False), builder.velocity(0, simulated=True), builder.model_acceleration()]
@@ -41,7 +46,8 @@ def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, i
 
 def direct_estimator(estimator: Estimator) -> BCRLS:
     """The method that needs no auxiliary model: to start from, and to fall back on."""
-    return like(BCRLS, estimator, model=estimator.model.symmetric)
+    scheme = getattr(estimator, "forgetting_scheme", "exponential")
+    return like(BCRLS, estimator, model=estimator.model.symmetric, forgetting_scheme=scheme)
 
 
 def make_auxiliary_kernel(
@@ -60,16 +66,17 @@ def make_auxiliary_kernel(
         "has_initial": int(initial is not None),
         "check_column": check,
         "target_column": first + p,
-        "mass_column": first + p + 1 + estimator.names.index("mass"),
+        "mass_column": first + p + 1 + estimator.equation.leading,
         "trial_samples": 2 * estimator.settle_samples,
         "dt": estimator.dt,
-        "input_gain": estimator.model.input_gain,
+        "input_gain": estimator.equation.input_gain,
+        "position_gain": min(1.0, estimator.cutoff * estimator.dt / COPY_TIME_CONSTANTS),
         "smoothing": min(1.0, estimator.cutoff * estimator.dt / COPY_TIME_CONSTANTS),
         "memory": math.exp(-estimator.cutoff * estimator.dt / CHECK_TIME_CONSTANTS),
         "mismatch_limit": MISMATCH_LIMIT,
         "noise_power": _noise_power(estimator),
-        "direct_index": _indices(direct.model.roles()),
-        "index": _indices(estimator.model.roles()),
+        "direct_index": _indices(direct.equation.roles),
+        "index": _indices(estimator.equation.roles),
         "initial": role_values(estimator, initial),
     }
     kernel = estimator.kernel_class(
@@ -78,17 +85,26 @@ def make_auxiliary_kernel(
         estimator.encoder.kernel_config(estimator.dt),
         direct.recursion_config(len(direct.names), True, forgetting),
         2 * estimator.settle_samples,  # half-way the model is set to the measured velocity
-        estimator.recursion_config(p, True, forgetting, first),
+        estimator.recursion_config(p, True, forgetting, first) | _check_of_model(estimator, network, columns, first),
         auxiliary,
     )
     return kernel, first
 
 
+def _check_of_model(estimator: Estimator, network: Network, columns: list[Taps], first: int) -> dict[str, Any]:
+    """Which innovations the encoder's step explains, as if its error were white, and over what memory they count."""
+    products = impulse_products(estimator, network, columns[first : first + len(estimator.names)])
+    return {
+        "noise": (estimator.encoder.resolution**2 / 12 * products).tolist(),
+        "unexplained": UNEXPLAINED,
+        "check_memory": math.exp(-estimator.cutoff * estimator.dt / MODEL_CHECK_TIME_CONSTANTS),
+    }
+
+
 def role_values(estimator: Estimator, theta: Sequence[float] | None) -> list[float]:
     """The values of the auxiliary model's roles; 0 where there is no such parameter."""
-    if theta is None:
-        return [0.0] * len(estimator.model.roles())
-    return [0.0 if index is None else float(theta[index]) for index in estimator.model.roles()]
+    roles = estimator.equation.roles
+    return [0.0 if index is None or theta is None else float(theta[index]) for index in roles]
 
 
 def _indices(roles: Sequence[int | None]) -> list[int]:

@@ -16,7 +16,8 @@ from pmfid.errors import UsageError
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
 from pmfid.filters.network import Network, Taps, scaled
-from pmfid.models.drive import Drive
+from pmfid.models.drive import Model
+from pmfid.models.equation import Equation
 from pmfid.status import Status
 
 #: Time constants after which the filters' start has decayed to less than 1 %, by their order.
@@ -34,13 +35,13 @@ RESIDUAL_UPDATES = 256
 class Estimator:
     """A method of estimation on a model and an encoder; configuration only, checked at construction.
 
-    model: equation, as `Drive`. encoder: `Encoder`. dt: sample period [s]. cutoff: pole of the Poisson chain
+    model: `Drive`, or an `EquationModel`. encoder: `Encoder`. dt: sample period [s]. cutoff: pole of the Poisson chain
     [rad/s], 0 < cutoff <= 2/dt; its inverse is the filter time constant. order: stages, >= 2 for a drive.
     discretization: "matched" or "paper". prefilter_zeros: one negative zero [rad/s] per noisy column, or None for
     the method's default. precision: "float64" or "float32". Raises UsageError with the remedy.
     """
 
-    model: Drive
+    model: Model
     encoder: Encoder
     dt: float
     cutoff: float
@@ -53,8 +54,15 @@ class Estimator:
     instrumental: ClassVar[bool] = False
     #: least squares, with the bias of a noisy output
     plain: ClassVar[bool] = False
+    #: has an auxiliary model, which must know the equation
+    simulates: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
+        if self.simulates and self.equation.without_simulation:
+            raise UsageError(
+                f"{self.method} simulates the motion, which it cannot for this equation: "
+                f"{self.equation.without_simulation}; use ls, bcls, rls or bcrls"
+            )
         check_positive("dt", self.dt, "it is the sample period in s")
         check_positive("cutoff", self.cutoff, "it is the pole of the filters in rad/s")
         if self.cutoff * self.dt > 2:
@@ -67,8 +75,8 @@ class Estimator:
                 f"cutoff = {self.cutoff:g} rad/s is too low for dt = {self.dt:g} s: the filters would settle after "
                 f"{self.settle_samples:.2g} samples; use a higher cutoff, of the order of the plant's own poles"
             )
-        if self.order < self.model.equation.order:
-            raise UsageError(f"order must be at least {self.model.equation.order}, got {self.order}")
+        if self.order < self.equation.order:
+            raise UsageError(f"order must be at least {self.equation.order}, got {self.order}")
         if self.discretization not in HOLD_FILTERS:
             raise UsageError(f"discretization must be one of {sorted(HOLD_FILTERS)}, got {self.discretization!r}")
         if self.precision not in ("float64", "float32"):
@@ -88,23 +96,27 @@ class Estimator:
     @property
     def _zeros_needed(self) -> int:
         """One zero for each noisy column."""
-        return len(self.model.equation.noisy)
+        return len(self.equation.noisy)
+
+    @property
+    def equation(self) -> Equation:
+        return self.model.equation
 
     @property
     def zeros(self) -> tuple[float, ...]:
         """Zeros of the pre-filter polynomial f(s) [rad/s]; () where there is no pre-filter."""
         if self.prefilter_zeros is not None:
             return tuple(float(z) for z in self.prefilter_zeros)
-        return default_zeros(self.cutoff) if self.instrumental else ()
+        return default_zeros(self.cutoff)[: self._zeros_needed] if self.instrumental else ()
 
     @property
     def names(self) -> tuple[str, ...]:
         """Parameter names, in the order of theta."""
-        return self.model.equation.names + tuple(f"prefilter_{j + 1}" for j in range(self._extra))
+        return self.equation.names + tuple(f"prefilter_{j + 1}" for j in range(self._extra))
 
     @property
     def units(self) -> tuple[str, ...]:
-        return self.model.equation.units + tuple(f"s^{j + 1}" for j in range(self._extra))
+        return self.equation.units + tuple(f"s^{j + 1}" for j in range(self._extra))
 
     @property
     def _extra(self) -> int:
@@ -117,7 +129,7 @@ class Estimator:
 
     @cached_property
     def _columns(self) -> tuple[Network, list[Taps]]:
-        builder = ColumnBuilder(self.model.equation, self.spec)
+        builder = ColumnBuilder(self.equation, self.spec)
         columns = builder.regressors()
         if self._extra:
             columns += [scaled(builder.prefiltered(j + 1), -1.0) for j in range(self._extra)]
@@ -162,6 +174,8 @@ class Estimator:
             "regularization": REGULARIZATION,
             "pivot": START_PIVOT,
             "block": 2 * self.settle_samples,
+            "scheme": 0,
+            "window_block": 1,
         }
 
 

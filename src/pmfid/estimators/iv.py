@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
+from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel, role_values
 from pmfid.estimators.base import check_arrays, check_size, like
 from pmfid.estimators.batch import BCLS, TINY, BatchEstimator, Columns, Fit, check_identifiable, solve_with_instruments
 from pmfid.estimators.known_step import impulse_products
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, Equation
 from pmfid.status import Status
 
 MAX_ITERATIONS = 40
@@ -42,6 +43,7 @@ class IV(BatchEstimator):
     """
 
     method: ClassVar[str] = "iv"
+    simulates: ClassVar[bool] = True
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)
 
@@ -87,7 +89,7 @@ class IV(BatchEstimator):
         if self.initial is not None:
             return initial_vector(self.initial, self.names)
         batch = like(BCLS, self, model=self.model.symmetric)
-        return spread(dict(zip(batch.names, batch.fit(u, counts).theta, strict=True)), self.names)
+        return spread(role_values(batch, list(batch.fit(u, counts).theta)), self.equation)
 
     def columns_at(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> Columns:
         """Regressors, target and instruments with the auxiliary model at theta (p,)."""
@@ -112,8 +114,7 @@ class IV(BatchEstimator):
 
     def _plausible(self, theta: NDArray[np.float64], found: NDArray[np.float64]) -> NDArray[np.float64]:
         """What was found, but no further than half-way from theta to a mass or friction of zero."""
-        positive = np.array([name != "offset" for name in self.names])
-        low = np.where(positive, 0.5 * theta, -np.inf)
+        low = np.where(self.equation.positive, 0.5 * theta, -np.inf)
         return np.maximum(found, low)
 
 
@@ -124,20 +125,23 @@ def initial_vector(initial: Mapping[str, float], names: tuple[str, ...]) -> NDAr
     return np.array([float(initial[name]) for name in names])
 
 
-def spread(known: Mapping[str, float], names: tuple[str, ...]) -> NDArray[np.float64]:
-    """Symmetric parameters for a directional drive; frictions that came out negative start small but positive."""
-    offset = known.get("offset", 0.0)
-    values = dict(known)
-    for way, sign in (("forward", 1.0), ("backward", -1.0)):
-        values[f"viscous_friction_{way}"] = known["viscous_friction"]
-        values[f"coulomb_friction_{way}"] = known["coulomb_friction"] + sign * offset
-    theta = np.array([values[name] for name in names])
-    if not values["mass"] > 0:
+def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
+    """theta (p,) from the roles' values of the symmetric equation; a constant load that this one lacks becomes Coulomb
+    friction that differs with the direction. Frictions that came out negative start at zero."""
+    values = list(known)
+    if equation.roles[OFFSET] is None:
+        values[COULOMB_FORWARD] += values[OFFSET]
+        values[COULOMB_BACKWARD] -= values[OFFSET]
+    theta = np.zeros(len(equation.names))
+    for value, index in zip(values, equation.roles, strict=True):
+        if index is not None:
+            theta[index] = value
+    if not values[MASS] > 0:
         raise NotIdentifiableError(
-            f"no start for the iteration: from the counts alone the mass comes out as {values['mass']:.3g}; "
+            f"no start for the iteration: from the counts alone the mass comes out as {values[MASS]:.3g}; "
             "give `initial`, or use a lower cutoff"
         )
-    return np.where([name == "offset" for name in names], theta, np.maximum(theta, 0.0))
+    return np.where(equation.positive, np.maximum(theta, 0.0), theta)
 
 
 @dataclass(frozen=True)
@@ -150,6 +154,7 @@ class RIV(RecursiveEstimator):
     """
 
     method: ClassVar[str] = "riv"
+    simulates: ClassVar[bool] = True
     instrumental: ClassVar[bool] = True
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator, Columns
 from pmfid.estimators.recursive import RecursiveEstimator
@@ -24,6 +25,12 @@ def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[n
     sigma = estimator.encoder.resolution / np.sqrt(12.0) if noise_std is None else noise_std
     network, columns = estimator._columns
     return np.asarray(sigma**2 * impulse_products(estimator, network, columns[: len(estimator.names)]))
+
+
+def check_target(estimator: Estimator) -> None:
+    """Raises UsageError where the known side of the equation has the output's noise."""
+    if any(term.noisy for term in estimator.equation.known):
+        raise UsageError(f"{estimator.method} takes no known term of the output; use bcls, bcrls, ls or rls")
 
 
 def impulse_products(estimator: Estimator, network: Network, columns: list[Taps]) -> NDArray[np.float64]:
@@ -50,6 +57,10 @@ class KnownStep(BatchEstimator):
 
     noise_std: float | None = field(default=None, kw_only=True)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_target(self)
+
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         scale = np.linalg.norm(columns.phi, axis=0)
         noise = columns.z.size * noise_covariance(self, self.noise_std) / np.outer(scale, scale)
@@ -70,8 +81,17 @@ class RKnownStep(RecursiveEstimator):
 
     noise_std: float | None = field(default=None, kw_only=True)
 
+    def __post_init__(self) -> None:
+        check_target(self)
+        if self.forgetting_scheme == "constant-trace":
+            raise UsageError(
+                "constant-trace is not for rknown-step: it forgets nothing at rest, and the noise that is subtracted "
+                "for every sample does not come at rest; use exponential or window"
+            )
+        super().__post_init__()
+
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
     ) -> dict[str, Any]:
         config = super().recursion_config(parameters, instrumental, forgetting, first_column)
-        return config | {"noise": noise_covariance(self, self.noise_std).tolist()}
+        return config | {"compensated": 1, "noise": noise_covariance(self, self.noise_std).tolist()}

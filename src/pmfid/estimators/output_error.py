@@ -15,6 +15,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import check_arrays, like
 from pmfid.estimators.batch import BCLS, BatchEstimator, Fit, check_identifiable, long_run_covariance
 from pmfid.estimators.iv import IV
+from pmfid.models.equation import Equation
 
 #: Step of the difference quotients as a part of a parameter: far above the kinks that stops and reversals leave in
 #: the simulated position, far below what makes the position bend.
@@ -37,12 +38,11 @@ Floats = NDArray[np.float64]
 class Difference:
     """Position of the counts minus simulated position, in counts, as a function of q = (theta, x0, v0) / scale.
 
-    roles: index in theta of every parameter of the simulation; u, y: (n,), dt [s]; resolution; scale: (q,);
+    equation: its roles say what the simulation takes of theta; u, y: (n,), dt [s]; resolution; scale: (q,);
     pole: of the high-pass on the difference [rad/s], 0: none.
     """
 
-    roles: tuple[int | None, ...]
-    input_gain: float
+    equation: Equation
     dt: float
     u: Floats
     y: Floats
@@ -54,8 +54,9 @@ class Difference:
         from pmfid import _kernel64
 
         *theta, x0, v0 = q * self.scale
-        parameters = [0.0 if index is None else float(theta[index]) for index in self.roles]
-        velocity = _kernel64.simulate(parameters, self.input_gain, self.dt, self.u, float(v0))[0]
+        parameters = [0.0 if index is None else float(theta[index]) for index in self.equation.roles]
+        start = float(v0), float(x0 - self.y[0])  # a spring's length counts from the first count
+        velocity = _kernel64.simulate(parameters, self.equation.input_gain, self.dt, self.u, *start)[0]
         x = x0 + np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt
         return self.filtered(self.y - x) / self.resolution
 
@@ -82,8 +83,8 @@ class Difference:
     def lower(self) -> Floats:
         """Bounds of q: a mass above zero, frictions of at least zero."""
         lower = np.full(self.scale.size, -np.inf)
-        lower[[index for index in self.roles[:-1] if index is not None]] = 0.0
-        lower[0] = 1e-3
+        lower[: len(self.equation.names)][np.array(self.equation.positive)] = 0.0
+        lower[self.equation.leading] = 1e-3
         return lower
 
 
@@ -105,6 +106,7 @@ class OE(BatchEstimator):
     """
 
     method: ClassVar[str] = "output-error"
+    simulates: ClassVar[bool] = True
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)
     drift_cutoff: float | None = field(default=None, kw_only=True)
@@ -172,12 +174,15 @@ class OE(BatchEstimator):
     def _prepared(self, theta: Floats, u: Floats, y: Floats) -> tuple[Difference, Floats]:
         """The difference behind the high-pass, and q to start from: theta (p,), at the first count."""
         travel, dt = float(np.ptp(y)), self.dt
-        force = abs(self.model.input_gain) * rms(u)
-        natural = {"kg": theta[0], "N s/m": force * y.size * dt / travel, "N": force}
-        size = np.maximum(np.abs(theta), 0.01 * np.array([natural[unit] for unit in self.units]))
-        scale = np.r_[size, travel, travel * self.cutoff]
-        roles, pole = self.model.roles(), self.drift_cutoff or self.cutoff
-        difference = Difference(roles, self.model.input_gain, dt, u, y, self.encoder.resolution, scale, pole)
+        force, mass = abs(self.equation.input_gain) * rms(u), abs(theta[self.equation.leading])
+        drag = force * y.size * dt / travel
+        natural = np.array([mass, drag, drag, force, force, force, force / travel])
+        size = np.abs(theta)
+        for index, least in zip(self.equation.roles, 0.01 * natural, strict=True):
+            if index is not None:
+                size[index] = max(size[index], least)
+        scale, pole = np.r_[size, travel, travel * self.cutoff], self.drift_cutoff or self.cutoff
+        difference = Difference(self.equation, dt, u, y, self.encoder.resolution, scale, pole)
         near = min(y.size - 1, math.ceil(1 / (self.cutoff * dt)))
         rise = y[near] - y[0]
         # from rest within stiction a small v0 changes nothing: only a motion that shows gives it a start
@@ -229,7 +234,8 @@ def least(difference: Difference, q: Floats) -> Floats:
         )
     if found.status <= 0:
         raise NotIdentifiableError(
-            f"the iteration did not settle within {MAX_EVALUATIONS} simulations; give `initial`, or a longer record"
+            f"the iteration did not settle within {MAX_EVALUATIONS} simulations: the simulated position does not "
+            "follow the record closely; use iv, or give `initial`"
         )
     return np.asarray(found.x)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -51,15 +52,33 @@ class Track:
         return np.asarray((self.status & bit) != 0)
 
 
+#: What becomes of old samples -> its number in csrc/pmf.h.
+FORGETTING_SCHEMES = {"exponential": 0, "directional": 1, "constant-trace": 2, "window": 3}
+#: Information that is never forgotten under constant trace, as a part of the largest seen.
+TRACE_REGULARIZATION = 1e-6
+#: The sliding window drops one of its 8 blocks at a time: it holds 7 to 8 of them.
+WINDOW_BLOCKS = 7.5
+
+
 @dataclass(frozen=True)
 class RecursiveEstimator(Estimator):
     """An `Estimator` that runs sample by sample.
 
     forgetting: weight of the past per sample, 0 < forgetting <= 1; the memory is dt / (1 - forgetting).
+    forgetting_scheme, none of which winds up without excitation:
+    "exponential": every sample is forgotten alike; a small part of the largest information is never forgotten, and
+    theta is held where that is all there is (Levenberg-Marquardt, Ljung and Soderstrom 1983);
+    "directional": only in the directions that the samples excite (Cao and Schwartz 2000); least squares only. Nothing
+    is lost at rest or at constant speed, however long, but to the noise of a coarse encoder, which excites, too. The
+    memory of an excited direction is longer, by about the number of parameters;
+    "constant-trace": as much as keeps the mean of P, each entry relative to its value after the first memory, and at
+    most twice as fast as `forgetting` (Goodwin and Sin 1984, section 3.3);
+    "window": the samples of the last memory alike, older ones not at all, in blocks of an eighth.
     The object holds one state; `step` and `run` continue from it, `reset` goes back to the start.
     """
 
     forgetting: float = field(default=1.0, kw_only=True)
+    forgetting_scheme: str = field(default="exponential", kw_only=True)
     _kernel: Any = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -68,9 +87,35 @@ class RecursiveEstimator(Estimator):
             raise UsageError(
                 f"forgetting must be in (0, 1], got {self.forgetting}; for a memory of T seconds use 1 - dt/T"
             )
+        self._check_scheme()
         object.__setattr__(self, "_kernel", self.make_kernel(self.forgetting))
         # bound here so that a call costs no look-up in Python
         object.__setattr__(self, "step", self._kernel.step)
+
+    def _check_scheme(self) -> None:
+        scheme = self.forgetting_scheme
+        if scheme not in FORGETTING_SCHEMES:
+            raise UsageError(f"forgetting_scheme must be one of {sorted(FORGETTING_SCHEMES)}, got {scheme!r}")
+        if scheme == "directional" and not self.plain:
+            raise UsageError(
+                f"directional forgetting is for rls, not for {self.method}, whose instruments point elsewhere; "
+                "use constant-trace or window"
+            )
+
+    def recursion_config(
+        self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
+    ) -> dict[str, Any]:
+        config = super().recursion_config(parameters, instrumental, forgetting, first_column)
+        scheme = self.forgetting_scheme if forgetting < 1 else "exponential"
+        config["scheme"] = FORGETTING_SCHEMES[scheme]
+        if scheme == "directional":  # the accumulated right-hand side does not follow the forgetting: innovations only
+            config["residual_updates"] = 0
+        if scheme == "constant-trace":  # bounds P by itself, but for a direction that others outgrow by far
+            config["regularization"] = TRACE_REGULARIZATION
+        if scheme == "window":
+            config["residual_updates"] = 2**32 - 1
+            config["window_block"] = math.ceil(1 / (1 - forgetting) / WINDOW_BLOCKS)
+        return config
 
     def step(self, u: float, counts: int) -> Any:
         """One sample: the input applied from now on, the count read now. Returns an `Estimate`.

@@ -13,7 +13,7 @@ FRACTIONS = (1 / 5, 1 / 10, 1 / 20, 1 / 40, 1 / 80)
 RATIO = 30.0
 
 
-def choose_prefilter_zeros(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[float, float]:
+def choose_prefilter_zeros(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[float, ...]:
     """The pre-filter zeros [rad/s] that carry most information over a record u, counts: (n,).
 
     Greatest determinant of W^T Z^-1 W, W = sum zeta phi^T, Z = sum zeta zeta^T: the inverse of the estimate's
@@ -21,7 +21,8 @@ def choose_prefilter_zeros(estimator: Estimator, u: ArrayLike, counts: ArrayLike
     motion, not of the noise.
     Raises what `BCLS.columns` raises.
     """
-    pairs = [(-estimator.cutoff * part, -estimator.cutoff * part / RATIO) for part in FRACTIONS]
+    needed = len(estimator.model.symmetric.equation.noisy)
+    pairs = [(-estimator.cutoff * part, -estimator.cutoff * part / RATIO)[:needed] for part in FRACTIONS]
     batches = [like(BCLS, estimator, model=estimator.model.symmetric, prefilter_zeros=pair) for pair in pairs]
     information = [_log_information(batch, u, counts) for batch in batches]
     return pairs[int(np.argmax(information))]

@@ -22,9 +22,12 @@ from pmfid.filters.network import (
     FORWARD,
     FORWARD_VELOCITY,
     INPUT,
+    MODEL_POSITION,
     MOVING,
+    POSITION,
     SPLIT_BACKWARD,
     SPLIT_FORWARD,
+    SPLIT_POSITION,
     VELOCITY,
     Network,
     Taps,
@@ -37,6 +40,8 @@ HELD = {"input": INPUT, "direction": DIRECTION, "moving": MOVING, "forward": FOR
 SPLIT = {"forward_output": FORWARD_VELOCITY, "backward_output": BACKWARD_VELOCITY}
 #: The measured velocity, split by the direction of the auxiliary model.
 SPLIT_BY_MODEL = {"forward_output": SPLIT_FORWARD, "backward_output": SPLIT_BACKWARD}
+#: The position while it moves, by the counts, by the counts while the auxiliary model moves, and of the model.
+POSITIONS = {"measured": POSITION, "modelled": SPLIT_POSITION, "simulated": MODEL_POSITION}
 
 
 @dataclass(frozen=True)
@@ -102,6 +107,8 @@ class ColumnBuilder:
         if term.signal in SPLIT:
             by_model = source == "modelled"
             return self._hold(SPLIT_BY_MODEL[term.signal] if by_model else SPLIT[term.signal] + block)
+        if term.derivative == 0:
+            return self._hold(POSITIONS[source])
         return self.velocity(term.derivative - 1, simulated=source == "simulated")
 
     def velocity(self, j: int, *, simulated: bool) -> Taps:

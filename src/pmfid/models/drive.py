@@ -1,36 +1,61 @@
-"""The drive with viscous and Coulomb friction."""
+"""Models: the drive with viscous and Coulomb friction, and an equation of the user's own."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 from pmfid.errors import UsageError
 from pmfid.models.equation import Equation, Term
 
 FRICTIONS = ("symmetric", "directional")
 
-#: What the auxiliary model of the kernel takes each role's value from (csrc/pmf.h), first name that exists.
-ROLES = (
-    ("mass",),
-    ("viscous_friction", "viscous_friction_forward"),
-    ("viscous_friction", "viscous_friction_backward"),
-    ("coulomb_friction", "coulomb_friction_forward"),
-    ("coulomb_friction", "coulomb_friction_backward"),
-    ("offset",),
-)
+
+class Model(Protocol):
+    """What an estimator needs to know of a plant."""
+
+    kind: ClassVar[str]
+
+    @property
+    def equation(self) -> Equation: ...
+
+    @property
+    def symmetric(self) -> Model:
+        """The model that can be identified before the directions of motion are told apart."""
+        ...
+
+
+@dataclass(frozen=True)
+class EquationModel:
+    """A model from a user's own terms: any `Equation`.
+
+    The methods that simulate (iv, riv, output-error, interval) need one unknown second derivative of the output and
+    no known term but the input; the others take every equation.
+    """
+
+    kind: ClassVar[str] = "equation"
+
+    equation: Equation
+
+    @property
+    def symmetric(self) -> EquationModel:
+        return EquationModel(self.equation.symmetric)
 
 
 @dataclass(frozen=True)
 class Drive:
-    """m x'' + d x' + F_c sign(x') [+ offset] = input_gain u  (paper eq. 37 and 42, F_c as a force).
+    """m x'' + d x' + F_c sign(x') [+ k x] [+ offset] = input_gain u  (paper eq. 37 and 42, F_c as a force).
 
     input_gain: force per unit of input [N/V, or 1 where u is a force], finite, not 0.
     offset: estimate a constant force as well [N], as gravity or a biased current measurement give it.
     friction: "symmetric", or "directional": viscous and Coulomb friction differ between forward and backward.
-    Parameters: mass [kg], viscous_friction [N s/m], coulomb_friction [N] [, offset [N]]; directional:
-    mass, viscous_friction_forward, viscous_friction_backward, coulomb_friction_forward, coulomb_friction_backward.
-    With directional friction the offset cannot be told from the two Coulomb frictions and must stay out.
+    spring: the load hangs on a spring [N/m]; x counts from the first sample, where the spring's force is the offset,
+    which comes with it.
+    Parameters: mass [kg], viscous_friction [N s/m], coulomb_friction [N] [, offset [N]] [, stiffness [N/m]];
+    directional: mass, viscous_friction_forward, viscous_friction_backward, coulomb_friction_forward,
+    coulomb_friction_backward [, stiffness]. With directional friction the offset cannot be told from the two Coulomb
+    frictions and must stay out.
+    Friction that falls with speed near standstill (Stribeck) is not in the model: the status says `unmodelled`.
     Raises UsageError for an input gain that is 0 or not finite, an unknown friction, or both of the last.
     """
 
@@ -39,6 +64,7 @@ class Drive:
     input_gain: float
     offset: bool = False
     friction: str = "symmetric"
+    spring: bool = False
 
     def __post_init__(self) -> None:
         if not 1e-30 < abs(self.input_gain) < 1e30:
@@ -56,9 +82,11 @@ class Drive:
 
     @property
     def equation(self) -> Equation:
-        unknown = [Term("output", 2, "mass", "kg", noisy=True), *_FRICTION_TERMS[self.friction]]
-        if self.offset:
+        unknown = [Term("output", 2, "mass", "kg"), *_FRICTION_TERMS[self.friction]]
+        if self.offset or (self.spring and self.friction == "symmetric"):
             unknown.append(Term("moving", 0, "offset", "N"))
+        if self.spring:
+            unknown.append(Term("output", 0, "stiffness", "N/m"))
         return Equation(tuple(unknown), (Term("input", 0, coefficient=self.input_gain),))
 
     @property
@@ -68,20 +96,15 @@ class Drive:
             return self
         return replace(self, friction="symmetric", offset=True)
 
-    def roles(self) -> tuple[int | None, ...]:
-        """For each role of the auxiliary model the index of its parameter, or None."""
-        names = self.equation.names
-        return tuple(next((names.index(name) for name in role if name in names), None) for role in ROLES)
-
 
 _FRICTION_TERMS = {
     "symmetric": (
-        Term("output", 1, "viscous_friction", "N s/m", noisy=True),
+        Term("output", 1, "viscous_friction", "N s/m"),
         Term("direction", 0, "coulomb_friction", "N"),
     ),
     "directional": (
-        Term("forward_output", 1, "viscous_friction_forward", "N s/m", noisy=True),
-        Term("backward_output", 1, "viscous_friction_backward", "N s/m", noisy=True),
+        Term("forward_output", 1, "viscous_friction_forward", "N s/m"),
+        Term("backward_output", 1, "viscous_friction_backward", "N s/m"),
         Term("forward", 0, "coulomb_friction_forward", "N"),
         Term("backward", 0, "coulomb_friction_backward", "N"),
     ),

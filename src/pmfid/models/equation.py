@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
-from pmfid.errors import UsageError
+from pmfid.errors import UsageError, did_you_mean
 
 #: `output`: the measured position; `input`: what drives the plant; `direction`: sign of the velocity, at a
 #: reversal inside a sample as the signed moving fraction; `moving`: 1 while the plant moves (a constant load);
@@ -13,13 +14,31 @@ from pmfid.errors import UsageError
 #: the position as far as it changes in that direction.
 Signal = Literal["output", "input", "direction", "moving", "forward", "backward", "forward_output", "backward_output"]
 
+#: Highest and lowest derivative of the signals that have any; the others hold for a sampling interval and have none.
+DERIVATIVES = {"output": (0, 2), "forward_output": (1, 1), "backward_output": (1, 1)}
+
+#: What the auxiliary model of the kernel takes each role from (csrc/pmf.h): signal and derivative of the term.
+ROLES: tuple[tuple[tuple[Signal, int], ...], ...] = (
+    (("output", 2),),
+    (("output", 1), ("forward_output", 1)),
+    (("output", 1), ("backward_output", 1)),
+    (("direction", 0), ("forward", 0)),
+    (("direction", 0), ("backward", 0)),
+    (("moving", 0),),
+    (("output", 0),),
+)
+MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, OFFSET, STIFFNESS = range(7)
+#: Roles that are never negative: inertia and friction.
+POSITIVE_ROLES = (MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD)
+
 
 @dataclass(frozen=True)
 class Term:
     """coefficient * d^derivative signal / dt^derivative, the coefficient unknown (it has a name) or known.
 
-    signal: see `Signal`. derivative: order, >= 0. name, unit: of an unknown coefficient; None, if it is known.
-    coefficient: the known value; 1 for an unknown one. noisy: the term carries the noise of the measured output.
+    signal: see `Signal`. derivative: 0 to 2 of `output`, 1 of `forward_output` and `backward_output`, else 0. The
+    output itself counts from its first sample on. name, unit: of an unknown coefficient; None, if it is known.
+    coefficient: the known value; 1 for an unknown one. Raises UsageError for another signal, derivative or value.
     """
 
     signal: Signal
@@ -27,15 +46,36 @@ class Term:
     name: str | None = None
     unit: str = ""
     coefficient: float = 1.0
-    noisy: bool = False
+
+    def __post_init__(self) -> None:
+        if self.signal not in get_args(Signal):
+            known = list(get_args(Signal))
+            raise UsageError(
+                f"a term's signal must be one of {known}, got {self.signal!r}{did_you_mean(self.signal, known)}"
+            )
+        low, high = DERIVATIVES.get(self.signal, (0, 0))
+        if not low <= self.derivative <= high:
+            allowed = f"{low}" if low == high else f"{low} to {high}"
+            raise UsageError(f"derivative of a term of {self.signal} must be {allowed}, got {self.derivative}")
+        if self.name is not None and not self.name.isidentifier():
+            raise UsageError(f"name of a term must be a plain word as 'inertia', got {self.name!r}")
+        if not 1e-30 < abs(self.coefficient) < 1e30 or not math.isfinite(self.coefficient):
+            raise UsageError(f"coefficient of a term must be finite and not 0, got {self.coefficient}")
+
+    @property
+    def noisy(self) -> bool:
+        """Does the term carry the noise of the measured output? Not to speak of where it is not differentiated: there
+        a step of the encoder is as small as it is against the travel."""
+        return self.signal.endswith("output") and self.derivative > 0
 
 
 @dataclass(frozen=True)
 class Equation:
     """sum of `unknown` terms = sum of `known` terms (theory: sum theta_i D^j w_i = D^j w_0).
 
-    The order is the highest derivative of the output among the unknown terms.
-    Raises UsageError where there is no unknown or no known term, or where two unknowns share a name.
+    The order is the highest derivative of the output.
+    Raises UsageError where there is no unknown or no known term, where two unknowns share a name, where an unknown
+    term has no name or a known one has, and where a term stands twice.
     """
 
     unknown: tuple[Term, ...]
@@ -47,6 +87,17 @@ class Equation:
             raise UsageError(
                 f"an equation needs unknown terms with different names and at least one known term, got {names}"
             )
+        if any(term.name is not None for term in self.known):
+            raise UsageError(
+                "a known term has a coefficient and no name; put it among the unknown ones, or drop the name"
+            )
+        if not any(term.signal == "input" for term in self.known):
+            raise UsageError("one known term must be the input: without it nothing gives the unknown ones their scale")
+        if not any(term.noisy for term in self.unknown):
+            raise UsageError("one unknown term must be a derivative of the output, as of a mass or a viscous friction")
+        places = [(term.signal, term.derivative) for term in (*self.unknown, *self.known)]
+        if len(set(places)) < len(places):
+            raise UsageError("a signal's derivative stands in two terms of the equation, which cannot be told apart")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -58,10 +109,64 @@ class Equation:
 
     @property
     def order(self) -> int:
-        return max(term.derivative for term in self.unknown if term.signal == "output")
+        return max(term.derivative for term in (*self.unknown, *self.known) if term.signal.endswith("output"))
 
     @property
     def noisy(self) -> tuple[int, ...]:
         """Columns that carry noise, highest derivative first (what G selects in paper eq. 22)."""
         columns = [i for i, term in enumerate(self.unknown) if term.noisy]
         return tuple(sorted(columns, key=lambda i: -self.unknown[i].derivative))
+
+    @property
+    def leading(self) -> int:
+        """The parameter of the highest derivative: the mass of a drive."""
+        return self.noisy[0]
+
+    @property
+    def roles(self) -> tuple[int | None, ...]:
+        """For each role of the auxiliary model the index of its parameter, or None."""
+        places = {(term.signal, term.derivative): i for i, term in enumerate(self.unknown)}
+        return tuple(next((places[place] for place in role if place in places), None) for role in ROLES)
+
+    @property
+    def positive(self) -> tuple[bool, ...]:
+        """Which unknowns are never negative in a machine: inertia and friction."""
+        chosen = {self.roles[role] for role in POSITIVE_ROLES}
+        return tuple(i in chosen for i in range(len(self.unknown)))
+
+    @property
+    def input_gain(self) -> float:
+        """Coefficient of the input."""
+        return next(term.coefficient for term in self.known if term.signal == "input")
+
+    @property
+    def symmetric(self) -> Equation:
+        """With friction that is the same in both directions, and a constant load that takes up what differs."""
+        split = [term.signal in ("forward", "backward", "forward_output", "backward_output") for term in self.unknown]
+        if not any(split):
+            return self
+        kept = [term for term, apart in zip(self.unknown, split, strict=True) if not apart]
+        there = {(term.signal, term.derivative) for term in kept}
+        merged = [term for term in SYMMETRIC if (term.signal, term.derivative) not in there]
+        return Equation((*kept, *merged), self.known)
+
+    @property
+    def without_simulation(self) -> str:
+        """Why the auxiliary model cannot simulate this equation; empty if it can."""
+        known = {(term.signal, term.derivative) for term in self.known}
+        if self.roles[MASS] is None:
+            return "it has no unknown second derivative of the output (a mass)"
+        if known != {("input", 0)}:
+            return "it has known terms beside the input"
+        signals = {term.signal for term in self.unknown}
+        if any(len(signals & {way, way.replace("for", "back")}) == 1 for way in ("forward", "forward_output")):
+            return "it has friction in one direction only"
+        return ""
+
+
+#: What takes the place of terms that tell the directions apart.
+SYMMETRIC = (
+    Term("output", 1, "viscous_friction", "N s/m"),
+    Term("direction", 0, "coulomb_friction", "N"),
+    Term("moving", 0, "offset", "N"),
+)

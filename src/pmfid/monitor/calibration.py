@@ -140,7 +140,7 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
     """Counts (n,) of the model at theta (p,) under u (n,); phase: of the start on the lattice, in counts."""
     from pmfid._kernel64 import simulate
 
-    mean = simulate(role_values(estimator, list(theta)), estimator.model.input_gain, estimator.dt, u)[0]
+    mean = simulate(role_values(estimator, list(theta)), estimator.equation.input_gain, estimator.dt, u)[0]
     position = np.concatenate([[0.0], np.cumsum(mean[:-1] * estimator.dt)])
     return quantize(position + phase * estimator.encoder.resolution, estimator.encoder.resolution)
 

@@ -14,8 +14,6 @@ from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.status import Status
 
-#: Parameters that are positive in every machine.
-POSITIVE = ("mass", "viscous_friction", "coulomb_friction")
 #: A correlation this many standard deviations from zero is taken for real.
 SIGNIFICANT = 4.5
 #: Root mean square of the equation's error, over that of a white encoder error, beyond which the model is wrong.
@@ -60,7 +58,7 @@ def judge(
 
 def _sizes(estimator: Estimator, theta: NDArray[np.float64], std: NDArray[np.float64]) -> Iterator[Finding]:
     for name, value, deviation in zip(estimator.names, theta, std, strict=True):
-        if not name.startswith(POSITIVE):
+        if name not in _positive(estimator):
             continue
         if value + 3 * deviation < 0:
             yield "implausible", f"{name} is negative: check sign and scale of the input and the encoder"
@@ -77,7 +75,7 @@ def _bias(
     limit: float,
 ) -> Iterator[Finding]:
     """Against instrumental variables on the same record, which know the direction of motion between the counts."""
-    if estimator.method in ("iv", "riv", "output-error", "interval") or (estimator.plain and estimator.zeros):
+    if estimator.simulates or (estimator.plain and estimator.zeros):
         return
     try:
         better = reference(estimator, u, counts)
@@ -85,7 +83,7 @@ def _bias(
         if estimator.plain:
             yield "uncertain", f"least squares may show the encoder's noise, for {error}"
         return
-    unknown = [name for name, (value, bar) in better.items() if name in POSITIVE and bar > 0.5 * abs(value)]
+    unknown = [name for name, (value, bar) in better.items() if name in _positive(estimator) and bar > 0.5 * abs(value)]
     if unknown and estimator.plain:
         yield "uncertain", f"nothing can tell {', '.join(unknown)} here: least squares may show the encoder's noise"
     for name, value, deviation in zip(estimator.names, theta, std, strict=True):
@@ -104,6 +102,10 @@ def reference(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> dict[str
     """Value and standard deviation of each parameter by instrumental variables with the same memory, or by
     bias-compensated least squares where these do not settle."""
     forgetting = getattr(estimator, "forgetting", 1.0)
+    if estimator.equation.without_simulation:
+        zeros = choose_prefilter_zeros(estimator, u, counts)
+        fit = like(BCLS, estimator, prefilter_zeros=zeros).fit(u, counts)
+        return _table(fit.names, fit.theta, fit.theta_std) if estimator.plain else {}
     if forgetting < 1:
         track = like(RIV, estimator, prefilter_zeros=None, forgetting=forgetting).run(u, counts)
         if track.status[-1] & (Status.FALLBACK | Status.STARTING | Status.POOR_EXCITATION):
@@ -121,6 +123,12 @@ def _table(
     names: tuple[str, ...], theta: NDArray[np.float64], std: NDArray[np.float64]
 ) -> dict[str, tuple[float, float]]:
     return {name: (float(value), float(bar)) for name, value, bar in zip(names, theta, std, strict=True)}
+
+
+def _positive(estimator: Estimator) -> set[str]:
+    """Names of the parameters that are never negative in a machine."""
+    equation = estimator.equation
+    return {name for name, positive in zip(equation.names, equation.positive, strict=True) if positive}
 
 
 def counts_per_sample(counts: NDArray[np.int64]) -> float:
@@ -158,11 +166,11 @@ def _residual(
     estimator: Estimator, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]
 ) -> Iterator[Finding]:
     """The error of the equation at theta with the simulated direction: its size, and does the input follow it?"""
-    theta = theta[: len(estimator.model.equation.names)].copy()
-    if not theta[0] > 0:
+    equation = estimator.equation
+    theta = theta[: len(equation.names)].copy()
+    if equation.without_simulation or not theta[equation.leading] > 0:
         return
-    positive = [not name.startswith("offset") for name in estimator.model.equation.names]
-    theta[positive] = np.maximum(theta[positive], 0.0)
+    theta = np.where(equation.positive, np.maximum(theta, 0.0), theta)
     twin = like(IV, estimator, prefilter_zeros=None)
     columns = twin.columns_at(theta, u, counts)
     error = columns.z - columns.phi @ theta

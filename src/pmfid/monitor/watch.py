@@ -179,7 +179,7 @@ class Monitor:
         return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
 
     def _cause(self) -> Cause:
-        names, gain = self._front.names, self.estimator.model.input_gain
+        names, gain = self._front.names, self.estimator.equation.input_gain
         return explain(Blocks.joined(self._recent), self._scale, self.reference, names, gain)
 
     def _settle(self, block: Blocks, information: float, estimate: Any) -> list[Event]:

@@ -14,6 +14,15 @@ from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.batch import long_run_covariance
 from pmfid.estimators.iv import IV
 from pmfid.estimators.output_error import rms
+from pmfid.models.equation import (
+    COULOMB_BACKWARD,
+    COULOMB_FORWARD,
+    MASS,
+    OFFSET,
+    STIFFNESS,
+    VISCOUS_BACKWARD,
+    VISCOUS_FORWARD,
+)
 
 Floats = NDArray[np.float64]
 
@@ -22,6 +31,7 @@ QUIET_ENCODER = 0.003
 #: Part of the filter's memory with one direction of motion, from which on friction is that of one velocity.
 ONE_WAY = 0.95
 MOST_BINS, FEWEST_BINS = 24, 6
+FRICTION = (VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD)
 
 
 @dataclass(frozen=True)
@@ -101,21 +111,24 @@ class Balance:
         """Standard deviation of the filtered velocity [m/s] from white errors of the counts."""
         return self.estimator.encoder.resolution * float(np.linalg.norm(encoder_response(self)[0])) / math.sqrt(12)
 
-    def part(self, *names: str) -> Floats:
-        """Force (n,) [N] of the parameters whose names start so."""
-        chosen = [i for i, name in enumerate(self.estimator.names) if name.startswith(names)]
+    def part(self, *roles: int) -> Floats:
+        """Force (n,) [N] of the parameters with these roles."""
+        chosen = self._parameters(*roles)
         return np.asarray(self.phi[:, chosen] @ self.theta[chosen])
+
+    def _parameters(self, *roles: int) -> list[int]:
+        found = {self.estimator.equation.roles[role] for role in roles}
+        return sorted(index for index in found if index is not None)
 
     @property
     def direction(self) -> Floats:
         """Filtered direction of the model, -1 to 1."""
-        chosen = [i for i, name in enumerate(self.estimator.names) if name.startswith("coulomb")]
-        return np.asarray(self.phi[:, chosen].sum(axis=1))
+        return np.asarray(self.phi[:, self._parameters(COULOMB_FORWARD, COULOMB_BACKWARD)].sum(axis=1))
 
     @property
     def friction_size(self) -> float:
         """Root mean square of the model's friction [N], at least a hundredth of the input force."""
-        return max(rms(self.part("viscous", "coulomb")), 0.01 * rms(self.target))
+        return max(rms(self.part(*FRICTION)), 0.01 * rms(self.target))
 
     def model_friction(self, velocity: Floats) -> Floats:
         """Friction [N] that the model has at a velocity (n,) [m/s]."""
@@ -153,7 +166,7 @@ def one_way_friction(balance: Balance) -> Friction | None:
     if np.count_nonzero(one_way) < 2 * FEWEST_BINS:
         return None
     velocity = balance.velocity[one_way]
-    force = (balance.target - balance.part("mass", "offset"))[one_way]
+    force = (balance.target - balance.part(MASS, OFFSET, STIFFNESS))[one_way]
     return Friction(velocity, force, binned(velocity, balance.residual[one_way], balance.lags))
 
 
@@ -174,7 +187,9 @@ def encoder_response(balance: Balance) -> tuple[Floats, Floats]:
     change[:2] = 1 / estimator.dt, -1 / estimator.dt
     *_, before, velocity = low_pass(estimator, change)
     viscous = role_values(estimator, list(balance.theta))[1]
-    return velocity, balance.theta[0] * estimator.cutoff * (before - velocity) + viscous * velocity
+    return velocity, balance.theta[estimator.equation.leading] * estimator.cutoff * (
+        before - velocity
+    ) + viscous * velocity
 
 
 def binned(x: Floats, force: Floats, lags: int) -> Binned:

@@ -22,13 +22,14 @@ MEMORIES = 3.0
 
 def make_balance(result: Result) -> Balance | None:
     """The record at the result's theta; None where it cannot be simulated. Raises PmfidError as `IV` does."""
+    if result.estimator.equation.without_simulation:
+        return None
     estimator, record = like(IV, result.estimator, prefilter_zeros=None, precision="float64"), result.record
     theta = np.asarray(result.theta[: len(estimator.names)], float)
-    if not (np.all(np.isfinite(theta)) and theta[0] > 0):
+    if not (np.all(np.isfinite(theta)) and theta[estimator.equation.leading] > 0):
         return None
     # a body pushed by its friction has no motion to compare with
-    signed = np.array([name == "offset" for name in estimator.names])
-    plausible = np.where(signed, theta, np.maximum(theta, 0.0))
+    plausible = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
     u = held(record.u)
     y = like(OE, estimator).position(record.counts)
     speed = simulated_velocity(estimator, plausible, u)
@@ -55,7 +56,7 @@ def simulated_velocity(estimator: IV, theta: Floats, u: Floats) -> Floats:
     from pmfid import _kernel64
 
     roles = role_values(estimator, list(theta))
-    return np.asarray(_kernel64.simulate(roles, estimator.model.input_gain, estimator.dt, u)[0])
+    return np.asarray(_kernel64.simulate(roles, estimator.equation.input_gain, estimator.dt, u)[0])
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import numpy as np
 
 from pmfid.estimators.batch import long_run_covariance
 from pmfid.estimators.output_error import rms
+from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, OFFSET
 from pmfid.report.check_balance import Balance, Binned
 from pmfid.report.check_numbers import correlations
 
@@ -69,7 +70,8 @@ def _constant(balance: Balance) -> list[str]:
     error = np.sqrt(long_run_covariance(balance.residual[:, None] - mean, balance.lags)[0, 0]) / balance.t.size
     if abs(mean) < max(SIGNIFICANT * error, RELEVANT_FORCE * balance.friction_size):
         return []
-    known = "offset" in balance.estimator.names or balance.estimator.model.friction == "directional"
+    roles = balance.estimator.equation.roles
+    known = roles[OFFSET] is not None or roles[COULOMB_FORWARD] != roles[COULOMB_BACKWARD]
     remedy = "the constant load has changed" if known else "set offset = true to identify a constant load"
     return [f"Look here: a constant force of {mean:.2g} N is left: {remedy}."]
 

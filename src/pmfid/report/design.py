@@ -3,31 +3,56 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 
 from pmfid.design.appraisal import Appraisal, gathered
-from pmfid.design.criteria import CRITERIA, Criterion
+from pmfid.design.campaign import Campaign
+from pmfid.design.criteria import CRITERIA
+from pmfid.design.result import Design
+from pmfid.design.sequential import Commissioning
 from pmfid.report.design_figures import ellipse_figure, gathering_figure, motion_figure
-from pmfid.report.html import Section, Table, svg, write_report
+from pmfid.report.html import Section, svg, write_report
 
-__all__ = ["criteria_table", "std_table", "write_design"]
+__all__ = [
+    "campaign_table",
+    "campaign_words",
+    "criteria_table",
+    "price_words",
+    "proof",
+    "rounds_table",
+    "std_table",
+    "write_design",
+]
+
+Rows = tuple[list[str], list[list[str]]]
 
 #: Standard inputs that the figures show beside the design; the tables have all.
 SHOWN = ("trapezoid", "s_curve", "minimum_time", "prbs")
 
 
-def write_design(out: Path, appraisal: Appraisal, criterion: Criterion) -> None:
-    """Writes report.html, design.json, design.csv and one CSV for each standard input into the folder `out`."""
+def write_design(out: Path, appraisal: Appraisal, campaign: Campaign | None = None) -> None:
+    """Writes report.html, design.json, design.csv and one CSV for each standard input into the folder `out`.
+
+    With a campaign also one CSV for each of its motions.
+    """
     out.mkdir(parents=True, exist_ok=True)
     (out / "design.json").write_text(json.dumps(appraisal.to_json(), indent=2, allow_nan=False) + "\n")
     design = appraisal.design
     for name, columns in _motions(appraisal).items():
         _write_csv(out / f"{name}.csv", design.t, *columns)
-    unknown = ", ".join(name.replace("_", " ") for name in design.problem.unknown)
+    unknown = ", ".join(_words(name) for name in design.problem.unknown)
     title = f"Input for {unknown}: criterion {design.criterion}"
-    write_report(out / "report.html", title, _sections(appraisal, criterion))
+    sections = _sections(appraisal)
+    if campaign is not None:
+        motions = _campaign_motions(campaign)
+        for name, columns in motions.items():
+            _write_csv(out / f"{name}.csv", design.t, *columns)
+        figure = svg(motion_figure(design.problem, motions))
+        sections.append(Section("Campaign", campaign_words(campaign), campaign_table(campaign), figure))
+    write_report(out / "report.html", title, sections)
 
 
 def _write_csv(path: Path, t: np.ndarray, u: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
@@ -37,30 +62,27 @@ def _write_csv(path: Path, t: np.ndarray, u: np.ndarray, x: np.ndarray, v: np.nd
     path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")
 
 
-def criteria_table(appraisal: Appraisal) -> Table:
+def criteria_table(appraisal: Appraisal) -> Rows:
     """One row for each input: value, gain of the design over it, part that survives stiction, what was bent."""
-    header = ["input", appraisal.design.criterion, "gain of the design", "surviving stiction", "profile"]
+    header = ["input", appraisal.design.criterion, "gain of design", "survives stiction", "profile"]
     rows = []
     for name, worth in appraisal.worths.items():
         standard = appraisal.standard.get(name)
         surviving = "-" if worth.surviving is None else f"{worth.surviving:.3f}"
-        bent = "" if standard is None else "nearest within the limits" if standard.bent else "as it is"
+        bent = "" if standard is None else "bent" if standard.bent else "exact"
         gain = "" if standard is None else f"{appraisal.gain[name]:.3g}"
         rows.append([name.replace("_", " "), f"{worth.value:.4g}", gain, surviving, bent])
     return header, rows
 
 
-def std_table(appraisal: Appraisal) -> Table:
+def std_table(appraisal: Appraisal, *, through_encoder: bool = False) -> Rows:
     """Predicted standard deviation of every unknown parameter, by input, in percent of its nominal value."""
     problem = appraisal.design.problem
     header = ["input", *(f"{_words(name)} [% of {problem.nominal[name]:.4g}]" for name in problem.unknown)]
-    rows = [
-        [
-            key.replace("_", " "),
-            *(_percent(worth.predicted_std[name], problem.nominal[name]) for name in problem.unknown),
-        ]
-        for key, worth in appraisal.worths.items()
-    ]
+    rows = []
+    for key, worth in appraisal.worths.items():
+        std = worth.std_encoder if through_encoder else worth.predicted_std
+        rows.append([key.replace("_", " "), *(_percent(std[name], problem.nominal[name]) for name in problem.unknown)])
     return header, rows
 
 
@@ -68,51 +90,115 @@ def _percent(std: float, nominal: float) -> str:
     return f"{100 * std / abs(nominal):.3g}" if np.isfinite(std) and nominal else "-"
 
 
-def _sections(appraisal: Appraisal, criterion: Criterion) -> list[Section]:
+def _sections(appraisal: Appraisal) -> list[Section]:
     design = appraisal.design
     motions = {name: columns for name, columns in _motions(appraisal).items() if name in ("design", *SHOWN)}
-    curves = {name: gathered(design.problem, criterion, columns[0]) for name, columns in motions.items()}
-    units = dict(zip(design.problem.drive.equation.names, design.problem.drive.equation.units, strict=True))
-    nominal = np.array([design.problem.nominal[name] for name in design.problem.unknown])
-    fishers = {name: appraisal.worths[name].fisher for name in motions}
-    ellipses = ellipse_figure(
-        design.problem.unknown, tuple(units[name] for name in design.problem.unknown), nominal, fishers
-    )
+    curves = {name: gathered(design.problem, appraisal.rule, columns[0]) for name, columns in motions.items()}
+    problem = design.problem
+    nominal = np.array([abs(problem.nominal[name]) or 1.0 for name in problem.unknown])
+    ellipses = ellipse_figure(problem.unknown, nominal, {name: appraisal.worths[name].fisher for name in motions})
     sections = [
         Section("What it is worth", _summary(appraisal), criteria_table(appraisal)),
         Section("Predicted standard deviations", _STD_TEXT, std_table(appraisal)),
+        *_through_encoder(appraisal),
         Section(
             "Input and motion",
             "Limits are dashed, the least speed is dotted.",
-            svg=svg(motion_figure(design.problem, motions)),
+            svg=svg(motion_figure(problem, motions)),
         ),
         Section("Information gathered over time", svg=svg(gathering_figure(curves, f"criterion {design.criterion}"))),
     ]
     if ellipses is not None:
-        sections.append(Section("Confidence ellipses, 95 %", "Around the nominal values.", svg=svg(ellipses)))
+        sections.append(
+            Section(
+                "Confidence ellipses, 95 %", "Deviation from the nominal values in percent of them.", svg=svg(ellipses)
+            )
+        )
     return sections
 
 
+def _through_encoder(appraisal: Appraisal) -> list[Section]:
+    if not any(np.isfinite(std) for std in appraisal.worths["design"].std_encoder.values()):
+        return []
+    return [Section("The same through this encoder", _ENCODER_TEXT, std_table(appraisal, through_encoder=True))]
+
+
 _STD_TEXT = (
-    "The Cramér-Rao bound for one run, with what was known before: no unbiased estimate can do better where the "
-    "encoder's error is white with the variance given. An encoder of coarse steps is not white, and an estimate may be "
-    "better or worse."
+    "The Cramér-Rao bound for one run, with what was known before: no unbiased estimate does better where the error of "
+    "the position is white with the variance given and the start is known."
 )
+
+
+def campaign_table(campaign: Campaign) -> Rows:
+    """One row for each motion: share of the runs, how many of 10 and of 100 runs that is, value alone."""
+    header = ["motion", "share of the runs", "of 10 runs", "of 100 runs", f"{campaign.single.criterion} alone"]
+    rows = [
+        [f"motion {number}", f"{weight:.3f}", str(ten), str(hundred), f"{motion.value:.4g}"]
+        for number, (weight, ten, hundred, motion) in enumerate(
+            zip(campaign.weights, campaign.runs(10), campaign.runs(100), campaign.motions, strict=True), 1
+        )
+    ]
+    return header, rows
+
+
+def campaign_words(campaign: Campaign) -> str:
+    """What a campaign brings."""
+    return (
+        f"Per run the motions together tell {campaign.gain:.3g} times as much as the best single one repeated "
+        f"({campaign.single.criterion} {campaign.value:.4g}); any number of motions, {campaign.ideal:.4g}."
+    )
+
+
+def _campaign_motions(campaign: Campaign) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    return {f"motion_{number}": (each.u, each.x, each.v) for number, each in enumerate(campaign.motions, 1)}
+
+
+def rounds_table(state: Commissioning) -> Rows:
+    """One row for each round: value and standard deviation of each parameter, distance travelled."""
+    header = ["round", *(_words(name) for name in state.problem.names), "travel [m]", "inflation"]
+    rows = []
+    for number, each in enumerate(state.rounds, 1):
+        std = each.known.std(state.problem.names)
+        cells = [_with_std(each.known.parameters[name], std[name]) for name in state.problem.names]
+        rows.append([str(number), *cells, f"{each.run.y[-1] - each.run.y[0]:.4f}", f"{each.known.inflation:.2f}"])
+    return header, rows
+
+
+def _with_std(value: float, std: float) -> str:
+    """To two digits of the standard deviation."""
+    digits = max(0, 1 - math.floor(math.log10(std))) if std > 0 else 4
+    return f"{value:.{digits}f} ± {std:.{digits}f}"
+
+
+_ENCODER_TEXT = (
+    "An encoder does not tell where within a count the axis starts, and its error is not white: it repeats with the "
+    "motion. This is what least squares, as in pmfid commission, gets from its counts."
+)
+
+
+def proof(design: Design) -> str:
+    """How near the optimum is, and how the design was found."""
+    proved = (
+        "No bound is proved: another input may be better."
+        if design.gap is None
+        else f"Proved: no input within these limits and directions is better by more than {100 * design.gap:.3g} %."
+    )
+    return (
+        f"{proved} Found from {design.starts} starts in {design.solve_seconds:.2g} s; {100 * design.reached:.0f} % of "
+        "them end within 0.1 % of the best."
+    )
+
+
+def price_words(price: float) -> str:
+    """What robustness costs."""
+    return f"That the limits hold in every scenario costs {100 * price:.1f} % of the nominal information."
 
 
 def _summary(appraisal: Appraisal) -> str:
     design = appraisal.design
-    proved = (
-        "No bound is proved: another input may be better."
-        if design.gap is None
-        else f"No input within these limits and directions is better by more than {100 * design.gap:.2g} %."
-    )
-    found = (
-        f"Found from {design.starts} starts in {design.solve_seconds:.2g} s; {100 * design.reached:.0f} % of them end "
-        f"within 0.1 % of the best."
-    )
     meaning = f"Criterion {design.criterion}: {CRITERIA[design.criterion]}; larger is better."
-    return "\n\n".join([meaning, f"{proved} {found}", *(f"Warning: {text}." for text in appraisal.warnings)])
+    price = [price_words(appraisal.price)] if appraisal.price is not None else []
+    return "\n\n".join([meaning, proof(design), *price, *(f"Warning: {text}." for text in appraisal.warnings)])
 
 
 def _motions(appraisal: Appraisal) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:

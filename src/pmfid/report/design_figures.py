@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import combinations, cycle
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -38,9 +39,9 @@ def motion_figure(problem: Problem, inputs: Inputs) -> Figure:
                 axes.axhline(bound, color=MAGENTA, ls="--", lw=1.0)
         if problem.limits.min_speed > 0:
             panels[1].axhline(problem.limits.min_speed, color=MAGENTA, ls=":", lw=1.0)
-        for (name, (u, x, v)), (colour, style) in zip(inputs.items(), _styles(), strict=False):
-            look = {"color": colour, "ls": style, "lw": 1.8 if style == "-" else 1.2}
-            panels[0].stairs(u, problem.t, baseline=None, label=name, **look)
+        for name, look in _looks(inputs):
+            u, x, v = inputs[name]
+            panels[0].stairs(u, problem.t, baseline=None, **look)
             panels[1].plot(problem.t, v, **look)
             panels[2].plot(problem.t, x, **look)
         _finish(figure, panels[0], panels[-1])
@@ -52,17 +53,18 @@ def gathering_figure(curves: Mapping[str, tuple[Float, Float]], ylabel: str) -> 
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
         axes = figure.add_subplot()
-        for (name, (t, value)), (colour, style) in zip(curves.items(), _styles(), strict=False):
-            axes.plot(t, value, color=colour, ls=style, label=name)
+        for name, look in _looks(curves):
+            axes.plot(*curves[name], **look)
         axes.set_ylabel(ylabel)
         _finish(figure, axes, axes)
     return figure
 
 
-def ellipse_figure(
-    names: tuple[str, ...], units: tuple[str, ...], nominal: Float, fishers: Mapping[str, Float]
-) -> Figure | None:
-    """95 % confidence ellipse of each pair of parameters; None for one parameter. fishers: name -> (p, p)."""
+def ellipse_figure(names: tuple[str, ...], scale: Float, fishers: Mapping[str, Float]) -> Figure | None:
+    """95 % confidence ellipse of each pair of parameters in percent of `scale` (p,); None for one parameter.
+
+    fishers: name -> information (p, p) in the units of the parameters.
+    """
     pairs = list(combinations(range(len(names)), 2))
     if not pairs:
         return None
@@ -70,36 +72,43 @@ def ellipse_figure(
         figure = Figure(figsize=(WIDTH, 3.6 if len(pairs) > 1 else 4.4), layout="constrained")
         panels = figure.subplots(1, len(pairs), squeeze=False)[0]
         for axes, (i, j) in zip(panels, pairs, strict=True):
-            for (name, fisher), (colour, style) in zip(fishers.items(), _styles(), strict=False):
-                _ellipse(axes, nominal[[i, j]], fisher, (i, j), {"color": colour, "ls": style, "label": name})
-            axes.plot(*nominal[[i, j]], "+", color=GREY)
-            axes.set_xlabel(f"{_words(names[i])} [{units[i]}]")
-            axes.set_ylabel(f"{_words(names[j])} [{units[j]}]")
+            for name, look in _looks(fishers):
+                _ellipse(axes, fishers[name] * np.outer(scale, scale) / 1e4, (i, j), look)
+            axes.plot(0.0, 0.0, "+", color=GREY)
+            axes.set_xlabel(f"{_words(names[i])} [%]")
+            axes.set_ylabel(f"{_words(names[j])} [%]")
             axes.locator_params(nbins=5)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=5)
+        _legend(figure, panels[0])
     return figure
 
 
-def _ellipse(axes: Axes, centre: Float, fisher: Float, pair: tuple[int, int], look: dict[str, str]) -> None:
+def _ellipse(axes: Axes, fisher: Float, pair: tuple[int, int], look: dict[str, Any]) -> None:
     if np.linalg.matrix_rank(fisher) < len(fisher):
         return
     covariance = np.linalg.inv(fisher)[np.ix_(pair, pair)]
     angle = np.linspace(0, 2 * np.pi, 200)
     circle = np.sqrt(CHI2) * np.array([np.cos(angle), np.sin(angle)])
-    x, y = centre[:, None] + np.linalg.cholesky(covariance) @ circle
-    axes.plot(x, y, color=look["color"], ls=look["ls"], label=look["label"])
+    axes.plot(*(np.linalg.cholesky(covariance) @ circle), **look)
 
 
-def _styles() -> cycle[tuple[str, str]]:
-    """Colour and line of each curve: the first colour is the design's, solid."""
-    return cycle([(colour, style) for style in LINE_STYLES for colour in COLOURS])
+def _looks(names: Iterable[str]) -> list[tuple[str, dict[str, Any]]]:
+    """Name and style of each curve: the first one, the design, broad, so that it shows below one that covers it."""
+    styles = cycle([(colour, style) for style in LINE_STYLES for colour in COLOURS])
+    looks = []
+    for number, (name, (colour, style)) in enumerate(zip(names, styles, strict=False)):
+        words = name.replace("_", " ")
+        looks.append((name, {"color": colour, "ls": style, "lw": 1.3 if number else 4.0, "label": words}))
+    return looks
 
 
 def _finish(figure: Figure, first: Axes, last: Axes) -> None:
     last.set_xlabel("time [s]")
     last.margins(x=0.01)
-    handles, labels = first.get_legend_handles_labels()
+    _legend(figure, first)
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=5)
 
 

@@ -12,6 +12,8 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from pmfid.errors import UsageError
+from pmfid.models.drive import Drive, EquationModel, Model
+from pmfid.models.equation import Equation, Signal, Term
 from pmfid.session.toml_file import FileSection, load_sections
 
 __all__ = ["Axis", "check_sampling", "load_axis"]
@@ -70,15 +72,65 @@ class EncoderConfig(FileSection):
     max_speed: Positive | None = Field(None, description="the highest possible speed in unit of y per s")
 
 
-class ModelConfig(FileSection):
-    """[model]: the equation, mass x'' + viscous_friction x' + coulomb_friction sign(x') = input_gain u."""
+class UnknownTerm(FileSection):
+    """A term of the user's own equation, whose coefficient is to be found."""
 
-    kind: Literal["drive"] = Field("drive", description="the kind of model; there is one so far")
-    input_gain: Positive = Field(description="the force in N per unit of u, for example 2.0")
+    signal: Signal
+    derivative: int = 0
+    name: Name
+    unit: str = ""
+
+
+class KnownTerm(FileSection):
+    """A term of the user's own equation with a known coefficient."""
+
+    signal: Signal = "input"
+    derivative: int = 0
+    coefficient: float = 1.0
+
+
+class ModelConfig(FileSection):
+    """[model]: the equation, mass x'' + viscous_friction x' + coulomb_friction sign(x') [+ ...] = input_gain u, or one
+    of the user's own terms: kind = "equation"."""
+
+    kind: Literal["drive", "equation"] = Field(
+        "drive", description='"drive", or "equation" for the terms in unknown and known'
+    )
+    input_gain: Positive | None = Field(None, description="the force in N per unit of u, for example 2.0")
     friction: Literal["symmetric", "directional"] = Field(
         "symmetric", description="whether friction differs between forward and backward"
     )
     offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
+    spring: bool = Field(False, description="true if the load hangs on a spring, false if there is none")
+    unknown: tuple[UnknownTerm, ...] = Field(
+        (), strict=False, description='terms as { signal = "output", derivative = 2, name = "inertia", unit = "kg m2" }'
+    )
+    known: tuple[KnownTerm, ...] = Field(
+        (KnownTerm(),), strict=False, description='terms as { signal = "input", coefficient = 0.35 }'
+    )
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.kind == "drive" and self.input_gain is None:
+            raise ValueError("input_gain is missing; give the force in N per unit of u, for example 2.0")
+        if self.kind == "drive" and (self.unknown or "known" in self.model_fields_set):
+            raise ValueError('unknown and known are for kind = "equation"; add that, or drop them')
+        own = {"input_gain", "friction", "offset", "spring"} & self.model_fields_set
+        if self.kind == "equation" and own:
+            raise ValueError(f'{", ".join(sorted(own))} is for kind = "drive"; write it as a term of unknown or known')
+        try:
+            self.make()
+        except UsageError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    def make(self) -> Model:
+        """The model that the section describes. Raises UsageError where the terms make no equation."""
+        if self.kind == "drive" and self.input_gain is not None:
+            return Drive(self.input_gain, offset=self.offset, friction=self.friction, spring=self.spring)
+        unknown = tuple(Term(term.signal, term.derivative, term.name, term.unit) for term in self.unknown)
+        known = tuple(Term(term.signal, term.derivative, coefficient=term.coefficient) for term in self.known)
+        return EquationModel(Equation(unknown, known))
 
 
 class EstimatorConfig(FileSection):
@@ -104,6 +156,9 @@ class EstimatorConfig(FileSection):
         gt=0,
         le=1,
         description="a factor in (0, 1]; for a memory of T seconds use 1 - dt/T, 1 never forgets",
+    )
+    forgetting_scheme: Literal["exponential", "directional", "constant-trace", "window"] = Field(
+        "exponential", description="what becomes of old samples where forgetting < 1"
     )
     discretization: Literal["matched", "paper"] = Field("matched", description="the discretisation of the filters")
     # not strict, because TOML has lists and a frozen object wants a tuple

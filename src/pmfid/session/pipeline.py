@@ -17,7 +17,6 @@ from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.zeros import choose_prefilter_zeros
-from pmfid.models.drive import Drive
 from pmfid.monitor.validity import judge
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.records import Record
@@ -67,13 +66,14 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
     """The estimator that a configuration asks for, at the record's sample period and resolution."""
     check_sampling(axis, record.dt)
     config = axis.estimator
-    cls = ESTIMATORS["iv" if config.method == AUTO else config.method]
+    model = axis.model.make()
+    automatic = "bcls" if model.equation.without_simulation else "iv"
+    cls = ESTIMATORS[automatic if config.method == AUTO else config.method]
     options: dict[str, Any] = {"order": config.order, "discretization": config.discretization}
     options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
     if issubclass(cls, RecursiveEstimator):
-        options["forgetting"] = config.forgetting
+        options |= {"forgetting": config.forgetting, "forgetting_scheme": config.forgetting_scheme}
     encoder = Encoder(record.resolution, standstill_time=axis.encoder.standstill_time, max_speed=axis.encoder.max_speed)
-    model = Drive(axis.model.input_gain, offset=axis.model.offset, friction=axis.model.friction)
     estimator = cls(model, encoder, record.dt, config.cutoff, **options)
     if cls.instrumental and config.prefilter_zeros is None:
         zeros = choose_prefilter_zeros(estimator, record.u, record.counts)
@@ -97,12 +97,13 @@ def identify(record: Record, axis: Axis, progress: Progress | None = None) -> Re
 
 def _check_known(result: Result) -> None:
     """A mass that is not known to its own size is no estimate."""
-    mass, std = result.theta[0], result.theta_std[0]
+    leading = result.estimator.equation.leading
+    mass, std = result.theta[leading], result.theta_std[leading]
     if not std < abs(mass):
         advice = "; ".join(result.notes) or "record a motion with reversals and varying speed"
         raise NotIdentifiableError(
-            f"{result.estimator.names[0]} comes out as {mass:.3g} with a standard deviation of {std:.2g}: this record "
-            f"cannot identify it ({advice})"
+            f"{result.estimator.names[leading]} comes out as {mass:.3g} with a standard deviation of {std:.2g}: this "
+            f"record cannot identify it ({advice})"
         )
 
 
@@ -143,7 +144,7 @@ def _recursive(estimator: RecursiveEstimator, record: Record, columns: Columns, 
     theta, std = track.theta[-1], track.theta_std[-1]
     relative = _relative_error(columns, track)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
-    held = occurred | (last & ~int(Status.SETTLING))
+    held = occurred | (last & ~int(Status.SETTLING | Status.UNMODELLED))  # `judge` looks closer
     flags, notes = judge(estimator, record.u, record.counts, theta, std)
     status = (*status_names(held), *flags)
     notes = (*record.notes, *notes, *Status(held).advice)

@@ -69,11 +69,13 @@ def _sections(whole: type[FileSection]) -> dict[str, type[BaseModel]]:
     return {name: cls for name, cls in types.items() if isinstance(cls, type) and issubclass(cls, BaseModel)}
 
 
-def _problem(
-    whole: type[FileSection], error: ErrorDetails, raw: Mapping[str, Any], given: Mapping[str, object]
-) -> str:
+def _problem(whole: type[FileSection], error: ErrorDetails, raw: Mapping[str, Any], given: Mapping[str, object]) -> str:
     section, *rest = (str(part) for part in error["loc"][:2])
     label = f"[{section}] {rest[0]}" if rest else f"[{section}]"
+    inside = error["loc"][2:]
+    if len(inside) > 1 and isinstance(inside[0], int):
+        description = str(_sections(whole)[section].model_fields[rest[0]].description)
+        return _entry_problem(f"{label}, term {inside[0] + 1}: {inside[1]}", error, description)
     if error["type"] == "extra_forbidden":
         return _unknown(whole, section, rest)
     field = _sections(whole)[section].model_fields[rest[0]] if rest else whole.model_fields[section]
@@ -84,6 +86,13 @@ def _problem(
         return f"{label}: {message}" if isinstance(raw[section], dict) else f"{label} must be a section of keys"
     origin = " (given as an option)" if f"{section}.{rest[0]}" in given else ""
     return f"{label} = {raw[section][rest[0]]!r}{origin}: {message}; give {field.description}"
+
+
+def _entry_problem(place: str, error: ErrorDetails, description: str) -> str:
+    """Of a key in one of several entries, such as the terms of an equation."""
+    if error["type"] == "missing":
+        return f"{place} is missing; write {description}"
+    return f"{place} = {error['input']!r}: {error['msg'].replace('Input should', 'it should')}; write {description}"
 
 
 def _unknown(whole: type[FileSection], section: str, rest: list[str]) -> str:

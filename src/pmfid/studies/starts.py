@@ -85,7 +85,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         f"viscous and Coulomb friction: `iv` its result, `riv` its mean over the last {END:g} s. Astray: more than "
         "5/5/20 % wrong. Last astray: end of the last such sample (worst seed); until then seconds with the status "
         "starting or settling, and with fallback (mean over the seeds). Astray and unsaid: seconds astray without any "
-        "status bit that warns (starting, settling, fallback, poor excitation), worst seed.",
+        "status bit that warns (starting, settling, fallback, poor excitation, unmodelled), worst seed.",
         "",
     ]
     for condition in CONDITIONS:

@@ -28,7 +28,7 @@ TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 TIME_CONSTANT = 3
 #: Methods that simulate the whole record many times; they get fewer seeds.
 SLOW = tuple(name for name in ("output-error", "interval") if name in ESTIMATORS)
-NOT_VOUCHED = Status.STARTING | Status.SETTLING | Status.FALLBACK | Status.POOR_EXCITATION
+NOT_VOUCHED = Status.STARTING | Status.SETTLING | Status.FALLBACK | Status.POOR_EXCITATION | Status.UNMODELLED
 #: Relative step of the central differences for the bound.
 STEP = 1e-4
 
@@ -149,7 +149,7 @@ def positions(u: Floats, theta: Floats, v0: float) -> Floats:
     from pmfid import _kernel64
 
     mass, viscous, coulomb = theta.tolist()
-    roles = [mass, viscous, viscous, coulomb, coulomb, 0.0]
+    roles = [mass, viscous, viscous, coulomb, coulomb, 0.0, 0.0]
     mean_velocity = _kernel64.simulate(roles, CART.input_gain, CART_DT, u, v0)[0]
     return np.asarray(np.r_[0.0, np.cumsum(mean_velocity[:-1]) * CART_DT])
 

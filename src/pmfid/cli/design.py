@@ -1,0 +1,187 @@
+"""The commands `pmfid design` and `pmfid commission`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pmfid.errors import PmfidError, UsageError
+
+SPEC = click.argument("spec", type=click.Path(path_type=Path), metavar="SPEC.toml")
+UNKNOWN = click.option("--unknown", multiple=True, metavar="NAME", help="A parameter to be found; may be repeated.")
+CRITERION = click.option("--criterion", metavar="NAME", help="trace, D, A, E, ME or c.")
+STARTS = click.option("--starts", type=int, metavar="N", help="Random starts of the search.")
+SEED = click.option("--seed", type=int, metavar="N", help="Of the random starts, and of a simulation.")
+OUT = click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Write report.html, design.json, and t, u, x, v as design.csv there.",
+)
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+#: Option -> key of SPEC.toml.
+KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": "search.seed"}
+
+
+@click.command()
+@SPEC
+@UNKNOWN
+@CRITERION
+@STARTS
+@SEED
+@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Threads of the search.")
+@click.option(
+    "--certify",
+    type=click.FloatRange(min=0),
+    default=5.0,
+    show_default=True,
+    metavar="S",
+    help="Seconds at most for a proof of how near the optimum is; 0 for none.",
+)
+@click.option(
+    "--motions",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    metavar="K",
+    help="Also a campaign of so many different motions, with the share of the runs that each deserves.",
+)
+@OUT
+@JSON
+def design(
+    spec: Path, workers: int, certify: float, motions: int, out: Path | None, as_json: bool, **options: Any
+) -> None:
+    """Find the input that tells most about an axis within its limits.
+
+    Exit code 0: a design; 2: wrong usage; 3: the limits cannot be met, or no input tells a parameter.
+    """
+    from pmfid.design.job import appraised, campaigned, designed
+    from pmfid.report.design import write_design
+
+    loaded = _load(spec, options)
+    with _infeasible_as_json(as_json), _progress(loaded.search.starts, as_json) as progress:
+        found = designed(loaded, workers=workers, certify=certify or None, progress=progress)
+    appraisal = appraised(loaded, found)
+    together = campaigned(loaded, motions) if motions > 1 else None
+    if out is not None:
+        write_design(out, appraisal, together)
+    if as_json:
+        click.echo(json.dumps(appraisal.to_json() | _campaign(together), allow_nan=False))
+    else:
+        from pmfid.cli.design_tables import print_appraisal
+
+        print_appraisal(appraisal, together, out)
+
+
+@click.command()
+@SPEC
+@click.argument("records", nargs=-1, type=click.Path(path_type=Path), metavar="[RECORD]...")
+@click.option(
+    "--want", multiple=True, metavar="NAME=STD", help="Stop at this standard deviation, in its unit; may be repeated."
+)
+@click.option(
+    "--truth",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Simulate all rounds on an axis with this parameter, the others nominal; may be repeated.",
+)
+@click.option("--rounds", type=click.IntRange(min=1), default=10, show_default=True, help="The most to simulate.")
+@UNKNOWN
+@CRITERION
+@STARTS
+@SEED
+@OUT
+@JSON
+def commission(
+    spec: Path,
+    records: tuple[Path, ...],
+    want: tuple[str, ...],
+    truth: tuple[str, ...],
+    rounds: int,
+    out: Path | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Estimate from the designed runs so far and design the next one, until the wanted deviation is reached.
+
+    Without a record: the first design. Exit code 0: an estimate or a design; 2: wrong usage; 3: the limits cannot be
+    met, or the runs cannot tell a parameter.
+    """
+    from pmfid.design.job import appraised, commissioned, read_run
+
+    loaded = _load(spec, options)
+    runs = [read_run(loaded, path) for path in records]
+    with _infeasible_as_json(as_json):
+        state = commissioned(loaded, runs, _pairs("want", want), _pairs("truth", truth) if truth else None, rounds)
+    if out is not None and state.next is not None:
+        from pmfid.report.design import write_design
+
+        write_design(out, appraised(loaded, state.next))
+    if as_json:
+        click.echo(json.dumps(state.to_json(), allow_nan=False))
+    else:
+        from pmfid.cli.design_tables import print_commissioning
+
+        print_commissioning(state, out)
+
+
+def _campaign(together: Any) -> dict[str, Any]:
+    if together is None:
+        return {}
+    numbers = {name: getattr(together, name) for name in ("value", "gain", "ideal")}
+    return {"campaign": numbers | {"weights": [float(weight) for weight in together.weights]}}
+
+
+def _load(spec: Path, options: dict[str, Any]) -> Any:
+    from pmfid.design.spec import load_spec
+
+    unknown = list(options.pop("unknown")) or None
+    given = {KEYS[name]: value for name, value in options.items()}
+    return load_spec(spec, {"experiment.unknown": unknown, **given})
+
+
+def _pairs(option: str, texts: tuple[str, ...]) -> dict[str, float]:
+    """NAME=NUMBER of a repeated option."""
+    found = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            found[name.strip()] = float(value)
+        except ValueError:
+            raise UsageError(f"--{option} {text!r} is not NAME=NUMBER, for example mass=0.01") from None
+    return found
+
+
+@contextmanager
+def _infeasible_as_json(as_json: bool) -> Iterator[None]:
+    """Before the error goes on to its one line: what to relax, as an object."""
+    try:
+        yield
+    except PmfidError as error:
+        ways = getattr(error, "relaxations", None)
+        if as_json and ways is not None:
+            changes = [{"limit": way.name, "from": way.value, "to": way.needed, "unit": way.unit} for way in ways]
+            click.echo(json.dumps({"feasible": False, "relax": changes}))
+        raise
+
+
+@contextmanager
+def _progress(starts: int, quiet: bool) -> Iterator[Callable[[int, int, float], None] | None]:
+    """A bar on standard error, where that is a terminal."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(f"{starts} starts", total=starts)
+        yield lambda done, total, best: bar.update(
+            task, completed=done, description=f"{starts} starts, best {best:.5g}"
+        )

@@ -1,0 +1,64 @@
+"""What the terminal shows of a design and of a commissioning."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pmfid.design.appraisal import Appraisal
+    from pmfid.design.campaign import Campaign
+    from pmfid.design.sequential import Commissioning
+
+
+def print_appraisal(appraisal: Appraisal, together: Campaign | None, out: Path | None) -> None:
+    """The design beside the standard inputs, its predicted standard deviations, and what to mind."""
+    from pmfid.report.design import campaign_table, campaign_words, criteria_table, price_words, proof, std_table
+
+    unknown = ", ".join(name.replace("_", " ") for name in appraisal.design.problem.unknown)
+    _table(f"Input for {unknown}", criteria_table(appraisal))
+    _table("Predicted standard deviation after one run", std_table(appraisal))
+    _lines(proof(appraisal.design), *(f"warning: {text}" for text in appraisal.warnings))
+    if appraisal.price is not None:
+        _lines(price_words(appraisal.price))
+    if together is not None:
+        _table("Campaign", campaign_table(together))
+        _lines(campaign_words(together))
+    if out is not None:
+        _lines(f"report: {out / 'report.html'}", f"motion: {out / 'design.csv'}")
+
+
+def print_commissioning(state: Commissioning, out: Path | None) -> None:
+    """What is known after each round, and what is next."""
+    from pmfid.report.design import rounds_table
+
+    if state.rounds:
+        _table("After each round: value ± standard deviation", rounds_table(state))
+    if state.wanted and state.rounds:
+        _lines("every wanted deviation is reached" if state.reached else "a wanted deviation is not yet reached")
+    if state.next is None:
+        return
+    predicted = ", ".join(f"{name.replace('_', ' ')} {std:.3g}" for name, std in state.next.predicted_std.items())
+    _lines(f"next design: standard deviations expected after it: {predicted}")
+    if out is not None:
+        _lines(f"report: {out / 'report.html'}", f"motion: {out / 'design.csv'}")
+
+
+def _table(title: str, content: tuple[list[str], list[list[str]]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    header, rows = content
+    table = Table(title=title)
+    for number, heading in enumerate(header):
+        table.add_column(heading, justify="right" if number else "left", no_wrap=number == 0)
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
+def _lines(*texts: str) -> None:
+    from rich.console import Console
+
+    for text in texts:
+        Console().print(text, highlight=False, markup=False, soft_wrap=True)

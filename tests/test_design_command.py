@@ -1,0 +1,248 @@
+"""`pmfid design` and `pmfid commission` as a stranger tries them."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner, Result
+
+from pmfid.cli.main import main
+from pmfid.design.simulated import simulate
+from pmfid.design.spec import load_spec, make_problem
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "cart_design.toml"
+FEW = ("--starts", "3", "--certify", "0")
+
+
+def run(*arguments: str | Path) -> Result:
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+def changed(tmp_path: Path, *changes: tuple[str, str]) -> Path:
+    text = EXAMPLE.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "spec.toml"
+    path.write_text(text)
+    return path
+
+
+def test_json_is_the_object_that_was_promised() -> None:
+    result = run("design", EXAMPLE, "--unknown", "mass", "--criterion", "trace", "--json", *FEW)
+    assert result.exit_code == 0
+    found = json.loads(result.stdout)
+    assert {
+        "criterion",
+        "value",
+        "bound",
+        "gap",
+        "standard",
+        "gain",
+        "surviving",
+        "predicted_std",
+        "solve_seconds",
+        "starts",
+        "feasible",
+    } <= set(found)
+    assert found["criterion"] == "trace"
+    assert found["starts"] == 3
+    assert found["feasible"] is True
+    assert found["gain"]["trapezoid"] == pytest.approx(found["value"] / found["standard"]["trapezoid"])
+    assert found["gain"]["trapezoid"] > 1.2
+    assert found["surviving"] > 0.99
+    # the trace for one scaled parameter is (nominal / std)^2
+    assert found["predicted_std"] == {"mass": pytest.approx(1.5 / np.sqrt(found["value"]))}
+    assert result.stderr == ""
+
+
+def test_the_proof_comes_with_the_value() -> None:
+    result = run("design", EXAMPLE, "--unknown", "mass", "--criterion", "trace", "--json", "--certify", "2")
+    found = json.loads(result.stdout)
+    assert found["bound"] >= found["value"]
+    assert found["gap"] == pytest.approx(found["bound"] / found["value"] - 1)
+
+
+def test_the_table_shows_design_and_standard_inputs(tmp_path: Path) -> None:
+    result = run("design", EXAMPLE, *FEW, "--out", tmp_path)
+    assert result.exit_code == 0
+    for word in ("design", "trapezoid", "minimum time", "multisine", "Coulomb friction", "report.html"):
+        assert word in result.stdout
+    motion = pl.read_csv(tmp_path / "design.csv")
+    assert motion.columns == ["t", "u", "x", "v"]
+    assert motion["x"][-1] == pytest.approx(0.4, abs=1e-9)
+    assert motion["t"].to_list() == pytest.approx(np.linspace(0, 2, 41))
+    assert (tmp_path / "trapezoid.csv").exists()
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for heading in ("What it is worth", "Input and motion", "Information gathered over time", "Confidence ellipses"):
+        assert heading in page
+    assert page.count("<svg") == 3
+    assert "http" not in page
+    saved = json.loads((tmp_path / "design.json").read_text())
+    assert saved["criterion"] == "D"
+
+
+def test_the_motion_file_drives_a_simulated_axis_to_its_end(tmp_path: Path) -> None:
+    run("design", EXAMPLE, *FEW, "--out", tmp_path)
+    u = pl.read_csv(tmp_path / "design.csv")["u"].to_numpy()[:-1]
+    motion = simulate(make_problem(load_spec(EXAMPLE)), u)
+    assert motion.x[-1] == pytest.approx(0.4, abs=1e-6)
+    assert motion.x == pytest.approx(pl.read_csv(tmp_path / "design.csv")["x"].to_numpy(), abs=1e-9)
+
+
+def test_one_parameter_has_no_ellipse(tmp_path: Path) -> None:
+    assert run("design", EXAMPLE, "--unknown", "mass", *FEW, "--out", tmp_path).exit_code == 0
+    assert (tmp_path / "report.html").read_text().count("<svg") == 2
+
+
+def test_the_report_has_the_encoders_own_deviations_where_there_is_one(tmp_path: Path) -> None:
+    noisy = changed(tmp_path, ("resolution = 22.75e-6", "noise_std = 1e-5"))
+    for path, there in ((EXAMPLE, True), (noisy, False)):
+        run("design", path, "--unknown", "mass", *FEW, "--out", tmp_path / "out", "--motions", "2")
+        page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+        assert ("through this encoder" in page) == there
+        assert "Campaign" in page
+    assert pl.read_csv(tmp_path / "out" / "motion_1.csv").columns == ["t", "u", "x", "v"]
+
+
+def test_a_campaign_is_in_the_object() -> None:
+    found = json.loads(run("design", EXAMPLE, *FEW, "--motions", "2", "--json").stdout)
+    assert sum(found["campaign"]["weights"]) == pytest.approx(1.0)
+    assert found["campaign"]["gain"] == pytest.approx(found["campaign"]["value"] / found["value"], rel=1e-6)
+    assert found["campaign"]["gain"] > 1.2
+
+
+def test_the_trap_of_no_least_speed_is_told(tmp_path: Path) -> None:
+    result = run("design", changed(tmp_path, ("min_speed = 0.01", "min_speed = 0.0")), *FEW)
+    assert result.exit_code == 0
+    assert "warning" in result.stdout
+    assert "survives" in result.stdout
+
+
+def test_the_same_seed_gives_the_same_motion(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        run("design", EXAMPLE, *FEW, "--seed", "5", "--out", tmp_path / name)
+    for file in ("design.csv", "prbs.csv"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("duration = 2.0", "duration = 0.5", "least time"),
+        ("input = 3.0", "input = 0.35", "input"),
+        ("input = 3.0", "input = 3.0\nvelocity = 0.1", "velocity"),
+        ("input = 3.0", "input = 3.0\nrms = 0.5", "rms"),
+    ],
+)
+def test_limits_that_cannot_be_met_say_what_to_relax(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = changed(tmp_path, (old, new))
+    result = run("design", path, "--unknown", "mass", *FEW)
+    assert result.exit_code == 3
+    assert result.stdout == ""
+    assert "relax one of" in result.stderr
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+    machine = run("design", path, "--unknown", "mass", *FEW, "--json")
+    assert machine.exit_code == 3
+    found = json.loads(machine.stdout)
+    assert found["feasible"] is False
+    assert found["relax"]
+    assert all(np.isfinite(way["to"]) for way in found["relax"])
+
+
+def test_relaxing_as_told_is_enough(tmp_path: Path) -> None:
+    result = run("design", changed(tmp_path, ("input = 3.0", "input = 1.0")), *FEW, "--json")
+    needed = next(way["to"] for way in json.loads(result.stdout)["relax"] if way["limit"] == "input")
+    assert 1.0 < needed < 3.0
+    enough, too_little = (
+        run("design", changed(tmp_path, ("input = 3.0", f"input = {factor * needed}")), *FEW, "--json")
+        for factor in (1.0001, 0.999)
+    )
+    assert enough.exit_code == 0, enough.stderr
+    assert too_little.exit_code == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--criterion", "Q"], "criterion = 'Q' (given as an option)"),
+        (["--unknown", "weight"], "no parameter"),
+        (["--starts", "0"], "starts = 0"),
+        (["--workers", "0"], "workers"),
+        (["--certify", "-1"], "certify"),
+    ],
+)
+def test_wrong_options_are_one_error(arguments: list[str], message: str) -> None:
+    result = run("design", EXAMPLE, *arguments)
+    assert result.exit_code == 2
+    assert message in result.stderr
+
+
+def record(tmp_path: Path, mass: float, name: str = "run.csv", dt_parts: int = 5) -> Path:
+    """A run of the first design on an axis with this mass, sampled faster than the design."""
+    run("commission", EXAMPLE, "--starts", "3", "--out", tmp_path / "first")
+    problem = make_problem(load_spec(EXAMPLE, {"encoder.samples_per_interval": dt_parts}))
+    u = pl.read_csv(tmp_path / "first" / "design.csv")["u"].to_numpy()[:-1]
+    motion = simulate(problem, u, {"mass": mass})
+    counts = np.floor(motion.x / 22.75e-6 + 0.4).astype(int)
+    path = tmp_path / name
+    pl.DataFrame({"t": motion.t, "u": motion.u, "counts": counts}).write_csv(path)
+    return path
+
+
+def test_a_recorded_run_is_estimated_and_the_next_one_designed(tmp_path: Path) -> None:
+    path = record(tmp_path, 1.6)
+    result = run("commission", EXAMPLE, path, "--starts", "3", "--json", "--out", tmp_path / "next")
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(result.stdout)
+    mass = found["rounds"][-1]["parameters"]["mass"]
+    assert mass["value"] == pytest.approx(1.6, rel=1e-4)
+    assert abs(mass["value"] - 1.6) < 5 * mass["std"]
+    assert found["next"]["predicted_std"]["mass"] < mass["std"]
+    assert pl.read_csv(tmp_path / "next" / "design.csv")["x"][-1] == pytest.approx(0.4, abs=1e-9)
+    done = run("commission", EXAMPLE, path, path, "--want", "mass=0.01", "--json")
+    assert json.loads(done.stdout)["reached"] is True
+    assert json.loads(done.stdout)["next"] is None
+    assert "every wanted deviation is reached" in run("commission", EXAMPLE, path, "--want", "mass=0.01").stdout
+
+
+def test_all_rounds_on_a_simulated_axis() -> None:
+    options = ("--truth", "mass=1.8", "--want", "mass=1e-9", "--rounds", "2", "--starts", "3")
+    result = run("commission", EXAMPLE, *options, "--json")
+    found = json.loads(result.stdout)
+    assert found["reached"] is False
+    assert len(found["rounds"]) == 2
+    assert found["rounds"][1]["parameters"]["mass"]["value"] == pytest.approx(1.8, rel=1e-3)
+    assert found["rounds"][1]["travel"] == pytest.approx(0.4, rel=0.02)
+    assert re.search(r"1\.(80|79)\d* ±", run("commission", EXAMPLE, *options).stdout)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--want", "mass"], "not NAME=NUMBER"),
+        (["--want", "offset=1"], "offset is not among the unknown"),
+        (["--want", "mass=-1"], "positive"),
+        (["--truth", "weight=1"], "weight is no parameter"),
+        (["nowhere.csv"], "nowhere.csv"),
+    ],
+)
+def test_wrong_commissions_are_one_error(arguments: list[str], message: str) -> None:
+    result = run("commission", EXAMPLE, *arguments)
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert result.stderr.startswith("pmfid: ")
+
+
+def test_records_and_a_truth_exclude_each_other(tmp_path: Path) -> None:
+    result = run("commission", EXAMPLE, record(tmp_path, 1.5), "--truth", "mass=1.5")
+    assert result.exit_code == 2
+    assert "not both" in result.stderr

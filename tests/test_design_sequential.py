@@ -1,0 +1,165 @@
+"""Estimates from designed runs, and rounds of design, run and estimate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmfid.design.calibration import Run, calibrate, correlation_time
+from pmfid.design.encoder_error import start_free
+from pmfid.design.fisher import affine
+from pmfid.design.problem import InfeasibleError
+from pmfid.design.sequential import redesign, sequential, simulated_experiment
+from pmfid.design.simulated import simulate
+from pmfid.design.standard import standard_inputs
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.studies.design_case import NOMINAL, case
+
+CASE = case("m, d, F_c")
+TRUTH = {"mass": 1.2, "viscous_friction": 7.0, "coulomb_friction": 0.5}
+U = standard_inputs(CASE, names=("minimum_time",))["minimum_time"].u
+
+
+def run(truth: dict[str, float], noise: float = 0.0, seed: int = 0) -> Run:
+    motion = simulate(CASE, U, truth)
+    y = motion.x + 0.0123 + noise * np.random.default_rng(seed).standard_normal(motion.x.size)
+    return Run(motion.u, y, CASE.dt)
+
+
+def test_without_noise_the_truth_is_found_whatever_the_start_position() -> None:
+    found = calibrate(CASE, [run(TRUTH)])
+    assert found.parameters == pytest.approx(TRUTH, rel=1e-6)
+    assert found.inflation < 1e-6
+
+
+def test_known_parameters_stay_as_they_are() -> None:
+    problem = case("m")
+    found = calibrate(problem, [run({"mass": 1.2})])
+    assert found.parameters == pytest.approx({**NOMINAL, "mass": 1.2}, rel=1e-6)
+    assert found.information.shape == (1, 1)
+
+
+def test_information_is_that_of_the_sensitivities_with_an_unknown_start() -> None:
+    found = calibrate(CASE, [run({}), run({})])
+    claimed = 2 * start_free(affine(CASE).weighted(U)) / np.outer(CASE.scale, CASE.scale)
+    assert found.information == pytest.approx(claimed, rel=1e-3)
+
+
+def test_the_scatter_is_that_of_the_information() -> None:
+    noise = np.sqrt(CASE.variance)
+    errors = []
+    for seed in range(60):
+        found = calibrate(CASE, [run({}, noise, seed)])
+        root = np.linalg.cholesky(found.information)
+        errors.append(root.T @ [found.parameters[name] - NOMINAL[name] for name in CASE.names])
+    # 180 squares of standard normal variables, less what the inflation takes off
+    assert np.mean(np.square(errors)) == pytest.approx(0.9, abs=0.3)
+
+
+def test_two_runs_are_one_and_a_half_times_as_sure_as_one() -> None:
+    one, two = (calibrate(CASE, [run({})] * number).std(CASE.names)["mass"] for number in (1, 2))
+    assert one / two == pytest.approx(np.sqrt(2), rel=1e-6)
+
+
+def test_a_prior_pulls_as_much_as_it_knows() -> None:
+    weak, strong = (replace(CASE, prior=np.diag([weight, 0.0, 0.0])) for weight in (1e-3, 1e18))
+    assert calibrate(weak, [run(TRUTH)]).parameters["mass"] == pytest.approx(1.2, rel=1e-6)
+    assert calibrate(strong, [run({"mass": 1.5001})]).parameters["mass"] == pytest.approx(1.5, rel=1e-6)
+
+
+def test_correlated_and_large_residuals_inflate() -> None:
+    rng = np.random.default_rng(0)
+    assert correlation_time([rng.standard_normal(400)]) == pytest.approx(1.0, abs=0.3)
+    slow = np.repeat(rng.standard_normal(100), 8)
+    assert 4 < correlation_time([slow, slow]) < 12
+    calm, wild = (calibrate(CASE, [run({}, factor * np.sqrt(CASE.variance))]) for factor in (1.0, 5.0))
+    assert wild.inflation == pytest.approx(25 * calm.inflation, rel=0.05)
+    ratio = wild.std(CASE.names)["mass"] / calm.std(CASE.names)["mass"]
+    assert ratio == pytest.approx(np.sqrt(wild.inflation / max(1.0, calm.inflation)), rel=0.05)
+
+
+def test_runs_that_cannot_be_used_are_one_error() -> None:
+    with pytest.raises(UsageError, match="at least one"):
+        calibrate(CASE, [])
+    with pytest.raises(UsageError, match="same length"):
+        Run(np.zeros(3), np.zeros(4), 0.05)
+    with pytest.raises(UsageError, match="finite"):
+        Run(np.zeros(2), np.array([0.0, np.nan]), 0.05)
+    still = Run(np.full(41, 0.1), np.zeros(41), 0.05)
+    with pytest.raises(NotIdentifiableError, match="mass"):
+        calibrate(CASE, [still])
+    good = run({})
+    with pytest.raises(NotIdentifiableError, match="input_gain"):
+        calibrate(CASE, [Run(good.u, -good.y, good.dt)])
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_the_second_round_mends_a_wrong_mass(factor: float) -> None:
+    problem = case("m")
+    start = replace(problem, nominal={**NOMINAL, "mass": factor * NOMINAL["mass"]})
+    experiment = simulated_experiment(start, NOMINAL, np.random.default_rng(0))
+    state = sequential(start, experiment, {"mass": 1e-9}, criterion="trace", rounds=2, starts=10)
+    assert len(state.rounds) == 2
+    assert not state.reached
+    first, second = (each.run.y[-1] - each.run.y[0] for each in state.rounds)
+    assert second == pytest.approx(0.4, rel=1e-3)
+    assert abs(second - 0.4) < abs(first - 0.4)
+    assert state.rounds[-1].known.parameters["mass"] == pytest.approx(1.5, rel=1e-4)
+
+
+def test_it_stops_when_the_wanted_deviation_is_reached() -> None:
+    experiment = simulated_experiment(CASE, {}, np.random.default_rng(0))
+    state = sequential(CASE, experiment, {"mass": 1e-3}, starts=3, rounds=5)
+    assert state.reached
+    assert len(state.rounds) == 1
+    assert len(sequential(CASE, experiment, {}, starts=2, rounds=3).rounds) == 3
+    stds = [each.known.std(CASE.names)["mass"] for each in state.rounds]
+    assert stds[-1] <= 1e-3
+
+
+def test_a_later_design_is_for_what_is_known_by_then() -> None:
+    state = redesign(CASE, [run(TRUTH)], {}, starts=3)
+    assert state.next is not None
+    problem = state.next.problem
+    assert problem.nominal == pytest.approx(TRUTH, rel=1e-6)
+    assert problem.prior == pytest.approx(state.rounds[-1].known.information)
+    before, after = (each["mass"] for each in (state.rounds[-1].known.std(CASE.names), state.next.predicted_std))
+    assert after < before
+    assert redesign(CASE, [run(TRUTH)], {"mass": 1.0}).next is None
+    tight = replace(CASE, horizon=0.8)
+    with pytest.raises(InfeasibleError, match=r"the runs say mass = 2\.2.*with that no input"):
+        redesign(tight, [run({"mass": 2.2})], {})
+    first = redesign(CASE, [], {}, starts=3)
+    assert first.next is not None
+    assert first.rounds == ()
+    assert not first.reached
+
+
+def test_scenarios_move_with_the_nominal_values() -> None:
+    problem = replace(case("m"), scenarios=({"mass": 1.2}, {"mass": 1.8}))
+    moved = calibrate(problem, [run({"mass": 1.3})]).update(problem)
+    assert [dict(each)["mass"] for each in moved.scenarios] == pytest.approx([0.8 * 1.3, 1.2 * 1.3], rel=1e-6)
+
+
+def test_simulated_runs_depend_on_the_generator_alone() -> None:
+    design = redesign(CASE, [], {}, starts=2).next
+    assert design is not None
+    runs = [simulated_experiment(CASE, TRUTH, np.random.default_rng(seed))(design) for seed in (0, 0, 1)]
+    assert np.array_equal(runs[0].y, runs[1].y)
+    assert not np.array_equal(runs[0].y, runs[2].y)
+    counts = runs[0].y / CASE.resolution - 0.5
+    assert counts == pytest.approx(np.round(counts), abs=1e-6)
+    noisy = replace(CASE, resolution=None, noise_variance=1e-10)
+    y = simulated_experiment(noisy, {}, np.random.default_rng(0))(design).y
+    assert np.std(y - simulate(CASE, design.u).x) == pytest.approx(1e-5, rel=0.4)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "rounds", "message"),
+    [({"offset": 1.0}, 1, "offset is not among"), ({"mass": 0.0}, 1, "positive"), ({"mass": 1.0}, 0, "rounds")],
+)
+def test_wrong_wishes_are_errors(wanted: dict[str, float], rounds: int, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        sequential(CASE, lambda design: run({}), wanted, rounds=rounds)

@@ -1,0 +1,182 @@
+"""The second opinion on a design: the simulation with stiction, and what an appraisal makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmfid.design.appraisal import appraise, gathered, worth_of
+from pmfid.design.calibration import Run, calibrate
+from pmfid.design.criteria import criterion_of
+from pmfid.design.encoder_error import encoder_covariance, start_free
+from pmfid.design.evaluation import setting
+from pmfid.design.fisher import affine, information
+from pmfid.design.result import Design
+from pmfid.design.simulated import both_ways, simulate, simulated_information
+from pmfid.design.solver import solve
+from pmfid.design.standard import standard_inputs
+from pmfid.errors import UsageError
+from pmfid.models.drive import Drive
+from pmfid.studies.design_case import case
+
+CASE = case("m, d, F_c")
+
+
+@pytest.fixture(scope="module")
+def best() -> Design:
+    return solve(CASE, "D", starts=5)
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_both_informations_agree_where_the_axis_keeps_moving(samples: int) -> None:
+    problem = replace(CASE, samples_per_interval=samples)
+    for each in standard_inputs(problem, names=("trapezoid", "minimum_time", "prbs")).values():
+        exact = information(problem, each.u)
+        assert simulated_information(problem, each.u) == pytest.approx(exact, rel=1e-4), each.name
+
+
+def test_a_motion_with_reversal_agrees_as_well() -> None:
+    problem = replace(CASE, directions=(1,) * 18 + (0,) * 2 + (-1,) * 18 + (0,) * 2, end=(0.0, 0.0))
+    u = standard_inputs(problem, names=("trapezoid",))["trapezoid"].u
+    assert simulated_information(problem, u) == pytest.approx(information(problem, u), rel=1e-3)
+
+
+def test_an_axis_that_sticks_tells_nothing() -> None:
+    u = np.full(CASE.intervals, 0.2)  # 0.4 N against 0.6 N of friction
+    assert not simulate(CASE, u).moving.any()
+    assert not simulated_information(CASE, u).any()
+    assert np.trace(information(CASE, u)) > 0, "the linear equation believes that it slides backwards"
+
+
+def test_friction_is_never_negative_in_a_difference() -> None:
+    assert both_ways("coulomb_friction", 0.0) == (0.0, 1e-4)
+    assert both_ways("offset", 0.0)[0] < 0
+    free = replace(CASE, nominal={**CASE.nominal, "viscous_friction": 0.0}, scaled=False)
+    u = standard_inputs(free, names=("trapezoid",))["trapezoid"].u
+    assert simulated_information(free, u) == pytest.approx(information(free, u), rel=1e-3)
+
+
+def test_simulate_wants_one_value_per_interval() -> None:
+    with pytest.raises(UsageError, match="one value per interval"):
+        simulate(CASE, np.zeros(3))
+
+
+def test_a_design_with_a_least_speed_survives(best: Design) -> None:
+    found = appraise(best)
+    assert found.worths["design"].surviving == pytest.approx(1.0, abs=1e-3)
+    # 0.01 m/s are 21.98 counts per sample: the encoder's error hardly changes from sample to sample
+    assert len(found.warnings) == 1
+    assert "the encoder's error repeats" in found.warnings[0]
+    assert found.gain["trapezoid"] > 4.5
+    assert found.gain["minimum_time"] >= 1 - 1e-6
+
+
+@pytest.mark.parametrize(("unknown", "criterion"), [("m", "trace"), ("m, d, F_c", "D")])
+def test_without_a_least_speed_there_is_a_warning_with_the_fraction(unknown: str, criterion: str) -> None:
+    problem = case(unknown, min_speed=0.0)
+    found = appraise(solve(problem, criterion, starts=5))
+    surviving = found.worths["design"].surviving
+    assert surviving is not None
+    assert any(f"{100 * surviving:.0f} % of the claimed" in text for text in found.warnings)
+    if criterion == "D":
+        assert surviving < 0.5
+
+
+def test_directional_friction_is_not_checked_and_says_so() -> None:
+    nominal = {"mass": 1.5}
+    nominal |= {f"viscous_friction_{side}": 6.0 for side in ("forward", "backward")}
+    nominal |= {f"coulomb_friction_{side}": 0.6 for side in ("forward", "backward")}
+    problem = replace(CASE, drive=Drive(2.0, friction="directional"), nominal=nominal, unknown=("mass",))
+    found = appraise(solve(problem, "trace", starts=2))
+    assert found.worths["design"].surviving is None
+    assert "not checked with stiction" in found.warnings[0]
+
+
+@pytest.mark.parametrize("criterion", ["trace", "D", "A", "E", "ME"])
+def test_what_is_gathered_ends_at_the_value(best: Design, criterion: str) -> None:
+    rule = criterion_of(CASE, criterion)
+    t, value = gathered(CASE, rule, best.u)
+    assert t[[0, -1]] == pytest.approx([0.05, 2.0])
+    assert value[-1] == pytest.approx(worth_of(setting(CASE, criterion), best.u).value)
+    if criterion != "ME":
+        assert np.diff(value).min() > -1e-6 * value[-1]
+
+
+def test_an_unknown_start_costs_information(best: Design) -> None:
+    s = affine(CASE).weighted(best.u)
+    # as one more parameter with a sensitivity of 1, and a sample at the start
+    wide = np.vstack([np.c_[np.zeros(3), s], np.ones(s.shape[1] + 1)])
+    covariance = np.linalg.inv(wide @ wide.T)[:3, :3]
+    assert np.linalg.inv(start_free(s)) == pytest.approx(covariance, rel=1e-6)
+
+
+def test_prediction_counts_what_was_known_before(best: Design) -> None:
+    alone = worth_of(setting(CASE, "D"), best.u)
+    std = alone.predicted_std["mass"]
+    prior = np.diag([std**-2, 0.0, 0.0])
+    both = worth_of(setting(replace(CASE, prior=prior), "D"), best.u)
+    assert both.predicted_std["mass"] == pytest.approx(std / np.sqrt(2), rel=1e-6)
+    assert both.surviving == pytest.approx(alone.surviving, rel=1e-9)
+
+
+def test_parameters_that_a_run_cannot_tell_apart_have_no_deviation() -> None:
+    forward = replace(
+        CASE,
+        drive=Drive(2.0, offset=True),
+        nominal={**CASE.nominal, "offset": 0.1},
+        unknown=("mass", "coulomb_friction", "offset"),
+    )
+    std = worth_of(setting(forward, "trace"), np.full(40, 1.0)).predicted_std
+    assert std["coulomb_friction"] == std["offset"] == np.inf
+
+
+def test_the_encoder_predicts_the_scatter_of_estimates_from_counts() -> None:
+    problem = replace(CASE, resolution=9.1e-5)
+    u = standard_inputs(problem, names=("trapezoid",))["trapezoid"].u
+    motion = simulate(problem, u)
+    errors = []
+    for phase in (np.arange(40) + 0.5) / 40 * 9.1e-5:
+        y = np.floor((motion.x + phase) / 9.1e-5) * 9.1e-5
+        found = calibrate(problem, [Run(motion.u, y, problem.dt)]).parameters
+        errors.append([found[name] - problem.nominal[name] for name in problem.names])
+    covariance = encoder_covariance(problem, u)
+    assert covariance is not None
+    observed = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert observed == pytest.approx(np.sqrt(covariance.diagonal()), rel=0.15)
+    white = np.sqrt(np.linalg.inv(start_free(affine(problem).weighted(u))).diagonal()) * problem.scale
+    assert observed[2] > 1.4 * white[2], "a trapezoid through an encoder is worse than white noise says"
+
+
+def test_another_least_speed_breaks_the_pattern_of_the_encoder() -> None:
+    problem = case("m, d, F_c", min_speed=0.0103)
+    found = appraise(solve(problem, "D", starts=5))
+    assert found.warnings == ()
+    assert found.worths["design"].value > 0.98 * solve(CASE, "D", starts=5).value
+
+
+def test_without_an_encoder_there_is_no_encoder_error() -> None:
+    noisy = replace(CASE, resolution=None, noise_variance=1e-10)
+    u = standard_inputs(noisy, names=("trapezoid",))["trapezoid"].u
+    assert encoder_covariance(noisy, u) is None
+    assert set(worth_of(setting(noisy, "D"), u).std_encoder.values()) == {np.inf}
+
+
+def test_a_strong_prior_is_the_encoders_limit() -> None:
+    known = replace(CASE, prior=np.diag([1e12, 1e12, 1e12]))
+    u = standard_inputs(known, names=("trapezoid",))["trapezoid"].u
+    covariance = encoder_covariance(known, u)
+    assert covariance is not None
+    assert covariance.diagonal() == pytest.approx(np.full(3, 1e-12), rel=0.05)
+
+
+def test_a_robust_design_says_what_that_costs_and_is_judged_over_its_scenarios() -> None:
+    scenarios = ({"mass": 1.2}, {"mass": 1.8})
+    robust = replace(case("m"), scenarios=scenarios, end_tolerance=(0.01, 0.01), average="worst")
+    found = appraise(solve(robust, "trace", starts=5))
+    assert found.price is not None
+    assert 0.0 < found.price < 0.15
+    assert found.worths["design"].value == pytest.approx(found.design.value)
+    assert found.gain["trapezoid"] > 1.2
+    assert appraise(solve(case("m"), "trace", starts=2)).price is None

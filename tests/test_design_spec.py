@@ -1,0 +1,148 @@
+"""SPEC.toml: what it says becomes the problem, and what is wrong in it becomes one clear line."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmfid.design.job import appraised, designed, read_run
+from pmfid.design.spec import Spec, load_spec, make_problem
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.models.drive import Drive
+from pmfid.studies.design_case import case
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "cart_design.toml"
+
+
+def spec(**overrides: object) -> Spec:
+    return load_spec(EXAMPLE, {key.replace("__", "."): value for key, value in overrides.items()})
+
+
+def test_the_example_is_the_case_of_the_study() -> None:
+    problem, expected = make_problem(spec()), case("m, d, F_c")
+    for name in ("drive", "nominal", "unknown", "horizon", "intervals", "limits", "resolution", "start", "end"):
+        assert getattr(problem, name) == getattr(expected, name), name
+    assert problem.prior is None
+    assert problem.scenarios == ()
+
+
+def test_options_go_before_the_file() -> None:
+    problem = make_problem(spec(experiment__unknown=["mass"], motion__intervals=10))
+    assert problem.unknown == ("mass",)
+    assert problem.intervals == 10
+
+
+def test_sections_that_may_be_left_out() -> None:
+    problem = make_problem(spec(encoder__noise_std=1e-3, motion__end=None))
+    assert problem.variance == pytest.approx(1e-6)
+    prior = make_problem(spec(prior__mass=0.5, prior__coulomb_friction=0.1)).prior
+    assert prior == pytest.approx(np.diag([4.0, 0.0, 100.0]))
+    problem = make_problem(spec(drive__offset=0.2, experiment__nuisance=["offset"]))
+    assert problem.drive.offset
+    assert problem.names[-1] == "offset"
+
+
+def test_tolerances_become_every_corner() -> None:
+    corners = make_problem(spec(robust__mass=0.2, robust__viscous_friction=0.5)).scenarios
+    found = {(round(each["mass"], 9), each["viscous_friction"]) for each in corners}
+    assert found == {(m, d) for m in (1.2, 1.8) for d in (3.0, 9.0)}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"experiment__criterion": "Q"}, r"criterion = 'Q' .*'trace', 'D', 'A'"),
+        ({"motion__intervals": 0}, r"\[motion\] intervals = 0 .*greater than or equal to 1"),
+        ({"motion__duration": -1.0}, r"\[motion\] duration = -1.0 .*greater than 0"),
+        ({"motion__intervals": 10.5}, r"\[motion\] intervals = 10.5 .*valid integer"),
+        ({"limits__input": "3"}, r"\[limits\] input = '3'"),
+        ({"limits__positions": [0, 1]}, r"\[limits\] positions is an unknown key.*did you mean 'position'"),
+        ({"limits__mass": 1.0}, r"\[limits\] mass is an unknown key.*belongs in \[drive\]"),
+        ({"limit__input": 3.0}, r"\[limit\] is an unknown section.*did you mean 'limits'"),
+        ({"drive__mass": float("nan")}, r"\[drive\] mass = nan.*finite"),
+        ({"experiment__unknown": []}, r"\[experiment\] unknown = \[\]"),
+        ({"robust__mass": 1.0}, r"\[robust\] mass = 1.0 .*less than 1"),
+        ({"search__starts": 0}, r"\[search\] starts = 0"),
+    ],
+)
+def test_a_wrong_value_is_one_line(overrides: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError) as error:
+        spec(**overrides)
+    assert re.search(message, str(error.value)), str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"experiment__unknown": ["weight"]}, "'weight' is no parameter"),
+        ({"experiment__unknown": ["mass", "mass"]}, "different"),
+        ({"motion__end": 0.5}, "outside the position limit"),
+        ({"robust__mass": 0.2, "motion__directions": [1] * 30 + [0] * 10}, "leave out the scenarios"),
+        ({"motion__start_velocity": -0.1}, "start velocity -0.1 is against the direction 1"),
+        ({"motion__end_velocity": -0.1}, "end velocity -0.1 is against the direction 1"),
+        ({"motion__end": -0.1, "limits__position": [-1.0, 1.0]}, "directions never lead"),
+        ({"limits__position": [0.4, 0.0]}, "lower < upper"),
+        ({"motion__directions": [1, -1]}, "40 intervals"),
+        ({"prior__offset": 1.0}, r"\[prior\] offset is not unknown"),
+        ({"drive__offset": 0.0, "experiment__unknown": ["mass", "offset"]}, "scaled"),
+    ],
+)
+def test_parts_that_do_not_fit_are_one_line(overrides: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        make_problem(spec(**overrides))
+
+
+def test_parameters_that_no_input_tells_are_named() -> None:
+    both = spec(drive__offset=0.2, experiment__unknown=["mass", "coulomb_friction", "offset"], search__starts=2)
+    with pytest.raises(NotIdentifiableError, match="coulomb_friction from offset"):
+        designed(both)
+    # what is known beforehand tells them apart
+    prior = spec(
+        drive__offset=0.2,
+        experiment__unknown=["mass", "coulomb_friction", "offset"],
+        search__starts=2,
+        prior__offset=0.01,
+    )
+    std = designed(prior).predicted_std
+    assert std["offset"] == pytest.approx(0.01, rel=1e-3)
+    assert std["coulomb_friction"] == pytest.approx(0.01, rel=0.1)
+
+
+def test_missing_parts_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "spec.toml"
+    path.write_text("[drive]\ninput_gain = 2.0\n")
+    with pytest.raises(UsageError) as error:
+        load_spec(path)
+    for part in ("[drive] mass is missing", "[encoder] is missing", "[motion] is missing"):
+        assert part in str(error.value)
+    path.write_text(EXAMPLE.read_text().replace("resolution = 22.75e-6", ""))
+    with pytest.raises(UsageError, match="neither resolution nor noise_std"):
+        load_spec(path)
+    with pytest.raises(UsageError, match=r"give a SPEC\.toml"):
+        load_spec(tmp_path / "nowhere.toml")
+
+
+def test_criterion_c_wants_its_combination() -> None:
+    wanted = spec(experiment__criterion="c", experiment__weights={"mass": 1.0}, search__starts=3)
+    found = appraised(wanted, designed(wanted))
+    alone = designed(spec(experiment__criterion="D", search__starts=3))
+    assert found.design.predicted_std["mass"] < alone.predicted_std["mass"]
+    with pytest.raises(UsageError, match="combination"):
+        designed(spec(experiment__criterion="c", search__starts=3))
+
+
+def test_a_record_needs_the_resolution(tmp_path: Path) -> None:
+    path = tmp_path / "spec.toml"
+    path.write_text(EXAMPLE.read_text().replace("resolution = 22.75e-6", "noise_std = 1e-5"))
+    with pytest.raises(UsageError, match="resolution"):
+        read_run(load_spec(path), tmp_path / "run.csv")
+
+
+def test_a_spring_is_refused_rather_than_left_out() -> None:
+    with pytest.raises(UsageError, match="spring"):
+        replace(case("m"), drive=Drive(2.0, spring=True))

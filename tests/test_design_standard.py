@@ -1,0 +1,125 @@
+"""Standard inputs: the shapes that their names promise, and always within the limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmfid.design.fisher import motion
+from pmfid.design.nearest import input_set, nearest, violation
+from pmfid.design.polytope import polytope
+from pmfid.design.problem import InfeasibleError, Limits, Problem
+from pmfid.design.profiles import input_wish
+from pmfid.design.standard import STANDARD, standard_inputs
+from pmfid.models.drive import Drive
+from pmfid.studies.design_case import case
+
+CASE = case("m, d, F_c")
+WIDE = replace(CASE, limits=Limits(input=30.0, min_speed=0.001))
+THERE_AND_BACK = replace(CASE, directions=(1,) * 18 + (0,) * 2 + (-1,) * 18 + (0,) * 2, end=(0.0, 0.0))
+PROBLEMS = {
+    "case": CASE,
+    "200 intervals": replace(CASE, intervals=200),
+    "there and back": THERE_AND_BACK,
+    "free end": replace(CASE, end=(None, None)),
+    "free end, rms": replace(CASE, end=(None, None), limits=replace(CASE.limits, rms=1.2)),
+    "smooth": replace(CASE, limits=replace(CASE.limits, input_rate=20.0, acceleration=2.0, jerk=60.0, velocity=0.5)),
+    "backward": replace(CASE, start=(0.4, 0.0), end=(0.0, 0.0), directions=(-1,) * 40),
+}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_every_standard_input_keeps_the_limits(name: str) -> None:
+    problem = PROBLEMS[name]
+    inputs = input_set(polytope(problem))
+    found = standard_inputs(problem)
+    assert tuple(found) == STANDARD
+    for each in found.values():
+        assert violation(inputs, each.u) < 1e-7, each.name
+        assert each.x.shape == each.v.shape == (problem.intervals + 1,)
+        for reached, wanted in zip((each.x[-1], each.v[-1]), problem.end, strict=True):
+            assert wanted is None or reached == pytest.approx(wanted, abs=1e-9), each.name
+
+
+def test_the_checker_sees_what_leaves_the_limits() -> None:
+    inputs = input_set(polytope(CASE))
+    u = standard_inputs(CASE, names=("trapezoid",))["trapezoid"].u
+    for k, change in ((5, 4.0), (39, 0.5)):  # beyond 3 V; the end missed
+        bad = u.copy()
+        bad[k] += change
+        assert violation(inputs, bad) > 1e-3
+    tight = replace(CASE, limits=replace(CASE.limits, rms=0.5))
+    assert violation(input_set(polytope(tight)), u) > 0.1
+
+
+def test_profiles_have_their_shapes() -> None:
+    found = standard_inputs(WIDE, names=("trapezoid", "s_curve"))
+    assert not any(each.bent for each in found.values())
+    # 0.4 m in 2 s: 1.5 and 1.875 times the mean velocity
+    assert found["trapezoid"].v.max() == pytest.approx(0.3, rel=2e-3)
+    assert found["s_curve"].v.max() == pytest.approx(0.375, rel=2e-3)
+    acceleration = np.diff(found["trapezoid"].v)
+    assert np.ptp(acceleration[:13]) < 1e-12
+    assert np.abs(acceleration[14:26]).max() < 1e-12
+
+
+def test_extremes_are_extreme() -> None:
+    found = standard_inputs(CASE)
+    energy = {name: float(each.u @ each.u) for name, each in found.items()}
+    assert min(energy, key=energy.__getitem__) == "minimum_energy"
+    ahead = {name: float(each.x.sum()) for name, each in found.items()}
+    assert max(ahead, key=ahead.__getitem__) == "minimum_time"
+
+
+def test_signals_without_other_limits_are_themselves() -> None:
+    free = replace(CASE, end=(None, None), limits=Limits(input=(1.0, 3.0)))
+    found = standard_inputs(free, seed=3)
+    assert not found["prbs"].bent
+    assert set(found["prbs"].u) == {1.0, 3.0}
+    assert np.abs(found["multisine"].u - 2.0).max() == pytest.approx(1.0)
+    assert not np.array_equal(found["prbs"].u, standard_inputs(free, seed=4)["prbs"].u)
+    assert np.array_equal(found["prbs"].u, standard_inputs(free, seed=3)["prbs"].u)
+
+
+def test_the_multisine_has_a_low_crest_factor() -> None:
+    long = replace(CASE, intervals=1000)
+    u = input_wish(long, "multisine", -1.0, 1.0, np.random.default_rng(0))
+    assert np.abs(u).max() / np.sqrt(np.mean(u**2)) < 1.9
+    assert np.count_nonzero(np.abs(np.fft.rfft(u)) > 1e-9 * u.size) == 200
+
+
+def test_nearest_is_nearer_than_any_other_way_to_the_limits() -> None:
+    rng = np.random.default_rng(0)
+    inputs = input_set(polytope(CASE))
+    others = [each.u for each in standard_inputs(CASE).values()]
+    for _ in range(5):
+        wish = rng.uniform(-3, 3, CASE.intervals)
+        u = nearest(inputs, wish)
+        assert violation(inputs, u) < 1e-9
+        # a projection on a convex set: no feasible point lies beyond the plane through u
+        assert max(float((wish - u) @ (other - u)) for other in others) < 1e-7
+        assert nearest(inputs, u) == pytest.approx(u, abs=1e-9)
+
+
+def test_no_input_is_an_error() -> None:
+    with pytest.raises(InfeasibleError):
+        standard_inputs(replace(CASE, horizon=0.3))
+    with pytest.raises(InfeasibleError, match="energy"):
+        standard_inputs(replace(CASE, limits=replace(CASE.limits, rms=0.5)), names=("trapezoid",))
+
+
+def test_random_drives_keep_their_limits() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        mass, viscous, coulomb = rng.uniform([0.5, 0.0, 0.0], [3.0, 8.0, 1.0])
+        nominal = {"mass": mass, "viscous_friction": viscous, "coulomb_friction": coulomb}
+        limits = Limits(input=6.0, min_speed=0.005)
+        problem = Problem(Drive(2.0), nominal, ("mass",), 2.0, 30, limits, resolution=1e-5, end=(0.3, 0.0))
+        inputs = input_set(polytope(problem))
+        for each in standard_inputs(problem).values():
+            assert violation(inputs, each.u) < 1e-7
+            x, v = motion(problem, each.u)
+            assert np.array_equal(x, each.x)
+            assert v[1:-1].min() > 0.005 - 1e-9

@@ -1,0 +1,191 @@
+"""A user's own equation, in Python and TOML, and the load on a spring."""
+
+import re
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid import Equation, EquationModel, Term
+from pmfid.errors import UsageError
+from pmfid.estimators.registry import ESTIMATORS
+from pmfid.session.config import load_axis
+from pmfid.session.pipeline import identify
+from pmfid.session.records import Record
+from pmfid.simulation import CART, CART_DT
+from pmfid.studies.wrong_plants import Plant, wrong_record
+from tests.conftest import TRUTH, assert_near, cart_run
+
+CUTOFF, STIFFNESS = 20.0, 40.0
+OWN = Equation(
+    unknown=(
+        Term("output", 2, "inertia", "kg m2"),
+        Term("output", 1, "drag", "N m s"),
+        Term("direction", 0, "dry_friction", "N m"),
+    ),
+    known=(Term("input", coefficient=CART.input_gain),),
+)
+INPUT = Term("input", coefficient=CART.input_gain)
+
+
+def estimates(cls, model, run):
+    estimator = cls(model, run.encoder, CART_DT, CUTOFF)
+    if isinstance(estimator, pmfid.estimators.recursive.RecursiveEstimator):
+        return estimator.run(run.u, run.counts).theta[-1]
+    return estimator.fit(run.u, run.counts).theta
+
+
+@pytest.mark.parametrize("method", sorted(ESTIMATORS))
+def test_the_same_terms_give_the_numbers_of_the_drive(method):
+    run = cart_run(2, increments=1024, samples=1500)
+    cls = ESTIMATORS[method]
+    own, drive = (estimates(cls, model, run) for model in (EquationModel(OWN), pmfid.Drive(CART.input_gain)))
+    assert np.array_equal(own, drive)
+
+
+@pytest.mark.parametrize("method", ["ls", "bcls", "rls", "bcrls"])
+def test_a_known_mass_leaves_the_friction(method):
+    equation = Equation(OWN.unknown[1:], (INPUT, Term("output", 2, coefficient=-CART.mass)))
+    run = cart_run(2, increments=4096)
+    theta = estimates(ESTIMATORS[method], EquationModel(equation), run)
+    assert_near(theta, np.array(TRUTH[1:]), [0.005, 0.015])  # the direction comes from the counts
+
+
+@pytest.mark.parametrize("method", ["iv", "riv", "output-error", "interval"])
+def test_what_cannot_be_simulated_is_refused_with_the_remedy(method):
+    equation = Equation(OWN.unknown[1:], (INPUT, Term("output", 2, coefficient=-CART.mass)))
+    with pytest.raises(UsageError, match=rf"{method} simulates the motion.*use ls, bcls, rls or bcrls"):
+        ESTIMATORS[method](EquationModel(equation), pmfid.Encoder(1e-5), CART_DT, CUTOFF)
+
+
+@pytest.mark.parametrize("method", ["known-step", "rknown-step"])
+def test_known_step_takes_no_noisy_target(method):
+    equation = Equation(OWN.unknown[1:], (INPUT, Term("output", 2, coefficient=-CART.mass)))
+    with pytest.raises(UsageError, match="no known term of the output"):
+        ESTIMATORS[method](EquationModel(equation), pmfid.Encoder(1e-5), CART_DT, CUTOFF)
+
+
+def test_one_direction_in_the_equation_is_not_simulated():
+    terms = (*OWN.unknown[:2], Term("forward", 0, "up", "N"))
+    assert "one direction" in Equation(terms, (INPUT,)).without_simulation
+    both = (*terms, Term("backward", 0, "down", "N"))
+    assert Equation(both, (INPUT,)).without_simulation == ""
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: Term("speed", 0, "x"), "signal must be one of"),
+        (lambda: Term("direction", 1, "x"), "derivative of a term of direction must be 0, got 1"),
+        (lambda: Term("output", 3, "x"), "must be 0 to 2, got 3"),
+        (lambda: Term("output", 2, "two words"), "plain word"),
+        (lambda: Term("input", coefficient=float("nan")), "finite and not 0"),
+        (lambda: Equation((), (INPUT,)), "needs unknown terms"),
+        (lambda: Equation(OWN.unknown, ()), "at least one known"),
+        (lambda: Equation(OWN.unknown, (Term("moving", coefficient=1.0),)), "must be the input"),
+        (lambda: Equation((Term("direction", 0, "dry"),), (INPUT,)), "must be a derivative of the output"),
+        (lambda: Equation((*OWN.unknown, Term("output", 1, "more")), (INPUT,)), "stands in two terms"),
+        (lambda: Equation(OWN.unknown, (Term("input", name="gain"),)), "no name"),
+    ],
+)
+def test_what_makes_no_equation_is_said(build, message):
+    with pytest.raises(UsageError, match=re.escape(message)):
+        build()
+
+
+@pytest.mark.parametrize("motion", ["prbs", "stop-and-go"])
+@pytest.mark.parametrize("method", ["iv", "interval"])
+def test_a_load_on_a_spring(method, motion):
+    """The plant is simulated with ten steps of Runge and Kutta per sample, not by the kernel."""
+    record = wrong_record(Plant(spring=STIFFNESS), motion, 3, 4096)
+    drive = pmfid.Drive(CART.input_gain, spring=True)
+    fit = ESTIMATORS[method](drive, pmfid.Encoder(record.resolution), CART_DT, CUTOFF).fit(record.u, record.counts)
+    assert fit.names == ("mass", "viscous_friction", "coulomb_friction", "offset", "stiffness")
+    np.testing.assert_allclose(fit.theta[[0, 1, 2, 4]], [*TRUTH, STIFFNESS], rtol=0.005)
+    assert abs(fit["offset"]) < 0.01
+
+
+def test_the_spring_on_line_and_with_directional_friction():
+    record = wrong_record(Plant(spring=STIFFNESS), "prbs", 3, 1024)
+    drive = pmfid.Drive(CART.input_gain, spring=True, friction="directional")
+    encoder = pmfid.Encoder(record.resolution)
+    track = pmfid.RIV(drive, encoder, CART_DT, CUTOFF, forgetting=0.995).run(record.u, record.counts)
+    m, d, fc = TRUTH
+    np.testing.assert_allclose(track.theta[-1], [m, d, d, fc, fc, STIFFNESS], rtol=0.02)
+    assert not track.status[-1] & pmfid.Status.FALLBACK
+
+
+def test_a_spring_slack_elsewhere_is_an_offset():
+    """The spring's force at the first count is the offset, wherever the encoder counts from."""
+    record = wrong_record(Plant(spring=STIFFNESS), "prbs", 3, 4096)
+    estimator = pmfid.IV(pmfid.Drive(CART.input_gain, spring=True), pmfid.Encoder(record.resolution), CART_DT, CUTOFF)
+    late = slice(700, None)
+    fit = estimator.fit(record.u[late], record.counts[late])
+    force = STIFFNESS * (record.counts[700] - record.counts[0]) * record.resolution
+    assert abs(force) > 0.2
+    np.testing.assert_allclose(fit["offset"], force, atol=0.02)
+    np.testing.assert_allclose(fit["stiffness"], STIFFNESS, rtol=0.005)
+
+
+TOML = """
+[record]
+input = "u"
+output = "counts"
+output_kind = "counts"
+dt = 0.01
+[encoder]
+resolution = 1e-5
+[model]
+kind = "equation"
+unknown = [
+  { signal = "output", derivative = 2, name = "inertia", unit = "kg m2" },
+  { signal = "output", derivative = 1, name = "drag", unit = "N m s" },
+  { signal = "direction", name = "dry_friction", unit = "N m" },
+]
+known = [{ signal = "input", coefficient = 2.0 }]
+[estimator]
+cutoff = 20.0
+"""
+
+
+def axis_of(tmp_path, text):
+    path = tmp_path / "axis.toml"
+    path.write_text(text)
+    return load_axis(path)
+
+
+@pytest.mark.parametrize("known", ["", ', { signal = "output", derivative = 2, coefficient = -1.07 }'])
+def test_from_toml_to_a_result(tmp_path, known):
+    text = TOML.replace("coefficient = 2.0 }", "coefficient = 2.0 }" + known)
+    if known:
+        text = re.sub(r".*inertia.*\n", "", text)
+    run = cart_run(2, increments=4096)
+    record = Record(run.u, run.counts, CART_DT, run.encoder.resolution, (), "run")
+    result = identify(record, axis_of(tmp_path, text))
+    truth = dict(zip(("inertia", "drag", "dry_friction"), TRUTH, strict=True))
+    parameters = result.to_json()["parameters"]
+    assert result.to_json()["model"] == "equation"
+    for name, entry in parameters.items():
+        assert entry["value"] == pytest.approx(truth[name], rel=0.01)
+    assert ("inertia" in parameters) == (not known)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ('signal = "direction"', 'signal = "sign"', ("unknown, term 3: signal = 'sign'", "'direction'", "write terms")),
+        ('name = "drag", ', "", ("unknown, term 2: name is missing", "write terms")),
+        ("derivative = 1", "derivative = 5", ("must be 0 to 2, got 5",)),
+        ('kind = "equation"', 'kind = "drive"\ninput_gain = 2.0', ("are for kind", "drop them")),
+        ('kind = "equation"', 'kind = "equation"\ninput_gain = 2.0', ("input_gain is for kind", "term of unknown")),
+        ('unit = "N m" }', 'unit = "N m", gain = 2 }', ("unknown, term 3: gain = 2", "write terms")),
+        ("coefficient = 2.0", "coefficient = 0.0", ("coefficient of a term must be finite and not 0",)),
+    ],
+)
+def test_a_wrong_term_in_toml_is_named_with_the_remedy(tmp_path, old, new, parts):
+    assert old in TOML
+    with pytest.raises(UsageError) as caught:
+        axis_of(tmp_path, TOML.replace(old, new))
+    for part in parts:
+        assert part in str(caught.value)
+    assert "\n" not in str(caught.value)
