@@ -117,7 +117,10 @@ def _limits(axes: Axes, values: Floats, nominal: float) -> None:
 def _strip_rows(data: RunData) -> list[tuple[str, str, NDArray[np.bool_]]]:
     """Label, colour and flags (n,) of the rows that occur."""
     rows = [(state, colour, data.state == state) for state, colour in STATES.items()]
-    rows += [(name, COLOURS[4 if name == "standstill" else 1], (data.status & int(bits)) != 0) for name, bits in STRIP_BITS.items()]
+    rows += [
+        (name, COLOURS[4 if name == "standstill" else 1], (data.status & int(bits)) != 0)
+        for name, bits in STRIP_BITS.items()
+    ]
     return [row for row in rows if np.any(row[2])]
 
 
