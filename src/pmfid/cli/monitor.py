@@ -46,6 +46,7 @@ def monitor(
     from pmfid.session.records import read_record
     from pmfid.session.stream import Stop
 
+    _check_places(out, report)
     axis = load_axis(config, {f"monitor.{key}": value for key, value in options.items()})
     piped = str(record) == "-"
     data = None if piped else read_record(record, axis)
@@ -61,6 +62,15 @@ def monitor(
 
         write_monitored(report, "standard input" if piped else record.name, setup, run, history)
         tell.line(f"report: {report}")
+
+
+def _check_places(*paths: Path | None) -> None:
+    """Before the calibration rather than after it."""
+    from pmfid.errors import UsageError
+
+    for path in paths:
+        if path is not None and not path.parent.is_dir():
+            raise UsageError(f"{path}: there is no folder {path.parent}; make it, or choose another place")
 
 
 def _run(setup: Any, axis: Any, data: Any, out: Path | None, stop: Any, tell: _Teller, keep: bool) -> tuple[Any, Any]:

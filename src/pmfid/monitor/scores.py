@@ -27,6 +27,9 @@ Floats = NDArray[np.float64]
 #: Samples with one of these say nothing of the plant.
 UNUSABLE = int(Status.SETTLING | Status.INVALID_INPUT | Status.COUNT_JUMP)
 
+#: Samples whose columns are in memory at once.
+CHUNK = 50_000
+
 
 @dataclass(frozen=True)
 class Blocks:
@@ -75,8 +78,12 @@ def gather(columns: Floats, status: NDArray[np.uint32], theta: Floats, size: int
 def scores(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.int64]) -> Blocks:
     """All whole blocks of u, counts: (n,) at reference theta (p,)."""
     kernel, first = reference_kernel(estimator, list(theta))
-    columns, status = kernel.filter(u, counts)
-    return gather(columns[:, first : first + 2 * theta.size + 1], status, theta, block_samples(estimator))
+    size, parts = block_samples(estimator), []
+    chunk = size * max(1, CHUNK // size)
+    for start in range(0, u.size, chunk):
+        columns, status = kernel.filter(u[start : start + chunk], counts[start : start + chunk])
+        parts.append(gather(columns[:, first : first + 2 * theta.size + 1], status, theta, size))
+    return Blocks.joined(parts)
 
 
 class ScoreFilter:

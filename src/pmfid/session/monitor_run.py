@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from pmfid.monitor.events import Event, Settled, StateChange
 from pmfid.monitor.watch import Monitor
 from pmfid.session.sinks import Sink
@@ -104,8 +102,8 @@ def _missed(sample: Sample, monitor: Monitor, run: Run, tell: Tell) -> list[Even
 
 
 def _row(time: float, estimate: Any, state: str) -> tuple[float | int | str, ...]:
-    std = np.minimum(estimate.theta_std, 1e300)  # infinite while nothing is known
-    return (time, *estimate.theta.tolist(), *std.tolist(), estimate.innovation, estimate.status, state)
+    theta, std = estimate.theta.tolist(), estimate.theta_std.tolist()  # infinite while nothing is known
+    return (time, *theta, *std, estimate.innovation, estimate.status, state)
 
 
 def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> dict[str, Any]:
