@@ -38,8 +38,8 @@ Written by `make firmware`. {compilers}.
 ## Footprint on a Cortex-M4F
 
 Drive with mass, viscous and Coulomb friction, filters of order 2. Flash, at -O2: code and constants that the linker
-keeps where a program calls `init`, `step` and `theta`, with the configuration and what they take of libc and libgcc (the
-arithmetic of float64). State: RAM per axis. Stack, at -O2: deepest path from `pmf_step` on, by the compiler's call
+keeps where a program calls `init`, `step` and `theta`, with the configuration and what they take of libc and libgcc
+(the arithmetic of float64). State: RAM per axis. Stack, at -O2: deepest path from `pmf_step` on, by the compiler's call
 graph. Instructions, at -O3: of one step, mean and most over the samples of the self-test, in the emulator.
 
 {footprint}
