@@ -33,7 +33,7 @@ AXIS = Path(__file__).parents[2] / "examples" / "emps.toml"
 
 PAGE = """# What an export costs, and its bits
 
-Written by `make firmware`. {compilers}.
+Written by `make firmware`; {compilers}.
 
 ## Footprint on a Cortex-M4F
 
