@@ -60,7 +60,9 @@ enum {
     PMF_POSITION = 22,      /* the same times moving fraction */
     PMF_SPLIT_POSITION = 23, /* the same times the auxiliary model's moving fraction */
     PMF_MODEL_POSITION = 24, /* the auxiliary model's own, times its moving fraction */
-    PMF_SIGNALS = 25
+    PMF_ONE = 25,            /* always 1 */
+    PMF_START = 26,          /* 1 in the first interval, as late as the rest: what stood in the plant at the start */
+    PMF_SIGNALS = 27
 };
 
 /* What a parameter means to the auxiliary model. */
@@ -106,6 +108,7 @@ typedef struct {
     uint32_t standstill_samples; /* without a count for so long: at rest */
     real_t position_gain, velocity_gain; /* of the tracker, per count */
     real_t smooth_end, smooth_start;     /* one-step smoother of the tracker's velocity */
+    uint32_t process; /* the output of a linear process: positions count from zero, and rest means nothing */
 } pmf_encoder_config_t;
 
 typedef struct {
@@ -160,6 +163,8 @@ typedef struct {
     uint32_t window_block; /* samples in a block of the window */
     uint32_t compensated;  /* the noise of the columns is known: */
     real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* its covariance in one sample's phi phi^T */
+    real_t target_noise[PMF_MAX_PARAMETERS];              /* and in phi z */
+    real_t target_power;                                  /* and in z^2 */
     uint32_t block;        /* updates whose errors may be correlated; the spread of such blocks scales P */
     real_t unexplained;    /* mean square innovation over what the noise explains, beyond which the model is wrong; 0: no check */
     real_t check_memory;   /* forgetting of that comparison */
@@ -235,6 +240,7 @@ typedef struct {
 
 typedef struct {
     uint32_t settle_samples;
+    uint32_t first_samples; /* the same at the start, shorter where the start is part of the equation */
     pmf_encoder_config_t encoder;
     pmf_auxiliary_config_t auxiliary;
     pmf_network_config_t network;

@@ -80,6 +80,9 @@ static uint32_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_stat
         return 0U;
     }
     state->idle += state->idle < still ? 1U : 0U;
+    if (config->process != 0U) {
+        return 0U;
+    }
     limit = state->gap <= CLOSE ? state->gap + 1U : 4U * state->gap + 2U;
     if (state->idle >= still || state->idle > limit) {
         state->direction = PMF_R(0.0);
@@ -130,6 +133,8 @@ static void emit(const pmf_encoder_config_t *config, const pmf_encoder_state_t *
     signal[PMF_POSITION] = state->moving * position;
     signal[PMF_LATE_INPUT] = state->input_before;
     signal[PMF_LATE_VELOCITY] = state->mean_velocity;
+    signal[PMF_ONE] = PMF_R(1.0);
+    signal[PMF_START] = state->started == 1 ? PMF_R(1.0) : PMF_R(0.0);
 }
 
 uint32_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
@@ -149,9 +154,12 @@ uint32_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_
     status |= note_motion(config, state, change);
     state->mean_velocity = signal[PMF_VELOCITY];
     state->change = change;
+    if (state->started == 0 && config->process != 0U) {
+        state->travel = (uint32_t)count_change(config->count_mask, count, 0U);
+    }
     state->travel += (uint32_t)change;
     state->count = count;
-    state->started = 1;
+    state->started += state->started < 2 ? 1 : 0;
     state->fast = fast;
     state->input_before = state->input;
     state->input = input;

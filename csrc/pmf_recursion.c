@@ -229,13 +229,14 @@ static void note_trace(const pmf_recursion_config_t *config, pmf_recursion_state
 static uint32_t check_model(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t target)
 {
     const real_t *theta = state->estimate.theta, memory = config->check_memory;
-    real_t explained = PMF_R(0.0);
+    real_t explained = config->target_power;
     uint32_t i, j;
     state->check_weight = memory * state->check_weight + PMF_R(1.0);
     state->check_innovation =
         memory * state->check_innovation + state->estimate.innovation * state->estimate.innovation;
     state->check_target = memory * state->check_target + target * target;
     for (i = 0; i < config->n_parameters; ++i) {
+        explained -= PMF_R(2.0) * theta[i] * config->target_noise[i];
         for (j = 0; j < config->n_parameters; ++j) {
             explained += theta[i] * config->noise[i][j] * theta[j];
         }
@@ -376,6 +377,7 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
         }
         if (config->compensated != 0U) {
             real_t weight = young != 0U ? state->sums.weight : PMF_R(1.0);
+            move[i] -= weight * config->target_noise[i];
             for (j = 0; j < p; ++j) {
                 move[i] += weight * config->noise[i][j] * state->estimate.theta[j];
             }
@@ -416,7 +418,7 @@ static void note_score(const pmf_recursion_config_t *config, pmf_recursion_state
 {
     uint32_t p = config->n_parameters, i, j;
     for (i = 0; i < p; ++i) {
-        state->score[i] += zeta[i] * state->estimate.innovation;
+        state->score[i] += zeta[i] * state->estimate.innovation - config->target_noise[i];
         for (j = 0; j < p && config->compensated != 0U; ++j) {
             state->score[i] += config->noise[i][j] * state->estimate.theta[j];
         }
@@ -500,6 +502,16 @@ static uint32_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_sta
     case 8: return update(config, state, column, 4U, 0U);
     case 9: return update(config, state, column, 4U, 1U);
     case 10: return update(config, state, column, 5U, 0U);
+    default: break;
+    }
+#endif
+#if PMF_MAX_PARAMETERS >= 8 && !defined(PMF_SMALL)
+    switch (config->n_parameters * 2U + config->instrumental) {
+    case 11: return update(config, state, column, 5U, 1U);
+    case 12: return update(config, state, column, 6U, 0U);
+    case 13: return update(config, state, column, 6U, 1U);
+    case 14: return update(config, state, column, 7U, 0U);
+    case 16: return update(config, state, column, 8U, 0U);
     default: break;
     }
 #endif

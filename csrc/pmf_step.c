@@ -17,7 +17,7 @@ void pmf_clear(void *memory, uint32_t size)
 void pmf_init(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_clear(state, (uint32_t)sizeof *state);
-    state->settle = config->settle_samples;
+    state->settle = config->first_samples;
     state->encoder.idle = config->encoder.standstill_samples; /* at rest until a count says otherwise */
     pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
 }

@@ -66,6 +66,7 @@ PUBLIC = [
     "Status",
     "Term",
     "Track",
+    "TransferFunction",
     "UsageError",
     "quantize",
 ]

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pmfid.models.drive import EquationModel as EquationModel
     from pmfid.models.equation import Equation as Equation
     from pmfid.models.equation import Term as Term
+    from pmfid.models.transfer_function import TransferFunction as TransferFunction
     from pmfid.status import Status as Status
 
 #: Public name -> module. Modules are imported when a name is used: `pmfid --help` stays quick.
@@ -52,6 +53,7 @@ _PUBLIC = {
     "PmfidError": "pmfid.errors",
     "RLS": "pmfid.estimators.rls",
     "Status": "pmfid.status",
+    "TransferFunction": "pmfid.models.transfer_function",
     "Track": "pmfid.estimators.recursive",
     "UsageError": "pmfid.errors",
     "quantize": "pmfid.encoder",

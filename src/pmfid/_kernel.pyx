@@ -29,7 +29,7 @@ cdef extern from "pmf.h":
         PMF_WINDOW_BLOCKS
     ctypedef struct pmf_encoder_config_t:
         real_t velocity_per_count, position_per_count, position_gain, velocity_gain, smooth_end, smooth_start
-        uint32_t count_mask, max_change, standstill_samples
+        uint32_t count_mask, max_change, standstill_samples, process
     ctypedef struct pmf_stage_t:
         uint32_t source
         real_t a, b0, b1
@@ -49,6 +49,8 @@ cdef extern from "pmf.h":
         uint32_t compensated, block, scheme, window_block
         real_t unexplained, check_memory
         real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]
+        real_t target_noise[PMF_MAX_PARAMETERS]
+        real_t target_power
     ctypedef struct pmf_auxiliary_config_t:
         uint32_t enabled, adapt, has_initial, check_column, target_column, mass_column, trial_samples
         uint32_t direct_index[PMF_ROLES]
@@ -59,7 +61,7 @@ cdef extern from "pmf.h":
         real_t parameter[PMF_ROLES]
         real_t velocity, position
     ctypedef struct pmf_config_t:
-        uint32_t settle_samples
+        uint32_t settle_samples, first_samples
         pmf_encoder_config_t encoder
         pmf_auxiliary_config_t auxiliary
         pmf_network_config_t network
@@ -146,6 +148,9 @@ cdef _set_recursion(pmf_recursion_config_t *target, source):
     for i in range(target.n_parameters):
         for j in range(target.n_parameters):
             target.noise[i][j] = noise[i][j] if noise is not None else 0.0
+    target_noise, target.target_power = source.get("target_noise"), source.get("target_power", 0.0)
+    for i in range(target.n_parameters):
+        target.target_noise[i] = target_noise[i] if target_noise is not None else 0.0
 
 
 cdef class Kernel:
@@ -161,7 +166,7 @@ cdef class Kernel:
 
     dtype = np.dtype(np.float32 if sizeof(real_t) == 4 else np.float64)
 
-    def __init__(self, stages, columns, encoder, direct, settle_samples, instrument=None, auxiliary=None):
+    def __init__(self, stages, columns, encoder, direct, settle_samples, instrument=None, auxiliary=None, first_samples=None):
         cdef pmf_network_config_t *net = &self.config.network
         pmf_clear(&self.config, sizeof(self.config))
         n_taps = sum(len(column) for column in columns)
@@ -176,6 +181,7 @@ cdef class Kernel:
             _set_recursion(&self.config.instrument, instrument)
             self._set_auxiliary(auxiliary)
         self.config.settle_samples = settle_samples
+        self.config.first_samples = settle_samples if first_samples is None else first_samples
         net.n_stages, net.n_columns = len(stages), len(columns)
         for i, (source, a, b0, b1) in enumerate(stages):
             net.stage[i].source, net.stage[i].a, net.stage[i].b0, net.stage[i].b1 = source, a, b0, b1

@@ -48,6 +48,7 @@ class Encoder:
             "position_per_count": self.resolution,
             "count_mask": 2**self.bits - 1,
             "max_change": self._max_change(dt),
+            "process": 0,
             "standstill_samples": min(max(1, round(self.standstill_time / dt)), 2**32 - 1),
             **tracker_gains(TRACKING_INDEX),
         }

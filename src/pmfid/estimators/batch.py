@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,6 +60,12 @@ class Columns:
 @dataclass(frozen=True)
 class BatchEstimator(Estimator):
     """An `Estimator` over a whole record."""
+
+    def recursion_config(
+        self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
+    ) -> dict[str, Any]:
+        """None: the kernel filters, and holds columns of more parameters than it could estimate."""
+        return super().recursion_config(0, instrumental, forgetting, first_column)
 
     def columns(self, u: ArrayLike, counts: ArrayLike) -> Columns:
         """Regressors, target and instruments of the samples after the filters have settled; u, counts: (n,)."""
