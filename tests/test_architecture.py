@@ -21,7 +21,7 @@ CSRC = REPOSITORY / "csrc"
 
 GROUND = {"errors", "status", "_kernel32", "_kernel64"}
 FILTERS = GROUND | {"models", "encoder"}
-ESTIMATORS = FILTERS | {"filters"}
+ESTIMATORS = FILTERS | {"filters", "linear"}
 MONITOR = ESTIMATORS | {"estimators"}
 SESSION = MONITOR | {"monitor"}
 #: Room -> the rooms that it may import, besides itself; "pmfid" is the package's own `__init__`.
@@ -34,6 +34,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "models": GROUND,
     "encoder": GROUND,
     "filters": FILTERS,
+    "linear": {"errors"},
     "estimators": ESTIMATORS,
     "monitor": MONITOR,
     "simulation": {"errors"},
@@ -52,6 +53,7 @@ PUBLIC = [
     "Equation",
     "EquationModel",
     "Estimate",
+    "Experiment",
     "Fit",
     "IV",
     "IntervalML",
@@ -63,6 +65,7 @@ PUBLIC = [
     "RIV",
     "RKnownStep",
     "RLS",
+    "SRIVC",
     "Status",
     "Term",
     "Track",

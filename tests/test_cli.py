@@ -19,13 +19,14 @@ import pytest
 import scipy.io
 from click.testing import CliRunner, Result
 
+from pmfid import Drive
 from pmfid.cli.main import main
-from pmfid.estimators import METHODS
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.estimators.registry import ESTIMATORS
+from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.simulation.drive import Schedule, quantize, simulate_drive
 from pmfid.simulation.scenarios import CART, CART_DT, CART_RESOLUTION, make_scenario, write_csv
 
+METHODS = ["auto", *methods_for(Drive(1.0))]
 AXIS = Path(__file__).parents[1] / "examples" / "cart.toml"
 TRUTH = {
     "mass": CART.mass,

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from pmfid.estimators.output_error import OE as OE
     from pmfid.estimators.recursive import Track as Track
     from pmfid.estimators.rls import RLS as RLS
+    from pmfid.estimators.srivc import SRIVC as SRIVC
+    from pmfid.linear.experiment import Experiment as Experiment
     from pmfid.models.drive import Drive as Drive
     from pmfid.models.drive import EquationModel as EquationModel
     from pmfid.models.equation import Equation as Equation
@@ -52,6 +54,8 @@ _PUBLIC = {
     "NotIdentifiableError": "pmfid.errors",
     "PmfidError": "pmfid.errors",
     "RLS": "pmfid.estimators.rls",
+    "SRIVC": "pmfid.estimators.srivc",
+    "Experiment": "pmfid.linear.experiment",
     "Status": "pmfid.status",
     "TransferFunction": "pmfid.models.transfer_function",
     "Track": "pmfid.estimators.recursive",

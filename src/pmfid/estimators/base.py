@@ -61,11 +61,17 @@ class Estimator:
     plain: ClassVar[bool] = False
     #: has an auxiliary model, which must know the equation
     simulates: ClassVar[bool] = False
+    #: ... but simulates a linear process in its own way
+    on_processes: ClassVar[bool] = False
+    #: for linear processes alone, not for a machine with friction
+    process_only: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if self.equation.process and self.order == 2:
             object.__setattr__(self, "order", max(2, self.equation.order))
-        if self.simulates and self.equation.without_simulation:
+        if self.process_only and not self.equation.process:
+            raise UsageError(f"{self.method} is for a transfer function; for a {self.model.kind} use iv or interval")
+        if self.simulates and self.equation.without_simulation and not (self.equation.process and self.on_processes):
             raise UsageError(
                 f"{self.method} simulates the motion, which it cannot for this equation: "
                 f"{self.equation.without_simulation}; use ls, bcls, rls or bcrls"

@@ -150,6 +150,7 @@ class EstimatorConfig(_Section):
         "iv",
         "output-error",
         "interval",
+        "srivc",
         "rls",
         "bcrls",
         "rknown-step",
