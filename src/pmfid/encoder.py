@@ -76,6 +76,17 @@ def quantize(y: ArrayLike, resolution: float) -> NDArray[np.int64]:
     return np.floor(np.asarray(y, float) / resolution).astype(np.int64)
 
 
+#: Counts in the range of an output that is measured as a number: beyond the resolution of any converter.
+FINE = 2**30
+
+
+def fine_counts(y: NDArray[np.float64]) -> tuple[Encoder, NDArray[np.int64]]:
+    """An encoder so fine that it does not matter, and its counts of a finite output y (n,)."""
+    size = float(np.max(np.abs(y), initial=0.0)) or 1.0
+    resolution = size / FINE
+    return Encoder(resolution), quantize(y, resolution)
+
+
 @cache
 def tracker_gains(tracking_index: float) -> dict[str, float]:
     """Steady gains of a Kalman filter for piecewise constant white acceleration, and of its one-step smoother.

@@ -25,6 +25,8 @@ SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
 MAX_SETTLE_SAMPLES = 10**8
 #: Information that is never forgotten, as a part of the largest seen: P stays below 1e4 times its best.
 REGULARIZATION = 1e-4
+#: The discretisation that is refined from pass to pass with the estimate.
+EXACT = "exact"
 #: Relative pivot of the information matrix from which on a first estimate is given.
 START_PIVOT = 1e-4
 #: The same of a linear process, whose columns may nearly follow from each other: the third
@@ -41,9 +43,8 @@ class Estimator:
 
     model: `Drive`, `TransferFunction`, or an `EquationModel`. encoder: `Encoder`. dt: sample period [s]. cutoff: pole
     of the Poisson chain [rad/s], 0 < cutoff <= 2/dt; its inverse is the filter time constant. order: stages, >= 2 for a
-    drive; left at 2 it is n for a transfer function of a higher order n. discretization: "matched" or "paper".
-    prefilter_zeros: one negative zero [rad/s] per noisy column, or None for
-    the method's default. precision: "float64" or "float32". Raises UsageError with the remedy.
+    drive; left at 2 it is n for a transfer function of a higher order n. discretization: "matched", "paper", or for `LS`
+    and `BCLS` "exact". prefilter_zeros: one negative zero [rad/s] per noisy column, or None for the method's default. precision: "float64" or "float32". Raises UsageError with the remedy.
     """
 
     model: Model
@@ -59,6 +60,8 @@ class Estimator:
     instrumental: ClassVar[bool] = False
     #: least squares, with the bias of a noisy output
     plain: ClassVar[bool] = False
+    #: takes the exact discretisation, too
+    exact: ClassVar[bool] = False
     #: has an auxiliary model, which must know the equation
     simulates: ClassVar[bool] = False
     #: ... but simulates a linear process in its own way
@@ -90,8 +93,9 @@ class Estimator:
             )
         if self.order < self.equation.order:
             raise UsageError(f"order must be at least {self.equation.order}, got {self.order}")
-        if self.discretization not in HOLD_FILTERS:
-            raise UsageError(f"discretization must be one of {sorted(HOLD_FILTERS)}, got {self.discretization!r}")
+        if self.discretization not in HOLD_FILTERS and not (self.exact and self.discretization == EXACT):
+            known = [*sorted(HOLD_FILTERS), EXACT] if self.exact else sorted(HOLD_FILTERS)
+            raise UsageError(f"discretization of {self.method} must be one of {known}, got {self.discretization!r}")
         if self.precision not in ("float64", "float32"):
             raise UsageError(f"precision must be 'float64' or 'float32', got {self.precision!r}")
         self._check_zeros()
@@ -144,7 +148,8 @@ class Estimator:
 
     @property
     def spec(self) -> FilterSpec:
-        return FilterSpec(self.cutoff, self.order, self.dt, self.discretization, self.zeros)
+        first = "matched" if self.discretization == EXACT else self.discretization  # where the exact one starts from
+        return FilterSpec(self.cutoff, self.order, self.dt, first, self.zeros)
 
     @cached_property
     def _columns(self) -> tuple[Network, list[Taps]]:

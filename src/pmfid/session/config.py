@@ -155,6 +155,7 @@ class EstimatorConfig(_Section):
         "bcrls",
         "rknown-step",
         "riv",
+        "rsrivc",
     ] = Field("auto", description="the estimation method")
     cutoff: Positive = Field(description="the pole of the filter chain in rad/s, for example 50.0")
     order: int = Field(2, ge=2, le=6, description="the number of filter stages, 2 to 6")
@@ -167,7 +168,7 @@ class EstimatorConfig(_Section):
     forgetting_scheme: Literal["exponential", "directional", "constant-trace", "window"] = Field(
         "exponential", description="what becomes of old samples where forgetting < 1"
     )
-    discretization: Literal["matched", "paper"] = Field("matched", description="the discretisation of the filters")
+    discretization: Literal["matched", "paper", "exact"] = Field("matched", description="the discretisation of the filters")
     # not strict, because TOML has lists and a frozen object wants a tuple
     prefilter_zeros: Annotated[tuple[Negative, Negative] | None, AfterValidator(_distinct)] = Field(
         None, strict=False, description="two different negative numbers in 1/s, for example [-30.0, -60.0]"
