@@ -33,6 +33,10 @@ typedef double real_t;
 #define PMF_MAX_PARAMETERS 8
 #endif
 #define PMF_MAX_COLUMNS (4 * PMF_MAX_PARAMETERS + 4)
+/* Of a linear process. */
+#ifndef PMF_MAX_ORDER
+#define PMF_MAX_ORDER 6
+#endif
 /* Blocks of a sliding window; 0 saves their memory where no window is used. */
 #ifndef PMF_WINDOW_BLOCKS
 #define PMF_WINDOW_BLOCKS 8
@@ -238,11 +242,43 @@ typedef struct {
     uint32_t in_charge; /* the instrumental estimate has taken over from the direct one */
 } pmf_auxiliary_state_t;
 
+/* A linear process, simulated from the input alone with a slow copy of the estimate, and the filters 1 / A(s). */
+typedef struct {
+    uint32_t enabled;
+    uint32_t n, m, offset;   /* parameters: a_0 to a_(n-1), b_0 to b_m and the constant, if there is one */
+    uint32_t input_node;     /* held input, as late as the output and its dead time later */
+    uint32_t first_column;   /* regressors, target, instruments */
+    uint32_t update_samples; /* so often are the filters computed from the copy */
+    uint32_t settle_samples; /* beside the settling of the process itself */
+    uint32_t start_updates;  /* of the direct estimate before the model starts from it */
+    real_t half_dt;
+    real_t scale[PMF_MAX_ORDER + 1]; /* dt^(n-i) */
+    real_t limit[PMF_MAX_ORDER];     /* of a_i dt^(n-i), beyond which the process is too fast for the samples */
+    real_t smoothing;                /* per sample, of the copy */
+    real_t memory;                   /* forgetting of the comparison with the output, per sample */
+} pmf_linear_config_t;
+
+typedef struct {
+    real_t parameter[PMF_MAX_PARAMETERS];        /* the copy */
+    real_t a[PMF_MAX_ORDER], b[PMF_MAX_PARAMETERS]; /* as the filters have them, time in samples */
+    real_t inverse;
+    real_t step[PMF_MAX_ORDER][PMF_MAX_ORDER], gain[PMF_MAX_ORDER];
+    real_t held[PMF_MAX_ORDER], one[PMF_MAX_ORDER];            /* 1 / A of the input and of a constant */
+    real_t measured[PMF_MAX_ORDER], simulated[PMF_MAX_ORDER]; /* and of the outputs */
+    real_t settling[PMF_MAX_ORDER];
+    real_t output, power, mismatch;
+    real_t discount; /* of what was gathered with other filters; 1 where they did not change */
+    uint32_t since;  /* updates of the direct estimate at the start */
+    uint32_t wait, age, unsettled, settled;
+    uint32_t running, in_charge;
+} pmf_linear_state_t;
+
 typedef struct {
     uint32_t settle_samples;
     uint32_t first_samples; /* the same at the start, shorter where the start is part of the equation */
     pmf_encoder_config_t encoder;
     pmf_auxiliary_config_t auxiliary;
+    pmf_linear_config_t linear;
     pmf_network_config_t network;
     pmf_recursion_config_t direct;       /* from the counts alone */
     pmf_recursion_config_t instrument; /* with the auxiliary model, if it is enabled */
@@ -253,6 +289,7 @@ typedef struct {
     uint32_t settle; /* samples until the filters have forgotten their start */
     pmf_encoder_state_t encoder;
     pmf_auxiliary_state_t auxiliary;
+    pmf_linear_state_t linear;
     pmf_network_state_t network;
     pmf_recursion_state_t direct;
     pmf_recursion_state_t instrument;
@@ -288,9 +325,19 @@ uint32_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary
 /* Moves the copy towards an estimate, whose parameters are found by `index`. */
 void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const real_t *theta,
                           const uint32_t *index);
+/* Columns of the linear process, from the network's nodes of the same step. */
+void pmf_linear_step(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *node, real_t *column);
+/* Does its output explain nothing of the measured one? */
+uint32_t pmf_linear_lost(const pmf_linear_state_t *state);
+/* Takes an estimate for the copy; 0 where that is not stable. */
+uint32_t pmf_linear_start(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta);
+/* Moves the copy towards an estimate, as far as that is stable. */
+void pmf_linear_follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta);
 void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
 uint32_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                             const real_t *column);
+/* Lets everything gathered so far count by a factor <= 1. */
+void pmf_recursion_discount(pmf_recursion_state_t *state, real_t factor);
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
 /* Encoder, auxiliary model and network alone, for batch methods: the columns are in state->network.column. */
 uint32_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, uint32_t count);

@@ -121,7 +121,8 @@ static void emit(const pmf_encoder_config_t *config, const pmf_encoder_state_t *
 {
     real_t half = PMF_R(0.5) * direction, moving = PMF_R(0.5) * state->moving;
     real_t position = config->position_per_count *
-                      (signed_count(state->travel) - PMF_R(0.5) * (real_t)state->change);
+                      (signed_count(state->travel) - PMF_R(0.5) * (real_t)state->change +
+                       (config->process != 0U ? PMF_R(0.5) : PMF_R(0.0))); /* a count says "in the middle" */
     signal[PMF_INPUT] = state->moving * state->input_before;
     signal[PMF_DIRECTION] = direction;
     signal[PMF_MOVING] = state->moving;

@@ -554,6 +554,32 @@ uint32_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_
     return status;
 }
 
+static void discount_sums(pmf_sums_t *sums, real_t factor)
+{
+    uint32_t i, j;
+    for (i = 0; i < N; ++i) {
+        sums->right[i] *= factor;
+        for (j = 0; j < N; ++j) {
+            sums->cross[i][j] *= factor;
+            sums->square[i][j] *= factor;
+        }
+    }
+    sums->weight *= factor;
+}
+
+void pmf_recursion_discount(pmf_recursion_state_t *state, real_t factor)
+{
+#if PMF_WINDOW_BLOCKS > 0
+    uint32_t block;
+    for (block = 0; factor < PMF_R(1.0) && block < PMF_WINDOW_BLOCKS; ++block) {
+        discount_sums(&state->window[block], factor);
+    }
+#endif
+    if (factor < PMF_R(1.0)) {
+        discount_sums(&state->sums, factor);
+    }
+}
+
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *recursion, real_t *p)
 {
     uint32_t n = config->n_parameters, i, j, k, column;

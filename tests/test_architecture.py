@@ -65,6 +65,7 @@ PUBLIC = [
     "RIV",
     "RKnownStep",
     "RLS",
+    "RSRIVC",
     "SRIVC",
     "Status",
     "Term",

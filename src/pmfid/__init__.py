@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pmfid.estimators.output_error import OE as OE
     from pmfid.estimators.recursive import Track as Track
     from pmfid.estimators.rls import RLS as RLS
+    from pmfid.estimators.rsrivc import RSRIVC as RSRIVC
     from pmfid.estimators.srivc import SRIVC as SRIVC
     from pmfid.linear.experiment import Experiment as Experiment
     from pmfid.models.drive import Drive as Drive
@@ -53,6 +54,7 @@ _PUBLIC = {
     "LS": "pmfid.estimators.batch",
     "NotIdentifiableError": "pmfid.errors",
     "PmfidError": "pmfid.errors",
+    "RSRIVC": "pmfid.estimators.rsrivc",
     "RLS": "pmfid.estimators.rls",
     "SRIVC": "pmfid.estimators.srivc",
     "Experiment": "pmfid.linear.experiment",

@@ -14,4 +14,5 @@ METHODS = (
     "bcrls",
     "rknown-step",
     "riv",
+    "rsrivc",
 )

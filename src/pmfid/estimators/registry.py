@@ -10,11 +10,12 @@ from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known_step import KnownStep, RKnownStep
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.rls import RLS
+from pmfid.estimators.rsrivc import RSRIVC
 from pmfid.estimators.srivc import SRIVC
 from pmfid.models.drive import Model
 
 OFF_LINE = (LS, BCLS, KnownStep, IV, OE, IntervalML, SRIVC)
-RECURSIVE = (RLS, BCRLS, RKnownStep, RIV)
+RECURSIVE = (RLS, BCRLS, RKnownStep, RIV, RSRIVC)
 ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (*OFF_LINE, *RECURSIVE)}
 
 

@@ -138,11 +138,16 @@ class ColumnBuilder:
         taps = self._derivative(VELOCITY, term.derivative - 1)
         return [(self.network.delay(node), weight) for node, weight in taps]
 
+    def input_node(self) -> int:
+        """The held input of a process behind its dead time."""
+        node = LATE_INPUT
+        for _ in range(self.equation.delay):
+            node = self.network.delay(node)
+        return node
+
     def process_input(self, j: int) -> Taps:
         """j-th derivative of the filtered input, delayed."""
-        spec, source = self.spec, LATE_INPUT
-        for _ in range(self.equation.delay):
-            source = self.network.delay(source)
+        spec, source = self.spec, self.input_node()
         r = self.equation.relative_degree
         if spec.discretization == "matched":
             nodes = matched_input(self.network, source, spec.cutoff, spec.order, spec.dt, r)
