@@ -43,8 +43,9 @@ class Estimator:
 
     model: `Drive`, `TransferFunction`, or an `EquationModel`. encoder: `Encoder`. dt: sample period [s]. cutoff: pole
     of the Poisson chain [rad/s], 0 < cutoff <= 2/dt; its inverse is the filter time constant. order: stages, >= 2 for a
-    drive; left at 2 it is n for a transfer function of a higher order n. discretization: "matched", "paper", or for `LS`
-    and `BCLS` "exact". prefilter_zeros: one negative zero [rad/s] per noisy column, or None for the method's default. precision: "float64" or "float32". Raises UsageError with the remedy.
+    drive; left at 2 it is n for a transfer function of a higher order n. discretization: "matched", "paper", or "exact"
+    for `LS` and `BCLS`. prefilter_zeros: one negative zero [rad/s] per noisy column, or None for the method's default.
+    precision: "float64" or "float32". Raises UsageError with the remedy.
     """
 
     model: Model
@@ -266,6 +267,12 @@ def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[np.float64], 
             f"u and counts must be two arrays of the same length, got {u_array.shape} and {counts_array.shape}"
         )
     return u_array, counts_array
+
+
+def held(u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """u (n,) with the last finite value in place of those that are not, as the kernel does it."""
+    last = np.maximum.accumulate(np.where(np.isfinite(u), np.arange(1, u.size + 1), 0))
+    return np.ascontiguousarray(np.r_[0.0, u][last])
 
 
 def check_size(u: NDArray[np.float64]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.base import Estimator
+from pmfid.estimators.base import Estimator, check_arrays, check_size, held
 from pmfid.estimators.batch import BatchEstimator, Fit, long_run_covariance
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
 from pmfid.linear.sensitivity import Structure
-from pmfid.linear.solve import Point, Problem, Solution, solve
+from pmfid.linear.solve import Point, Problem, Solution, descend, first_guess, refine, solve, with_fixed_filter
 from pmfid.models.transfer_function import TransferFunction
 
 #: Time constants of the slowest pole over which scores are taken to be correlated, and samples at most.
@@ -52,8 +52,7 @@ class SRIVC(BatchEstimator):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if isinstance(self.model, TransferFunction):
-            object.__setattr__(self, "model", replace(self.model, initial_conditions=False))
+        without_start(self)
 
     def fit(self, u: ArrayLike, counts: ArrayLike) -> ProcessFit:
         """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
@@ -67,11 +66,14 @@ class SRIVC(BatchEstimator):
         return fit_process(self, experiments)
 
 
+def without_start(estimator: Estimator) -> None:
+    """Initial conditions are part of every fit here, and no parameters; for use at construction."""
+    if isinstance(estimator.model, TransferFunction):
+        object.__setattr__(estimator, "model", replace(estimator.model, initial_conditions=False))
+
+
 def counted(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Experiment:
     """The record as an `Experiment`: the position of the counts, an input that is not finite replaced."""
-    from pmfid.estimators.base import check_arrays, check_size
-    from pmfid.estimators.output_error import held
-
     u, counts = check_arrays(u, counts)
     check_size(u)
     if u.size < 2:
@@ -79,11 +81,23 @@ def counted(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Experiment
     return Experiment(held(u), estimator.encoder.position(counts), dt=estimator.dt)
 
 
-def fit_process(estimator: Estimator, experiments: Sequence[Experiment]) -> ProcessFit:
-    """The estimate by refined instrumental variables from all records."""
+def fit_process(
+    estimator: Estimator, experiments: Sequence[Experiment], solver: Callable[[Problem], Solution] = solve
+) -> ProcessFit:
+    """The estimate from all records, by refined instrumental variables or another solver."""
     problem = make_problem(estimator, experiments)
     check_signals(problem, estimator.names)
-    return result(estimator, problem, solve(problem))
+    return result(estimator, problem, solver(problem))
+
+
+def fixed_filters(problem: Problem) -> Solution:
+    """Instrumental variables with the filters of the estimator's cutoff."""
+    return with_fixed_filter(problem, 1.0)
+
+
+def by_descent(problem: Problem) -> Solution:
+    """Least squares of the output error."""
+    return descend(problem, refine(problem, first_guess(problem, 1.0)).point)
 
 
 def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> Problem:
@@ -154,7 +168,7 @@ def covariance(point: Point, problem: Problem) -> NDArray[np.float64]:
     """(p, p) for residuals correlated in time (Newey and West 1987), in the problem's units."""
     size = np.linalg.norm(point.zeta, axis=0)
     zeta = point.zeta / size
-    inverse = np.linalg.inv(zeta.T @ zeta if not problem.referenced else zeta.T @ (point.phi / size))
+    inverse = np.linalg.inv(zeta.T @ (point.phi / size))
     lags = min(point.error.size // 10, memory(point, problem))
     spectrum = long_run_covariance(zeta * point.error[:, None], lags)
     cov = inverse @ spectrum @ inverse.T * point.error.size / max(1, point.error.size - size.size)

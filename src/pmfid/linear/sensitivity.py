@@ -105,6 +105,15 @@ def linearise(structure: Structure, theta: Floats, initial: Floats, stretch: Str
     )
 
 
+def simulate(structure: Structure, theta: Floats, initial: Floats, stretch: Stretch) -> Floats:
+    """Output (M,) from the input and the initial conditions (n,) alone."""
+    a, b, offset = structure.split(theta)
+    states = channels(structure, a, stretch, twice=False)
+    source = stretch.inputs.shape[0] - 1
+    constant = offset * states[0, -2] if structure.offset else 0.0
+    return np.asarray(b @ states[: b.size, source] + initial @ states[:, -1] + constant)
+
+
 def stable(a: Floats, duration: float) -> Floats:
     """a with poles in the right half-plane reflected; those that hardly grow within the duration may stay."""
     poles = np.roots(np.r_[1.0, a[::-1]])

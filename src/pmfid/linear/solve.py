@@ -15,7 +15,7 @@ from scipy.linalg import qr, solve_triangular
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.linear.experiment import Stretch
-from pmfid.linear.sensitivity import Structure, linearise, stable
+from pmfid.linear.sensitivity import Structure, linearise, simulate, stable
 
 Floats = NDArray[np.float64]
 
@@ -112,12 +112,18 @@ def step_from(point: Point, phi: Floats) -> Floats:
         return np.full(size.size, np.nan)
 
 
-def first_guess(problem: Problem, pole: float) -> Point:
-    """Least squares with the filter 1/(s + pole)^n, pole in units of the problem (state variable filters)."""
+def filtered(problem: Problem, pole: float) -> Point:
+    """All signals behind 1/(s + pole)^n, pole in units of the problem (state variable filters)."""
     structure = problem.structure
     a = np.poly(np.full(structure.n, -pole))[:0:-1]
     theta = np.r_[a, np.zeros(structure.size - structure.n)]
-    point = visit(problem, theta, np.zeros((len(problem.stretches), structure.n)))
+    return visit(problem, theta, np.zeros((len(problem.stretches), structure.n)))
+
+
+def first_guess(problem: Problem, pole: float) -> Point:
+    """Least squares with the filter 1/(s + pole)^n."""
+    point = filtered(problem, pole)
+    theta = point.theta
     size = np.linalg.norm(point.phi, axis=0)
     size = np.where(size > 0, size, 1.0)
     found = theta + np.linalg.lstsq(point.phi / size, point.error, rcond=None)[0] / size
@@ -166,6 +172,31 @@ def descend(problem: Problem, start: Point) -> Solution:
         else:
             return Solution(point, True, passes)  # no step is downhill: rounding
     return Solution(point, False, DESCENTS)
+
+
+def with_fixed_filter(problem: Problem, pole: float) -> Solution:
+    """Instrumental variables with the filter 1/(s + pole)^n throughout, instruments from the simulated output.
+
+    What the output does between the samples matters here: a straight line, which costs an error of order dt^2."""
+    data, point = filtered(problem, pole), first_guess(problem, pole)
+    theta, n = point.theta, problem.structure.n
+    for passes in range(1, REFINEMENTS + 1):
+        simulated = [
+            simulate(problem.structure, theta, initial, stretch)
+            for initial, stretch in zip(point.initial, problem.stretches, strict=True)
+        ]
+        ideal = tuple(replace(stretch, y=y) for stretch, y in zip(problem.stretches, simulated, strict=True))
+        here = replace(data, zeta=filtered(replace(problem, stretches=ideal), pole).phi)
+        step = step_from(here, data.phi)
+        if not np.all(np.isfinite(step)):
+            break
+        before, theta = theta, data.theta + step
+        moved = replace(here, theta=theta, error=data.error - data.phi @ step)
+        if _small(moved, theta - before):
+            return Solution(replace(moved, cost=float(moved.error @ moved.error)), True, passes)
+        theta = np.r_[stable(theta[:n], problem.duration), theta[n:]]
+        point = _at(problem, theta, point.initial)
+    raise NotIdentifiableError("the instruments do not settle: use srivc, or another structure or cutoff")
 
 
 def _small(point: Point, step: Floats) -> bool:
