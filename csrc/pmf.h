@@ -24,10 +24,10 @@ typedef double real_t;
 #endif
 
 #ifndef PMF_MAX_STAGES
-#define PMF_MAX_STAGES 64
+#define PMF_MAX_STAGES 96
 #endif
 #ifndef PMF_MAX_TAPS
-#define PMF_MAX_TAPS 96
+#define PMF_MAX_TAPS 160
 #endif
 #ifndef PMF_MAX_PARAMETERS
 #define PMF_MAX_PARAMETERS 8

@@ -449,6 +449,10 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
         state->estimate.innovation -= column[i] * state->estimate.theta[i];
     }
     accumulate(config, state, column, p, instrumental);
+    if (config->compensated != 0U && state->updates < config->min_updates) {
+        state->estimate.innovation = PMF_R(0.0); /* less information than the noise feigns: nothing to factorise yet */
+        return PMF_STARTING | PMF_POOR_EXCITATION;
+    }
     residual(config, state, instrumental != 0U ? &column[p + 1U] : column, p, instrumental, move);
     if (instrumental != 0U) {
         pivot = project(state, p, information, move);

@@ -133,10 +133,33 @@ class ColumnBuilder:
             return self._hold(ONE)
         if term.signal == "start":
             return scaled(self._derivative(START, term.derivative), 1 / self.spec.dt)
-        if term.derivative == 0:
-            return self._derivative(LATE_POSITION, 0)
-        taps = self._derivative(VELOCITY, term.derivative - 1)
-        return [(self.network.delay(node), weight) for node, weight in taps]
+        return self.process_output(term.derivative)
+
+    def process_output(self, i: int) -> Taps:
+        """i-th derivative of the filtered output, less c = (n - i) / 12 times its second difference.
+
+        The trapezoidal s_T is s (1 - dt^2 s^2 / 12) to second order, and M_k / M_(k-1) is 1 - dt^2 s_T^2 / 12 for
+        k > 2: relative to y^(n) every lower derivative has one such factor more, as `mean_velocity_correction` has for
+        a drive. With M_(n-j) on u^(j) the error is then one of fourth order in dt, for a relative degree of 2 or more;
+        of 1 there is no such factor, for M_2 = M_1.
+        """
+        equation, delay = self.equation, self.network.delay
+        c = (equation.order - i) / 12 if self._corrected else 0.0
+        taps: Taps = []
+        if i == 0:  # the second difference of mean positions is that of the mean velocities two samples apart
+            for node, weight in self._derivative(VELOCITY, 0) if c else []:
+                ends = c * self.spec.dt / 2 * weight
+                taps += [(node, -ends), (delay(delay(node)), ends)]
+            return taps + self._derivative(LATE_POSITION, 0)
+        for node, weight in self._derivative(VELOCITY, i - 1):
+            taps.append((delay(node), (1 + 2 * c) * weight))
+            if c:
+                taps += [(node, -c * weight), (delay(delay(node)), -c * weight)]
+        return taps
+
+    @property
+    def _corrected(self) -> bool:
+        return self.spec.discretization == "matched" and self.equation.relative_degree > 1
 
     def input_node(self) -> int:
         """The held input of a process behind its dead time."""
@@ -148,7 +171,7 @@ class ColumnBuilder:
     def process_input(self, j: int) -> Taps:
         """j-th derivative of the filtered input, delayed."""
         spec, source = self.spec, self.input_node()
-        r = self.equation.relative_degree
+        r = self.equation.order - j if self._corrected else self.equation.relative_degree
         if spec.discretization == "matched":
             nodes = matched_input(self.network, source, spec.cutoff, spec.order, spec.dt, r)
             return derivative(nodes, j, spec.cutoff)
