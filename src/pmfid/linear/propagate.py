@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import schur
+from scipy.linalg import expm, schur
 from scipy.signal import lfilter
 
 Floats = NDArray[np.float64]
@@ -14,6 +14,8 @@ Floats = NDArray[np.float64]
 #: Terms of the exponential series once its argument is scaled below SERIES_NORM: beyond float64.
 SERIES_TERMS = 14
 SERIES_NORM = 0.25
+#: Columns of a product of a small matrix with a long one at a time.
+BLOCK = 2048
 
 
 @dataclass(frozen=True)
@@ -49,9 +51,7 @@ def transition(F: Floats, g: Floats, grid: Grid) -> Transition:
     whole[:, :n, :n] = F * distinct[:, None, None]
     whole[:, :n, n] = g * distinct[:, None]
     whole[:, n, n + 1] = 1.0
-    found = _exponential(whole)[back.ravel()]
-    if grid.uniform:
-        found = found[0]
+    found = expm(whole[0]) if grid.uniform else _exponential(whole)[back.ravel()]
     return Transition(found[..., :n, :n], found[..., :n, n], found[..., :n, n + 1])
 
 
@@ -86,13 +86,13 @@ def _recur(T: Floats, forced: list[Floats], start: Floats) -> list[Floats]:
 
 
 def _combined(Q: Floats, modes: list[Floats]) -> Floats:
-    """Real part of Q modes, row by row: products of small matrices with long ones keep no thread busy."""
-    real, imag = [mode.real.ravel() for mode in modes], [mode.imag.ravel() for mode in modes]
-    rows = np.zeros((Q.shape[0], real[0].size))
-    for row, weights in zip(rows, Q, strict=True):
-        for weight, x, y in zip(weights, real, imag, strict=True):
-            row += weight.real * x - weight.imag * y
-    return rows
+    """Real part of Q modes, in blocks so small that the product stays in one thread: more threads only wait."""
+    real, imag = np.array([mode.real.ravel() for mode in modes]), np.array([mode.imag.ravel() for mode in modes])
+    result = np.empty(real.shape)
+    for first in range(0, real.shape[1], BLOCK):
+        part = slice(first, first + BLOCK)
+        result[:, part] = Q.real @ real[:, part] - Q.imag @ imag[:, part]
+    return result
 
 
 def _recur_varying(phi: Floats, forced: Floats, start: Floats) -> Floats:

@@ -136,12 +136,12 @@ def _at(problem: Problem, theta: Floats, initial: Floats) -> Point:
     return visit(problem, np.r_[stable(theta[:n], problem.duration), theta[n:]], initial)
 
 
-def refine(problem: Problem, start: Point) -> Solution:
+def refine(problem: Problem, start: Point, settled: float = SETTLED, most: int = REFINEMENTS) -> Solution:
     """Instruments and filter follow the estimate; the best point on the way, where it does not settle."""
     point = best = start
-    for passes in range(1, REFINEMENTS + 1):
+    for passes in range(1, most + 1):
         step = step_from(point, point.phi)
-        if _small(point, step):
+        if _small(point, step, settled):
             return Solution(replace(point, theta=point.theta + step), True, passes)
         if not np.all(np.isfinite(step)):
             break
@@ -150,7 +150,7 @@ def refine(problem: Problem, start: Point) -> Solution:
             break
         if point.cost < best.cost or problem.referenced:
             best = point
-    return Solution(best, False, REFINEMENTS)
+    return Solution(best, False, most)
 
 
 def descend(problem: Problem, start: Point) -> Solution:
@@ -199,11 +199,11 @@ def with_fixed_filter(problem: Problem, pole: float) -> Solution:
     raise NotIdentifiableError("the instruments do not settle: use srivc, or another structure or cutoff")
 
 
-def _small(point: Point, step: Floats) -> bool:
+def _small(point: Point, step: Floats, settled: float = SETTLED) -> bool:
     if not np.all(np.isfinite(step)):
         return False
     predicted = float(np.sum((point.zeta @ step) ** 2))
-    return predicted <= max(SETTLED * point.cost, ROUNDING * point.power)
+    return predicted <= max(settled * point.cost, ROUNDING * point.power)
 
 
 def solve(problem: Problem) -> Solution:

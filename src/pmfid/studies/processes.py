@@ -43,7 +43,8 @@ class NoisyRecord:
 def noisy_record(plant: Plant, noise: str, seed: int) -> NoisyRecord:
     """The plant's input from a random place in its period on, and its output with noise of 1/SNR of its power.
 
-    quantiser: rounds down to a step that has this variance, two or three levels in all."""
+    quantiser: rounds down to a step that has this variance, two or three levels in all, at a random
+    phase: the zero of the encoder is not known."""
     rng = np.random.default_rng(seed)
     u = np.roll(plant.u, rng.integers(plant.u.size))
     y = simulate_process(plant.b, plant.a, u, plant.dt)
@@ -52,11 +53,12 @@ def noisy_record(plant: Plant, noise: str, seed: int) -> NoisyRecord:
         encoder, counts = fine_counts(y + std * rng.standard_normal(y.size))
         return NoisyRecord(u, counts, encoder, std)
     step = std * np.sqrt(12.0)
-    return NoisyRecord(u, quantize(y, step), Encoder(step), std)
+    return NoisyRecord(u, quantize(y + rng.uniform(0, step), step), Encoder(step), std)
 
 
-def model_of(plant: Plant) -> TransferFunction:
-    return TransferFunction(len(plant.a) - 1, len(plant.b) - 1, offset=False)
+def model_of(plant: Plant, noise: str = NOISES[0]) -> TransferFunction:
+    """With a constant where the zero of the encoder is not known."""
+    return TransferFunction(len(plant.a) - 1, len(plant.b) - 1, offset=noise == "quantiser")
 
 
 def available() -> tuple[str, ...]:
@@ -71,22 +73,22 @@ def work(name: str, noise: str, seed: int) -> dict[str, Floats]:
     """theta of every method, nan where it has none; "bound": least variances of an unbiased estimate."""
     plant = PLANTS[name]
     record = noisy_record(plant, noise, seed)
-    found = {method: last_estimate(method, plant, record) for method in available()}
+    found = {method: last_estimate(method, model_of(plant, noise), plant, record) for method in available()}
     return found | ({"bound": cramer_rao(plant, record)} if noise == "white" else {})
 
 
-def last_estimate(method: str, plant: Plant, record: NoisyRecord) -> Floats:
-    """(p,) at the end of a record; nan where there is none."""
+def last_estimate(method: str, model: TransferFunction, plant: Plant, record: NoisyRecord) -> Floats:
+    """(p,) of the plant at the end of a record; nan where there is none."""
     cls = ESTIMATORS[method]
     options: dict[str, Any] = {"prefilter_zeros": plant.zeros} if cls.instrumental else {}
     if method == "known-step":
         options["noise_std"] = record.noise_std
-    estimator = cls(model_of(plant), record.encoder, plant.dt, plant.cutoff, **options)
+    estimator = cls(model, record.encoder, plant.dt, plant.cutoff, **options)
     try:
         if isinstance(estimator, BatchEstimator):
-            return estimator.fit(record.u, record.counts).theta
+            return estimator.fit(record.u, record.counts).theta[: plant.theta.size]
         if isinstance(estimator, RecursiveEstimator):
-            return np.asarray(estimator.run(record.u, record.counts).theta[-1])
+            return np.asarray(estimator.run(record.u, record.counts).theta[-1, : plant.theta.size])
     except NotIdentifiableError:
         pass
     return np.full(plant.theta.size, np.nan)
@@ -115,10 +117,10 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         "## Every method, white noise and a quantiser",
         "",
         f"{seeds} runs each, noise at {10 * np.log10(SNR):g} dB: white, or a quantiser that rounds down to a step of "
-        "the same variance, two or three levels in all. The input is a maximum length sequence of 10 stages from a "
-        "random place on; `bcls` and `bcrls` with pre-filter zeros near the plant's poles (below), the recursive "
-        "methods with forgetting 1, last value. Mean error ± standard deviation over the runs, in percent of the "
-        "parameter; efficiency: Cramér-Rao bound over the mean square error.",
+        "the same variance, two or three levels in all, at a random phase (the model has an offset then). The input is "
+        "a maximum length sequence of 10 stages from a random place on; `bcls` and `bcrls` with pre-filter zeros near "
+        "the plant's poles (below), the recursive methods with forgetting 1, last value. Mean error ± standard deviation "
+        "over the runs, in percent of the parameter; efficiency: Cramér-Rao bound over the mean square error.",
         "",
     ]
     for name, plant in PLANTS.items():
