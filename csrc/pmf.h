@@ -254,7 +254,7 @@ typedef struct {
     real_t half_dt;
     real_t scale[PMF_MAX_ORDER + 1]; /* dt^(n-i) */
     real_t limit[PMF_MAX_ORDER];     /* of a_i dt^(n-i), beyond which the process is too fast for the samples */
-    real_t smoothing;                /* per sample, of the copy */
+    real_t smoothing;                /* per update, of the copy */
     real_t memory;                   /* forgetting of the comparison with the output, per sample */
 } pmf_linear_config_t;
 
@@ -331,13 +331,13 @@ void pmf_linear_step(const pmf_linear_config_t *config, pmf_linear_state_t *stat
 uint32_t pmf_linear_lost(const pmf_linear_state_t *state);
 /* Takes an estimate for the copy; 0 where that is not stable. */
 uint32_t pmf_linear_start(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta);
-/* Moves the copy towards an estimate, as far as that is stable. */
+/* Moves the copy towards an estimate, as far as that is stable, where the filters are about to be computed anew. */
 void pmf_linear_follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta);
 void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
 uint32_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                             const real_t *column);
 /* Lets everything gathered so far count by a factor <= 1. */
-void pmf_recursion_discount(pmf_recursion_state_t *state, real_t factor);
+void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor);
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
 /* Encoder, auxiliary model and network alone, for batch methods: the columns are in state->network.column. */
 uint32_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, uint32_t count);

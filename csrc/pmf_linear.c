@@ -285,5 +285,7 @@ uint32_t pmf_linear_start(const pmf_linear_config_t *config, pmf_linear_state_t 
 
 void pmf_linear_follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta)
 {
-    (void)take(config, state, theta, config->smoothing);
+    if (state->wait == 0U) {
+        (void)take(config, state, theta, config->smoothing);
+    }
 }

@@ -558,12 +558,12 @@ uint32_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_
     return status;
 }
 
-static void discount_sums(pmf_sums_t *sums, real_t factor)
+static void discount_sums(pmf_sums_t *sums, uint32_t p, real_t factor)
 {
     uint32_t i, j;
-    for (i = 0; i < N; ++i) {
+    for (i = 0; i < p; ++i) {
         sums->right[i] *= factor;
-        for (j = 0; j < N; ++j) {
+        for (j = 0; j < p; ++j) {
             sums->cross[i][j] *= factor;
             sums->square[i][j] *= factor;
         }
@@ -571,17 +571,15 @@ static void discount_sums(pmf_sums_t *sums, real_t factor)
     sums->weight *= factor;
 }
 
-void pmf_recursion_discount(pmf_recursion_state_t *state, real_t factor)
+void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor)
 {
 #if PMF_WINDOW_BLOCKS > 0
     uint32_t block;
-    for (block = 0; factor < PMF_R(1.0) && block < PMF_WINDOW_BLOCKS; ++block) {
-        discount_sums(&state->window[block], factor);
+    for (block = 0; config->scheme == PMF_WINDOW && block < PMF_WINDOW_BLOCKS; ++block) {
+        discount_sums(&state->window[block], config->n_parameters, factor);
     }
 #endif
-    if (factor < PMF_R(1.0)) {
-        discount_sums(&state->sums, factor);
-    }
+    discount_sums(&state->sums, config->n_parameters, factor);
 }
 
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *recursion, real_t *p)

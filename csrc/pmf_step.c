@@ -161,7 +161,9 @@ static uint32_t linear_step(const pmf_config_t *config, pmf_state_t *state, uint
         pmf_clear(&state->linear, (uint32_t)sizeof state->linear);
         pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument);
     } else if (settled != 0U && state->linear.settled != 0U) {
-        pmf_recursion_discount(&state->instrument, state->linear.discount);
+        if (state->linear.discount < PMF_R(1.0)) {
+            pmf_recursion_discount(&config->instrument, &state->instrument, state->linear.discount);
+        }
         status = pmf_recursion_step(&config->instrument, &state->instrument, state->network.column);
     } else {
         status = state->instrument.started != 0U ? 0U : status;

@@ -169,14 +169,17 @@ class Estimator:
         """A new kernel in its initial state."""
         network, columns = self._columns
         direct = self.recursion_config(len(self.names), self.instrumental, forgetting)
-        return self.kernel_class(
-            network.stages,
-            columns,
-            self.encoder_config,
-            direct,
-            self.settle_samples,
-            first_samples=self.first_samples,
-        )
+        try:
+            return self.kernel_class(
+                network.stages,
+                columns,
+                self.encoder_config,
+                direct,
+                self.settle_samples,
+                first_samples=self.first_samples,
+            )
+        except ValueError as error:  # more than it holds
+            raise UsageError(str(error)) from None
 
     @property
     def encoder_config(self) -> dict[str, float]:

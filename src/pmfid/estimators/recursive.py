@@ -88,7 +88,10 @@ class RecursiveEstimator(Estimator):
                 f"forgetting must be in (0, 1], got {self.forgetting}; for a memory of T seconds use 1 - dt/T"
             )
         self._check_scheme()
-        object.__setattr__(self, "_kernel", self.make_kernel(self.forgetting))
+        try:
+            object.__setattr__(self, "_kernel", self.make_kernel(self.forgetting))
+        except ValueError as error:  # more than it holds
+            raise UsageError(str(error)) from None
         # bound here so that a call costs no look-up in Python
         object.__setattr__(self, "step", self._kernel.step)
 

@@ -61,19 +61,19 @@ class RSRIVC(RecursiveEstimator):
     def _linear_config(self, builder: ColumnBuilder, first: int) -> dict[str, Any]:
         """The model's part of the kernel configuration."""
         model, per_sample = cast(TransferFunction, self.model), self.cutoff * self.dt
-        n = model.n
+        n, update = model.n, max(1, round(1 / per_sample))
         return {
             "n": n,
             "m": model.m,
             "offset": int(model.offset),
             "input_node": builder.input_node(),
             "first_column": first,
-            "update_samples": max(1, round(1 / per_sample)),
+            "update_samples": update,
             "settle_samples": self.settle_samples,
             "start_updates": 2 * self.settle_samples,
             "half_dt": self.dt / 2,
             "scale": [self.dt ** (n - i) for i in range(n + 1)],
             "limit": [comb(n, i) * FASTEST ** (n - i) for i in range(n)],
-            "smoothing": min(1.0, per_sample / COPY_TIME_CONSTANTS),
+            "smoothing": min(1.0, update * per_sample / COPY_TIME_CONSTANTS),
             "memory": math.exp(-per_sample / CHECK_TIME_CONSTANTS),
         }
