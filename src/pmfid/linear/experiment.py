@@ -21,6 +21,9 @@ SAME = 1e-9
 #: A longer step, in medians, is a gap: what the input did in it is not known.
 GAP = 1.75
 HOLDS = ("zoh", "foh")
+#: Samples of the response from reference to input, and how many samples of a record there must be for each of them.
+RESPONSE = 200
+SAMPLES_PER_COEFFICIENT = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +94,19 @@ class Experiment:
         even = self.times[0] + mean * np.arange(self.times.size)
         return mean if np.max(np.abs(self.times - even)) < EVEN * mean else median
 
+    @cached_property
+    def explained_input(self) -> Floats | None:
+        """(N,) the part of the input that the reference explains, by a long impulse response (Van den Hof and Schrama
+        1993): like the input, but without the noise that the controller feeds back."""
+        if self.reference is None:
+            return None
+        known = np.isfinite(self.u)
+        length = min(RESPONSE, self.u.size // SAMPLES_PER_COEFFICIENT)
+        lagged = np.lib.stride_tricks.sliding_window_view(np.r_[np.zeros(length - 1), self.reference], length)
+        columns = np.column_stack([lagged, np.ones(self.u.size)])
+        response = np.linalg.lstsq(columns[known], self.u[known], rcond=None)[0]
+        return np.asarray(columns @ response)
+
     def stretches(self, delay: int = 0) -> list[Stretch]:
         """The uninterrupted parts, the input `delay` periods later. Parts without a measured output are left out."""
         u, t = self.u, self.times
@@ -110,7 +126,7 @@ class Experiment:
 
     def _stretch(self, part: NDArray[np.int64], delay: int) -> Stretch | None:
         u, y, t = self.u[part], self.y[part], self.times[part]
-        reference = None if self.reference is None else self.reference[part]
+        reference = None if self.explained_input is None else self.explained_input[part]
         held = self.hold == "zoh"
         measured = np.isfinite(y)
         if part.size < delay + 2 or not np.any(measured[delay:]):
@@ -159,7 +175,7 @@ class Experiment:
 class Stretch:
     """An uninterrupted part of a record on a grid of M instants.
 
-    inputs: (1 or 2, M) the late input, and the late reference where there is one; y: (M,) output, between measured
+    inputs: (1 or 2, M) the late input, and the part of it that the reference explains, where there is one; y: (M,) output, between measured
     instants in a straight line; rows: the instants that are measured; samples: their numbers in the record; held: the
     input is constant within a step.
     """

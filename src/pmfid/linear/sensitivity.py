@@ -105,11 +105,14 @@ def linearise(structure: Structure, theta: Floats, initial: Floats, stretch: Str
     )
 
 
-def simulate(structure: Structure, theta: Floats, initial: Floats, stretch: Stretch) -> Floats:
-    """Output (M,) from the input and the initial conditions (n,) alone."""
+def simulate(
+    structure: Structure, theta: Floats, initial: Floats, stretch: Stretch, *, source: int | None = None
+) -> Floats:
+    """Output (M,) from the initial conditions (n,) and an input alone: `source` of the stretch's, None: what
+    instruments are made from."""
     a, b, offset = structure.split(theta)
     states = channels(structure, a, stretch, twice=False)
-    source = stretch.inputs.shape[0] - 1
+    source = stretch.inputs.shape[0] - 1 if source is None else source
     constant = offset * states[0, -2] if structure.offset else 0.0
     return np.asarray(b @ states[: b.size, source] + initial @ states[:, -1] + constant)
 
