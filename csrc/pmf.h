@@ -165,6 +165,8 @@ typedef struct {
     real_t pivot;          /* smallest relative pivot for a first estimate */
     uint32_t scheme;       /* of forgetting */
     uint32_t window_block; /* samples in a block of the window */
+    uint32_t separate;     /* every parameter is forgotten in its own time: */
+    real_t keep[PMF_MAX_PARAMETERS]; /* root of its forgetting factor */
     uint32_t compensated;  /* the noise of the columns is known: */
     real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* its covariance in one sample's phi phi^T */
     real_t target_noise[PMF_MAX_PARAMETERS];              /* and in phi z */

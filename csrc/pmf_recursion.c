@@ -116,6 +116,21 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
     }
 }
 
+/* Forgetting by parameter (Saelid and Foss 1983): P = D^-1 P D^-1, that is D R D for the information, and so for the sums
+ * that it is made of. */
+PMF_INLINE void forget_separately(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p)
+{
+    uint32_t i, j;
+    for (i = 0; i < p; ++i) {
+        for (j = 0; j < p; ++j) {
+            real_t factor = config->keep[i] * config->keep[j];
+            state->sums.cross[i][j] *= factor;
+            state->sums.square[i][j] *= factor;
+        }
+    }
+    state->sums.weight *= config->forgetting;
+}
+
 /* Weight of the past at the next sample. With constant trace the part of P by which the last one had lowered it, but
  * never less than forgetting twice as fast. */
 PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
@@ -189,7 +204,11 @@ static void slide_window(const pmf_recursion_config_t *config, pmf_recursion_sta
 PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
-    real_t f = weight_of_past(config, state), fade = config->scheme == PMF_EXPONENTIAL ? f : config->forgetting;
+    real_t f = weight_of_past(config, state), fade = config->scheme == PMF_EXPONENTIAL ? f : config->forgetting; /* before f may change */
+    if (config->separate != 0U && state->started != 0U && state->frozen == 0U) {
+        forget_separately(config, state, p);
+        f = PMF_R(1.0);
+    }
     if (config->scheme == PMF_DIRECTIONAL) {
         fade = PMF_R(1.0);
         if (state->started != 0U) {

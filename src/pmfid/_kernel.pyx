@@ -47,7 +47,8 @@ cdef extern from "pmf.h":
     ctypedef struct pmf_recursion_config_t:
         uint32_t n_parameters, instrumental, first_column, min_updates, residual_updates
         real_t forgetting, regularization, pivot
-        uint32_t compensated, block, scheme, window_block
+        uint32_t compensated, block, scheme, window_block, separate
+        real_t keep[PMF_MAX_PARAMETERS]
         real_t unexplained, check_memory
         real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]
         real_t target_noise[PMF_MAX_PARAMETERS]
@@ -156,7 +157,10 @@ cdef _set_recursion(pmf_recursion_config_t *target, source):
         for j in range(target.n_parameters):
             target.noise[i][j] = noise[i][j] if noise is not None else 0.0
     target_noise, target.target_power = source.get("target_noise"), source.get("target_power", 0.0)
+    keep = source.get("keep")
+    target.separate = keep is not None
     for i in range(target.n_parameters):
+        target.keep[i] = keep[i] if keep is not None else 1.0
         target.target_noise[i] = target_noise[i] if target_noise is not None else 0.0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -74,11 +75,14 @@ class RecursiveEstimator(Estimator):
     "constant-trace": as much as keeps the mean of P, each entry relative to its value after the first memory, and at
     most twice as fast as `forgetting` (Goodwin and Sin 1984, section 3.3);
     "window": the samples of the last memory alike, older ones not at all, in blocks of an eighth.
+    forgetting_of: factors of single parameters, by name, that change more slowly than the others or never (1):
+    {"b0": 1.0}. With the exponential scheme only; a parameter that is known to stay sharpens the others.
     The object holds one state; `step` and `run` continue from it, `reset` goes back to the start.
     """
 
     forgetting: float = field(default=1.0, kw_only=True)
     forgetting_scheme: str = field(default="exponential", kw_only=True)
+    forgetting_of: Mapping[str, float] | None = field(default=None, kw_only=True)
     _kernel: Any = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -104,6 +108,14 @@ class RecursiveEstimator(Estimator):
                 f"directional forgetting is for rls, not for {self.method}, whose instruments point elsewhere; "
                 "use constant-trace or window"
             )
+        for name, factor in (self.forgetting_of or {}).items():
+            if name not in self.names or not self.forgetting <= factor <= 1:
+                raise UsageError(
+                    f"forgetting_of takes factors from forgetting = {self.forgetting} to 1 of {list(self.names)}, got "
+                    f"{factor} of {name!r}"
+                )
+        if self.forgetting_of and scheme != "exponential":
+            raise UsageError(f"forgetting_of is for the exponential scheme, not for {scheme}")
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
@@ -111,6 +123,9 @@ class RecursiveEstimator(Estimator):
         config = super().recursion_config(parameters, instrumental, forgetting, first_column)
         scheme = self.forgetting_scheme if forgetting < 1 else "exponential"
         config["scheme"] = FORGETTING_SCHEMES[scheme]
+        if self.forgetting_of and forgetting < 1:  # as with directional forgetting: innovations only
+            config["residual_updates"] = 0
+            config["keep"] = [math.sqrt(self.forgetting_of.get(name, forgetting)) for name in self.names]
         if scheme == "directional":  # the accumulated right-hand side does not follow the forgetting: innovations only
             config["residual_updates"] = 0
         if scheme == "constant-trace":  # bounds P by itself, but for a direction that others outgrow by far

@@ -44,7 +44,13 @@ class RSRIVC(RecursiveEstimator):
         super().__post_init__()
 
     def make_kernel(self, forgetting: float = 1.0) -> Any:
-        direct = like(BCRLS, self, forgetting_scheme=self.forgetting_scheme)
+        direct = like(
+            BCRLS,
+            self,
+            forgetting=forgetting,
+            forgetting_scheme=self.forgetting_scheme,
+            forgetting_of=self.forgetting_of,
+        )
         p = len(self.names)
         builder = ColumnBuilder(direct.equation, direct.spec)
         columns = [*builder.regressors(), builder.target(), *builder.instruments()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,6 +92,27 @@ def simulate_process(
         if hold == "foh":
             x = x + move[:n, n + 1] * (u[k + 1] - u[k])
         y[k + 1] = C @ x
+    return y
+
+
+def simulate_varying(theta: Callable[[float], Floats], n: int, u: ArrayLike, dt: float) -> Floats:
+    """Output (samples,) of y^(n) + sum a_i(t) y^(i) = b_0(t) u under a held input u (samples,), from rest.
+
+    theta: time [s] -> a_0 to a_{n-1}, b_0 (n + 1,); they count as constant over each sample, at its middle, by the
+    power series of the exponential to fifth order: slow parameters, and poles well below 1 / dt.
+    """
+    u = np.asarray(u, float)
+    move, x, y = np.zeros((n + 1, n + 1)), np.zeros(n + 1), np.zeros(u.size)
+    for k in range(u.size - 1):
+        values = theta((k + 0.5) * dt)
+        move[:n, 1:] = np.eye(n)
+        move[n - 1, :n], move[n - 1, n] = -values[:n], values[n]
+        x[n] = u[k]
+        term = x.copy()
+        for power in range(1, 6):
+            term = move @ term * (dt / power)
+            x += term
+        y[k + 1] = x[0]
     return y
 
 
