@@ -15,7 +15,8 @@ from pmfid.studies import exactness, processes, published, structures, uneven, v
 from pmfid.studies.truth import Study, Task
 
 STUDIES: dict[str, Study] = {
-    study.name: study for study in (processes.STUDY, published.STUDY, exactness.STUDY, uneven.STUDY, structures.STUDY, varying.STUDY)
+    study.name: study
+    for study in (processes.STUDY, published.STUDY, exactness.STUDY, uneven.STUDY, structures.STUDY, varying.STUDY)
 }
 SEEDS = 100
 #: Parts of the seeds for sections that need fewer.

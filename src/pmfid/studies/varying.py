@@ -45,7 +45,7 @@ def tasks(seeds: int) -> list[Task]:
 def work(seed: int) -> dict[str, Floats]:
     """For each case (2, 3): root mean square error in percent, of the value at each time and of its own RMS."""
     rng = np.random.default_rng(seed)
-    t = DT * np.arange(round(SECONDS / DT))
+    t: Floats = np.arange(round(SECONDS / DT), dtype=float) * DT
     u = prbs(t.size, clock=CLOCK, amplitude=1.0, rng=rng)
     known = truth(t)
     y = simulate_varying(lambda time: truth(np.array([time]))[0], 2, u, DT)
