@@ -105,7 +105,8 @@ def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> Pro
     model = estimator.model
     if not isinstance(model, TransferFunction):
         raise UsageError(f"{estimator.method} on experiments is for a transfer function, not for a {model.kind}")
-    stretches = [stretch for experiment in experiments for stretch in experiment.stretches(model.delay)]
+    parts = [experiment.stretches(model.delay) for experiment in experiments]
+    stretches = [replace(stretch, record=i) for i, some in enumerate(parts) for stretch in some]
     # what the initial conditions take up, a stretch must have more of
     usable = [stretch.scaled(estimator.cutoff) for stretch in stretches if stretch.rows.size > model.n + 1]
     if not usable:

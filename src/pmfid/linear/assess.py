@@ -25,7 +25,8 @@ class Assessment:
     """A model on its records.
 
     fit: percent, 100 (1 - |y - simulated| / |y - mean y|), initial conditions fitted; simulated, residual: for each
-    stretch, on its measured samples; samples: their numbers within the record. autocorrelation: (LAGS + 1,) of the
+    stretch, on its measured samples; samples: their numbers within
+    the record; records: its number. autocorrelation: (LAGS + 1,) of the
     residual, from lag 0; cross: (2 LAGS + 1,) of the residual with the input of `lags` samples before; bounds of both:
     99 % of an independent residual lie within.
     """
@@ -34,6 +35,7 @@ class Assessment:
     simulated: tuple[Floats, ...]
     residual: tuple[Floats, ...]
     samples: tuple[NDArray[np.int64], ...]
+    records: tuple[int, ...]
     autocorrelation: Floats
     autocorrelation_bound: float
     cross: Floats
@@ -79,6 +81,7 @@ def assess(problem: Problem, theta: Floats) -> Assessment:
         tuple(simulated),
         tuple(residual),
         tuple(stretch.samples for stretch in problem.stretches),
+        tuple(stretch.record for stretch in problem.stretches),
         auto,
         bounds[0],
         cross,

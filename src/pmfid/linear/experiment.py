@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -175,9 +175,9 @@ class Experiment:
 class Stretch:
     """An uninterrupted part of a record on a grid of M instants.
 
-    inputs: (1 or 2, M) the late input, and the part of it that the reference explains, where there is one; y: (M,) output, between measured
-    instants in a straight line; rows: the instants that are measured; samples: their numbers in the record; held: the
-    input is constant within a step.
+    inputs: (1 or 2, M) the late input, and the part of it that the reference explains, where there is one; y: (M,)
+    output, between measured instants in a straight line; rows: the instants that are measured; samples: their numbers
+    in the record; held: the input is constant within a step; record: the number of its record.
     """
 
     grid: Grid
@@ -186,12 +186,11 @@ class Stretch:
     rows: NDArray[np.int64]
     samples: NDArray[np.int64]
     held: bool
+    record: int = 0
 
     def scaled(self, rate: float) -> Stretch:
         """With time in units of 1/rate."""
-        return Stretch(
-            Grid(self.grid.steps * rate, self.grid.size), self.inputs, self.y, self.rows, self.samples, self.held
-        )
+        return replace(self, grid=Grid(self.grid.steps * rate, self.grid.size))
 
 
 def _finite(signals: list[Floats]) -> list[Floats]:

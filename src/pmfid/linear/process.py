@@ -77,7 +77,7 @@ class Process:
     @property
     def time_constants_std(self) -> Floats:
         poles = self.poles
-        slopes = [self._root_slope(np.r_[self.a, 1.0], pole) for pole in poles]
+        slopes = [self._root_slope(np.r_[self.a, 1.0], pole)[: self.a.size] for pole in poles]
         size = [-(np.conj(pole) * slope).real / abs(pole) ** 3 for pole, slope in zip(poles, slopes, strict=True)]
         part = self.cov[: self.a.size, : self.a.size]
         return np.array([np.sqrt(max(0.0, row @ part @ row)) for row in size])

@@ -119,8 +119,9 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         f"{seeds} runs each, noise at {10 * np.log10(SNR):g} dB: white, or a quantiser that rounds down to a step of "
         "the same variance, two or three levels in all, at a random phase (the model has an offset then). The input is "
         "a maximum length sequence of 10 stages from a random place on; `bcls` and `bcrls` with pre-filter zeros near "
-        "the plant's poles (below), the recursive methods with forgetting 1, last value. Mean error ± standard deviation "
-        "over the runs, in percent of the parameter; efficiency: Cramér-Rao bound over the mean square error.",
+        "the plant's poles (below), the recursive methods with forgetting 1, last value. Mean error ± standard "
+        "deviation over the runs, in percent of the parameter; efficiency: Cramér-Rao bound over the mean square "
+        "error.",
         "",
     ]
     for name, plant in PLANTS.items():

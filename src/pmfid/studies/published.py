@@ -58,7 +58,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         f"G(s) = (s - 1) / (s^2 + 2 s + 1), T = {PLANT.dt:g} s, {PLANT.samples} samples, white noise at "
         f"{10 * np.log10(SNR):g} dB, {seeds} runs: mean ± standard deviation over the runs. The names are those of the "
         "published table: s^2 + a1 s + a2 and b0 s + b1. How its input was made is not printed; ours is a maximum "
-        f"length sequence of 10 stages, clock {PLANT.clock}. None of our methods takes noise on the input into account.",
+        f"length sequence of 10 stages, clock {PLANT.clock}. None of our methods allows for noise on the input.",
         "",
     ]
     for case in CASES:
