@@ -107,21 +107,45 @@ class Experiment:
         response = np.linalg.lstsq(columns[known], self.u[known], rcond=None)[0]
         return np.asarray(columns @ response)
 
+    def detrended(self) -> Experiment:
+        """About the operating point: without the means of input and output. What drifts in the output stays: a drift
+        that is taken out of the output, but not out of the input, is one of the process, too."""
+        return replace(self, u=self.u - np.nanmean(self.u), y=self.y - np.nanmean(self.y))
+
+    def decimated(self, factor: int) -> Experiment:
+        """Every factor-th sample. Raises UsageError where the held input changes in between: what it did then would be
+        lost; leave samples of y out instead (NaN), which keeps the input."""
+        if factor < 1 or self.hold != "zoh":
+            raise UsageError(
+                f"decimation needs a held input and a factor of at least 1, got {factor} and {self.hold!r}"
+            )
+        kept = np.arange(0, self.u.size, factor)
+        if not np.array_equal(np.repeat(self.u[kept], factor)[: self.u.size], self.u, equal_nan=True):
+            raise UsageError(
+                f"the input changes within {factor} samples; write NaN for the outputs to leave out instead"
+            )
+        t, r = self.t, self.reference
+        thinned = replace(
+            self,
+            u=self.u[kept],
+            y=self.y[kept],
+            t=None if t is None else t[kept],
+            reference=None if r is None else r[kept],
+        )
+        return thinned if self.dt is None else replace(thinned, dt=self.dt * factor)
+
     def stretches(self, delay: int = 0) -> list[Stretch]:
         """The uninterrupted parts, the input `delay` periods later. Parts without a measured output are left out."""
         u, t = self.u, self.times
         limit = GAP * self.period if self.gap is None else self.gap
         known = np.isfinite(u)
-        # a stretch ends with the first instant after the last known input, at which the output still counts
         broken = np.flatnonzero(~known[:-1] | (np.diff(t) > limit)) + 1
         parts = []
         for part in np.split(np.arange(u.size), broken):
-            last = int(part[-1]) + 1
-            if known[part[0]] and last < u.size and not known[part[-1]]:
-                part = part[:-1]
-            if not known[part[0]]:
-                continue
-            parts.append(self._stretch(part, delay))
+            # at the first instant without an input the output still counts, unless the input ran there in a line
+            part = part[known[part]] if self.hold == "foh" else part
+            if part.size and known[part[0]]:
+                parts.append(self._stretch(part, delay))
         return [part for part in parts if part is not None and part.rows.size > 1]
 
     def _stretch(self, part: NDArray[np.int64], delay: int) -> Stretch | None:

@@ -106,7 +106,7 @@ def output_figure(result: ProcessResult) -> Figure:
             axes.set_ylabel(f"y, {experiment.name}")
         axes.set_xlabel("time [s]")
         handles, labels = axes.get_legend_handles_labels()
-        axes.legend(handles[:2], labels[:2], loc="upper right")
+        figure.legend(handles[:2], labels[:2], loc="outside upper right", ncols=2)
     return figure
 
 

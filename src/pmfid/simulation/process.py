@@ -84,7 +84,7 @@ def simulate_process(
     n = A.shape[0]
     block = np.zeros((n + 2, n + 2))
     block[:n, :n], block[:n, n], block[n, n + 1] = A, B, 1.0
-    moves = {value: expm(block * np.array([value] * (n + 1) + [1.0])[:, None]) for value in np.unique(times)}
+    moves = {value: expm(block * np.array([value] * n + [1.0, 1.0])[:, None]) for value in np.unique(times)}
     x, y = np.zeros(n), np.zeros(u.size)
     for k, step in enumerate(times):
         move = moves[step]
