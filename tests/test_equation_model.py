@@ -35,7 +35,7 @@ def estimates(cls, model, run):
     return estimator.fit(run.u, run.counts).theta
 
 
-@pytest.mark.parametrize("method", sorted(ESTIMATORS))
+@pytest.mark.parametrize("method", sorted(name for name, cls in ESTIMATORS.items() if not cls.process_only))
 def test_the_same_terms_give_the_numbers_of_the_drive(method):
     run = cart_run(2, increments=1024, samples=1500)
     cls = ESTIMATORS[method]
