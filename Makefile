@@ -36,6 +36,7 @@ bench: .venv/installed
 study: .venv/installed
 	.venv/bin/python -m pmfid.studies.accuracy --out docs/accuracy.md
 	.venv/bin/python -m pmfid.studies.automatic --out docs/automatic.md
+	.venv/bin/python -m pmfid.studies.black_box --out docs/black_box.md
 
 images: .venv/installed
 	.venv/bin/python -m pmfid.studies.demo --images docs/images
