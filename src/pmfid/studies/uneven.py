@@ -15,7 +15,7 @@ from pmfid.simulation.process import PLANTS, Plant, simulate_process
 from pmfid.studies.truth import Floats, Study, Task, table
 
 SNR = 10.0
-JITTER, MISSING, RECORDS = 0.3, 0.1, 3
+JITTER, MISSING, RECORDS, BURSTS = 0.3, 0.1, 3, 10
 #: Root mean square error over that of the clean record, at most.
 GOAL = 1.5
 CASES = ("clean", "jitter", "missing", "rows lost", "three records", "all")
@@ -52,8 +52,10 @@ def _record(
 
 
 def _with_rows_lost(record: Experiment, rng: np.random.Generator) -> Experiment:
-    """The logger lost rows: what the input did in between is not known."""
-    kept = rng.uniform(size=record.u.size) >= MISSING
+    """The logger lost rows, in a few bursts: what the input did in between is not known."""
+    kept, length = np.ones(record.u.size, bool), round(MISSING * record.u.size / BURSTS)
+    for start in rng.integers(0, record.u.size - length, BURSTS):
+        kept[start : start + length] = False
     return Experiment(record.u[kept], record.y[kept], t=record.times[kept])
 
 
@@ -68,10 +70,10 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         "",
         f"`srivc`, white noise at {10 * np.log10(SNR):g} dB, {seeds} runs. jitter: every instant is off by up to "
         f"{JITTER:.0%} of the period; missing: {MISSING:.0%} of the output's samples are; rows lost: so many rows are "
-        "not in the record at all, so that the input is not known there and the filters restart; three records: "
-        f"{RECORDS} of a third of the length; all: jitter and missing in three records. All cases have the same number "
-        "of instants. Root mean square error of each parameter in percent, and the largest ratio to that of the clean "
-        "record.",
+        f"not in the record at all, in {BURSTS} bursts: the input is not known there and the filters restart; three "
+        f"records: {RECORDS} of a third of the length; all: jitter and missing in three records. All cases have the same "
+        "number of instants. Root mean square error of each parameter in percent, and the largest ratio to that of the "
+        "clean record.",
         "",
     ]
     worst = 0.0
