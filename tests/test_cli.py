@@ -221,7 +221,7 @@ def test_configuration_that_does_not_exist(tmp_path: Path, cart: Cart) -> None:
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [
-        (["identify"], "Missing argument 'RECORD'"),
+        (["identify"], "Missing argument 'RECORD...'"),
         (["identify", "run.csv"], "Missing option '--config'"),
         (["identify", "run.csv", "--config", "axis.toml", "--method", "lms"], "'lms' is not one of 'auto', 'ls', "),
         (["identify", "run.csv", "--config", "axis.toml", "--cutoff", "fast"], "'fast' is not a valid float"),
