@@ -72,8 +72,8 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         f"{JITTER:.0%} of the period; missing: {MISSING:.0%} of the output's samples are; rows lost: so many rows are "
         f"not in the record at all, in {BURSTS} bursts: the input is not known there and the filters restart; three "
         f"records: {RECORDS} of a third of the length; all: jitter and missing in three records. All cases have the "
-        "same number of instants. Root mean square error of each parameter in percent, and the largest ratio to that of the "
-        "clean record.",
+        "same number of instants. Root mean square error of each parameter in percent, and the largest ratio to that "
+        "of the clean record.",
         "",
     ]
     worst = 0.0
