@@ -11,16 +11,23 @@ from pathlib import Path
 from typing import Any
 
 from pmfid.errors import UsageError
-from pmfid.studies import exactness, processes, published, structures, uneven, varying
+from pmfid.studies import discretizations, processes, published, structures, uneven, varying
 from pmfid.studies.truth import Study, Task
 
 STUDIES: dict[str, Study] = {
     study.name: study
-    for study in (processes.STUDY, published.STUDY, exactness.STUDY, uneven.STUDY, structures.STUDY, varying.STUDY)
+    for study in (
+        processes.STUDY,
+        published.STUDY,
+        discretizations.STUDY,
+        uneven.STUDY,
+        structures.STUDY,
+        varying.STUDY,
+    )
 }
 SEEDS = 100
 #: Parts of the seeds for sections that need fewer.
-PARTS = {"exactness": 0.05, "varying": 0.05}
+PARTS = {"discretizations": 0.05, "varying": 0.05}
 INTRODUCTION = """\
 Transfer functions from input and output alone, no parameter known. The records are simulated exactly for a held input
 and start at rest; the methods do not know that. Each table states how many runs it has."""

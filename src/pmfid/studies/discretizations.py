@@ -103,4 +103,4 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     ]
 
 
-STUDY = Study("exactness", tasks, work, write)
+STUDY = Study("discretizations", tasks, work, write)
