@@ -54,6 +54,7 @@ PUBLIC = [
     "EquationModel",
     "Estimate",
     "Fit",
+    "Fleet",
     "IV",
     "IntervalML",
     "KnownStep",
@@ -67,6 +68,7 @@ PUBLIC = [
     "Status",
     "Term",
     "Track",
+    "Tracks",
     "UsageError",
     "quantize",
 ]

@@ -290,6 +290,10 @@ cdef class Kernel:
                     columns[k, i] = self.state.network.column[i]
         return np.asarray(columns), np.asarray(status)
 
+    def many(self, Py_ssize_t axes):
+        """So many axes from the present state."""
+        return ManyKernel(self, axes)
+
     def get_state(self):
         """The state as bytes, after a fingerprint of the configuration that it belongs to."""
         return self._fingerprint() + PyBytes_FromStringAndSize(<char *> &self.state, sizeof(pmf_state_t))
@@ -306,11 +310,6 @@ cdef class Kernel:
         memcpy(&self.state, <char *> state + len(own), sizeof(pmf_state_t))
 
 
-def many_way():
-    """The fastest way for many axes on this processor: 0 one by one, 1 to 3 vectors of 16, 32 or 64 bytes."""
-    return pmf_many_way()
-
-
 cdef _set_rows(pmf_rows_t *rows, cnp.ndarray table):
     rows.start = <const unsigned char *> cnp.PyArray_DATA(table)
     rows.axis, rows.sample, rows.size = table.strides[0], table.strides[1], table.itemsize
@@ -319,12 +318,16 @@ cdef _set_rows(pmf_rows_t *rows, cnp.ndarray table):
 cdef class ManyKernel:
     """Many axes with the configuration of one `Kernel`, each from its present state.
 
-    states: (axes, bytes) uint8, packed. way: 0 one axis after the other, 1 to 3 in vectors of 16, 32 or 64 bytes.
+    states: (axes, bytes) uint8, packed. way: 0 one axis after the other, 1 to 3 in vectors of 16, 32 or 64 bytes;
+    one that is not there is the same as 0.
     """
 
     cdef pmf_config_t config
     cdef pmf_layout_t layout
+    cdef object _fingerprint, _start
     cdef readonly object states
+
+    fastest_way = pmf_many_way()
 
     def __init__(self, Kernel kernel, Py_ssize_t axes):
         self.config = kernel.config
@@ -332,7 +335,24 @@ cdef class ManyKernel:
             raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/pmf_many.h")
         cdef cnp.ndarray own = np.zeros(self.layout.packed_size, np.uint8)
         pmf_pack(&self.layout, &kernel.state, <unsigned char *> cnp.PyArray_DATA(own))
+        self._fingerprint, self._start = kernel._fingerprint(), own
         self.states = np.tile(own, (axes, 1))
+
+    def reset(self):
+        """Back to the states at the beginning."""
+        self.states[:] = self._start
+
+    def get_state(self):
+        """All states as bytes, after a fingerprint of the configuration that they belong to."""
+        return self._fingerprint + self.states.tobytes()
+
+    def set_state(self, bytes state):
+        """Restores what `get_state` gave; raises ValueError for another configuration or number of axes."""
+        own = self._fingerprint
+        if len(state) != len(own) + self.states.nbytes or state[:len(own)] != own:
+            raise ValueError("these bytes are not the states of this fleet; take them from one with the same estimator "
+                             "and number of axes")
+        self.states[:] = np.frombuffer(state, np.uint8, offset=len(own)).reshape(self.states.shape)
 
     @property
     def side_by_side(self):
