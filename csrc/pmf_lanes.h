@@ -9,6 +9,10 @@
 #ifndef PMF_LANES_H
 #define PMF_LANES_H
 
+#if defined(__SSE4_1__)
+#include <immintrin.h>
+#endif
+
 #ifdef PMF_FLOAT32
 typedef uint32_t lane_whole_t;
 typedef int32_t lane_integer_t;
@@ -54,17 +58,20 @@ typedef int32_t narrow_t __attribute__((vector_size(PMF_LANES * 4)));
 
 static inline int pmf_any(truth_t truth)
 {
-    union {
-        truth_t truth;
-        uint64_t part[PMF_LANE_BYTES / 8];
-    } bits;
-    uint64_t any = 0;
+#if defined(__AVX512F__)
+    return _mm512_test_epi64_mask((__m512i)truth, (__m512i)truth) != 0;
+#elif defined(__AVX2__)
+    return !_mm256_testz_si256((__m256i)truth, (__m256i)truth);
+#elif defined(__SSE4_1__)
+    return !_mm_testz_si128((__m128i)truth, (__m128i)truth);
+#else
+    lane_integer_t any = 0;
     uint32_t i;
-    bits.truth = truth;
-    for (i = 0; i < PMF_LANE_BYTES / 8; ++i) {
-        any |= bits.part[i];
+    for (i = 0; i < PMF_LANES; ++i) {
+        any |= truth[i];
     }
     return any != 0;
+#endif
 }
 
 /* Gives the axes for which the truth does not hold their words back. */

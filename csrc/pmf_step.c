@@ -99,9 +99,12 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
 {
     const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
     truth_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column), in_charge, borrows;
+    /* a restart keeps theta */
+    truth_t used = (state->instrument.updates != 0U) |
+                   (state->instrument.estimate.theta[auxiliary->index[PMF_MASS]] != PMF_R(0.0));
     whole_t status, stepped = PMF_W(0);
     /* what was gathered with a wrong direction would stay */
-    PMF_WHERE(PMF_NOT(trusted), &state->instrument,
+    PMF_WHERE(PMF_NOT(trusted) & used, &state->instrument,
               pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument));
     status = PMF_BIT(PMF_NOT(trusted) | (state->instrument.started == 0U), PMF_STARTING);
     PMF_WHERE(trusted & settled, &state->instrument,
