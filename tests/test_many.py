@@ -229,6 +229,12 @@ def test_what_does_not_fit_is_refused():
         fleet.axis(21)
 
 
+def test_only_the_words_in_use_are_kept():
+    packed = make(pmfid.BCRLS)._kernel.many(1).states.shape[1]
+    assert packed <= 1600
+    assert len(make(pmfid.BCRLS).get_state()) > 20_000
+
+
 def test_all_but_windows_run_side_by_side():
     for cls, options in VARIANTS:
         window = options.get("forgetting_scheme") == "window"
