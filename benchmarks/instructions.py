@@ -13,8 +13,9 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from pmfid.estimators.registry import RECURSIVE
+
 STEPS = 2000
-METHODS = ("rls", "bcrls", "rknown-step", "riv")
 PRECISIONS = ("float64", "float32")
 PARTS = ("pmf_step", "pmf_encoder_step", "pmf_auxiliary_step", "pmf_network_step", "pmf_recursion_step")
 
@@ -22,19 +23,14 @@ PARTS = ("pmf_step", "pmf_encoder_step", "pmf_auxiliary_step", "pmf_network_step
 def workload() -> None:
     """All estimators one after the other; each new one begins with pmf_init, at which callgrind writes a part."""
     import pmfid
-    from pmfid.estimators.recursive import RecursiveEstimator
-    from pmfid.estimators.registry import ESTIMATORS
     from pmfid.simulation.scenarios import CART, make_scenario
 
     run = make_scenario("prbs", seed=1, increments=1024, duration=STEPS * 0.01)
+    drive, encoder = pmfid.Drive(CART.input_gain), pmfid.Encoder(run.resolution)
     for precision in PRECISIONS:
-        for method in METHODS:
-            cls = ESTIMATORS[method]
-            estimator = cls(
-                pmfid.Drive(CART.input_gain), pmfid.Encoder(run.resolution), run.dt, 50.0, precision=precision
-            )
-            if isinstance(estimator, RecursiveEstimator):
-                estimator.run(run.motion.u, run.counts)
+        for cls in RECURSIVE:
+            estimator = cls(drive, encoder, run.dt, 50.0, forgetting=0.999, precision=precision)
+            estimator.run(run.motion.u, run.counts)
 
 
 def count(folder: Path) -> list[dict[str, float]]:
@@ -65,7 +61,7 @@ def main(arguments: list[str]) -> None:
     result = {}
     if shutil.which("valgrind") and shutil.which("callgrind_annotate"):
         with TemporaryDirectory() as folder:
-            names = [f"{method}, {precision}" for precision in PRECISIONS for method in METHODS]
+            names = [f"{cls.method}, {precision}" for precision in PRECISIONS for cls in RECURSIVE]
             result = dict(zip(names, count(Path(folder)), strict=True))
     Path(arguments[0]).write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
