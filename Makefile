@@ -1,9 +1,10 @@
 # One door for every chore; each target makes the environment it needs in .venv.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
+FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck clang valgrind
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.py' -o -name '*.pyi' -o -name '*.pyx' -o -name '*.[ch]' -o -name '*.j2')
 
-.PHONY: demo test check format bench study images clean
+.PHONY: demo test check format bench study firmware firmware-tools images clean
 
 .venv/installed: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	test -x .venv/bin/python || $(PYTHON) -m venv .venv
@@ -15,7 +16,18 @@ SOURCES = $(shell find src csrc -name '*.py' -o -name '*.pyi' -o -name '*.pyx' -
 demo: .venv/installed
 	.venv/bin/pmfid demo --out demo-report
 
-test: .venv/installed
+# Cross compiler, emulator and checkers for the tests of the firmware; without them those tests skip. Installed only on
+# request, as .ci/run does, and only where apt answers.
+firmware-tools:
+	@if [ -n "$(INSTALL_TOOLS)" ] && command -v apt-get >/dev/null && ! (command -v arm-none-eabi-gcc && command -v \
+	qemu-system-arm && command -v cppcheck && command -v clang && command -v valgrind) >/dev/null; then \
+	  root=$$([ "$$(id -u)" = 0 ] || echo "sudo -n"); \
+	  $$root timeout 60 apt-get update -qq >/dev/null 2>&1; \
+	  $$root timeout 170 env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
+	    $(FIRMWARE_TOOLS) >/dev/null 2>&1 || echo "no firmware tools: their tests will skip"; \
+	fi
+
+test: .venv/installed firmware-tools
 	.venv/bin/python -m pytest
 
 check: .venv/installed
@@ -34,13 +46,18 @@ bench: .venv/installed
 	.venv/bin/python -m benchmarks.instructions .benchmarks/instructions.json
 	.venv/bin/python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json docs/benchmarks.md
 
+firmware: .venv/installed
+	.venv/bin/python -m tests.firmware.study --out docs/footprint.md
+
 study: .venv/installed
 	.venv/bin/python -m pmfid.studies.accuracy --out docs/accuracy.md
 	.venv/bin/python -m pmfid.studies.automatic --out docs/automatic.md
 	.venv/bin/python -m pmfid.studies.design --out docs/design.md
+	.venv/bin/python -m pmfid.studies.monitoring --out docs/monitoring.md
+	.venv/bin/python -m pmfid.studies.laboratory --out docs/laboratory.md --images docs/images
 
 images: .venv/installed
 	.venv/bin/python -m pmfid.studies.demo --images docs/images
 
 clean:
-	rm -rf .venv build demo-report
+	rm -rf .venv build demo-report reproduced

@@ -14,6 +14,11 @@
 #define PMF_H
 
 #include <stdint.h>
+#include "pmf_sizes.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
 
 #ifdef PMF_FLOAT32
 typedef float scalar_t;
@@ -24,9 +29,9 @@ typedef double scalar_t;
 #endif
 
 /* The configuration consists of scalars. What depends on the data is written in the types and with the choices below,
- * so that the same source also runs several axes side by side: pmf_lanes.h then defines them for vectors. */
+ * so that the same source also runs several axes side by side: many/pmf_lanes.h then defines them for vectors. */
 #ifdef PMF_LANES
-#include "pmf_lanes.h"
+#include "many/pmf_lanes.h"
 #else
 typedef scalar_t real_t;
 typedef uint32_t whole_t;
@@ -50,21 +55,6 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #endif
 #define PMF_NOT(truth) ((truth) == 0)
 #define PMF_BIT(truth, bit) PMF_IF(truth, PMF_W(bit), PMF_W(0))
-
-#ifndef PMF_MAX_STAGES
-#define PMF_MAX_STAGES 64
-#endif
-#ifndef PMF_MAX_TAPS
-#define PMF_MAX_TAPS 96
-#endif
-#ifndef PMF_MAX_PARAMETERS
-#define PMF_MAX_PARAMETERS 8
-#endif
-#define PMF_MAX_COLUMNS (4 * PMF_MAX_PARAMETERS + 4)
-/* Blocks of a sliding window; 0 saves their memory where no window is used. */
-#ifndef PMF_WINDOW_BLOCKS
-#define PMF_WINDOW_BLOCKS 8
-#endif
 
 /* Signals of one sampling interval. A block of eight comes from the counts (nodes 0..7) and one from the auxiliary
  * model (nodes 8..15). All but the velocity from the counts are one sample late, because the direction of an interval
@@ -187,7 +177,7 @@ typedef struct {
     uint32_t scheme;       /* of forgetting */
     uint32_t window_block; /* samples in a block of the window */
     uint32_t compensated;  /* the noise of the columns is known: */
-    scalar_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* its covariance in one sample's phi phi^T */
+    scalar_t noise[PMF_MAX_NOISE][PMF_MAX_NOISE]; /* its covariance in one sample's phi phi^T */
     uint32_t block;        /* updates whose errors may be correlated; the spread of such blocks scales P */
     scalar_t unexplained;    /* mean square innovation over what the noise explains, beyond which the model is wrong; 0: no check */
     scalar_t check_memory;   /* forgetting of that comparison */
@@ -264,21 +254,25 @@ typedef struct {
 typedef struct {
     uint32_t settle_samples;
     pmf_encoder_config_t encoder;
-    pmf_auxiliary_config_t auxiliary;
     pmf_network_config_t network;
-    pmf_recursion_config_t direct;       /* from the counts alone */
+    pmf_recursion_config_t direct; /* from the counts alone */
+#if PMF_WITH_AUXILIARY
+    pmf_auxiliary_config_t auxiliary;
     pmf_recursion_config_t instrument; /* with the auxiliary model, if it is enabled */
+#endif
 } pmf_config_t;
 
 typedef struct {
     whole_t status;
     whole_t settle; /* samples until the filters have forgotten their start */
     pmf_encoder_state_t encoder;
-    pmf_auxiliary_state_t auxiliary;
     pmf_network_state_t network;
     pmf_recursion_state_t direct;
+#if PMF_WITH_AUXILIARY
+    pmf_auxiliary_state_t auxiliary;
     pmf_recursion_state_t instrument;
     pmf_estimate_t borrowed; /* the direct estimate in the parameters of the instrumental one */
+#endif
 } pmf_state_t;
 
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state);
@@ -292,9 +286,43 @@ PMF_API void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t
 PMF_API const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state);
 PMF_API void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state,
                                       real_t *p);
+/* Opens the memory after a change of the plant: of what was gathered on one parameter, or with PMF_NO_PARAMETER on all, only
+ * the part root^2 counts on, 0 < root <= 1. The estimate stays where it is; filters and auxiliary model go on. What the
+ * innovations said of the error bars counts anew, also with root = 1. */
+void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter, real_t root);
+/* Variance of a parameter of the estimate, for innovations as coloured as they are; PMF_UNKNOWN until there is one. */
+real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter);
+#define PMF_UNKNOWN PMF_R(1e30)
 #endif
 /* The number of parameters of the estimate. */
 PMF_API uint32_t pmf_parameters(const pmf_config_t *config);
+
+#ifndef PMF_LANES
+/* Continue after a loss of power: a state with what says whose it is. The same bytes as `get_state` in Python. */
+#define PMF_STATE_MAGIC 0x53464d50U /* "PMFS" */
+#define PMF_STATE_VERSION 1U
+
+typedef struct {
+    uint32_t magic, version;
+    uint32_t layout;   /* CRC-32 of names, types and places of the state's fields */
+    uint32_t size;     /* of all this, in bytes */
+    uint32_t config;   /* CRC-32 of the configuration */
+    uint32_t checksum; /* CRC-32 of the five words above and the state */
+    pmf_state_t state;
+} pmf_saved_t;
+
+enum { PMF_LOADED = 0, PMF_NOT_A_STATE, PMF_DAMAGED_STATE, PMF_OTHER_VERSION, PMF_OTHER_CONFIG };
+
+void pmf_save(const pmf_config_t *config, const pmf_state_t *state, pmf_saved_t *saved);
+/* PMF_LOADED, or why not; then the state is as before. */
+uint32_t pmf_load(const pmf_config_t *config, const pmf_saved_t *saved, pmf_state_t *state);
+/* CRC-32 of ISO 3309 (Ethernet, zlib) of more data; crc: of the data before, 0 at the start. */
+uint32_t pmf_crc32(uint32_t crc, const void *data, uint32_t size);
+
+/* What compiler options did to the arithmetic of this build, as bits; 0: the bits are those of Python. */
+enum { PMF_CONTRACTED = 1, PMF_REARRANGED = 2, PMF_NO_NAN = 4, PMF_FLUSHED = 8 };
+uint32_t pmf_arithmetic(void);
+#endif
 
 /* Byte-wise, so that padding is zero too and two states can be compared. */
 PMF_API void pmf_clear(void *memory, uint32_t size);
@@ -320,5 +348,9 @@ PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_rec
                                    const real_t *column);
 /* Encoder, auxiliary model and network alone, for batch methods: the columns are in state->network.column. */
 PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -9,6 +9,8 @@
  */
 #include "pmf.h"
 
+#if PMF_WITH_AUXILIARY
+
 #define NEWTON_TURNS 3
 
 typedef struct {
@@ -104,6 +106,8 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
 {
     real_t middle = state->position + PMF_R(0.5) * config->dt * state->velocity;
     body_t body = body_of(config, state->parameter, signal[PMF_LATE_INPUT], middle);
+    real_t sum;
+    truth_t absurd;
     phase_t phase;
     uint32_t turn;
     phase.velocity = state->velocity;
@@ -119,6 +123,16 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
         }
     }
     signal[PMF_ACCELERATION] = (phase.velocity - state->velocity) / config->dt;
+    sum = signal[PMF_ACCELERATION] + phase.distance[0] + phase.distance[1] + middle;
+    absurd = PMF_NOT(sum - sum == PMF_R(0.0));
+    if (PMF_ANY(absurd)) { /* parameters: it starts again from rest */
+        phase.velocity = PMF_IF(absurd, PMF_R(0.0), phase.velocity);
+        phase.distance[0] = PMF_IF(absurd, PMF_R(0.0), phase.distance[0]);
+        phase.distance[1] = PMF_IF(absurd, PMF_R(0.0), phase.distance[1]);
+        signal[PMF_ACCELERATION] = PMF_IF(absurd, PMF_R(0.0), signal[PMF_ACCELERATION]);
+        middle = PMF_IF(absurd, signal[PMF_LATE_POSITION], middle);
+        state->position = PMF_IF(absurd, middle, state->position);
+    }
     state->velocity = phase.velocity;
     emit_motion(&phase, middle, signal);
     state->position += config->dt * (phase.distance[0] + phase.distance[1]) +
@@ -195,3 +209,5 @@ PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxi
     }
     state->running = PMF_IF(where, PMF_W(1), state->running);
 }
+
+#endif

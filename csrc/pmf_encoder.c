@@ -11,6 +11,11 @@
 #define FAST_COUNTS 2U /* counts in one sample from which on the tracker is trusted */
 #define FAST_SAMPLES 3U
 #define CLOSE 3U
+#ifdef PMF_FLOAT32
+#define LARGEST_INPUT PMF_R(1e15)
+#else
+#define LARGEST_INPUT PMF_R(1e100)
+#endif
 
 static whole_t magnitude(integer_t x)
 {
@@ -86,7 +91,7 @@ static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state
 static whole_t check(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t *input,
                      integer_t *change)
 {
-    truth_t valid = *input - *input == PMF_R(0.0); /* neither NaN nor infinite */
+    truth_t valid = (*input >= -LARGEST_INPUT) & (*input <= LARGEST_INPUT); /* else NaN, infinite, or its square would be */
     whole_t status = PMF_BIT(PMF_NOT(valid), PMF_INVALID_INPUT);
     *input = PMF_IF(valid, *input, state->input);
     if (config->max_change > 0U) {
@@ -101,11 +106,15 @@ static whole_t check(const pmf_encoder_config_t *config, pmf_encoder_state_t *st
 static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t direction,
                           real_t *signal)
 {
+#if PMF_WITH_SPLIT
     real_t half = PMF_R(0.5) * direction, moving = PMF_R(0.5) * state->moving;
     real_t position = config->position_per_count *
                       (PMF_TO_REAL(signed_count(0xffffffffU, state->travel)) - PMF_R(0.5) * PMF_TO_REAL(state->change));
+#endif
+    (void)config;
     signal[PMF_INPUT] = state->moving * state->input_before;
     signal[PMF_DIRECTION] = direction;
+#if PMF_WITH_SPLIT
     signal[PMF_MOVING] = state->moving;
     signal[PMF_FORWARD] = moving + half;
     signal[PMF_BACKWARD] = half - moving;
@@ -115,6 +124,7 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
     signal[PMF_POSITION] = state->moving * position;
     signal[PMF_LATE_INPUT] = state->input_before;
     signal[PMF_LATE_VELOCITY] = state->mean_velocity;
+#endif
 }
 
 PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
@@ -137,8 +147,10 @@ PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder
     track(config, state, innovation, predicted);
     status |= note_motion(config, state, change);
     state->mean_velocity = signal[PMF_VELOCITY];
+#if PMF_WITH_SPLIT
     state->change = change;
     state->travel = (state->travel + (whole_t)change) & 0xffffffffU;
+#endif
     state->count = count;
     state->started = PMF_W(1);
     state->fast = fast;

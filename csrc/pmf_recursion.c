@@ -15,14 +15,37 @@
 #include "pmf.h"
 
 /* The loops unroll only where the number of parameters arrives as a constant. */
-#if defined(__GNUC__)
+#if defined(PMF_PARAMETERS)
+#define PMF_INLINE static
+#elif defined(__GNUC__)
 #define PMF_INLINE static inline __attribute__((always_inline))
 #else
 #define PMF_INLINE static inline
 #endif
 
+/* What runs seldom is compiled for size. */
+#if defined(__GNUC__)
+#define PMF_SELDOM __attribute__((cold, noinline)) static
+#else
+#define PMF_SELDOM static
+#endif
+
 #define N PMF_MAX_PARAMETERS
 #define SATURATED 0xffffffffU
+#ifdef PMF_PARAMETERS
+#define PARAMETERS(config) PMF_PARAMETERS
+#define INSTRUMENTAL(config) PMF_INSTRUMENTAL
+#else
+#define PARAMETERS(config) ((config)->n_parameters)
+#define INSTRUMENTAL(config) ((config)->instrumental)
+#endif
+/* An export has one scheme of forgetting: the code of the others is left out. */
+#ifdef PMF_SCHEME
+#define SCHEME(config) PMF_SCHEME
+#else
+#define SCHEME(config) ((config)->scheme)
+#endif
+#define COMPENSATED(config) (PMF_WITH_NOISE != 0 && (config)->compensated != 0U)
 
 #ifdef PMF_FLOAT32
 #define PIVOT_FLOOR PMF_R(1e-6)
@@ -61,7 +84,7 @@ PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], r
 }
 
 /* The smallest pivot relative to its diagonal entry. */
-PMF_INLINE real_t smallest_pivot(uint32_t p, real_t matrix[N][N], const real_t inverse[N])
+PMF_SELDOM real_t smallest_pivot(uint32_t p, real_t matrix[N][N], const real_t inverse[N])
 {
     real_t smallest = PMF_R(1.0), relative;
     uint32_t i;
@@ -122,10 +145,10 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
 PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
     real_t least = PMF_ALIKE(config->forgetting * config->forgetting), weight = PMF_ALIKE(config->forgetting);
-    if (config->scheme == PMF_DIRECTIONAL || config->scheme == PMF_WINDOW) {
+    if (SCHEME(config) == PMF_DIRECTIONAL || SCHEME(config) == PMF_WINDOW) {
         return PMF_R(1.0);
     }
-    if (config->scheme == PMF_CONSTANT_TRACE) {
+    if (SCHEME(config) == PMF_CONSTANT_TRACE) {
         truth_t below = (state->trace > PMF_R(0.0)) & PMF_NOT(state->trace > PMF_R(1.0));
         weight = PMF_IF(below, PMF_IF(state->trace > least, state->trace, least), PMF_R(1.0));
     }
@@ -188,8 +211,8 @@ static void slide_window(const pmf_recursion_config_t *config, pmf_recursion_sta
 PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
-    real_t f = weight_of_past(config, state), fade = config->scheme == PMF_EXPONENTIAL ? f : PMF_ALIKE(config->forgetting);
-    if (config->scheme == PMF_DIRECTIONAL) {
+    real_t f = weight_of_past(config, state), fade = SCHEME(config) == PMF_EXPONENTIAL ? f : PMF_ALIKE(config->forgetting);
+    if (SCHEME(config) == PMF_DIRECTIONAL) {
         fade = PMF_R(1.0);
         if (PMF_ANY(state->started != 0U)) {
             forget_direction(config, state, column, p);
@@ -197,7 +220,7 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
     }
     add_sample(&state->sums, f, column, p, instrumental, state->started <= config->residual_updates); /* later nobody reads it */
 #if PMF_WINDOW_BLOCKS > 0
-    if (config->scheme == PMF_WINDOW) {
+    if (SCHEME(config) == PMF_WINDOW) {
         slide_window(config, state, column);
     }
 #endif
@@ -218,11 +241,11 @@ static void note_trace(const pmf_recursion_config_t *config, pmf_recursion_state
     if (!PMF_ANY(where)) {
         return;
     }
-    for (i = 0; i < config->n_parameters; ++i) {
+    for (i = 0; i < PARAMETERS(config); ++i) {
         state->reference[i] = PMF_IF(where & first, factor[i], state->reference[i]);
         sum += factor[i] / (state->reference[i] + TINY);
     }
-    state->trace = PMF_IF(where, sum / (scalar_t)config->n_parameters, state->trace);
+    state->trace = PMF_IF(where, sum / (scalar_t)PARAMETERS(config), state->trace);
 }
 
 /* Is the innovation larger than the known noise makes it? */
@@ -233,11 +256,14 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
     real_t explained = PMF_R(0.0), square = state->estimate.innovation * state->estimate.innovation;
     truth_t filled;
     uint32_t i, j;
+    if (!PMF_ANY(where)) {
+        return PMF_W(0);
+    }
     state->check_weight = PMF_IF(where, memory * state->check_weight + PMF_R(1.0), state->check_weight);
     state->check_innovation = PMF_IF(where, memory * state->check_innovation + square, state->check_innovation);
     state->check_target = PMF_IF(where, memory * state->check_target + target * target, state->check_target);
-    for (i = 0; i < config->n_parameters; ++i) {
-        for (j = 0; j < config->n_parameters; ++j) {
+    for (i = 0; i < PARAMETERS(config); ++i) {
+        for (j = 0; j < PARAMETERS(config); ++j) {
             explained += theta[i] * config->noise[i][j] * theta[j];
         }
     }
@@ -259,13 +285,19 @@ PMF_INLINE void forward_row(uint32_t p, uint32_t i, real_t cross[N][N], real_t l
     }
 }
 
-/* information = W^T Z^-1 W (lower half), move = W^T Z^-1 move; smallest relative pivot of Z before the first estimate. */
-PMF_INLINE real_t project(pmf_recursion_state_t *state, uint32_t p, real_t information[N][N], real_t move[N])
+/* Z = L D L^T, and half = L^-1 W. */
+typedef struct {
+    real_t lower[N][N], inverse[N], half[N][N];
+} projection_t;
+
+/* information = W^T Z^-1 W (lower half), move = W^T Z^-1 move; keeps what `project_more` needs. */
+PMF_INLINE void project(pmf_recursion_state_t *state, uint32_t p, projection_t *projection, real_t information[N][N],
+                        real_t move[N])
 {
-    real_t lower[N][N], inverse[N], half[N][N], projected[N];
+    real_t projected[N];
     uint32_t i, j, k;
-    factorise(p, state->sums.square, lower, inverse);
-    forward(p, lower, move);
+    factorise(p, state->sums.square, projection->lower, projection->inverse);
+    forward(p, projection->lower, move);
     for (i = 0; i < p; ++i) {
         projected[i] = PMF_R(0.0);
         for (j = 0; j <= i; ++j) {
@@ -273,20 +305,39 @@ PMF_INLINE real_t project(pmf_recursion_state_t *state, uint32_t p, real_t infor
         }
     }
     for (k = 0; k < p; ++k) {
-        real_t scaled = move[k] * inverse[k];
-        forward_row(p, k, state->sums.cross, lower, half);
+        real_t scaled = move[k] * projection->inverse[k];
+        forward_row(p, k, state->sums.cross, projection->lower, projection->half);
         for (i = 0; i < p; ++i) {
-            real_t weighted = half[k][i] * inverse[k];
-            projected[i] += half[k][i] * scaled;
+            real_t weighted = projection->half[k][i] * projection->inverse[k];
+            projected[i] += projection->half[k][i] * scaled;
             for (j = 0; j <= i; ++j) {
-                information[i][j] += weighted * half[k][j];
+                information[i][j] += weighted * projection->half[k][j];
             }
         }
     }
     for (i = 0; i < p; ++i) {
         move[i] = projected[i];
     }
-    return PMF_ANY(state->started == 0U) ? smallest_pivot(p, state->sums.square, inverse) : PMF_R(1.0);
+}
+
+/* The same projection of another vector. */
+PMF_INLINE void project_more(uint32_t p, projection_t *projection, real_t move[N])
+{
+    real_t projected[N];
+    uint32_t i, k;
+    forward(p, projection->lower, move);
+    for (i = 0; i < p; ++i) {
+        move[i] *= projection->inverse[i];
+    }
+    for (i = 0; i < p; ++i) {
+        projected[i] = PMF_R(0.0);
+        for (k = 0; k < p; ++k) {
+            projected[i] += projection->half[k][i] * move[k];
+        }
+    }
+    for (i = 0; i < p; ++i) {
+        move[i] = projected[i];
+    }
 }
 
 /* Information less what the known noise feigns. Where hardly anything is left, that is poor excitation: some is kept,
@@ -373,7 +424,7 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
             }
             move[i] = PMF_IF(young, left, move[i]);
         }
-        if (config->compensated != 0U) {
+        if (COMPENSATED(config)) {
             real_t weight = PMF_IF(young, state->sums.weight, PMF_R(1.0));
             for (j = 0; j < p; ++j) {
                 move[i] += weight * config->noise[i][j] * state->estimate.theta[j];
@@ -387,16 +438,18 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
 static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                        const real_t move[N])
 {
-    real_t share = state->sums.weight / (scalar_t)config->block, keep, white, now;
+    real_t share = state->sums.weight / (scalar_t)config->block, keep, white, ratio, spread;
     truth_t known;
     uint32_t i;
     state->blocks += PMF_BIT(where & (state->blocks < BLOCK_MEMORY), 1U);
     known = where & (state->blocks >= MIN_BLOCKS);
     keep = PMF_R(1.0) - PMF_R(1.0) / PMF_TO_REAL(state->blocks);
-    for (i = 0; i < config->n_parameters; ++i) {
+    for (i = 0; i < PARAMETERS(config); ++i) {
         white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
-        now = PMF_IF(white > TINY, move[i] * move[i] * share / white, PMF_R(1.0));
-        state->spread[i] = PMF_IF(where, keep * state->spread[i] + (PMF_R(1.0) - keep) * now, state->spread[i]);
+        ratio = PMF_IF(white > TINY, move[i] * move[i] * share / white, PMF_R(1.0));
+        spread = keep * state->spread[i] + (PMF_R(1.0) - keep) * ratio;
+        /* else it is beyond the number format and would stay */
+        state->spread[i] = PMF_IF(where & (ratio - ratio == PMF_R(0.0)), spread, state->spread[i]);
         state->estimate.inflation[i] = PMF_IF(known, state->spread[i], state->estimate.inflation[i]);
     }
 }
@@ -411,42 +464,46 @@ PMF_INLINE void solve(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
     backward(p, state->factor, move);
 }
 
-/* Gathers the innovations of a block; at its end its effect on theta is compared with that of white ones. */
-static void note_score(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
-                       const real_t *zeta)
+/* At the end of a block its effect on theta is compared with that of white innovations. */
+PMF_SELDOM void end_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where, uint32_t p,
+                          uint32_t instrumental, projection_t *projection)
 {
-    uint32_t p = config->n_parameters, i, j;
-    truth_t ends;
+    real_t move[N];
+    uint32_t i;
+    for (i = 0; i < p; ++i) {
+        move[i] = state->score[i];
+        state->score[i] = PMF_IF(where, PMF_R(0.0), state->score[i]);
+    }
+    if (instrumental != 0U) {
+        project_more(p, projection, move);
+    }
+    solve(state, p, move);
+    note_block(config, state, where, move);
+    state->block_updates = PMF_IF(where, PMF_W(0), state->block_updates);
+}
+
+/* Gathers the innovations of a block. */
+PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                           const real_t *zeta, uint32_t p)
+{
+    uint32_t i, j;
     for (i = 0; i < p; ++i) {
         real_t sum = state->score[i] + zeta[i] * state->estimate.innovation;
-        for (j = 0; j < p && config->compensated != 0U; ++j) {
+        for (j = 0; j < p && COMPENSATED(config); ++j) {
             sum += config->noise[i][j] * state->estimate.theta[j];
         }
         state->score[i] = PMF_IF(where, sum, state->score[i]);
     }
     state->block_updates += PMF_BIT(where, 1U);
-    ends = where & (state->block_updates >= config->block);
-    if (PMF_ANY(ends)) {
-        real_t move[N], unused[N][N];
-        for (i = 0; i < p; ++i) {
-            move[i] = state->score[i];
-            state->score[i] = PMF_IF(ends, PMF_R(0.0), state->score[i]);
-        }
-        if (config->instrumental != 0U) {
-            (void)project(state, p, unused, move);
-        }
-        solve(state, p, move);
-        note_block(config, state, ends, move);
-        state->block_updates = PMF_IF(ends, PMF_W(0), state->block_updates);
-    }
 }
 
 PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
-    real_t information[N][N], move[N], pivot = PMF_R(1.0), own;
+    real_t information[N][N], move[N], pivot, own;
+    projection_t projection;
     whole_t status, compensated = PMF_W(0), unmodelled = PMF_W(0);
-    truth_t waits = state->started == 0U, moves, scored;
+    truth_t waits = state->started == 0U, moves, scored, ends;
     uint32_t i, j;
     state->estimate.innovation = column[p];
     for (i = 0; i < p; ++i) {
@@ -455,14 +512,14 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     accumulate(config, state, column, p, instrumental);
     residual(config, state, instrumental != 0U ? &column[p + 1U] : column, p, instrumental, move);
     if (instrumental != 0U) {
-        pivot = project(state, p, information, move);
+        project(state, p, &projection, information, move);
     } else {
         for (i = 0; i < p; ++i) {
             for (j = 0; j <= i; ++j) {
                 information[i][j] = state->sums.cross[i][j];
             }
         }
-        if (config->compensated != 0U) {
+        if (COMPENSATED(config)) {
             compensated = subtract_noise(config, state, p, information);
         }
     }
@@ -470,8 +527,11 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     factorise(p, information, state->factor, state->inverse_pivot);
     status = judge(config, state, p) | compensated;
     if (PMF_ANY(waits)) {
-        own = smallest_pivot(p, information, state->inverse_pivot);
-        pivot = PMF_IF(own < pivot, own, pivot);
+        pivot = smallest_pivot(p, information, state->inverse_pivot);
+        if (instrumental != 0U) {
+            own = smallest_pivot(p, state->sums.square, projection.inverse);
+            pivot = PMF_IF(own < pivot, own, pivot);
+        }
         waits = waits & ((state->updates < config->min_updates) | PMF_NOT(pivot > config->pivot));
         state->estimate.innovation = PMF_IF(waits, PMF_R(0.0), state->estimate.innovation);
         if (PMF_ALL(waits)) {
@@ -488,15 +548,19 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
         }
     }
     note_innovation(config, state, PMF_NOT(waits));
-    if (config->scheme == PMF_CONSTANT_TRACE) {
+    if (SCHEME(config) == PMF_CONSTANT_TRACE) {
         note_trace(config, state, PMF_NOT(waits), status);
     }
-    if (config->unexplained > PMF_SCALAR(0.0)) {
+    if (PMF_WITH_NOISE != 0 && config->unexplained > PMF_SCALAR(0.0)) {
         unmodelled = check_model(config, state, PMF_NOT(waits) & (state->started > SKIPPED_INNOVATIONS), column[p]);
     }
     scored = PMF_NOT(waits) & (state->weight > PMF_R(0.0)) & (status == 0U);
     if (config->block > 0U && PMF_ANY(scored)) {
-        note_score(config, state, scored, instrumental != 0U ? &column[p + 1U] : column);
+        note_score(config, state, scored, instrumental != 0U ? &column[p + 1U] : column, p);
+        ends = scored & (state->block_updates >= config->block);
+        if (PMF_ANY(ends)) {
+            end_block(config, state, ends, p, instrumental, &projection);
+        }
     }
     if (instrumental != 0U) {
         status |= PMF_BIT(status != 0U, PMF_COMPENSATION_HELD);
@@ -507,31 +571,39 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
 /* The same code with the number of parameters as a constant: loops unroll, the bits stay. */
 static whole_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
 {
-#if PMF_MAX_PARAMETERS >= 5
+#ifdef PMF_PARAMETERS
+    return update(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
+#else
     switch (config->n_parameters * 2U + config->instrumental) {
     case 6: return update(config, state, column, 3U, 0U);
     case 7: return update(config, state, column, 3U, 1U);
     case 8: return update(config, state, column, 4U, 0U);
     case 9: return update(config, state, column, 4U, 1U);
     case 10: return update(config, state, column, 5U, 0U);
-    default: break;
+    default: return update(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
     }
 #endif
-    return update(config, state, column, config->n_parameters, config->instrumental);
 }
 
-static truth_t finite_state(const pmf_recursion_state_t *state, uint32_t p)
+/* The sums as well: one that left the range would show in theta much later, or never. */
+static truth_t finite_state(const pmf_recursion_state_t *state, uint32_t p, uint32_t instrumental)
 {
     real_t sum = state->innovation_square;
-    uint32_t i;
+    uint32_t i, j;
     for (i = 0; i < p; ++i) {
-        sum += state->estimate.theta[i] + state->estimate.variance_factor[i];
+        sum += state->estimate.theta[i] + state->estimate.variance_factor[i] + state->sums.right[i];
+        for (j = 0; j < p; ++j) {
+            sum += state->sums.cross[i][j];
+            if (instrumental != 0U) {
+                sum += state->sums.square[i][j];
+            }
+        }
     }
     return sum - sum == PMF_R(0.0);
 }
 
 /* Forget everything but the last finite estimate. */
-static void restart(pmf_recursion_state_t *state, const real_t theta[N], uint32_t p)
+PMF_SELDOM void restart(pmf_recursion_state_t *state, const real_t theta[N], uint32_t p)
 {
     uint32_t i;
     pmf_clear(state, (uint32_t)sizeof *state);
@@ -543,7 +615,7 @@ static void restart(pmf_recursion_state_t *state, const real_t theta[N], uint32_
 PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                    const real_t *column)
 {
-    uint32_t p = config->n_parameters, i;
+    uint32_t p = PARAMETERS(config), i;
     real_t theta[N];
     whole_t status;
     truth_t broken;
@@ -551,7 +623,7 @@ PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_rec
         theta[i] = state->estimate.theta[i];
     }
     status = dispatch(config, state, &column[config->first_column]);
-    broken = PMF_NOT(finite_state(state, p));
+    broken = PMF_NOT(finite_state(state, p, INSTRUMENTAL(config)));
     PMF_WHERE(broken, state, restart(state, theta, p));
     return PMF_IF(broken, PMF_W(PMF_RESET | PMF_STARTING), status);
 }

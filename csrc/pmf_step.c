@@ -5,26 +5,35 @@
 
 #define TAKE_OVER PMF_R(1.5)
 
+#ifndef PMF_LANES
 PMF_API void pmf_clear(void *memory, uint32_t size)
 {
-    unsigned char *byte = (unsigned char *)memory;
+    volatile unsigned char *byte = (volatile unsigned char *)memory; /* else compilers call memset of the C library */
     uint32_t i;
     for (i = 0; i < size; ++i) {
         byte[i] = 0;
     }
 }
+#endif
 
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_clear(state, (uint32_t)sizeof *state);
     state->settle = PMF_W(config->settle_samples);
     state->encoder.idle = PMF_W(config->encoder.standstill_samples); /* at rest until a count says otherwise */
+#if PMF_WITH_AUXILIARY
     pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
+#endif
 }
 
 PMF_API uint32_t pmf_parameters(const pmf_config_t *config)
 {
-    return config->auxiliary.enabled != 0U ? config->instrument.n_parameters : config->direct.n_parameters;
+#if PMF_WITH_AUXILIARY
+    if (config->auxiliary.enabled != 0U) {
+        return config->instrument.n_parameters;
+    }
+#endif
+    return config->direct.n_parameters;
 }
 
 PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
@@ -32,18 +41,23 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     whole_t status =
         pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
     truth_t settling;
+#if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
         PMF_WHERE(state->auxiliary.running != 0U, state,
                   pmf_auxiliary_step(&config->auxiliary, &state->auxiliary, state->network.node));
     }
+#endif
     pmf_network_step(&config->network, &state->network);
+#if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
         pmf_auxiliary_correct(&config->auxiliary, &state->auxiliary, state->network.column);
     }
+#endif
     state->settle = PMF_IF((status & (PMF_INVALID_INPUT | PMF_COUNT_JUMP)) != 0U, PMF_W(config->settle_samples),
                            state->settle);
     settling = state->settle > 0U;
     if (PMF_ANY(settling)) {
+#if PMF_WITH_AUXILIARY
         if (config->auxiliary.enabled != 0U) {
             /* by now the measured velocity is known: the model need not run up to it with its own time constant */
             truth_t half_way = settling & (state->settle == config->settle_samples / 2U);
@@ -52,12 +66,14 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
             state->auxiliary.position =
                 PMF_IF(half_way, state->network.node[PMF_LATE_POSITION], state->auxiliary.position);
         }
+#endif
         state->settle -= PMF_BIT(settling, 1U);
         status |= PMF_BIT(settling, PMF_SETTLING);
     }
     return status;
 }
 
+#if PMF_WITH_AUXILIARY
 /* The direct estimate in the parameters of the instrumental one. */
 static void borrow_estimate(const pmf_config_t *config, pmf_state_t *state)
 {
@@ -76,16 +92,6 @@ static void borrow_estimate(const pmf_config_t *config, pmf_state_t *state)
     borrowed->innovation_variance = state->direct.estimate.innovation_variance;
 }
 
-#ifndef PMF_LANES /* of one axis */
-PMF_API const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state)
-{
-    if (config->auxiliary.enabled == 0U) {
-        return &state->direct.estimate;
-    }
-    return (state->status & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
-}
-#endif
-
 /* The instrumental estimate takes over once it knows the mass as well as the direct one, which has gathered longer. */
 static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
 {
@@ -99,12 +105,9 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
 {
     const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
     truth_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column), in_charge, borrows;
-    /* a restart keeps theta */
-    truth_t used = (state->instrument.updates != 0U) |
-                   (state->instrument.estimate.theta[auxiliary->index[PMF_MASS]] != PMF_R(0.0));
     whole_t status, stepped = PMF_W(0);
     /* what was gathered with a wrong direction would stay */
-    PMF_WHERE(PMF_NOT(trusted) & used, &state->instrument,
+    PMF_WHERE(PMF_NOT(trusted) & (state->instrument.updates != 0U), &state->instrument,
               pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument));
     status = PMF_BIT(PMF_NOT(trusted) | (state->instrument.started == 0U), PMF_STARTING);
     PMF_WHERE(trusted & settled, &state->instrument,
@@ -129,30 +132,70 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     return PMF_IF(in_charge, status, direct_status | (status & (PMF_RESET | PMF_UNMODELLED)));
 }
 
+#endif
+
+#ifndef PMF_LANES /* of one axis */
+const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state)
+{
+#if PMF_WITH_AUXILIARY
+    if (config->auxiliary.enabled != 0U) {
+        return (state->status & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
+    }
+#endif
+    (void)config;
+    return &state->direct.estimate;
+}
+
+real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter)
+{
+    const pmf_estimate_t *estimate = pmf_estimate(config, state);
+    real_t inflation = estimate->inflation[parameter];
+    if (!(estimate->innovation_variance > PMF_R(0.0))) {
+        return PMF_UNKNOWN;
+    }
+    return estimate->variance_factor[parameter] * estimate->innovation_variance *
+           (inflation > PMF_R(0.0) ? inflation : PMF_R(1.0));
+}
+#endif
+
+/* The recursions on the columns of this sample. */
+static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, truth_t settled)
+{
+    whole_t status = PMF_BIT(state->direct.started == 0U, PMF_STARTING), stepped = PMF_W(0);
+    truth_t use = settled;
+#if PMF_WITH_AUXILIARY
+    if (config->auxiliary.enabled != 0U) { /* the second half of the settling is the model's */
+        use = use | (state->settle < config->settle_samples / 2U);
+    }
+#endif
+    PMF_WHERE(use, &state->direct,
+              stepped = pmf_recursion_step(&config->direct, &state->direct, state->network.column));
+    status = PMF_IF(use, stepped, status);
+#if PMF_WITH_AUXILIARY
+    if (config->auxiliary.enabled != 0U) {
+        status = instrument_step(config, state, status, settled);
+    }
+#endif
+    return status;
+}
+
+/* A value beyond the number format may sit in the filters as well. */
+static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
+{
+    pmf_clear(&state->network, (uint32_t)sizeof state->network);
+    state->settle = PMF_W(config->settle_samples);
+#if PMF_WITH_AUXILIARY
+    pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
+    state->auxiliary.velocity = PMF_R(0.0);
+    state->auxiliary.position = PMF_R(0.0);
+#endif
+}
+
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
-    whole_t status = pmf_filter(config, state, input, count), stepped = PMF_W(0);
-    truth_t settled = (status & PMF_SETTLING) == 0U, runs = settled, reset;
-    whole_t direct_status = PMF_BIT(state->direct.started == 0U, PMF_STARTING);
-    if (config->auxiliary.enabled != 0U) { /* the second half of the settling is the model's */
-        runs = runs | (state->settle < config->settle_samples / 2U);
-    }
-    PMF_WHERE(runs, &state->direct,
-              stepped = pmf_recursion_step(&config->direct, &state->direct, state->network.column));
-    direct_status = PMF_IF(runs, stepped, direct_status);
-    if (config->auxiliary.enabled != 0U) {
-        status |= instrument_step(config, state, direct_status, settled);
-    } else {
-        status |= direct_status;
-    }
-    reset = (status & PMF_RESET) != 0U;
-    if (PMF_ANY(reset)) { /* a value beyond the number format may sit in the filters as well */
-        PMF_WHERE(reset, &state->network, pmf_clear(&state->network, (uint32_t)sizeof state->network));
-        PMF_WHERE(reset, &state->auxiliary, pmf_auxiliary_start(&config->auxiliary, &state->auxiliary));
-        state->auxiliary.velocity = PMF_IF(reset, PMF_R(0.0), state->auxiliary.velocity);
-        state->auxiliary.position = PMF_IF(reset, PMF_R(0.0), state->auxiliary.position);
-        state->settle = PMF_IF(reset, PMF_W(config->settle_samples), state->settle);
-    }
+    whole_t status = pmf_filter(config, state, input, count);
+    status |= estimate_step(config, state, (status & PMF_SETTLING) == 0U);
+    PMF_WHERE((status & PMF_RESET) != 0U, state, restart_filters(config, state));
     state->status = status;
     return status;
 }
@@ -160,15 +203,19 @@ PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t 
 #ifndef PMF_LANES
 PMF_API void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
 {
-    uint32_t n = pmf_parameters(config), i;
-    if (config->auxiliary.enabled == 0U) {
-        pmf_recursion_covariance(&config->direct, &state->direct, p);
-    } else if ((state->status & PMF_FALLBACK) == 0U) {
+#if PMF_WITH_AUXILIARY
+    if (config->auxiliary.enabled != 0U && (state->status & PMF_FALLBACK) == 0U) {
         pmf_recursion_covariance(&config->instrument, &state->instrument, p);
-    } else {
+        return;
+    }
+    if (config->auxiliary.enabled != 0U) {
+        uint32_t n = pmf_parameters(config), i;
         for (i = 0; i < n * n; ++i) {
             p[i] = i % (n + 1U) == 0U ? state->borrowed.variance_factor[i / (n + 1U)] : PMF_R(0.0);
         }
+        return;
     }
+#endif
+    pmf_recursion_covariance(&config->direct, &state->direct, p);
 }
 #endif

@@ -23,8 +23,8 @@ from pmfid.cli.main import main
 from pmfid.estimators import METHODS
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
+from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, make_scenario, write_csv
 from pmfid.simulation.drive import Schedule, quantize, simulate_drive
-from pmfid.simulation.scenarios import CART, CART_DT, CART_RESOLUTION, make_scenario, write_csv
 
 AXIS = Path(__file__).parents[1] / "examples" / "cart.toml"
 TRUTH = {

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from pmfid.cli.main import main
 from pmfid.estimators import METHODS
-from pmfid.simulation.scenarios import CART, make_scenario, write_csv
+from pmfid.simulation import CART, make_scenario, write_csv
 
 CONFIG = Path(__file__).parents[1] / "examples" / "cart.toml"
 

@@ -57,7 +57,7 @@ def fleet_record() -> tuple[np.ndarray, np.ndarray]:
             u[axis, at : at + 100], counts[axis, at : at + 100] = 0.0, counts[axis, at]  # held by its stiction
             counts[axis, at + 100 :] += counts[axis, at] - counts[axis, at + 100]
         elif event == 4:
-            u[axis, at], u[axis, at + 40] = 1e200, 1e30  # whose squares are too much for float64, for float32
+            u[axis, at], u[axis, at + 40] = 1e200, 1e30  # no drive's: refused, the second in float32 alone
         elif event == 5:
             u[axis, at:] *= -1.0  # the model no longer follows
         elif event == 6:
@@ -95,7 +95,7 @@ def test_every_axis_has_the_bits_that_it_has_alone(cls, options, precision, way)
         assert_equal_tracks(tracks.axis(axis), track)
         assert fleet.axis(axis).get_state() == single.get_state()
         occurred |= Status(int(np.bitwise_or.reduce(track.status)))
-    expected = Status.INVALID_INPUT | Status.COUNT_JUMP | Status.STANDSTILL | Status.RESET | Status.POOR_EXCITATION
+    expected = Status.INVALID_INPUT | Status.COUNT_JUMP | Status.STANDSTILL | Status.POOR_EXCITATION
     assert expected in occurred, "the record does not test what it is for"
 
 
@@ -232,7 +232,7 @@ def test_what_does_not_fit_is_refused():
 def test_only_the_words_in_use_are_kept():
     packed = make(pmfid.BCRLS)._kernel.many(1).states.shape[1]
     assert packed <= 1600
-    assert len(make(pmfid.BCRLS).get_state()) > 20_000
+    assert len(make(pmfid.BCRLS)._kernel.raw_state()) > 20_000
 
 
 def test_all_but_windows_run_side_by_side():
@@ -246,6 +246,6 @@ def test_all_but_windows_run_side_by_side():
 @pytest.mark.parametrize("size", [16, 32, 64])
 def test_lanes_compile_without_a_warning(size, precision):
     flags = [*C_FLAGS, "-Wno-psabi", precision, f"-DPMF_LANE_BYTES={size}"]  # without options for wide vectors
-    source = str(Path(CSRC) / "pmf_lanes.c")
+    source = str(Path(CSRC) / "many" / "pmf_lanes.c")
     run = subprocess.run([str(COMPILER), *flags, source], capture_output=True, text=True, timeout=60)
     assert run.returncode == 0, run.stderr

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial.legendre import leggauss
-from scipy.integrate import solve_ivp
 
 import pmfid.simulation.drive as drive_module
 from pmfid.simulation import (
@@ -35,6 +34,7 @@ from pmfid.simulation import (
     write_csv,
 )
 from pmfid.simulation.drive import Floats
+from pmfid.studies.exactness import agreement
 
 
 def numbers(low: float, high: float) -> st.SearchStrategy[float]:
@@ -60,38 +60,14 @@ def step(p: DriveParameters, u: float, dt: float, x: float, v: float) -> tuple[f
     return float(motion.x[1]), float(motion.v[1]), float(motion.direction[0]), float(motion.moving[0])
 
 
-def ode_interval(p: DriveParameters, force: float, dt: float, x: float, v: float) -> tuple[float, float]:
-    """Return x and v after one interval: DOP853 from event to event, located by its root finder."""
-    t = 0.0
-    while t < dt and not (v == 0.0 and abs(force) <= p.coulomb_friction):
-        side = np.sign(v) if v else np.sign(force)
-
-        def rhs(_: float, state: Floats, side: float = side) -> list[float]:
-            return [state[1], (force - p.viscous_friction * state[1] - side * p.coulomb_friction) / p.mass]
-
-        def stop(_: float, state: Floats) -> float:
-            return float(state[1])
-
-        stop.terminal, stop.direction = True, -side  # type: ignore[attr-defined]
-        result = solve_ivp(rhs, (t, dt), [x, v], "DOP853", events=stop, rtol=1e-11, atol=1e-13)
-        t, x, v = float(result.t[-1]), float(result.y[0, -1]), float(result.y[1, -1])
-        v = 0.0 if result.status == 1 else v
-    return x, v
-
-
 def test_agrees_with_an_ode_solver_over_ten_seconds() -> None:
-    p, dt = replace(CART, offset=0.1), 0.02
-    u = np.repeat(np.random.default_rng(5).choice([-3.0, -0.35, 0.0, 0.35, 3.0], 125), 4)
-    motion = simulate_drive(p, u, dt)
-    x, v, expected = 0.0, 0.0, []
-    for value in u:
-        expected.append((x, v))
-        x, v = ode_interval(p, p.input_gain * value - p.offset, dt, x, v)
-    sides = np.sign(motion.v[motion.v != 0.0])
-    assert np.count_nonzero(np.diff(sides)) >= 20
-    assert np.count_nonzero(motion.moving == 0.0) >= 50
-    assert np.count_nonzero((motion.moving > 0.0) & (np.abs(motion.direction) < 1.0)) >= 20
-    np.testing.assert_allclose(np.column_stack((motion.x, motion.v)), expected, rtol=0.0, atol=1e-8)
+    found = agreement()
+    assert found.duration == pytest.approx(10.0)
+    assert found.reversals >= 20
+    assert found.at_rest >= 50
+    assert found.events >= 20
+    assert found.position < 1e-8
+    assert found.velocity < 1e-8
 
 
 @pytest.mark.parametrize("viscous", [1e-300, 1e-14, 1e-7, 1e-3, 0.3, 0.9, 1.0, 1.1, 7.0, 400.0])
@@ -294,8 +270,10 @@ def test_scenarios_tell_the_truth(name: str) -> None:
     assert np.ptp(error) < scenario.resolution
     again = simulate_drive(scenario.schedule, scenario.motion.u, scenario.dt)
     np.testing.assert_array_equal(again.x, scenario.motion.x)
-    masses = scenario.schedule.at(np.array([2.99, 3.0]), 0.01)[0].tolist()
-    assert masses == ([1.07, 1.44] if "mass-step" in name else [1.07, 1.07])
+    masses = scenario.schedule.at(np.array([1.99, 2.99, 3.0, 4.0]), 0.01)[0]
+    expected = {"mass-step": [1.07, 1.07, 1.44, 1.44], "mass-ramp": [1.07, 1.25315, 1.255, 1.44]}
+    change = SCENARIOS[name].change
+    np.testing.assert_allclose(masses, expected.get(change, [1.07] * 4), rtol=1e-6)
 
 
 def test_the_input_does_not_depend_on_the_encoder() -> None:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pmfid.estimators.output_error import OE as OE
     from pmfid.estimators.recursive import Track as Track
     from pmfid.estimators.rls import RLS as RLS
+    from pmfid.export.firmware import export_firmware as export_firmware
     from pmfid.models.drive import Drive as Drive
     from pmfid.models.drive import EquationModel as EquationModel
     from pmfid.models.equation import Equation as Equation
@@ -58,6 +59,7 @@ _PUBLIC = {
     "Track": "pmfid.estimators.recursive",
     "Tracks": "pmfid.estimators.fleet",
     "UsageError": "pmfid.errors",
+    "export_firmware": "pmfid.export.firmware",
     "quantize": "pmfid.encoder",
 }
 

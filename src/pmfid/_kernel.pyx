@@ -20,6 +20,7 @@ cdef extern from "pmf.h":
         PMF_MAX_PARAMETERS
         PMF_MAX_COLUMNS
         PMF_ROLES
+        PMF_NO_PARAMETER
         PMF_SIGNALS
         PMF_AUXILIARY
         PMF_VELOCITY
@@ -76,13 +77,14 @@ cdef extern from "pmf.h":
     void pmf_init(const pmf_config_t *, pmf_state_t *) nogil
     uint32_t pmf_step(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
     uint32_t pmf_filter(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
+    void pmf_open(const pmf_config_t *, pmf_state_t *, uint32_t, real_t) nogil
     const pmf_estimate_t *pmf_estimate(const pmf_config_t *, const pmf_state_t *) nogil
     void pmf_clear(void *, uint32_t) nogil
     void pmf_auxiliary_step(const pmf_auxiliary_config_t *, pmf_auxiliary_state_t *, real_t *) nogil
     uint32_t pmf_parameters(const pmf_config_t *) nogil
     void pmf_covariance_factor(const pmf_config_t *, const pmf_state_t *, real_t *) nogil
 
-cdef extern from "pmf_many.h":
+cdef extern from "many/pmf_many.h":
     ctypedef struct pmf_rows_t:
         const unsigned char *start
         int64_t axis, sample
@@ -231,6 +233,10 @@ cdef class Kernel:
         """Back to the state before the first sample."""
         pmf_init(&self.config, &self.state)
 
+    def open(self, double keep, int parameter=-1):
+        """Only the part keep in (0, 1] of what was gathered on a parameter (-1: on all) counts from now on; the estimate stays."""
+        pmf_open(&self.config, &self.state, PMF_NO_PARAMETER if parameter < 0 else parameter, <real_t> keep ** 0.5)
+
     cdef Estimate _snapshot(self):
         cdef Estimate estimate = Estimate.__new__(Estimate)
         cdef Py_ssize_t n = pmf_parameters(&self.config)
@@ -294,20 +300,19 @@ cdef class Kernel:
         """So many axes from the present state."""
         return ManyKernel(self, axes)
 
-    def get_state(self):
-        """The state as bytes, after a fingerprint of the configuration that it belongs to."""
-        return self._fingerprint() + PyBytes_FromStringAndSize(<char *> &self.state, sizeof(pmf_state_t))
+    def raw_config(self):
+        """The bytes of the configuration, as a `pmf_config_t` of this module's sizes."""
+        return PyBytes_FromStringAndSize(<char *> &self.config, sizeof(pmf_config_t))
 
-    def _fingerprint(self):
-        return sha256(PyBytes_FromStringAndSize(<char *> &self.config, sizeof(pmf_config_t))).digest()
+    def raw_state(self):
+        """The bytes of the state, as a `pmf_state_t` of this module's sizes."""
+        return PyBytes_FromStringAndSize(<char *> &self.state, sizeof(pmf_state_t))
 
-    def set_state(self, bytes state):
-        """Restores what `get_state` gave; raises ValueError for a state of another configuration."""
-        own = self._fingerprint()
-        if len(state) != len(own) + sizeof(pmf_state_t) or state[:len(own)] != own:
-            raise ValueError("these bytes are not a state of this configuration; take it from an estimator with the "
-                             "same method, model, encoder, dt, filters, precision and version")
-        memcpy(&self.state, <char *> state + len(own), sizeof(pmf_state_t))
+    def set_raw_state(self, bytes state):
+        """Takes the bytes that `raw_state` of the same configuration gave. Raises ValueError for another number."""
+        if len(state) != sizeof(pmf_state_t):
+            raise ValueError(f"a state has {sizeof(pmf_state_t)} bytes, got {len(state)}")
+        memcpy(&self.state, <char *> state, sizeof(pmf_state_t))
 
 
 cdef _set_rows(pmf_rows_t *rows, cnp.ndarray table):
@@ -335,7 +340,7 @@ cdef class ManyKernel:
             raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/pmf_many.h")
         cdef cnp.ndarray own = np.zeros(self.layout.packed_size, np.uint8)
         pmf_pack(&self.layout, &kernel.state, <unsigned char *> cnp.PyArray_DATA(own))
-        self._fingerprint, self._start = kernel._fingerprint(), own
+        self._fingerprint, self._start = sha256(kernel.raw_config()).digest(), own
         self.states = np.tile(own, (axes, 1))
 
     def reset(self):

@@ -11,6 +11,10 @@ import click
 
 from pmfid import __version__
 from pmfid.cli.design import commission, design
+from pmfid.cli.export import export
+from pmfid.cli.monitor import monitor
+from pmfid.cli.reproduce import reproduce
+from pmfid.cli.simulate import simulate
 from pmfid.errors import PmfidError
 from pmfid.estimators import METHODS
 
@@ -176,6 +180,10 @@ def demo(out: Path, seed: int) -> None:
 
 main.add_command(design)
 main.add_command(commission)
+main.add_command(monitor)
+main.add_command(simulate)
+main.add_command(reproduce)
+main.add_command(export)
 
 
 def _progress(samples: int, quiet: bool) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pmfid.session.compare import Comparison
     from pmfid.session.pipeline import Result
+    from pmfid.studies.reproduce.merit import Merit
 
 #: Shorter runs are over before a bar could be read.
 PROGRESS_FROM = 1_000_000
@@ -63,8 +64,35 @@ def print_comparison(comparison: Comparison, out: Path | None) -> None:
         console.print(f"report: {out / 'compare.html'}", highlight=False, markup=False, soft_wrap=True)
 
 
+def print_merits(rows: Sequence[Merit], out: Path) -> None:
+    """The figures of merit, a table for each figure and condition; columns without a number are left out."""
+    from itertools import groupby
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from pmfid.studies.reproduce.merit import HEADER, cells
+
+    console = Console()
+    for (figure, condition), group in groupby(rows, key=lambda row: (row.figure, row.condition)):
+        texts = [cells(row)[2:] for row in group]
+        columns = list(zip(HEADER[2:], zip(*texts, strict=True), strict=True))
+        given = [(name, values) for name, values in columns if set(values) - {"–", "0"}]
+        common = ", ".join(f"{name} {values[0]}" for name, values in given[1:] if len(set(values)) == 1)
+        console.print(f"\n{figure}: {condition} ({common})", style="bold", highlight=False, markup=False)
+        table = Table(box=None)
+        for name, values in given:
+            if name == "method" or len(set(values)) > 1:
+                heading = name.replace(" [", "\n\\[").replace("increments", "inc")
+                table.add_column(heading, justify="left" if name == "method" else "right", no_wrap=True)
+        for row in zip(*(values for name, values in given if name == "method" or len(set(values)) > 1), strict=True):
+            table.add_row(*row)
+        console.print(table)
+    console.print(f"table, pictures and their data: {out}", highlight=False, markup=False, soft_wrap=True)
+
+
 @contextmanager
-def progress_bar(samples: int, quiet: bool) -> Iterator[Callable[[float], None] | None]:
+def progress_bar(samples: int, quiet: bool, what: str = "") -> Iterator[Callable[[float], None] | None]:
     """A progress bar on standard error for long runs, or nothing."""
     if quiet or samples < PROGRESS_FROM:
         yield None
@@ -73,5 +101,5 @@ def progress_bar(samples: int, quiet: bool) -> Iterator[Callable[[float], None] 
     from rich.progress import Progress
 
     with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task(f"{samples} samples", total=1.0)
+        task = progress.add_task(what or f"{samples} samples", total=1.0)
         yield lambda done: progress.update(task, completed=done)

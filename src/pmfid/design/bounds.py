@@ -28,7 +28,7 @@ from pmfid.design.problem import Float, Problem
 __all__ = ["upper_bound"]
 
 #: Share of the chords' gap that is worth narrowing; another round must take away a part of the excess.
-WORTH, PROGRESS, ROUNDS = 0.9, 0.15, 12
+WORTH, PROGRESS, ROUNDS = 0.8, 0.15, 12
 #: Vertices that a node remembers, for mixtures.
 REMEMBERED = 80
 LEAST_GAIN = 0.02

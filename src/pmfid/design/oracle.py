@@ -17,7 +17,8 @@ __all__ = ["EmptyError", "Oracle", "SolverError", "model"]
 
 #: A point that misses the energy limit by less is taken to meet it.
 ENERGY_TOLERANCE = 1e-9
-MAX_CUTS = 20
+#: Tangents that one answer may add, and that are kept in all.
+MAX_CUTS, KEPT = 5, 60
 
 #: The primal simplex goes on from the last vertex when the objective changes.
 OPTIONS: dict[str, bool | int | str] = {
@@ -127,6 +128,8 @@ class Oracle:
     def _cut(self, u: Float) -> None:
         """Cuts off a point outside the ball by the tangent below it."""
         normal = u / np.linalg.norm(u)
+        if self._highs.getNumRow() >= self._rows + KEPT:
+            self.release(self._rows)
         self.restrict(normal, -np.inf, self.shape.radius)
 
     def _least_norm(self) -> float:

@@ -20,10 +20,8 @@ AUTO = "auto"
 def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: float) -> tuple[Estimator, str]:
     """The best method that a record carries, and a line that says why; u, counts: (n,).
 
-    With a memory: recursive instrumental variables, which fall back on BCRLS by themselves. Without: the interval
-    likelihood where the model explains the counts to half of one, else instrumental variables where the simulated
-    motion follows the measured one, else bias-compensated, else plain least squares.
-    Raises NotIdentifiableError where none of them can identify every parameter.
+    With a memory: recursive instrumental variables, which fall back on BCRLS by themselves. Without: that of
+    `first_fit`, which says what it raises.
     """
     if forgetting < 1 and configured.equation.without_simulation:
         return like(
@@ -31,6 +29,16 @@ def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: f
         ), "bcrls: parameters may change, and nothing can simulate this"
     if forgetting < 1:
         return like(RIV, configured, prefilter_zeros=None, forgetting=forgetting), "riv: parameters may change"
+    return first_fit(configured, u, counts)[:2]
+
+
+def first_fit(configured: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[Estimator, str, Fit]:
+    """The best off-line method that a record carries, a line that says why, and its fit; u, counts: (n,).
+
+    The interval likelihood where the model explains the counts to half of one, else instrumental variables where the
+    simulated motion follows the measured one, else bias-compensated, else plain least squares.
+    Raises NotIdentifiableError where none of them can identify every parameter.
+    """
     refused: list[str] = []
     without = configured.equation.without_simulation
     for cls, reason in _CANDIDATES:
@@ -43,7 +51,7 @@ def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: f
             refused.append(f"{cls.method}: {error}")
             continue
         if fit.theta[candidate.equation.leading] > 0 and not fit.status & Status.FALLBACK:
-            return candidate, f"{cls.method}: {reason}"
+            return candidate, f"{cls.method}: {reason}", fit
     raise NotIdentifiableError(refused[0].partition(": ")[2])
 
 

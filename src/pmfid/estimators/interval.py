@@ -79,7 +79,11 @@ def likeliest_noise(e: Floats) -> float:
     from scipy.optimize import minimize_scalar  # slow to import, and only this needs it
 
     bounds = (math.log(NOISE_FLOOR), math.log(1 + 2 * float(np.max(np.abs(e)))))
-    return math.exp(minimize_scalar(lambda log: cost(e, math.exp(log))[0], bounds=bounds, method="bounded").x)
+    apart = np.abs(e)
+    search = minimize_scalar(
+        lambda log: -np.sum(log_probability(apart, math.exp(log))), bounds=bounds, method="bounded"
+    )
+    return math.exp(search.x)
 
 
 def cost(e: Floats, noise: float) -> tuple[float, Floats, Floats]:
@@ -102,8 +106,14 @@ def expected_information(e: Floats, noise: float) -> Floats:
 def count_likelihood(apart: Floats, noise: float) -> tuple[Floats, Floats, Floats]:
     """Logarithm of the probability P of a count whose middle is `apart` >= 0 (n,) [counts] from the position, with
     -P'/P and P''/P negative. All from logarithms: far outside the count P itself is zero in floating point."""
+    log_p = log_probability(apart, noise)
     inner, outer = (0.5 - apart) / noise, (-0.5 - apart) / noise
-    log_inner = log_ndtr(inner)
-    log_p = log_inner + np.log(-np.expm1(np.minimum(log_ndtr(outer) - log_inner, -TINY)))
     at_inner, at_outer = (np.exp(-0.5 * edge**2 - HALF_LOG_2_PI - log_p) for edge in (inner, outer))
     return log_p, (at_inner - at_outer) / noise, (inner * at_inner - outer * at_outer) / noise**2
+
+
+def log_probability(apart: Floats, noise: float) -> Floats:
+    """Logarithm of the probability of a count whose middle is `apart` >= 0 (n,) [counts] from the position."""
+    log_inner = log_ndtr((0.5 - apart) / noise)
+    log_outer = log_ndtr((-0.5 - apart) / noise)
+    return np.asarray(log_inner + np.log(-np.expm1(np.minimum(log_outer - log_inner, -TINY))))

@@ -151,18 +151,32 @@ class RecursiveEstimator(Estimator):
         """The present `Estimate`."""
         return self._kernel.estimate()
 
+    def open_memory(self, keep: float, parameter: str | None = None) -> None:
+        """After a change of the plant: only the part `keep` in (0, 1] of what was gathered counts from now on.
+
+        parameter: what changed; what is known of the others for a given value of it stays. None: all. The estimate
+        stays where it is and its variance grows (covariance reset, Goodwin and Sin 1984, in information form); filters
+        and auxiliary model go on. Raises UsageError for another keep or an unknown parameter.
+        """
+        if not 0 < keep <= 1:
+            raise UsageError(f"keep must be in (0, 1], got {keep}; 0.001 lets new samples prevail at once")
+        if parameter is not None and parameter not in self.names:
+            raise UsageError(f"parameter must be one of {list(self.names)} or None, got {parameter!r}")
+        self._kernel.open(keep, -1 if parameter is None else self.names.index(parameter))
+
     def reset(self) -> None:
         """Forgets all samples."""
         self._kernel.reset()
 
     def get_state(self) -> bytes:
-        """The whole state; `set_state` of an estimator with the same configuration continues from it."""
-        state: bytes = self._kernel.get_state()
-        return state
+        """The whole state, with a version and checksums; `set_state` of an estimator with the same configuration, or
+        the firmware exported from it, continues from it."""
+        from pmfid.layout.saved import save_state
+
+        return save_state(self._kernel, self.precision)
 
     def set_state(self, state: bytes) -> None:
-        """Continues from a saved state. Raises UsageError for one of another configuration."""
-        try:
-            self._kernel.set_state(state)
-        except ValueError as error:
-            raise UsageError(str(error)) from None
+        """Continues from a saved state. Raises UsageError for one of another configuration or a damaged one."""
+        from pmfid.layout.saved import load_state
+
+        load_state(self._kernel, self.precision, state)

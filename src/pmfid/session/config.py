@@ -168,6 +168,25 @@ class EstimatorConfig(FileSection):
     precision: Literal["float64", "float32"] = Field("float64", description="the arithmetic of the kernel")
 
 
+class MonitorConfig(FileSection):
+    """[monitor]: what `pmfid monitor` compares with, and how often it may be wrong."""
+
+    reference: Name | None = Field(
+        None, description='a record of normal work with the same columns, beside AXIS.toml: "normal.csv"'
+    )
+    nominal: dict[str, float] | None = Field(
+        None,
+        description="the normal value of every parameter, { mass = 1.07, ... }, or leave it out: from the reference",
+    )
+    detector: Literal["cusum", "page-hinkley", "glr", "chi-square"] = Field("glr", description="the detector")
+    mtbf_hours: float = Field(
+        24.0, ge=0.1, le=1e6, description="the mean time between false alarms in hours, for example 24.0"
+    )
+    tolerance: float = Field(
+        0.02, ge=0, lt=1, description="the relative deviation that is no change, for example 0.02 for 2 %"
+    )
+
+
 class Axis(FileSection):
     """One axis of motion: the whole of AXIS.toml."""
 
@@ -175,6 +194,7 @@ class Axis(FileSection):
     encoder: EncoderConfig = Field(description="a section with at least the resolution")
     model: ModelConfig = Field(description="a section with at least the input_gain")
     estimator: EstimatorConfig = Field(description="a section with at least the cutoff")
+    monitor: MonitorConfig = Field(MonitorConfig(), description="a section that names the reference")
 
 
 def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis:

@@ -29,4 +29,17 @@ def simulate_position_control(
     u_max: float,
     resolution: float,
     phase: float,
+    lines: _Floats,
+    shift: _Floats,
+    missed: float,
+    seed: int,
 ) -> tuple[_Floats, _Floats, _Floats, _Floats, _Floats, NDArray[np.int64]]: ...
+def read_encoder(
+    x: _Floats,
+    resolution: float,
+    phase: float,
+    lines: _Floats,
+    shift: _Floats,
+    missed: float,
+    seed: int,
+) -> NDArray[np.int64]: ...

@@ -10,11 +10,10 @@ here, their values by the callers in drive.py and control.py.
 
 import numpy as np
 
-from libc.math cimport expm1, fabs, floor, log1p
-from libc.stdint cimport int64_t
+from libc.math cimport expm1, fabs, log1p
+from libc.stdint cimport int64_t, uint64_t
 
-# Beyond 2**53 neighbouring whole numbers are no longer separate doubles: a count would be made up.
-cdef double COUNT_LIMIT = 9007199254740992.0
+from pmfid.simulation._reader cimport Reader, make_reader, read, readable
 
 
 cdef struct Parameters:
@@ -125,10 +124,11 @@ def simulate_open_loop(const double[::1] u, double dt, const double[::1] mass, c
 def simulate_position_control(const double[::1] reference, double dt, const double[::1] mass,
                               const double[::1] viscous, const double[::1] coulomb,
                               const double[::1] input_gain, const double[::1] offset, double x0, double v0,
-                              double kp, double kd, double u_max, double resolution, double phase):
+                              double kp, double kd, double u_max, double resolution, double phase,
+                              const double[::1] lines, const double[::1] shift, double missed, uint64_t seed):
     """PD control through the encoder: x, v (n + 1,), direction, moving, u (n,), counts (n,) int64; SI units.
 
-    y_k = resolution floor((x_k + phase) / resolution),
+    y_k = resolution counts_k, counts as in `read_encoder`,
     u_k = clip(kp (reference_k - y_k) - kd (y_k - y_{k-1}) / dt, -u_max, u_max), y_{-1} = y_0.
     """
     cdef Py_ssize_t n = reference.shape[0], k
@@ -137,18 +137,18 @@ def simulate_position_control(const double[::1] reference, double dt, const doub
     cdef double[::1] x = out[0], v = out[1], direction = out[2], moving = out[3], u = out[4]
     cdef int64_t[::1] counts = out[5]
     cdef State state = State(x0, v0, 0.0, 0.0)
-    cdef double level, y, previous = 0.0
-    cdef bint readable = True
+    cdef double y, previous = 0.0
+    cdef bint in_range = True
+    cdef Reader reader = new_reader(n, resolution, phase, lines, shift, missed, seed)
     with nogil:
         for k in range(n):
             x[k] = state.x
             v[k] = state.v
-            level = floor((state.x + phase) / resolution)
-            readable = fabs(level) <= COUNT_LIMIT
-            if not readable:
+            in_range = readable(&reader, state.x)
+            if not in_range:
                 break
-            counts[k] = <int64_t>level
-            y = resolution * level
+            counts[k] = read(&reader, state.x, k)
+            y = resolution * counts[k]
             if k == 0:
                 previous = y
             u[k] = max(-u_max, min(u_max, kp * (reference[k] - y) - kd * (y - previous) / dt))
@@ -158,7 +158,32 @@ def simulate_position_control(const double[::1] reference, double dt, const doub
             moving[k] = state.moving
         x[n] = state.x
         v[n] = state.v
-    if not readable:
+    if not in_range:
         raise ValueError(f"position {state.x} m at sample {k} is beyond 2**53 counts of {resolution} m; "
                          "use a larger resolution or a smaller motion")
+    return out
+
+
+cdef Reader new_reader(Py_ssize_t n, double resolution, double phase, const double[::1] lines,
+                       const double[::1] shift, double missed, uint64_t seed) except *:
+    if lines.shape[0] < 1 or shift.shape[0] not in (0, n):
+        raise ValueError(f"lines must not be empty, shift must have length 0 or {n}, got {shift.shape[0]}")
+    return make_reader(resolution, phase, &lines[0], lines.shape[0], &shift[0] if shift.shape[0] else NULL,
+                       missed, seed)
+
+
+def read_encoder(const double[::1] x, double resolution, double phase, const double[::1] lines,
+                 const double[::1] shift, double missed, uint64_t seed):
+    """Counts (n,) int64 of positions x (n,) [m], within 2**53 counts.
+
+    lines (m,): by how much each line of a turn lies beside its place [counts]; shift (n,) or (0,): of the whole
+    scale at a sample [counts]; missed: probability that an edge is not counted; seed: of that.
+    """
+    cdef Py_ssize_t n = x.shape[0], k
+    out = np.empty(n, dtype=np.int64)
+    cdef int64_t[::1] counts = out
+    cdef Reader reader = new_reader(n, resolution, phase, lines, shift, missed, seed)
+    with nogil:
+        for k in range(n):
+            counts[k] = read(&reader, x[k], k)
     return out

@@ -4,16 +4,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.simulation._plant import simulate_position_control
-from pmfid.simulation.drive import (
-    Counts,
-    Drive,
-    Motion,
-    as_motion,
-    as_schedule,
-    as_signal,
-    check_number,
-    sample_times,
-)
+from pmfid.simulation.checks import as_signal, check_number, sample_times
+from pmfid.simulation.drive import Drive, Motion, as_motion, as_schedule
+from pmfid.simulation.encoder import NO_FAULTS, Counts, Faults, wrapped
 
 
 def position_control(
@@ -26,14 +19,17 @@ def position_control(
     u_max: float,
     resolution: float,
     phase: float = 0.0,
+    bits: int | None = None,
+    faults: Faults = NO_FAULTS,
 ) -> tuple[Motion, Counts]:
     """Return the motion and the counts (n,) of a drive whose PD controller sees only the encoder.
 
-    y_k = resolution * counts_k,  counts_k = floor((x_k + phase) / resolution)   (paper eq. 3)
+    y_k = resolution * counts_k,  counts_k = floor((x_k + phase) / resolution)   (paper eq. 3), or with `faults`
     u_k = kp (reference_k - y_k) - kd (y_k - y_{k-1}) / dt, limited to +-u_max, y_{-1} = y_0
 
     reference (n,) [m]; dt > 0 [s]; kp >= 0 [V/m]; kd >= 0 [V s/m]; u_max > 0 [V]; resolution > 0 [m];
-    phase [m]. Starts at rest at x = 0. There is no integral part: friction leaves an error of up to
+    phase [m]. bits: width of the register that is returned; the controller itself counts on. Starts at rest at
+    x = 0. There is no integral part: friction leaves an error of up to
     coulomb_friction / (input_gain kp). Raises ValueError for wrong arguments.
     """
     check_number("dt", dt, above=0.0, remedy="give the sample period in seconds")
@@ -46,6 +42,6 @@ def position_control(
     target = as_signal("reference", reference)
     columns = as_schedule(parameters).at(sample_times(target.size, dt), dt)
     x, v, direction, moving, u, counts = simulate_position_control(
-        target, dt, *columns, 0.0, 0.0, kp, kd, u_max, resolution, phase
+        target, dt, *columns, 0.0, 0.0, kp, kd, u_max, resolution, phase, *faults.drawn(target.size)
     )
-    return as_motion(dt, u, x, v, direction, moving), counts
+    return as_motion(dt, u, x, v, direction, moving), wrapped(counts, bits)

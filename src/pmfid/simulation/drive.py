@@ -1,4 +1,4 @@
-"""A drive with viscous and Coulomb friction under a given input, and the encoder that watches it."""
+"""A drive with viscous and Coulomb friction under a given input."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,46 +6,13 @@ from itertools import pairwise
 from math import isfinite
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pmfid.simulation._plant import simulate_open_loop
+from pmfid.simulation.checks import Floats, as_signal, check_number, sample_times
+from pmfid.simulation.encoder import quantize as quantize  # the way to it before it had a file of its own
 
-Floats = NDArray[np.float64]
-Counts = NDArray[np.int64]
 Columns = tuple[Floats, Floats, Floats, Floats, Floats]
-
-# Up to 2**53 every whole number is a double of its own; a larger count would be made up.
-COUNT_LIMIT = 2**53
-
-
-def check_number(name: str, value: float, *, above: float = -np.inf, remedy: str = "pass a finite number") -> None:
-    """Raise ValueError unless `value` is finite and > `above`."""
-    if not (isfinite(value) and value > above):
-        bound = "finite" if above == -np.inf else f"finite and > {above:g}"
-        raise ValueError(f"{name} must be {bound}, got {value}; {remedy}")
-
-
-def check_whole(name: str, value: int, low: int, high: float, remedy: str) -> None:
-    """Raise ValueError unless `value` is a whole number in [low, high]."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
-        bound = f"of at least {low}" if high == np.inf else f"in [{low}, {high:g}]"
-        raise ValueError(f"{name} must be a whole number {bound}, got {value}; {remedy}")
-
-
-def as_signal(name: str, values: ArrayLike) -> Floats:
-    """Return a float64 copy (n,) of `values`; raise ValueError unless 1-D, finite and n >= 1."""
-    signal = np.array(values, dtype=np.float64, order="C")
-    if np.ndim(values) != 1 or signal.size == 0:
-        raise ValueError(f"{name} must have shape (n,), n >= 1, got {np.shape(values)}; pass one value per sample")
-    bad = np.flatnonzero(~np.isfinite(signal))
-    if bad.size:
-        raise ValueError(f"{name}[{bad[0]}] is {signal[bad[0]]}, it must be finite; repair or leave out that sample")
-    return signal
-
-
-def sample_times(samples: int, dt: float) -> Floats:
-    """Return the instants k dt, (samples,)."""
-    return np.arange(samples, dtype=np.float64) * np.float64(dt)
 
 
 @dataclass(frozen=True)
@@ -75,13 +42,16 @@ class DriveParameters:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Drive parameters that change in steps: `changes` are pairs (time [s], parameters valid from then on).
+    """Drive parameters that change: `changes` are pairs (time [s], parameters valid from then on).
 
     The first time is 0, times increase. A change takes effect at the first sample at or after its time; the
-    velocity does not jump. Raises ValueError for times out of order.
+    velocity does not jump. ramps: for each change the time [s] >= 0 over which the parameters move to the new ones
+    along a straight line, a new value every sample; () is no ramp anywhere, the first is 0. A ramp ends before the
+    next change. Raises ValueError for times out of order.
     """
 
     changes: tuple[tuple[float, DriveParameters], ...]
+    ramps: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "changes", tuple((time, parameters) for time, parameters in self.changes))
@@ -90,17 +60,33 @@ class Schedule:
             raise ValueError(f"schedule must start at time 0, got {times[:1]}; begin with (0.0, parameters)")
         for before, after in pairwise(times):
             check_number("schedule time", after, above=before, remedy="sort the changes by time, each once")
+        object.__setattr__(self, "ramps", tuple(self.ramps) or (0.0,) * len(times))
+        self._check_ramps([*times, np.inf])
+
+    def _check_ramps(self, times: list[float]) -> None:
+        if len(self.ramps) != len(self.changes) or self.ramps[0] != 0.0:
+            raise ValueError(f"ramps must be one time per change, the first 0, got {self.ramps}; leave out for none")
+        for ramp, (begin, end) in zip(self.ramps, pairwise(times), strict=True):
+            if not 0.0 <= ramp <= end - begin:
+                raise ValueError(f"ramp must be >= 0 and end before the next change, got {ramp}; give a time in s")
 
     def at(self, t: ArrayLike, dt: float) -> Columns:
         """Return mass, viscous and Coulomb friction, input gain and offset at the instants `t`, each (n,)."""
         # k*dt may fall a rounding error short of the time meant.
         times = np.array([time for time, _ in self.changes]) - 1e-6 * dt
         index = np.searchsorted(times, t, side="right") - 1
-        table = np.array(
-            [(p.mass, p.viscous_friction, p.coulomb_friction, p.input_gain, p.offset) for _, p in self.changes]
-        )
-        mass, viscous, coulomb, input_gain, offset = np.ascontiguousarray(table[index].T)
+        table = np.array([_row(p) for _, p in self.changes])
+        values = table[index]
+        for i in np.flatnonzero(self.ramps):
+            on = index == i
+            part = np.clip((np.asarray(t)[on] - self.changes[i][0]) / self.ramps[i], 0.0, 1.0)
+            values[on] = table[i - 1] + part[:, None] * (table[i] - table[i - 1])
+        mass, viscous, coulomb, input_gain, offset = np.ascontiguousarray(values.T)
         return mass, viscous, coulomb, input_gain, offset
+
+
+def _row(p: DriveParameters) -> tuple[float, ...]:
+    return p.mass, p.viscous_friction, p.coulomb_friction, p.input_gain, p.offset
 
 
 Drive = DriveParameters | Schedule | Sequence[tuple[float, DriveParameters]]
@@ -154,25 +140,3 @@ def simulate_drive(parameters: Drive, u: ArrayLike, dt: float, x0: float = 0.0, 
     signal = as_signal("u", u)
     columns = as_schedule(parameters).at(sample_times(signal.size, dt), dt)
     return as_motion(dt, signal, *simulate_open_loop(signal, dt, *columns, x0, v0))
-
-
-def quantize(x: ArrayLike, resolution: float, phase: float = 0.0, bits: int | None = None) -> Counts:
-    """Return the encoder counts floor((x + phase) / resolution), shape of `x`, int64 (paper eq. 3).
-
-    x, phase, resolution > 0 in the same unit [m]. With `bits` (1 to 63) the counter is that of a register
-    without sign: it wraps modulo 2**bits. Raises ValueError for values that
-    aren't finite or exceed 2**53 counts.
-    """
-    check_number("resolution", resolution, above=0.0, remedy="give the travel per count in m")
-    check_number("phase", phase, remedy="give the start position on the encoder lattice in m")
-    with np.errstate(over="ignore"):  # the check below tells it
-        level = np.floor((np.asarray(x, dtype=np.float64) + phase) / resolution)
-    if not (np.abs(level) <= COUNT_LIMIT).all():
-        raise ValueError(
-            f"x must be finite and within 2**53 counts of {resolution} m; check the units of x and resolution"
-        )
-    counts = np.asarray(level, dtype=np.int64)
-    if bits is None:
-        return counts
-    check_whole("bits", bits, 1, 63, "give the width of the counter register")
-    return counts & np.int64(2**bits - 1)

@@ -1,54 +1,117 @@
 """Named, seeded runs of the laboratory cart: the same name and seed give the same bytes."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
+from pmfid.simulation.changes import friction_growth, mass_ramp, mass_step, slipping_belt
+from pmfid.simulation.checks import Floats, check_number, check_whole
 from pmfid.simulation.control import position_control
-from pmfid.simulation.drive import (
-    Counts,
-    DriveParameters,
-    Motion,
-    Schedule,
-    check_number,
-    check_whole,
-    quantize,
-    simulate_drive,
-)
-from pmfid.simulation.signals import prbs, stop_and_go
+from pmfid.simulation.drive import DriveParameters, Motion, Schedule, simulate_drive
+from pmfid.simulation.encoder import NO_FAULTS, Counts, Faults, quantize
+from pmfid.simulation.signals import multisine, prbs, random_moves, steps, stop_and_go
 
 CART = DriveParameters(mass=1.07, viscous_friction=12.8, coulomb_friction=0.8, input_gain=2.0)
 CART_LOADED = replace(CART, mass=1.44)
 CART_DT = 0.01
 CART_INCREMENTS = 4096
 CART_RESOLUTION = 22.75e-6
+#: PD position control of the cart, as on the bench: V/m, V s/m, V.
+CART_CONTROL = {"kp": 200.0, "kd": 5.0, "u_max": 6.0}
+STROKE, MOVE_TIME, DWELL_TIME = 0.2, 0.8, 0.5
+#: Hz
+TONES = (0.2, 0.5, 0.9, 1.4, 2.1, 3.0, 4.3, 6.2)
+
+Signal = Callable[[int, np.random.Generator], Floats]
+
+
+def _rest_in_the_middle(samples: int, rng: np.random.Generator) -> Floats:
+    moving = stop_and_go(samples, CART_DT, STROKE, MOVE_TIME, DWELL_TIME)
+    cycle = round((MOVE_TIME + DWELL_TIME) / CART_DT)
+    # from the end of a dwell to the start of a move at the same place, so that the reference does not jump
+    begin, end = (2 * cycle * (part * samples // (8 * cycle)) for part in (1, 3))
+    moving[begin:end] = 0.0
+    return moving
+
+
+#: Input u [V] of the open loop, from the number of samples and the random generator.
+INPUTS: Mapping[str, Signal] = MappingProxyType(
+    {
+        "prbs": lambda n, rng: prbs(n, clock=10, amplitude=3.0, rng=rng),
+        "multisine": lambda n, rng: multisine(n, CART_DT, TONES, 6.0, rng),
+    }
+)
+#: Position reference [m] of the closed loop.
+REFERENCES: Mapping[str, Signal] = MappingProxyType(
+    {
+        "stop-and-go": lambda n, rng: stop_and_go(n, CART_DT, STROKE, MOVE_TIME, DWELL_TIME),
+        "trapezoid": lambda n, rng: stop_and_go(n, CART_DT, STROKE, MOVE_TIME, DWELL_TIME, "trapezoid"),
+        "moves": lambda n, rng: random_moves(n, CART_DT, 2 * STROKE, MOVE_TIME, DWELL_TIME, rng),
+        "steps": lambda n, rng: steps(n, CART_DT, STROKE / 2, 1.0),
+        "prbs-reference": lambda n, rng: prbs(n, clock=40, amplitude=STROKE / 8, rng=rng),
+        "multisine-reference": lambda n, rng: multisine(n, CART_DT, TONES[:5], STROKE / 4, rng),
+        "standstill": _rest_in_the_middle,
+    }
+)
+#: Schedule of the parameters, from the duration of the run [s].
+CHANGES: Mapping[str, Callable[[float], Schedule]] = MappingProxyType(
+    {
+        "constant": lambda duration: Schedule(((0.0, CART),)),
+        "mass-step": lambda duration: mass_step(CART, CART_LOADED.mass, duration / 2.0),
+        "mass-ramp": lambda duration: mass_ramp(CART, CART_LOADED.mass, duration / 3.0, duration / 3.0),
+        "friction-growth": lambda duration: friction_growth(CART, 1.5, duration / 3.0, duration / 3.0),
+        "slipping-belt": lambda duration: slipping_belt(CART, 0.8, duration / 2.0),
+    }
+)
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a scenario does: open loop or position control, constant mass or a step half-way."""
+    """What a scenario does: its signal (of INPUTS or REFERENCES) and what changes (of CHANGES)."""
 
     summary: str
-    closed_loop: bool
-    mass_step: bool
+    signal: str
+    change: str = "constant"
 
+    @property
+    def closed_loop(self) -> bool:
+        """Under position control through the encoder?"""
+        return self.signal in REFERENCES
+
+
+_STEP, _RAMP = "mass 1.07 to 1.44 kg half-way", "mass 1.07 to 1.44 kg over the middle third"
+_GROWTH, _SLIP = "friction grows by half over the middle third", "input gain 2.0 to 1.6 N/V half-way"
 
 SCENARIOS: Mapping[str, Recipe] = MappingProxyType(
     {
-        "prbs": Recipe("random binary input of 3 V, constant mass", False, False),
-        "mass-step": Recipe("random binary input of 3 V, mass 1.07 to 1.44 kg half-way", False, True),
-        "stop-and-go": Recipe("position control through the encoder, moves and dwells", True, False),
-        "stop-and-go-mass-step": Recipe("stop-and-go, mass 1.07 to 1.44 kg half-way", True, True),
+        "prbs": Recipe("random binary input of 3 V", "prbs"),
+        "mass-step": Recipe(f"random binary input of 3 V, {_STEP}", "prbs", "mass-step"),
+        "friction-growth": Recipe(f"random binary input of 3 V, {_GROWTH}", "prbs", "friction-growth"),
+        "multisine": Recipe("sum of eight sines, 0.2 to 6.2 Hz, 6 V", "multisine"),
+        "stop-and-go": Recipe("position control, moves of 0.2 m and dwells", "stop-and-go"),
+        "stop-and-go-mass-step": Recipe(f"stop-and-go, {_STEP}", "stop-and-go", "mass-step"),
+        "stop-and-go-mass-ramp": Recipe(f"stop-and-go, {_RAMP}", "stop-and-go", "mass-ramp"),
+        "stop-and-go-friction-growth": Recipe(f"stop-and-go, {_GROWTH}", "stop-and-go", "friction-growth"),
+        "stop-and-go-slipping-belt": Recipe(f"stop-and-go, {_SLIP}", "stop-and-go", "slipping-belt"),
+        "trapezoid": Recipe("position control, moves of constant acceleration and dwells", "trapezoid"),
+        "moves": Recipe("position control, moves between random places, random dwells", "moves"),
+        "moves-mass-step": Recipe(f"random moves, {_STEP}", "moves", "mass-step"),
+        "steps": Recipe("position control, steps of 0.1 m: the input saturates", "steps"),
+        "prbs-reference": Recipe("position control, random binary reference of 25 mm", "prbs-reference"),
+        "multisine-reference": Recipe("position control, reference of five sines", "multisine-reference"),
+        "standstill": Recipe("stop-and-go, at rest for the second and third quarter", "standstill"),
     }
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A run and its truth: motion and counts (n,), resolution [m per count], dt [s], parameters over time."""
+    """A run and its truth: motion and counts (n,), resolution [m per count], dt [s], parameters over time.
+
+    bits: width of the register that the counts are from, None: it does not wrap.
+    """
 
     name: str
     motion: Motion
@@ -56,6 +119,7 @@ class Scenario:
     resolution: float
     dt: float
     schedule: Schedule
+    bits: int | None = None
 
 
 def resolution_of(increments: int) -> float:
@@ -64,56 +128,37 @@ def resolution_of(increments: int) -> float:
     return CART_RESOLUTION * CART_INCREMENTS / increments
 
 
-def make_scenario(name: str, *, seed: int = 0, increments: int = CART_INCREMENTS, duration: float = 30.0) -> Scenario:
+def make_scenario(
+    name: str,
+    *,
+    seed: int = 0,
+    increments: int = CART_INCREMENTS,
+    duration: float = 30.0,
+    bits: int | None = None,
+    faults: Faults = NO_FAULTS,
+    schedule: Schedule | None = None,
+) -> Scenario:
     """Return the scenario `name` (a key of SCENARIOS) of `duration` [s], encoder of `increments` per turn.
 
-    The seed draws the start phase on the encoder lattice and the random input; the input does not depend on
-    `increments`. Raises ValueError for an unknown name and for values out of range.
+    The seed draws the start phase on the encoder lattice and the random signals; an input does not depend on
+    `increments`. bits: width of the counter, which then wraps; faults: of the encoder; schedule: in place of the
+    scenario's own. Raises ValueError for an unknown name and for values out of range.
     """
     if name not in SCENARIOS:
         raise ValueError(f"unknown scenario {name!r}; choose one of: {', '.join(SCENARIOS)}")
     check_whole("seed", seed, 0, np.inf, "any whole number from 0 on will do")
     check_number("duration", duration, above=CART_DT, remedy="give the length of the run in seconds")
-    rng = np.random.default_rng(seed)
+    recipe, rng, samples = SCENARIOS[name], np.random.default_rng(seed), round(duration / CART_DT)
     resolution = resolution_of(increments)
     phase = resolution * rng.random()
-    schedule = _schedule(SCENARIOS[name], duration)
-    run = _stop_and_go if SCENARIOS[name].closed_loop else _prbs
-    motion, counts = run(schedule, round(duration / CART_DT), resolution, phase, rng)
-    return Scenario(name, motion, counts, resolution, CART_DT, schedule)
-
-
-def _schedule(recipe: Recipe, duration: float) -> Schedule:
-    if recipe.mass_step:
-        return Schedule(((0.0, CART), (duration / 2.0, CART_LOADED)))
-    return Schedule(((0.0, CART),))
-
-
-def _prbs(
-    schedule: Schedule, samples: int, resolution: float, phase: float, rng: np.random.Generator
-) -> tuple[Motion, Counts]:
-    u = prbs(samples, clock=10, amplitude=3.0, rng=rng)
-    motion = simulate_drive(schedule, u, CART_DT)
-    return motion, quantize(motion.x, resolution, phase)
-
-
-def _stop_and_go(
-    schedule: Schedule, samples: int, resolution: float, phase: float, rng: np.random.Generator
-) -> tuple[Motion, Counts]:
-    # The closed loop draws nothing more from rng: its only random number is the start phase.
-    reference = stop_and_go(samples, CART_DT, stroke=0.2, move_time=0.8, dwell_time=0.5)
-    return position_control(
-        schedule, reference, CART_DT, kp=200.0, kd=5.0, u_max=6.0, resolution=resolution, phase=phase
-    )
-
-
-def write_csv(scenario: Scenario, path: str | Path) -> None:
-    """Write the columns t [s], u [V], counts; floats read back to the same bits, lines end in a line feed.
-
-    Raises OSError if the file can't be written.
-    """
-    motion = scenario.motion
-    with open(path, "w", encoding="ascii", newline="\n") as file:
-        file.write("t,u,counts\n")
-        for t, u, count in zip(motion.t.tolist(), motion.u.tolist(), scenario.counts.tolist(), strict=True):
-            file.write(f"{t!r},{u!r},{count}\n")
+    parameters = CHANGES[recipe.change](duration) if schedule is None else schedule
+    if recipe.closed_loop:
+        reference = REFERENCES[recipe.signal](samples, rng)
+        lattice = {"resolution": resolution, "phase": phase}
+        motion, counts = position_control(
+            parameters, reference, CART_DT, **CART_CONTROL, **lattice, bits=bits, faults=faults
+        )
+    else:
+        motion = simulate_drive(parameters, INPUTS[recipe.signal](samples, rng), CART_DT)
+        counts = quantize(motion.x, resolution, phase, bits, faults)
+    return Scenario(name, motion, counts, resolution, CART_DT, parameters, bits)

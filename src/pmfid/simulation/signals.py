@@ -1,9 +1,11 @@
 """Inputs that excite a drive, and position references that it is to follow."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.simulation.drive import Floats, as_signal, check_number, check_whole, sample_times
+from pmfid.simulation.checks import Floats, as_signal, check_number, check_whole, sample_times
 
 _MAX_STAGES = 24
 
@@ -84,15 +86,24 @@ def _smooth_step(tau: Floats) -> Floats:
     return tau**3 * (10.0 + tau * (6.0 * tau - 15.0))
 
 
+def _trapezoid_step(tau: Floats) -> Floats:
+    """Rise from 0 at tau <= 0 to 1 at tau >= 1: a third of the time to accelerate, to cruise and to brake."""
+    tau = np.clip(tau, 0.0, 1.0)
+    rise, fall = np.minimum(tau, 1.0 / 3.0), np.maximum(tau - 2.0 / 3.0, 0.0)
+    return 2.25 * rise**2 + 1.5 * (tau - rise) - 2.25 * fall**2
+
+
+#: Shape of one move -> rise from 0 to 1 over tau in [0, 1].
+SHAPES: dict[str, Callable[[Floats], Floats]] = {"s-curve": _smooth_step, "trapezoid": _trapezoid_step}
+
+
 def trapezoid(samples: int, dt: float, stroke: float, move_time: float) -> Floats:
     """Return a position reference (samples,) [m] from 0 to `stroke` in move_time [s], then held.
 
     The velocity is a trapezoid: a third of the time each to accelerate, cruise (at 1.5 stroke/move_time) and
     brake. Raises ValueError unless dt, move_time > 0 and stroke is finite.
     """
-    tau = np.clip(_phase_of_move(samples, dt, stroke, move_time), 0.0, 1.0)
-    rise, fall = np.minimum(tau, 1.0 / 3.0), np.maximum(tau - 2.0 / 3.0, 0.0)
-    return stroke * (2.25 * rise**2 + 1.5 * (tau - rise) - 2.25 * fall**2)
+    return stroke * _trapezoid_step(_phase_of_move(samples, dt, stroke, move_time))
 
 
 def s_curve(samples: int, dt: float, stroke: float, move_time: float) -> Floats:
@@ -104,15 +115,59 @@ def s_curve(samples: int, dt: float, stroke: float, move_time: float) -> Floats:
     return stroke * _smooth_step(_phase_of_move(samples, dt, stroke, move_time))
 
 
-def stop_and_go(samples: int, dt: float, stroke: float, move_time: float, dwell_time: float) -> Floats:
-    """Return a position reference (samples,) [m]: 0 to `stroke`, dwell, back to 0, dwell, and so on.
-
-    Each move is an `s_curve` of move_time [s] > 0, each dwell lasts dwell_time [s] >= 0. Raises
-    ValueError for values out of range.
-    """
-    tau = _phase_of_move(samples, dt, stroke, move_time)
+def _check_dwell(dwell_time: float) -> None:
     if not (np.isfinite(dwell_time) and dwell_time >= 0.0):
         raise ValueError(f"dwell_time must be finite and >= 0, got {dwell_time}; give the pause in seconds")
+
+
+def stop_and_go(
+    samples: int, dt: float, stroke: float, move_time: float, dwell_time: float, shape: str = "s-curve"
+) -> Floats:
+    """Return a position reference (samples,) [m]: 0 to `stroke`, dwell, back to 0, dwell, and so on.
+
+    Each move is an `s_curve` (or, by its shape, a `trapezoid`) of move_time [s] > 0, each dwell lasts
+    dwell_time [s] >= 0. Raises ValueError for values out of range.
+    """
+    tau = _phase_of_move(samples, dt, stroke, move_time)
+    _check_dwell(dwell_time)
     leg, within = np.divmod(tau, 1.0 + dwell_time / move_time)
-    rise = _smooth_step(within)
+    rise = _rise(shape)(within)
     return stroke * np.where(leg % 2.0 == 0.0, rise, 1.0 - rise)
+
+
+def _rise(shape: str) -> Callable[[Floats], Floats]:
+    if shape not in SHAPES:
+        raise ValueError(f"unknown shape {shape!r}; choose one of: {', '.join(SHAPES)}")
+    return SHAPES[shape]
+
+
+def steps(samples: int, dt: float, stroke: float, hold_time: float) -> Floats:
+    """Return a position reference (samples,) [m] that jumps between `stroke` and 0, each held for hold_time [s] > 0.
+
+    Raises ValueError for values out of range.
+    """
+    leg = np.floor(_phase_of_move(samples, dt, stroke, hold_time) + 1e-9)
+    return np.asarray(np.where(leg % 2.0 == 0.0, stroke, 0.0), dtype=np.float64)
+
+
+def random_moves(
+    samples: int,
+    dt: float,
+    stroke: float,
+    move_time: float,
+    dwell_time: float,
+    rng: np.random.Generator,
+    shape: str = "s-curve",
+) -> Floats:
+    """Return a position reference (samples,) [m] of moves between random places in [0, stroke].
+
+    Each move takes move_time [s] > 0, each dwell 0 to 2 dwell_time [s], mean dwell_time >= 0. Raises ValueError for
+    values out of range.
+    """
+    tau = _phase_of_move(samples, dt, stroke, move_time)
+    _check_dwell(dwell_time)
+    rise, moves = _rise(shape), int(tau[-1]) + 1
+    places = np.r_[0.0, rng.uniform(0.0, stroke, moves)]
+    begin = np.r_[0.0, np.cumsum(1.0 + rng.uniform(0.0, 2.0 * dwell_time / move_time, moves))][:moves]
+    move = np.searchsorted(begin, tau, side="right") - 1
+    return np.asarray(places[move] + np.diff(places)[move] * rise(tau - begin[move]))

@@ -177,9 +177,9 @@ def _within(values: Floats, low: float, high: float) -> Flags:
     return (values >= low) & (values <= high)
 
 
-def settling_time(values: Floats, target: float, dt: float) -> float:
-    """Time from the first of `values` (n,) until they stay within 5 % of the target [s]; inf: never."""
-    outside = np.flatnonzero(~_within(values / target, 1 - BAND, 1 + BAND))
+def settling_time(values: Floats, target: float, dt: float, band: float = BAND) -> float:
+    """Time from the first of `values` (n,) until they stay within the band about the target [s]; inf: never."""
+    outside = np.flatnonzero(~_within(values / target, 1 - band, 1 + band))
     if outside.size == 0:
         return 0.0
     settled = int(outside[-1]) + 1

@@ -7,7 +7,7 @@
 #ifndef PMF_MANY_H
 #define PMF_MANY_H
 
-#include "pmf.h"
+#include "../pmf.h"
 
 /* Ways to compute: one axis after the other, or in vectors of 16, 32 (AVX2) or 64 bytes (AVX-512). */
 enum { PMF_ONE_BY_ONE = 0, PMF_LANES_16, PMF_LANES_32, PMF_LANES_64, PMF_WAYS };

@@ -13,14 +13,16 @@
 #define PMF_LANES (PMF_LANE_BYTES / 8)
 #endif
 
+#include "../pmf_sizes.h"
+#undef PMF_WINDOW_BLOCKS
 #define PMF_WINDOW_BLOCKS 0 /* seldom used, but most of the memory */
 
-#include "pmf_auxiliary.c"
-#include "pmf_encoder.c"
+#include "../pmf_auxiliary.c"
+#include "../pmf_encoder.c"
 #include "pmf_many.h"
-#include "pmf_network.c"
-#include "pmf_recursion.c"
-#include "pmf_step.c"
+#include "../pmf_network.c"
+#include "../pmf_recursion.c"
+#include "../pmf_step.c"
 
 #define TILE 32U /* samples that are brought into lanes at a time */
 

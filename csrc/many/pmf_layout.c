@@ -110,8 +110,10 @@ static uint32_t is_whole(uint32_t offset)
 {
     const uint32_t *list = whole_in_state;
     uint32_t length = LENGTH(whole_in_state), i;
-    if (offset >= IN_STATE(direct) && offset < END_IN_STATE(instrument)) {
-        offset -= offset < END_IN_STATE(direct) ? IN_STATE(direct) : IN_STATE(instrument);
+    uint32_t direct = offset >= IN_STATE(direct) && offset < END_IN_STATE(direct) ? 1U : 0U;
+    uint32_t instrument = offset >= IN_STATE(instrument) && offset < END_IN_STATE(instrument) ? 1U : 0U;
+    if (direct != 0U || instrument != 0U) {
+        offset -= direct != 0U ? IN_STATE(direct) : IN_STATE(instrument);
         list = whole_in_recursion;
         length = LENGTH(whole_in_recursion);
     }

@@ -74,6 +74,15 @@ static inline int pmf_any(truth_t truth)
 #endif
 }
 
+static __attribute__((unused)) void pmf_clear(void *memory, uint32_t size)
+{
+    word_t *word = (word_t *)memory;
+    uint32_t i;
+    for (i = 0; i < size / PMF_LANE_BYTES; ++i) {
+        word[i] = (truth_t){0};
+    }
+}
+
 /* Gives the axes for which the truth does not hold their words back. */
 static inline void pmf_restore(truth_t truth, void *object, const void *kept, uint64_t size)
 {

@@ -1,0 +1,24 @@
+/* Sizes and parts of this build: here room for every configuration. `pmfid export` writes this file anew, tight for its own.
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef PMF_SIZES_H
+#define PMF_SIZES_H
+
+#define PMF_MAX_STAGES 64
+#define PMF_MAX_TAPS 96
+#define PMF_MAX_PARAMETERS 8
+#define PMF_MAX_NOISE PMF_MAX_PARAMETERS
+#define PMF_MAX_COLUMNS (4 * PMF_MAX_PARAMETERS + 4)
+#define PMF_WINDOW_BLOCKS 8 /* of a sliding window; 0 saves their memory where no window is used */
+
+/* 0 leaves a part out, its code and its memory. */
+#define PMF_WITH_AUXILIARY 1 /* the auxiliary model and its recursion */
+#define PMF_WITH_SPLIT 1     /* signals beyond input, velocity and direction */
+#define PMF_WITH_NOISE 1     /* known covariance of the noise */
+
+#define PMF_LAYOUT 0U /* CRC-32 of the state's fields; in the module Python knows it */
+
+/* An export also says how many parameters every recursion has (PMF_PARAMETERS), whether it has instruments
+ * (PMF_INSTRUMENTAL) and how it forgets (PMF_SCHEME), and PMF_FLOAT32 where the arithmetic is that; here the module's build does. */
+
+#endif

@@ -1,0 +1,106 @@
+/* A state that outlives a loss of power, and what the arithmetic of this build does to its bits.
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "pmf.h"
+
+#define POLYNOMIAL 0xedb88320U /* CRC-32 of ISO 3309, bits reversed */
+
+uint32_t pmf_crc32(uint32_t crc, const void *data, uint32_t size)
+{
+    const unsigned char *byte = (const unsigned char *)data;
+    uint32_t i, bit;
+    crc = ~crc;
+    for (i = 0; i < size; ++i) {
+        crc ^= byte[i];
+        for (bit = 0; bit < 8U; ++bit) {
+            crc = (crc >> 1) ^ (POLYNOMIAL & (0U - (crc & 1U)));
+        }
+    }
+    return ~crc;
+}
+
+static uint32_t checksum(const pmf_saved_t *saved)
+{
+    uint32_t head[5];
+    head[0] = saved->magic;
+    head[1] = saved->version;
+    head[2] = saved->layout;
+    head[3] = saved->size;
+    head[4] = saved->config;
+    return pmf_crc32(pmf_crc32(0U, head, (uint32_t)sizeof head), &saved->state, (uint32_t)sizeof saved->state);
+}
+
+/* Byte by byte: an assignment need not copy the padding, which the checksum covers. */
+static void copy_state(const pmf_state_t *from, pmf_state_t *to)
+{
+    const unsigned char *source = (const unsigned char *)from;
+    volatile unsigned char *target = (volatile unsigned char *)to; /* else compilers call memcpy of the C library */
+    uint32_t i;
+    for (i = 0; i < (uint32_t)sizeof *to; ++i) {
+        target[i] = source[i];
+    }
+}
+
+void pmf_save(const pmf_config_t *config, const pmf_state_t *state, pmf_saved_t *saved)
+{
+    saved->magic = PMF_STATE_MAGIC;
+    saved->version = PMF_STATE_VERSION;
+    saved->layout = PMF_LAYOUT;
+    saved->size = (uint32_t)sizeof *saved;
+    saved->config = pmf_crc32(0U, config, (uint32_t)sizeof *config);
+    copy_state(state, &saved->state);
+    saved->checksum = checksum(saved);
+}
+
+uint32_t pmf_load(const pmf_config_t *config, const pmf_saved_t *saved, pmf_state_t *state)
+{
+    if (saved->magic != PMF_STATE_MAGIC || saved->size != (uint32_t)sizeof *saved) {
+        return PMF_NOT_A_STATE;
+    }
+    if (saved->checksum != checksum(saved)) {
+        return PMF_DAMAGED_STATE;
+    }
+    if (saved->version != PMF_STATE_VERSION || saved->layout != PMF_LAYOUT) {
+        return PMF_OTHER_VERSION;
+    }
+    if (saved->config != pmf_crc32(0U, config, (uint32_t)sizeof *config)) {
+        return PMF_OTHER_CONFIG;
+    }
+    copy_state(&saved->state, state);
+    return PMF_LOADED;
+}
+
+#ifdef PMF_FLOAT32
+#define SMALL PMF_R(0x1p-13)
+#define LARGE PMF_R(0x1p30)
+#define LEAST_NORMAL PMF_R(0x1p-126)
+#else
+#define SMALL PMF_R(0x1p-28)
+#define LARGE PMF_R(0x1p60)
+#define LEAST_NORMAL PMF_R(0x1p-1022)
+#endif
+
+/* The values are volatile, so that the target computes and not the compiler. */
+uint32_t pmf_arithmetic(void)
+{
+    volatile real_t above = PMF_R(1.0) + SMALL, below = PMF_R(1.0) - SMALL, one = PMF_R(1.0), zero = PMF_R(0.0);
+    volatile real_t large = LARGE, least = LEAST_NORMAL, half = PMF_R(0.5);
+    real_t a = above, b = below, c = one, nothing = zero, half_least;
+    uint32_t wrong = 0U;
+    if (a * b - c != PMF_R(0.0)) { /* the product rounds to one; fused or in a wider format it does not */
+        wrong |= PMF_CONTRACTED;
+    }
+    a = large;
+    if ((a + c) - a != PMF_R(0.0)) { /* the sum rounds to its large part; rearranged it is one */
+        wrong |= PMF_REARRANGED;
+    }
+    nothing = nothing / nothing;
+    if (nothing - nothing == PMF_R(0.0)) { /* not a number is not equal to anything */
+        wrong |= PMF_NO_NAN;
+    }
+    half_least = least * half;
+    if (half_least == PMF_R(0.0)) {
+        wrong |= PMF_FLUSHED;
+    }
+    return wrong;
+}

@@ -1,0 +1,49 @@
+"""The command `pmfid export`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pmfid.estimators import METHODS
+
+
+@click.command()
+@click.argument("axis_file", metavar="AXIS.toml", type=click.Path(path_type=Path))
+@click.option(
+    "--out", required=True, type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Where the C goes."
+)
+@click.option("--precision", type=click.Choice(["float32", "float64"]), help="Arithmetic of the drive.")
+@click.option("--prefix", metavar="NAME", help="Begins all names in the C; default: the name of AXIS.toml.")
+@click.option("--method", type=click.Choice(METHODS), help="A recursive one; auto is riv here.")
+@click.option("--cutoff", type=float, metavar="RAD/S", help="Pole of the filters.")
+@click.option("--forgetting", type=float, help="Weight of the past per sample, in (0, 1].")
+@click.option("--dt", type=float, metavar="S", help="Sample period of the drive, if AXIS.toml does not say.")
+@click.option(
+    "--record",
+    type=click.Path(path_type=Path),
+    help="A record of the axis: gives the sample period, the pre-filter zeros and the samples of the self-test.",
+)
+def export(
+    axis_file: Path, out: Path, prefix: str | None, record: Path | None, dt: float | None, **options: Any
+) -> None:
+    """Write the estimator of AXIS.toml as C99 that computes the same bits on a drive.
+
+    The folder has the kernel, its configuration, a header, an example, a Makefile, a CMake file and a self-test.
+    """
+    from pmfid.export.firmware import export_firmware
+    from pmfid.session.config import load_axis
+    from pmfid.session.firmware import drive_estimator
+    from pmfid.session.records import read_record
+
+    axis = load_axis(axis_file, {f"estimator.{key}": value for key, value in options.items()})
+    data = None if record is None else read_record(record, axis)
+    estimator = drive_estimator(axis, data, dt)
+    name = prefix or re.sub(r"\W+", "_", axis_file.stem.lower())
+    samples = None if data is None else (data.u, data.counts)
+    export_firmware(estimator, out, prefix=name, record=samples)
+    click.echo(f"{estimator.method}, {estimator.precision}, every {estimator.dt:.9g} s: {out / name}.h")
+    click.echo(f"the same bits? make -C {out} selftest && {out / 'selftest'}")

@@ -1,0 +1,72 @@
+"""Events of a monitored run as lines for people."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def sentence(event: dict[str, Any]) -> str:
+    """One line, or more at the start."""
+    return _SENTENCES[event["event"]](event)
+
+
+def _start(event: dict[str, Any]) -> str:
+    normal = ", ".join(f"{name} {value:.4g} {event['units'][name]}" for name, value in event["nominal"].items())
+    source = "from the cache" if event["cached"] else "now in the cache"
+    lines = [
+        f"normal: {normal}",
+        f"{event['detector']}, tolerance {100 * event['tolerance']:g} %, threshold {event['threshold']:.4g}: a false "
+        f"alarm in {event['mtbf_hours']:g} h on average ({event['hours']:.3g} h of normal work simulated, {source}: "
+        f"{event['calibration']})",
+        *(f"note: {note}" for note in event["notes"]),
+    ]
+    return "\n".join(lines)
+
+
+def _alarm(event: dict[str, Any]) -> str:
+    name = event["parameter"].replace("_", " ")
+    size = f"{event['change']:+.3g} ± {event['std']:.1g} {event['unit']}".rstrip()
+    part = f"{100 * event['relative']:+.1f} %"
+    return f"{event['time']:.2f} s  ALARM  {name} {part} ({size}) since {event['changed_at']:.2f} s"
+
+
+def _settled(event: dict[str, Any]) -> str:
+    values = (_value(name, found) for name, found in event["parameters"].items())
+    return f"{event['time']:.2f} s  now {', '.join(values)}"
+
+
+def _value(name: str, found: dict[str, Any]) -> str:
+    change = "" if found["change"] is None else f" ({100 * found['change']:+.1f} %)"
+    return f"{name.replace('_', ' ')} {found['value']:.4g}{change}"
+
+
+def _state(event: dict[str, Any]) -> str:
+    return f"{event['time']:.2f} s  {event['state']}" + (f": {event['reason']}" if event["reason"] else "")
+
+
+def _bad_line(event: dict[str, Any]) -> str:
+    return f"{event['time']:.2f} s  bad line: {event['problem']}"
+
+
+def _gap(event: dict[str, Any]) -> str:
+    return f"{event['time']:.2f} s  {event['missing']} samples are missing before this one"
+
+
+def _end(event: dict[str, Any]) -> str:
+    parts = [f"{event['samples']} samples", f"{event['alarms']} alarm{'s' * (event['alarms'] != 1)}"]
+    if event["bad_lines"]:
+        parts.append(f"{event['bad_lines']} bad lines")
+    if event["missing"]:
+        parts.append(f"{event['missing']} samples missing in {event['gaps']} gaps")
+    return ", ".join(parts)
+
+
+_SENTENCES = {
+    "start": _start,
+    "alarm": _alarm,
+    "settled": _settled,
+    "state": _state,
+    "bad line": _bad_line,
+    "gap": _gap,
+    "end": _end,
+}

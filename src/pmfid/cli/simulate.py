@@ -1,0 +1,73 @@
+"""The command `pmfid simulate`: a run of the simulated cart as a record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pmfid.errors import UsageError, did_you_mean
+
+
+@click.command()
+@click.argument("scenario", required=False)
+@click.option("--list", "listing", is_flag=True, help="Print the scenarios and stop.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="RUN.csv",
+    help="Where the record goes; the AXIS.toml that fits goes beside it, as RUN.toml.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of everything random.")
+@click.option("--increments", type=click.IntRange(min=1), default=4096, show_default=True, help="Of the encoder.")
+@click.option(
+    "--duration",
+    type=click.FloatRange(max=360_000),
+    default=30.0,
+    show_default=True,
+    metavar="S",
+    help="Length of the run.",
+)
+@click.option("--bits", type=click.IntRange(2, 32), help="Width of the counter, which then wraps around.")
+@click.option("--missed", type=float, default=0.0, metavar="P", help="Part of the edges that is not counted.")
+@click.option("--jitter", type=float, default=0.0, metavar="COUNTS", help="Standard deviation of the edges' places.")
+@click.option("--line-error", type=float, default=0.0, metavar="COUNTS", help="Largest error of a line of the disc.")
+@click.option("--truth", is_flag=True, help="Also write the true position, velocity and parameters.")
+def simulate(scenario: str | None, listing: bool, out: Path | None, truth: bool, **options: float) -> None:
+    """Simulate SCENARIO, a run of the laboratory cart, and write it as a record for `pmfid identify`."""
+    if listing:
+        _print_scenarios()
+        return
+    if scenario is None or out is None:
+        raise UsageError("give a scenario and --out RUN.csv; pmfid simulate --list names the scenarios")
+    if out.suffix.lower() != ".csv":
+        raise UsageError(f"the record is written as CSV, got {out.name!r}; name it {out.stem}.csv")
+    _write(scenario, out, truth, **options)
+
+
+def _write(
+    name: str, out: Path, truth: bool, missed: float, jitter: float, line_error: float, **options: float
+) -> None:
+    from pmfid.simulation import SCENARIOS, Faults, axis_toml, make_scenario, write_csv
+
+    if name not in SCENARIOS:
+        raise UsageError(f"unknown scenario {name!r}{did_you_mean(name, SCENARIOS)}; pmfid simulate --list names all")
+    try:
+        lines, seed = int(options["increments"]), int(options["seed"])
+        faults = Faults(missed, jitter, line_error, lines, seed)
+        run = make_scenario(name, faults=faults, **options)  # type: ignore[arg-type]
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_csv(run, out, truth)
+    axis = out.with_suffix(".toml")
+    axis.write_text(axis_toml(run), encoding="ascii", newline="\n")
+    click.echo(f"record: {out}\naxis:   {axis}\npmfid identify {out} --config {axis}")
+
+
+def _print_scenarios() -> None:
+    from pmfid.simulation import SCENARIOS
+
+    width = max(map(len, SCENARIOS))
+    for name, recipe in SCENARIOS.items():
+        click.echo(f"{name:<{width}}  {recipe.summary}")

@@ -1,0 +1,1 @@
+"""The memory of the kernel as Python sees it: its structures, and saved states."""

@@ -1,0 +1,106 @@
+"""Saved states: the bytes that firmware writes before it loses power, and Python reads; and the other way round."""
+
+from __future__ import annotations
+
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import UsageError
+from pmfid.layout.structures import Shape, Structures, constants_of, layout_number, resized, structures
+
+
+def configuration(kernel: Any, precision: str) -> NDArray[Any]:
+    """The kernel's configuration, at the module's own sizes."""
+    return np.frombuffer(kernel.raw_config(), structures(None, precision)["pmf_config_t"])[0]  # type: ignore[no-any-return]
+
+
+def shape_of(config: NDArray[Any]) -> Shape:
+    """The sizes and parts that a configuration needs."""
+    network, direct = config["network"], config["direct"]
+    recursions = [direct, config["instrument"]] if config["auxiliary"]["enabled"] else [direct]
+    columns = int(network["n_columns"])
+    parameters = max(int(recursion["n_parameters"]) for recursion in recursions)
+    noise = any(recursion["compensated"] or recursion["unexplained"] > 0 for recursion in recursions)
+    window = any(recursion["scheme"] == constants_of(None)["PMF_WINDOW"] for recursion in recursions)
+    nodes = {*network["stage"]["source"].tolist(), *network["tap"]["node"].tolist()}
+    return Shape(
+        max_stages=max(1, int(network["n_stages"])),
+        max_taps=int(network["tap_end"][columns - 1]),
+        max_parameters=parameters,
+        max_noise=parameters if noise else 1,
+        max_columns=columns,
+        window_blocks=constants_of(None)["PMF_WINDOW_BLOCKS"] if window else 0,
+        with_auxiliary=int(config["auxiliary"]["enabled"]),
+        with_split=int(any(node in split_signals() for node in nodes)),
+        with_noise=int(noise),
+    )
+
+
+def split_signals() -> range:
+    """Nodes of the signals beyond input, velocity and direction, which only some models and methods use."""
+    constants = constants_of(None)
+    return range(constants["PMF_MOVING"], constants["PMF_SIGNALS"])
+
+
+def tight_state(kernel: Any, precision: str, shape: Shape) -> NDArray[Any]:
+    """The kernel's state as firmware with its configuration has it; shape: of the configuration."""
+    own = np.frombuffer(kernel.raw_state(), structures(None, precision)["pmf_state_t"])[0]
+    state = resized(own, structures(shape, precision)["pmf_state_t"])
+    if not shape.with_split:
+        state["network"]["node"][split_signals()] = 0
+        state["encoder"]["change"] = state["encoder"]["travel"] = 0
+    return state
+
+
+def save_state(kernel: Any, precision: str) -> bytes:
+    """The bytes of the `pmf_saved_t` that firmware with the kernel's configuration would write."""
+    config = configuration(kernel, precision)
+    shape = shape_of(config)
+    types = structures(shape, precision)
+    saved = _envelope(config, shape, precision)
+    saved["state"] = tight_state(kernel, precision, shape)
+    saved["checksum"] = _checksum(saved.tobytes(), types)
+    return saved.tobytes()
+
+
+def load_state(kernel: Any, precision: str, data: bytes) -> None:
+    """Sets the kernel's state to what `save_state` or firmware wrote. Raises UsageError for anything else."""
+    config = configuration(kernel, precision)
+    shape = shape_of(config)
+    types = structures(shape, precision)
+    expected = _envelope(config, shape, precision)
+    if len(data) != types["pmf_saved_t"].itemsize:
+        raise UsageError(_FOREIGN)
+    saved = np.frombuffer(data, types["pmf_saved_t"])[0]
+    if saved["checksum"] != _checksum(data, types):
+        raise UsageError("these bytes are not a state or are damaged: the checksum is wrong; start from an older state")
+    if any(saved[name] != expected[name] for name in ("magic", "version", "layout", "size", "config")):
+        raise UsageError(_FOREIGN)
+    own = structures(None, precision)["pmf_state_t"]
+    kernel.set_raw_state(resized(saved["state"], own).tobytes())
+
+
+_FOREIGN = (
+    "these bytes are not a state of this configuration; take it from an estimator with the same method, model, "
+    "encoder, dt, filters, precision and version"
+)
+
+
+def _envelope(config: NDArray[Any], shape: Shape, precision: str) -> NDArray[Any]:
+    """A `pmf_saved_t` of a configuration, still without state and checksum."""
+    types, constants = structures(shape, precision), constants_of(shape)
+    saved = np.zeros((), types["pmf_saved_t"])
+    saved["magic"], saved["version"] = constants["PMF_STATE_MAGIC"], constants["PMF_STATE_VERSION"]
+    saved["layout"] = layout_number(types["pmf_state_t"])
+    saved["size"] = saved.dtype.itemsize
+    saved["config"] = zlib.crc32(resized(config, types["pmf_config_t"]).tobytes())
+    return saved
+
+
+def _checksum(data: bytes, types: Structures) -> int:
+    saved = np.zeros((), types["pmf_saved_t"])
+    head, state = (saved[name].ctypes.data - saved.ctypes.data for name in ("checksum", "state"))
+    return zlib.crc32(data[state:], zlib.crc32(data[:head]))

@@ -1,0 +1,152 @@
+"""The structures of the kernel as NumPy types, read from csrc/pmf.h, so that Python and firmware share their bytes.
+
+The module's own structures have room for every configuration; an export and a saved state have those of one alone.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import UsageError
+
+Structures = dict[str, np.dtype[Any]]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What a configuration needs of the kernel; the names are those in pmf_sizes.h, see `macros`."""
+
+    max_stages: int
+    max_taps: int
+    max_parameters: int
+    max_noise: int
+    max_columns: int
+    window_blocks: int
+    with_auxiliary: int
+    with_split: int
+    with_noise: int
+
+    def macros(self) -> dict[str, int]:
+        """Name in pmf_sizes.h -> value."""
+        return {f"PMF_{name.upper()}": value for name, value in vars(self).items()}
+
+
+def source_folder() -> Path:
+    """Folder of the kernel's sources: beside the package, or in the checkout that it is installed from."""
+    import pmfid
+
+    places = [Path(__file__).parents[3] / "csrc", *(Path(path) / "csrc" for path in pmfid.__path__)]
+    for place in places:
+        if (place / "pmf.h").exists():
+            return place
+    raise UsageError("the kernel's sources are not in this installation; install pmfid again")
+
+
+@cache
+def header(name: str) -> str:
+    """A header of the kernel without comments."""
+    text = (source_folder() / name).read_text(encoding="ascii")
+    return re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+
+
+@cache
+def structures(shape: Shape | None, precision: str) -> Structures:
+    """Structure's name -> type, laid out as C does it. shape: None: the module's own sizes."""
+    constants = constants_of(shape)
+    whole, integer, real = (np.dtype(name) for name in ("<u4", "<i4", "<f4" if precision == "float32" else "<f8"))
+    types: Structures = {"uint32_t": whole, "whole_t": whole, "int32_t": integer, "integer_t": integer}
+    types |= {"scalar_t": real, "real_t": real}
+    for body, name in re.findall(r"typedef struct \{(.*?)\}\s*(\w+);", header("pmf.h"), re.DOTALL):
+        types[name] = np.dtype(_fields(_chosen(body, constants), types, constants), align=True)
+    return types
+
+
+def value(text: str, constants: Mapping[str, int]) -> int:
+    """The integer that a constant expression of C stands for."""
+    return int(eval(re.sub(r"\b(0x[0-9a-fA-F]+|\d+)[uU]\b", r"\1", text), {"__builtins__": {}}, dict(constants)))
+
+
+@cache
+def constants_of(shape: Shape | None) -> dict[str, int]:
+    """Integers that pmf_sizes.h and pmf.h name. shape: None: of the module."""
+    constants = {} if shape is None else shape.macros()
+    for text in (header("pmf_sizes.h"), header("pmf.h")):
+        for name, expression in re.findall(r"^#define (PMF_\w+) +(\S.*)$", text, re.MULTILINE):
+            with suppress(NameError):  # not an integer: a macro of the arithmetic
+                constants.setdefault(name, value(expression, constants))
+        for body in re.findall(r"\benum \{(.*?)\}", text, re.DOTALL):
+            following = 0
+            for entry in filter(None, (part.strip() for part in body.split(","))):
+                name, _, expression = (part.strip() for part in entry.partition("="))
+                constants[name] = value(expression, constants) if expression else following
+                following = constants[name] + 1
+    return constants
+
+
+def _chosen(body: str, constants: Mapping[str, int]) -> str:
+    """The lines that the preprocessor leaves of a structure."""
+    kept, conditions = [], [True]
+    for line in body.splitlines():
+        directive = line.strip()
+        if directive.startswith("#if "):
+            conditions.append(bool(value(directive[4:], constants)))
+        elif directive == "#else":
+            conditions[-1] = not conditions[-1]
+        elif directive == "#endif":
+            conditions.pop()
+        elif all(conditions):
+            kept.append(line)
+    return "\n".join(kept)
+
+
+def _fields(body: str, types: Structures, constants: Mapping[str, int]) -> list[Any]:
+    fields: list[Any] = []
+    for declaration in filter(None, (part.strip() for part in body.split(";"))):
+        kind, names = declaration.split(None, 1)
+        for name in names.split(","):
+            dimensions = tuple(value(size, constants) for size in re.findall(r"\[(.*?)\]", name))
+            fields.append((name.partition("[")[0].strip(), types[kind], dimensions))
+    return fields
+
+
+def resized(source: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """A structure with the same values in a layout with other sizes, zeros where there was nothing."""
+    target = np.zeros((), dtype)
+    copy_fields(source, target)
+    return target
+
+
+def copy_fields(source: NDArray[Any], target: NDArray[Any]) -> None:
+    for name in set(source.dtype.names or ()) & set(target.dtype.names or ()):
+        one, other = source[name], target[name]
+        if one.dtype.names and one.ndim == 0:
+            copy_fields(one, other)
+        else:
+            part = tuple(slice(min(sizes)) for sizes in zip(one.shape, other.shape, strict=True))
+            other[part] = one[part]
+
+
+def layout_number(dtype: np.dtype[Any]) -> int:
+    """CRC-32 of names, types and places of all fields, the number PMF_LAYOUT of an export."""
+    return zlib.crc32("\n".join(_places(dtype, "")).encode())
+
+
+def _places(dtype: np.dtype[Any], prefix: str) -> list[str]:
+    lines, fields = [f"{prefix} {dtype.itemsize}"], dtype.fields or MappingProxyType({})
+    for name in dtype.names or ():
+        entry, offset = fields[name][:2]
+        base, shape = entry.subdtype or (entry, ())
+        lines.append(f"{prefix}.{name} {base.kind}{base.itemsize} {shape} {offset}")
+        lines += _places(base, f"{prefix}.{name}") if base.names else []
+    return lines

@@ -1,0 +1,194 @@
+"""Thresholds from a mean time between false alarms, by simulation of normal work.
+
+The input of a record of normal work drives the reference model from random places on the encoder's lattice; whatever a
+detector shows then is chance. Its maxima over intervals much longer than its memory are counted; their tail is
+exponential (Gumbel's domain), so log(rate) falls linearly with the threshold, and a rate that was too rare to be seen
+often is read off that line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.encoder import quantize
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.auxiliary import role_values
+from pmfid.estimators.base import Estimator
+from pmfid.monitor.detectors import ChiSquare, Cusum, Detector, Glr, PageHinkley, statistics
+from pmfid.monitor.scores import Blocks, Floats, Scale, block_samples, make_scale, scores
+
+Counts = NDArray[np.int64]
+
+#: Length of one simulated run [s], and of the intervals whose maxima are counted.
+RUN_TIME = 1800.0
+INTERVAL_TIME = 30.0
+#: Simulated time, in asked times between false alarms, and its limits [h].
+HOURS_PER_MTBF, LEAST_HOURS, MOST_HOURS = 4.0, 20.0, 100.0
+#: Maxima that the line through the tail is fitted to.
+TAIL = 100
+#: The noise of a record of normal work counts where it differs by so many standard errors from the simulated one.
+NOISIER = 3.0
+#: Blocks that a record of normal work must have.
+LEAST_BLOCKS = 200
+
+
+@dataclass(frozen=True)
+class Tail:
+    """Rate of false alarms [1/h] at a threshold h: rate exp(-(h - level) / slope) from `level` on.
+
+    maxima: (m,) the largest interval maxima, falling; hours: simulated for them.
+    """
+
+    level: float
+    slope: float
+    rate: float
+    hours: float
+    maxima: tuple[float, ...]
+
+    def threshold(self, mtbf_hours: float) -> float:
+        """The threshold for a mean time between false alarms [h]."""
+        return self.level + self.slope * math.log(max(mtbf_hours * self.rate, 1.0))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """theta: (p,) reference; scale: of normal work; chi_square: precision of that detector; tails: by detector; noise:
+    (p,) standard deviation of normal work over that of the simulation; hours: simulated."""
+
+    theta: Floats
+    scale: Scale
+    chi_square: tuple[tuple[float, ...], ...]
+    tails: dict[str, Tail]
+    noise: Floats
+    hours: float
+
+
+def make_detectors(keep: float, precision: tuple[tuple[float, ...], ...] = ()) -> dict[str, Detector]:
+    """All detectors; keep: discount of a block in the memory of the estimate."""
+    made: list[Detector] = [Cusum(), PageHinkley(), Glr(), ChiSquare(keep, precision)]
+    return {detector.name: detector for detector in made}
+
+
+def block_keep(estimator: Estimator) -> float:
+    """Discount of a block in the memory of the estimator; without forgetting that of 10 blocks."""
+    forgetting = float(getattr(estimator, "forgetting", 1.0))
+    return forgetting ** block_samples(estimator) if forgetting < 1 else 0.9
+
+
+def simulated_hours(mtbf_hours: float) -> float:
+    """How long to simulate for a mean time between false alarms; both in h."""
+    return min(max(HOURS_PER_MTBF * mtbf_hours, LEAST_HOURS), MOST_HOURS)
+
+
+def calibrate(
+    estimator: Estimator,
+    theta: Floats,
+    u: Floats,
+    counts: Counts | None,
+    *,
+    hours: float,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> Calibration:
+    """Simulates `hours` of normal work at theta (p,) under the input u (n,) of a record of it.
+
+    counts: (n,) of the record; None where it is not known to be normal: then the noise is the encoder's alone. Raises
+    UsageError for a record that is too short and NotIdentifiableError for one that does not move enough.
+    """
+    runs = replays(estimator, theta, u, hours, np.random.default_rng(seed), progress)
+    first = next(runs)
+    _check(first)
+    scale = make_scale(first)
+    x, w = _stack([scale.standardise(blocks) for blocks in (first, *runs)])
+    sigma = np.sqrt((x**2).mean(axis=(0, 1)))
+    x, scale = x / sigma, replace(scale, sigma=scale.sigma * sigma)
+    keep = block_keep(estimator)
+    precision = _precision(ChiSquare(keep), x, w)
+    tails = {
+        name: fit_tail(statistics(detector, x, w, np.zeros(theta.size)), block_samples(estimator) * estimator.dt)
+        for name, detector in make_detectors(keep, precision).items()
+    }
+    noise = np.ones(theta.size) if counts is None else noise_ratio(scale, scores(estimator, theta, u, counts))
+    scale = replace(scale, sigma=scale.sigma * noise)
+    return Calibration(theta, scale, precision, tails, noise, hours)
+
+
+def replays(
+    estimator: Estimator,
+    theta: Floats,
+    u: Floats,
+    hours: float,
+    rng: np.random.Generator,
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[Blocks]:
+    """Blocks of simulated runs of RUN_TIME, `hours` in all: the input from a random moment on, over and over."""
+    samples, runs = round(RUN_TIME / estimator.dt), max(1, round(hours * 3600 / RUN_TIME))
+    for run in range(runs):
+        start = int(rng.integers(u.size))
+        part = np.resize(np.roll(u, -start), samples)
+        yield scores(estimator, theta, part, simulated_counts(estimator, theta, part, float(rng.random())))
+        if progress is not None:
+            progress((run + 1) / runs)
+
+
+def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: float) -> Counts:
+    """Counts (n,) of the model at theta (p,) under u (n,); phase: of the start on the lattice, in counts."""
+    from pmfid._kernel64 import simulate
+
+    mean = simulate(role_values(estimator, list(theta)), estimator.equation.input_gain, estimator.dt, u)[0]
+    position = np.concatenate([[0.0], np.cumsum(mean[:-1] * estimator.dt)])
+    return quantize(position + phase * estimator.encoder.resolution, estimator.encoder.resolution)
+
+
+def fit_tail(statistic: Floats, block_time: float) -> Tail:
+    """The tail of the maxima over intervals of the statistic (runs, n) of blocks of block_time [s]."""
+    size = max(1, round(INTERVAL_TIME / block_time))
+    n = statistic.shape[1] // size
+    maxima = np.sort(statistic[:, : n * size].reshape(-1, size).max(axis=1))[::-1]
+    hours = maxima.size * size * block_time / 3600
+    top = min(TAIL, maxima.size // 4)
+    level = float(maxima[top])
+    slope = float(np.mean(maxima[:top] - level))
+    return Tail(level, slope, top / hours, hours, tuple(float(value) for value in maxima[: top + 1]))
+
+
+def noise_ratio(scale: Scale, blocks: Blocks) -> Floats:
+    """(p,) standard deviation of the blocks of a record over that of the scale; 1 where it could be chance."""
+    x, _ = scale.standardise(blocks)
+    power = (x**2).mean(axis=0)
+    error = (x**2).std(axis=0) / math.sqrt(len(x))
+    return np.where(np.abs(power - 1) > NOISIER * error, np.sqrt(power), 1.0)
+
+
+def _precision(detector: ChiSquare, x: Floats, w: Floats) -> tuple[tuple[float, ...], ...]:
+    """Inverse covariance of the deviation of the estimate in normal work x, w: (runs, n, p)."""
+    p = x.shape[-1]
+    state, total = detector.start((x.shape[0], p)), np.zeros((p, p))
+    for k in range(x.shape[1]):
+        state, d = detector.deviation(state, x[:, k], w[:, k], np.zeros(p))
+        total += d.T @ d
+    inverse = np.linalg.inv(total / (x.shape[0] * x.shape[1]))
+    return tuple(tuple(float(value) for value in row) for row in inverse)
+
+
+def _stack(parts: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+    return np.stack([x for x, _ in parts]), np.stack([w for _, w in parts])
+
+
+def _check(blocks: Blocks) -> None:
+    if len(blocks.score) < LEAST_BLOCKS:
+        raise UsageError(
+            f"the cutoff gives {len(blocks.score)} blocks in {RUN_TIME:g} s, not {LEAST_BLOCKS}; use a higher one"
+        )
+    mean = blocks.cross.mean(axis=0)
+    size = np.sqrt(np.abs(np.diagonal(mean)))
+    if not np.all(size > 0) or np.linalg.cond(mean / np.outer(size, size)) > 1e4:
+        raise NotIdentifiableError(
+            "the reference motion does not excite every parameter: no detector could tell them apart; take a record of "
+            "normal work with both directions, accelerations and several speeds"
+        )

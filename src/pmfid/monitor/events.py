@@ -1,0 +1,76 @@
+"""What to watch for, and what a monitor tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pmfid.errors import UsageError
+from pmfid.monitor.detectors import DETECTORS
+from pmfid.monitor.scores import Floats
+
+STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING = (
+    "starting",
+    "watching",
+    "cannot tell",
+    "suspicious",
+    "settling",
+)
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What to watch for.
+
+    detector: one of DETECTORS; mtbf_hours: mean time between false alarms [h], > 0; tolerance: relative deviation of a
+    parameter that is no change, >= 0. Raises UsageError for a value outside these bounds.
+    """
+
+    detector: str = "glr"
+    mtbf_hours: float = 24.0
+    tolerance: float = 0.02
+
+    def __post_init__(self) -> None:
+        if self.detector not in DETECTORS:
+            raise UsageError(f"detector must be one of {list(DETECTORS)}, got {self.detector!r}")
+        if not 0.1 <= self.mtbf_hours <= 1e6:
+            raise UsageError(f"mtbf_hours must be in [0.1, 1e6], got {self.mtbf_hours}; it is in hours")
+        if not 0 <= self.tolerance < 1:
+            raise UsageError(f"tolerance must be in [0, 1), got {self.tolerance}; 0.02 is 2 %")
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """A change. time: of the alarm [s]; changed_at: when it began to show [s]; parameter: name, or "input_gain";
+    change, std: [unit]; relative: to the reference; statistic at the first suspicion, and its threshold."""
+
+    time: float
+    changed_at: float
+    parameter: str
+    unit: str
+    change: float
+    std: float
+    relative: float
+    statistic: float
+    threshold: float
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A new reference after an alarm. time [s]; theta, std: (p,); before: (p,) the reference until then."""
+
+    time: float
+    theta: Floats
+    std: Floats
+    before: Floats
+
+
+@dataclass(frozen=True)
+class StateChange:
+    """What the monitor can do from time [s] on: STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS or SETTLING, and why."""
+
+    time: float
+    state: str
+    reason: str
+
+
+Event = Alarm | Settled | StateChange

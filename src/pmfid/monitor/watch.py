@@ -1,0 +1,217 @@
+"""The monitor: estimates sample by sample, and says when a parameter changed."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from pmfid.estimators.base import like
+from pmfid.estimators.iv import IV
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.monitor.calibration import Calibration, block_keep, make_detectors
+from pmfid.monitor.cause import INPUT_GAIN, Cause, explain
+from pmfid.monitor.events import (
+    CANNOT_TELL,
+    SETTLING,
+    STARTING,
+    SUSPICIOUS,
+    WATCHING,
+    Alarm,
+    Event,
+    Settled,
+    StateChange,
+    Watch,
+)
+from pmfid.monitor.scores import Blocks, Floats, ScoreFilter
+from pmfid.status import Status
+
+#: Blocks that an alarm looks back on.
+LOOK_BACK = 64
+#: A block with less of the average information tells nothing.
+INFORMATIVE = 0.05
+#: Time without such a block after which nothing can be told [s], at least so many blocks.
+SILENT_TIME, SILENT_BLOCKS = 2.0, 6
+#: Information, in average blocks, until the estimate after an alarm serves as a model, and then as a reference.
+MODEL_INFORMATION, REFERENCE_INFORMATION = 15.0, 60.0
+#: Information after which a cause that explains so much of what is to explain is named, and after which the best is.
+CAUSE_INFORMATION, CAUSE_SHARE, CAUSE_LATEST = 4.0, 0.95, 8.0
+#: What all parameters keep of what was gathered before, at the first suspicion, and what the changed one keeps.
+KEEP_ALL, KEEP_ONE = 0.01, 1e-3
+NO_ALARM = Status.STARTING | Status.POOR_EXCITATION
+
+
+@dataclass
+class Monitor:
+    """Watches one axis.
+
+    estimator: recursive, at its start; calibration: of its configuration and the reference parameters. `step` takes one
+    sample. At the first suspicion the estimator's memory is opened a little, and with the alarm, once the cause is
+    clear, for what changed; the new value, once known, is the reference, so every change is told once.
+    """
+
+    estimator: RecursiveEstimator
+    calibration: Calibration
+    watch: Watch = field(default_factory=Watch)
+    state: str = field(default=STARTING, init=False)
+    samples: int = field(default=0, init=False)
+    statistic: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        self.threshold = self.calibration.tails[self.watch.detector].threshold(self.watch.mtbf_hours)
+        keep, p = block_keep(self.estimator), self.calibration.theta.size
+        self._detector = make_detectors(keep, self.calibration.chi_square)[self.watch.detector]
+        self._front = like(IV, self.estimator, prefilter_zeros=None)
+        self._noise = self._front.noise()
+        self._scale = self.calibration.scale
+        self._refer(self.calibration.theta)
+        self._sum = Blocks(np.zeros((1, p)), np.zeros((1, p, p)), np.zeros((1, p, p)))
+        self._counts = 0
+        self._silent_blocks = max(SILENT_BLOCKS, round(SILENT_TIME / self._block_time))
+
+    @property
+    def reference(self) -> Floats:
+        """(p,) parameters that deviations are measured from."""
+        return self._filter.theta
+
+    @property
+    def _block_time(self) -> float:
+        return self._front.settle_samples * self._front.dt
+
+    def step(self, u: float, counts: int) -> tuple[Any, list[Event]]:
+        """One sample as in `RecursiveEstimator.step`: the estimate, and what there is to tell."""
+        estimate = self.estimator.step(u, counts)
+        self._counts = counts
+        self.samples += 1
+        block = self._filter.step(u, counts)
+        return estimate, [] if block is None else self._on_block(block, estimate)
+
+    def skip(self, samples: int) -> list[Event]:
+        """Samples that were lost: the filters settle anew, and time goes on. What there is to tell."""
+        few, events = min(samples, self._front.settle_samples), []
+        for _ in range(few):
+            events += self.step(float("nan"), self._counts)[1]
+        self.samples += samples - few
+        return events
+
+    def _refer(self, theta: Floats) -> None:
+        """Starts to watch for deviations from theta (p,)."""
+        first = self.calibration.theta
+        size = np.sqrt(float(theta @ self._noise @ theta) / max(float(first @ self._noise @ first), 1e-300))
+        self._scale = replace(self.calibration.scale, sigma=self.calibration.scale.sigma * size)
+        self._filter = ScoreFilter(self._front, theta)
+        self._tolerance = self.watch.tolerance * np.abs(theta) / self._scale.sigma
+        self._detection = self._detector.start(theta.shape)
+        self._recent: deque[Blocks] = deque(maxlen=LOOK_BACK)
+        self._silence, self._gathered, self._refined, self._crossed = 0, 0.0, False, 0.0
+        self.statistic = 0.0
+
+    def _on_block(self, block: Blocks, estimate: Any) -> list[Event]:
+        x, w = (part[0] for part in self._scale.standardise(block))
+        information = float(w.mean())
+        self._silence = 0 if information > INFORMATIVE else self._silence + 1
+        if self.state == SETTLING:
+            return self._settle(block, information, estimate)
+        self._recent.append(block)
+        self._detection, statistic = self._detector.update(self._detection, x, w, self._tolerance)
+        self.statistic = float(statistic)
+        if self.state == SUSPICIOUS:
+            self._gathered += information
+            return self._alarm()
+        events = self._look_around(estimate)
+        crossed = self.statistic > self.threshold and information > INFORMATIVE
+        if crossed and not estimate.status & NO_ALARM:
+            self._gathered, self._crossed = information, self.statistic
+            self.estimator.open_memory(KEEP_ALL)
+            events += [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm()]
+        return events
+
+    def _look_around(self, estimate: Any) -> list[Event]:
+        """Whether there is anything to tell from."""
+        if estimate.status & Status.STARTING:
+            return self._enter(STARTING, "the estimate has not started")
+        if estimate.status & Status.POOR_EXCITATION:
+            return self._enter(CANNOT_TELL, "poor excitation")
+        if self._silence >= self._silent_blocks:
+            standing = estimate.status & Status.STANDSTILL
+            return self._enter(CANNOT_TELL, "standstill" if standing else "the motion tells nothing")
+        if self._silence == 0:
+            return self._enter(WATCHING, "")
+        return []
+
+    def _enter(self, state: str, reason: str) -> list[Event]:
+        if state == self.state:
+            return []
+        self.state = state
+        return [StateChange(self._time, state, reason)]
+
+    @property
+    def _time(self) -> float:
+        return (self.samples - 1) * self.estimator.dt
+
+    def _alarm(self) -> list[Event]:
+        cause = self._cause()
+        clear = self._gathered >= CAUSE_INFORMATION and cause.share >= CAUSE_SHARE
+        if not clear and self._gathered < CAUSE_LATEST:
+            return []
+        if abs(cause.relative) <= self.watch.tolerance:
+            self._detection = self._detector.start(self.reference.shape)
+            return self._enter(WATCHING, "the deviation is within the tolerance")
+        begun = self._time - (len(self._recent) - cause.start) * self._block_time
+        unit = (
+            "" if cause.name == INPUT_GAIN else dict(zip(self._front.names, self._front.units, strict=True))[cause.name]
+        )
+        alarm = Alarm(
+            self._time,
+            max(0.0, begun),
+            cause.name,
+            unit,
+            cause.change,
+            cause.std,
+            cause.relative,
+            self._crossed,
+            self.threshold,
+        )
+        self.estimator.open_memory(KEEP_ONE, None if cause.name == INPUT_GAIN else cause.name)
+        self._gathered, self._refined = 0.0, False
+        return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
+
+    def _cause(self) -> Cause:
+        names, gain = self._front.names, self.estimator.equation.input_gain
+        return explain(Blocks.joined(self._recent), self._scale, self.reference, names, gain)
+
+    def _settle(self, block: Blocks, information: float, estimate: Any) -> list[Event]:
+        """First the estimate becomes the model, then what the blocks say beside it the reference."""
+        self._gathered += information
+        if self._refined:
+            self._sum = self._sum + block
+        if not self._refined and self._gathered >= MODEL_INFORMATION and self._usable(estimate):
+            self._before = self.reference
+            self.estimator.open_memory(1.0)  # the error bars need not remember the change
+            self._refer(np.array(estimate.theta))
+            self._sum = block - block
+            self._refined = True
+        elif self._refined and self._gathered >= REFERENCE_INFORMATION:
+            return self._settled()
+        return []
+
+    def _settled(self) -> list[Event]:
+        p = self.reference.size
+        theta = self.reference + np.linalg.solve(self._sum.cross[0] + 1e-12 * np.eye(p), self._sum.score[0])
+        std = self._scale.sigma / np.sqrt(self._gathered)
+        if not self._plausible(theta):
+            theta = self.reference
+        self._refer(theta)
+        return [Settled(self._time, theta, std, self._before), *self._enter(WATCHING, "")]
+
+    def _usable(self, estimate: Any) -> bool:
+        unusable = Status.STARTING | Status.POOR_EXCITATION | Status.FALLBACK | Status.SETTLING
+        return not estimate.status & unusable and self._plausible(np.array(estimate.theta))
+
+    def _plausible(self, theta: Floats) -> bool:
+        """Mass positive, frictions not negative."""
+        equation = self.estimator.equation
+        never_negative = np.array(equation.positive)
+        return bool(np.all(np.isfinite(theta)) and theta[equation.leading] > 0 and np.all(theta[never_negative] >= 0))

@@ -1,0 +1,114 @@
+"""The page of a monitored run: in two seconds, what happened; below, why it is believed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pmfid.report.html import Section, svg, write_report
+from pmfid.report.monitored_figures import RunData, calibration_figure, run_figure
+from pmfid.session.monitor_run import History, Run
+from pmfid.session.monitoring import Setup
+
+SHOWN_ALARMS = 200
+
+
+def write_monitored(path: Path, name: str, setup: Setup, run: Run, history: History) -> None:
+    """Writes one self-contained HTML file on a run. Raises OSError where it cannot be written."""
+    sections = [_verdict(setup, run)]
+    if len(history.rows) > 1:
+        sections.append(
+            Section("The run", _run_text(history, setup), svg=svg(run_figure(run_data(setup, run, history))))
+        )
+    sections.append(_calibration(setup))
+    write_report(path, f"{name}: {_headline(run)}", sections)
+
+
+def run_data(setup: Setup, run: Run, history: History) -> RunData:
+    """The columns that the figure shows."""
+    time, u, counts, theta, std, innovation, status, state = zip(*history.rows, strict=True)
+    estimator = setup.monitor.estimator
+    t = np.array(time)
+    position = np.array(counts) * estimator.encoder.resolution
+    return RunData(
+        estimator.names,
+        estimator.units,
+        t,
+        np.array(u),
+        np.gradient(position, t),
+        np.array(theta),
+        np.array(std),
+        np.array(innovation),
+        np.array(status),
+        np.array(state),
+        setup.nominal,
+        run.alarms,
+    )
+
+
+def _headline(run: Run) -> str:
+    if not run.alarms:
+        return "no alarm"
+    first, more = run.alarms[0], len(run.alarms) - 1
+    what = f"{first['parameter'].replace('_', ' ')} {100 * first['relative']:+.1f} % at {first['changed_at']:.1f} s"
+    return what + (f", and {more} more alarm{'s' * (more > 1)}" if more else "")
+
+
+def _verdict(setup: Setup, run: Run) -> Section:
+    lines = [f"{run.samples} samples, {run.samples * setup.monitor.estimator.dt:.1f} s."]
+    if run.bad_lines:
+        lines.append(f"{run.bad_lines} lines could not be used.")
+    if run.missing:
+        lines.append(f"{run.missing} samples are missing, in {run.gaps} gaps.")
+    text = "\n\n".join([" ".join(lines), *(f"Note: {note}." for note in setup.notes)])
+    if not run.alarms:
+        return Section("No alarm", text)
+    head = ("alarm [s]", "since [s]", "parameter", "change [%]", "change", "std", "unit", "settled on")
+    rows = [_alarm_row(run, alarm) for alarm in run.alarms[:SHOWN_ALARMS]]
+    return Section("Alarms", text, (head, rows))
+
+
+def _alarm_row(run: Run, alarm: dict[str, Any]) -> list[str]:
+    """With the value that the parameter settled on before the next alarm, if it did."""
+    later = [event for event in run.events if event["event"] in ("settled", "alarm") and event["time"] > alarm["time"]]
+    found = later[0]["parameters"].get(alarm["parameter"]) if later and later[0]["event"] == "settled" else None
+    return [
+        f"{alarm['time']:.2f}",
+        f"{alarm['changed_at']:.2f}",
+        alarm["parameter"].replace("_", " "),
+        f"{100 * alarm['relative']:+.1f}",
+        f"{alarm['change']:+.4g}",
+        f"{alarm['std']:.1g}",
+        alarm["unit"],
+        f"{found['value']:.4g} ± {found['std']:.1g}" if found else "–",
+    ]
+
+
+def _run_text(history: History, setup: Setup) -> str:
+    estimator = setup.monitor.estimator
+    text = (
+        f"Estimates by {estimator.method}, memory {estimator.dt / (1 - estimator.forgetting):.3g} s, with two standard "
+        "deviations; orange lines: alarms; dotted: when the change began to show."
+    )
+    return text + (f" One row of {history.stride} is shown." if history.stride > 1 else "")
+
+
+def _calibration(setup: Setup) -> Section:
+    watch, calibration = setup.monitor.watch, setup.calibration
+    rows = [
+        [name, f"{tail.threshold(1.0):.3g}", f"{tail.threshold(watch.mtbf_hours):.3g}", f"{tail.slope:.3g}"]
+        for name, tail in calibration.tails.items()
+    ]
+    head = ("detector", "threshold for 1 h", f"for {watch.mtbf_hours:g} h", "slope of the tail")
+    noise = ", ".join(f"{value:.2f}" for value in calibration.noise)
+    text = (
+        f"In use: {watch.detector}, mean time between false alarms {watch.mtbf_hours:g} h for a machine exactly at its "
+        f"reference; deviations within {100 * watch.tolerance:g} % are no alarm, so false ones are rarer still. "
+        f"{calibration.hours:.3g} h of normal work were simulated; points: the largest values of the statistic there, "
+        "lines: what the thresholds are read from. Noise of the reference record over that of the simulation, by "
+        f"parameter: {noise}."
+    )
+    figure = calibration_figure(calibration.tails, watch.detector, watch.mtbf_hours)
+    return Section("Thresholds", text, (head, rows), svg(figure))

@@ -1,0 +1,75 @@
+"""Calibrations on disk: the same configuration and reference record are simulated once."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pmfid.estimators.base import Estimator
+from pmfid.monitor.calibration import Calibration, Tail, calibrate
+from pmfid.monitor.scores import Floats, Scale
+
+#: To be raised with every change of what a calibration computes.
+VERSION = 1
+
+
+def cache_dir() -> Path:
+    """Where calibrations lie: PMFID_CACHE, or pmfid in the user's cache folder."""
+    if os.environ.get("PMFID_CACHE"):
+        return Path(os.environ["PMFID_CACHE"])
+    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    return Path(home) / "pmfid" if home else Path.home() / ".cache" / "pmfid"
+
+
+def cached_calibration(
+    estimator: Estimator,
+    theta: Floats,
+    u: Floats,
+    counts: np.ndarray | None,
+    hours: float,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Calibration, Path, bool]:
+    """`calibrate`, its file, and whether that was there already. A cache that cannot be written is none."""
+    digest = sha256(f"{VERSION} {estimator!r} {hours!r} {counts is None}".encode())
+    for part in (theta, u, np.zeros(0) if counts is None else counts):
+        digest.update(np.ascontiguousarray(part).tobytes())
+    path = cache_dir() / f"calibration-{digest.hexdigest()[:32]}.json"
+    known = _read(path)
+    if known is not None:
+        return known, path, True
+    made = calibrate(estimator, theta, u, counts, hours=hours, progress=progress)
+    _write(path, made)
+    return made, path, False
+
+
+def _write(path: Path, calibration: Calibration) -> None:
+    text = json.dumps(asdict(calibration), default=lambda array: array.tolist())
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(f".{os.getpid()}")
+        part.write_text(text)
+        part.replace(path)  # another run may write the same one
+    except OSError:
+        return
+
+
+def _read(path: Path) -> Calibration | None:
+    try:
+        raw: dict[str, Any] = json.loads(path.read_text())
+        return Calibration(
+            np.array(raw["theta"]),
+            Scale(**{name: np.array(value) for name, value in raw["scale"].items()}),
+            tuple(tuple(row) for row in raw["chi_square"]),
+            {name: Tail(**(tail | {"maxima": tuple(tail["maxima"])})) for name, tail in raw["tails"].items()},
+            np.array(raw["noise"]),
+            raw["hours"],
+        )
+    except (OSError, ValueError, TypeError, KeyError):
+        return None  # not there, or not whole: made anew

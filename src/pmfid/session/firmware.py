@@ -1,0 +1,49 @@
+"""From AXIS.toml to the estimator that a drive runs, sample by sample with its own counter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pmfid.errors import UsageError
+from pmfid.estimators.auto import AUTO
+from pmfid.estimators.base import default_zeros
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.registry import ESTIMATORS, RECURSIVE
+from pmfid.session.config import Axis
+from pmfid.session.pipeline import make_estimator
+from pmfid.session.records import Record
+
+#: What "auto" is on a drive.
+DEFAULT_METHOD = "riv"
+
+
+def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None = None) -> RecursiveEstimator:
+    """The recursive estimator of a configuration, for the raw counts of its counter.
+
+    record: gives the sample period, and the pre-filter zeros where the configuration has none; without it dt [s] or
+    [record] dt does, and the zeros are the method's default. Raises UsageError for an off-line method or without a
+    sample period.
+    """
+    config = axis.estimator
+    if config.method == AUTO:
+        config = config.model_copy(update={"method": DEFAULT_METHOD})
+    if not issubclass(ESTIMATORS[config.method], RecursiveEstimator):
+        names = ", ".join(cls.method for cls in RECURSIVE)
+        raise UsageError(f"{config.method} works on whole records; a drive runs one of {names}: give one as --method")
+    if record is None:
+        record = _no_record(axis, dt)
+        if ESTIMATORS[config.method].instrumental and config.prefilter_zeros is None:
+            needed = len(axis.model.make().equation.symmetric.noisy)
+            config = config.model_copy(update={"prefilter_zeros": default_zeros(config.cutoff)[:needed]})
+    estimator = make_estimator(axis.model_copy(update={"estimator": config}), record)
+    encoder = replace(estimator.encoder, bits=axis.encoder.bits or 32)
+    return replace(estimator, encoder=encoder)  # type: ignore[return-value]
+
+
+def _no_record(axis: Axis, dt: float | None) -> Record:
+    dt = axis.record.dt if dt is None else dt
+    if dt is None:
+        raise UsageError("the sample period is not known: give --dt in s, [record] dt, or a record")
+    return Record(np.empty(0), np.empty(0, np.int64), dt, axis.encoder.resolution, (), "")

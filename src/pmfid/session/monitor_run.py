@@ -1,0 +1,132 @@
+"""A monitored run: samples in, estimates and events out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pmfid.monitor.events import Event, Settled, StateChange
+from pmfid.monitor.watch import Monitor
+from pmfid.session.sinks import Sink
+from pmfid.session.stream import Sample
+
+#: Rows that are kept for the report; beyond, every other one goes.
+MOST_ROWS = 8000
+#: Bad lines and gaps that are told one by one, and events that are kept.
+TOLD, KEPT = 10, 10_000
+
+Tell = Callable[[dict[str, Any]], None]
+#: Called with each sample, its estimate and the monitor's state.
+Observer = Callable[[Sample, Any, str], None]
+
+
+@dataclass
+class History:
+    """What the report shows, in bounded memory: time, u, counts, theta, std, innovation, status bits and state of every
+    `stride`th sample; the bits of the samples between are kept, and the largest innovation."""
+
+    stride: int = field(default=1, init=False)
+    rows: list[tuple[Any, ...]] = field(default_factory=list, init=False)
+    _taken: int = field(default=0, init=False)
+
+    def __call__(self, sample: Sample, estimate: Any, state: str) -> None:
+        """A sample and what it gave."""
+        if self._taken % self.stride == 0:
+            if len(self.rows) >= MOST_ROWS:
+                self.rows, self.stride = self.rows[::2], 2 * self.stride
+            theta, std = estimate.theta, estimate.theta_std
+            row = (sample.time, sample.u, sample.counts, theta, std, estimate.innovation, estimate.status, state)
+            self.rows.append(row)
+        else:
+            *kept, innovation, status, _ = self.rows[-1]
+            largest = max(innovation, estimate.innovation, key=abs)
+            self.rows[-1] = (*kept, largest, status | estimate.status, state)
+        self._taken += 1
+
+
+@dataclass
+class Run:
+    """Totals of a run and its first KEPT events, as for JSON. bad_lines: that could not be used; missing: samples that
+    the times leave out, in so many gaps."""
+
+    samples: int = 0
+    bad_lines: int = 0
+    gaps: int = 0
+    missing: int = 0
+    events: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def alarms(self) -> list[dict[str, Any]]:
+        return [event for event in self.events if event["event"] == "alarm"]
+
+
+def header(monitor: Monitor) -> list[str]:
+    """Columns of the estimates."""
+    names = monitor.estimator.names
+    return ["t", *names, *(f"{name}_std" for name in names), "innovation", "status", "state"]
+
+
+def watch(
+    samples: Iterable[Sample], monitor: Monitor, sink: Sink, tell: Tell, observers: Sequence[Observer] = ()
+) -> Run:
+    """Runs the monitor over the samples; `tell` gets each event as an object for JSON, times as in the samples."""
+    run, names = Run(), monitor.estimator.names
+    for sample in samples:
+        events = _missed(sample, monitor, run, tell) if sample.missing or sample.problem else []
+        estimate, now = monitor.step(sample.u, sample.counts)
+        run.samples += 1
+        sink.write(_row(sample.time, estimate, monitor.state))
+        for observe in observers:
+            observe(sample, estimate, monitor.state)
+        for event in [*events, *now]:
+            found = event_object(event, names, sample.time - (monitor.samples - 1) * monitor.estimator.dt)
+            if len(run.events) < KEPT:
+                run.events.append(found)
+            tell(found)
+    return run
+
+
+def _missed(sample: Sample, monitor: Monitor, run: Run, tell: Tell) -> list[Event]:
+    """Counts and tells what is wrong with a line, and lets the monitor know."""
+    if sample.problem:
+        run.bad_lines += 1
+        if run.bad_lines <= TOLD:
+            tell({"event": "bad line", "time": sample.time, "problem": sample.problem})
+        return []
+    run.gaps += 1
+    run.missing += sample.missing
+    if run.gaps <= TOLD:
+        tell({"event": "gap", "time": sample.time, "missing": sample.missing})
+    return monitor.skip(sample.missing)
+
+
+def _row(time: float, estimate: Any, state: str) -> tuple[float | int | str, ...]:
+    theta, std = estimate.theta.tolist(), estimate.theta_std.tolist()  # infinite while nothing is known
+    return (time, *theta, *std, estimate.innovation, estimate.status, state)
+
+
+def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> dict[str, Any]:
+    """The object that `--json` prints; shift: of the times [s]."""
+    if isinstance(event, StateChange):
+        return {"event": "state", "time": event.time + shift, "state": event.state, "reason": event.reason}
+    if isinstance(event, Settled):
+        rows = zip(names, event.theta.tolist(), event.std.tolist(), event.before.tolist(), strict=True)
+        values = {
+            name: {"value": value, "std": std, "change": value / before - 1 if before else None}
+            for name, value, std, before in rows
+        }
+        return {"event": "settled", "time": event.time + shift, "parameters": values}
+    return {
+        "event": "alarm",
+        "time": event.time + shift,
+        "parameter": event.parameter,
+        "direction": "up" if event.change > 0 else "down",
+        "change": event.change,
+        "std": event.std,
+        "unit": event.unit,
+        "relative": event.relative,
+        "changed_at": event.changed_at + shift,
+        "statistic": event.statistic,
+        "threshold": event.threshold,
+    }

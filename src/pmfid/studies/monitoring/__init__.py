@@ -1,0 +1,1 @@
+"""Study of the monitor: false alarms, detection, recovery, standstill, delay in a pipe."""

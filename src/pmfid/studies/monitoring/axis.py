@@ -1,0 +1,84 @@
+"""The axis of the study: a cart that goes and stops at random, and monitors calibrated for it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pmfid.encoder import Encoder
+from pmfid.estimators.iv import IV, RIV
+from pmfid.models.drive import Drive
+from pmfid.monitor.calibration import Calibration, Counts, calibrate, simulated_hours
+from pmfid.monitor.scores import Floats
+from pmfid.simulation.control import position_control
+from pmfid.simulation.drive import Schedule
+from pmfid.simulation.scenarios import CART, CART_CONTROL, CART_DT, resolution_of
+
+CUTOFF, FORGETTING = 50.0, 0.99
+STROKE, MOVE_TIME, DWELL_TIME, VARIATION = 0.2, 0.8, 0.5, 0.25
+REFERENCE_HOURS = 1.0
+REFERENCE_SEED = 7
+INCREMENTS = 1024
+
+
+def random_stop_and_go(samples: int, rng: np.random.Generator) -> Floats:
+    """Position reference (samples,) [m]: moves to and fro whose stroke, time and dwell vary by +-VARIATION."""
+    parts, total, x, forward = [np.zeros(1)], 1, 0.0, True
+    while total < samples:
+        stroke, move, dwell = np.array([STROKE, MOVE_TIME, DWELL_TIME]) * rng.uniform(1 - VARIATION, 1 + VARIATION, 3)
+        target = stroke if forward else 0.0
+        tau = np.arange(1, round(move / CART_DT) + 1) * CART_DT / move
+        rise = np.clip(tau, 0, 1) ** 3 * (10 + np.clip(tau, 0, 1) * (6 * np.clip(tau, 0, 1) - 15))
+        parts += [x + (target - x) * rise, np.full(round(dwell / CART_DT), target)]
+        total, x, forward = total + parts[-1].size + parts[-2].size, target, not forward
+    return np.concatenate(parts)[:samples]
+
+
+def drive(schedule: Any, reference: Floats, increments: int, rng: np.random.Generator) -> tuple[Floats, Counts]:
+    """Input and counts (n,) under position control through the encoder, from a random place on its lattice."""
+    resolution = resolution_of(increments)
+    control: dict[str, Any] = {**CART_CONTROL, "resolution": resolution, "phase": resolution * rng.random()}
+    motion, counts = position_control(schedule, reference, CART_DT, **control)
+    return motion.u, counts
+
+
+def normal_work(seed: int, increments: int, hours: float) -> tuple[Floats, Counts]:
+    """Input and counts of the unchanged cart."""
+    rng = np.random.default_rng((seed, 1))
+    return drive(CART, random_stop_and_go(round(hours * 3600 / CART_DT), rng), increments, rng)
+
+
+def changing(schedule: Schedule, seed: int, increments: int, seconds: float) -> tuple[Floats, Counts]:
+    """The same while the cart changes."""
+    rng = np.random.default_rng((seed, 2))
+    return drive(schedule, random_stop_and_go(round(seconds / CART_DT), rng), increments, rng)
+
+
+def make_riv(increments: int, theta: Floats | None = None) -> RIV:
+    """The estimator, started at theta (p,) if it is given."""
+    plain = RIV(Drive(CART.input_gain), Encoder(resolution_of(increments)), CART_DT, CUTOFF, forgetting=FORGETTING)
+    if theta is None:
+        return plain
+    initial = dict(zip(plain.names, theta.tolist(), strict=True))
+    return RIV(plain.model, plain.encoder, CART_DT, CUTOFF, forgetting=FORGETTING, initial=initial)
+
+
+#: By increments and mean time between false alarms; filled once, for all processes.
+CALIBRATIONS: dict[tuple[int, float], Calibration] = {}
+
+
+def calibration(increments: int, mtbf_hours: float) -> Calibration:
+    """As `calibrated`, once."""
+    key = (increments, mtbf_hours)
+    if key not in CALIBRATIONS:
+        CALIBRATIONS[key] = calibrated(*key)
+    return CALIBRATIONS[key]
+
+
+def calibrated(increments: int, mtbf_hours: float) -> Calibration:
+    """From a reference record, its parameters by `iv` as in `pmfid monitor`."""
+    u, counts = normal_work(REFERENCE_SEED, increments, REFERENCE_HOURS)
+    riv = make_riv(increments)
+    theta = IV(riv.model, riv.encoder, CART_DT, CUTOFF).fit(u, counts).theta
+    return calibrate(riv, theta, u, counts, hours=simulated_hours(mtbf_hours))

@@ -1,0 +1,129 @@
+"""What a figure of the paper draws: curves over time in panels, as a picture and as a CSV."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import chain, cycle
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """Curves over time. name: of the files; t: (n,) [s]; truth: label and the (n,) nominal values;
+    panels: title -> label -> (n,) values, nan where there are none; axis: label of the values with its unit;
+    limits: of the values; columns: of panels; marks: times of vertical lines [s]."""
+
+    name: str
+    t: Floats
+    truth: tuple[str, Floats]
+    panels: Mapping[str, Mapping[str, Floats]]
+    axis: str
+    limits: tuple[float, float]
+    columns: int = 1
+    marks: tuple[float, ...] = ()
+
+
+def write_drawing(drawing: Drawing, out: Path) -> list[Path]:
+    """Write name.png and name.csv into the folder `out`; returns their paths. Raises OSError."""
+    from pmfid.report.figures import save_png
+
+    picture, data = out / f"{drawing.name}.png", out / f"{drawing.name}.csv"
+    save_png(draw(drawing), picture)
+    label, truth = drawing.truth
+    curves = {f"{title}: {name}": y for title, panel in drawing.panels.items() for name, y in panel.items()}
+    write_columns({"t [s]": drawing.t, label: truth, **curves}, data)
+    return [picture, data]
+
+
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """Inputs and the motion under each. name: of the files; t: (n,) [s]; u [V], x [m]: label -> (n,)."""
+
+    name: str
+    t: Floats
+    u: Mapping[str, Floats]
+    x: Mapping[str, Floats]
+
+
+def write_motions(motions: Motions, out: Path) -> list[Path]:
+    """Write name.png and name.csv into the folder `out`; returns their paths. Raises OSError."""
+    from pmfid.report.figures import save_png
+
+    picture, data = out / f"{motions.name}.png", out / f"{motions.name}.csv"
+    save_png(draw_motions(motions), picture)
+    inputs = {f"input [V], {label}": y for label, y in motions.u.items()}
+    places = {f"position [m], {label}": y for label, y in motions.x.items()}
+    write_columns({"t [s]": motions.t, **inputs, **places}, data)
+    return [picture, data]
+
+
+def draw_motions(motions: Motions) -> Figure:
+    """The inputs above, the positions below; the first solid, the others dashed."""
+    from matplotlib.figure import Figure
+
+    from pmfid.report.figures import COLOURS, WIDTH, figure_style
+
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
+        above, below = figure.subplots(2, 1, sharex=True)
+        for colour, style, label in zip(
+            cycle(COLOURS), chain(["-"], cycle(["--", "-.", ":"])), motions.u, strict=False
+        ):
+            above.plot(motions.t, motions.u[label], color=colour, ls=style, label=label, drawstyle="steps-post")
+            below.plot(motions.t, motions.x[label], color=colour, ls=style)
+        above.set_ylabel("input [V]")
+        below.set_ylabel("position [m]")
+        below.set_xlabel("time [s]")
+        below.set_xlim(motions.t[0], motions.t[-1])
+        figure.legend(loc="outside upper center", ncols=len(motions.u))
+    return figure
+
+
+def write_columns(columns: Mapping[str, Floats], path: Path) -> None:
+    """Columns (n,) as CSV, nine digits, empty where there is no value. Raises OSError."""
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        for row in zip(*(column.tolist() for column in columns.values()), strict=True):
+            writer.writerow("" if value != value else f"{value:.9g}" for value in row)
+
+
+def draw(drawing: Drawing) -> Figure:
+    """The picture: blue, red, green in the order of the curves, the nominal value in magenta, as in the paper."""
+    from matplotlib.figure import Figure
+
+    from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, decimation, figure_style
+
+    rows = -(-len(drawing.panels) // drawing.columns)
+    label, truth = drawing.truth
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 0.9 + (2.4 if drawing.columns == 1 else 1.9) * rows), layout="constrained")
+        grid = figure.subplots(rows, drawing.columns, sharex=True, sharey=True, squeeze=False)
+        for (title, curves), axes in zip(drawing.panels.items(), grid.flat, strict=False):
+            for colour, (name, y) in zip(cycle(COLOURS), curves.items(), strict=False):
+                i = decimation(y)
+                axes.plot(drawing.t[i], y[i], color=colour, label=name)
+            axes.plot(drawing.t, truth, color=MAGENTA, ls="--", label=label)
+            for mark in drawing.marks:
+                axes.axvline(mark, color=GREY, lw=0.8, ls=":")
+            axes.set_title(title)
+        for axes in list(grid.flat)[len(drawing.panels) :]:
+            axes.remove()
+        grid[0, 0].set_ylim(drawing.limits)
+        grid[0, 0].set_xlim(drawing.t[0], drawing.t[-1])
+        figure.supxlabel("time [s]", fontsize=10)
+        figure.supylabel(drawing.axis, fontsize=10)
+        handles, names = grid[0, 0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside upper center", ncols=len(names))
+    return figure

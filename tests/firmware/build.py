@@ -1,0 +1,64 @@
+"""Compilers and emulators for the exported C, and how to run it with them."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+HERE = Path(__file__).parent
+REQUIRED = ("-std=c99", "-ffp-contract=off")
+WARNINGS = ("-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wdouble-promotion")
+SEMIHOSTING = "-semihosting-config"
+
+
+@dataclass(frozen=True)
+class Target:
+    """A compiler with the options of a machine, and what runs its programs; board: of the emulator, "" for this one."""
+
+    name: str
+    compiler: str
+    options: tuple[str, ...] = ()
+    board: str = ""
+
+    @property
+    def missing(self) -> str:
+        """What is not installed, as the reason of a skipped test; "" if everything is there."""
+        needed = [self.compiler, *(["qemu-system-arm"] if self.board else [])]
+        absent = [name for name in needed if shutil.which(name) is None]
+        return f"not installed: {', '.join(absent)} (make firmware-tools INSTALL_TOOLS=1)" if absent else ""
+
+
+ARM = ("-mthumb", "-mfloat-abi=hard")
+GCC, CLANG = Target("gcc", "gcc"), Target("clang", "clang")
+M4F = Target("Cortex-M4F", "arm-none-eabi-gcc", ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", *ARM), "mps2-an386")
+M7 = Target("Cortex-M7", "arm-none-eabi-gcc", ("-mcpu=cortex-m7", "-mfpu=fpv5-d16", *ARM), "mps2-an500")
+TARGETS = (GCC, CLANG, M4F, M7)
+
+
+def command(arguments: list[str], folder: Path, timeout: float = 600) -> subprocess.CompletedProcess[str]:
+    """Runs in a folder; what it prints is kept."""
+    return subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=timeout)
+
+
+def compiled(folder: Path, prefix: str, target: Target, main: Path, optimize: str, *options: str) -> Path:
+    """A program from an exported folder and a main file. Raises RuntimeError with what the compiler said."""
+    program = folder / f"{main.stem}-{target.name}{optimize}"
+    sources = [str(main), *sorted(map(str, folder.glob("pmf_*.c"))), f"{prefix}_config.c"]
+    board = ["--specs=rdimon.specs", f"-T{HERE / 'mps2.ld'}", str(HERE / "startup.c")] if target.board else []
+    macros = [f'-DEXPORT_HEADER="{prefix}.h"', f"-DEXPORT_CONFIG={prefix}_config", "-I."]
+    options = (*REQUIRED, optimize, *target.options, *options, *macros)
+    done = command([target.compiler, *options, *sources, *board, "-Wl,--gc-sections", "-o", program.name], folder)
+    if done.returncode != 0:
+        raise RuntimeError(done.stderr[:2000])
+    return program
+
+
+def run(program: Path, target: Target, *arguments: str, clock: bool = False) -> subprocess.CompletedProcess[str]:
+    """Runs a program in its folder. clock: the emulated clock goes on by 64 ns with every instruction."""
+    if not target.board:
+        return command([f"./{program.name}", *arguments], program.parent)
+    semihosting = ",".join(["enable=on", "target=native", *(f"arg={word}" for word in (program.name, *arguments))])
+    emulator = ["qemu-system-arm", "-machine", target.board, "-nographic", SEMIHOSTING, semihosting]
+    return command([*emulator, *(["-icount", "shift=6"] if clock else []), "-kernel", program.name], program.parent)

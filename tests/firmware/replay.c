@@ -1,0 +1,64 @@
+/* Replays a file of samples through an export and writes what comes out, sample by sample, then the state.
+ * Compiled with -DEXPORT_HEADER='"NAME.h"' -DEXPORT_CONFIG=NAME_config.
+ */
+#include EXPORT_HEADER
+
+#include <stdio.h>
+
+#define BLOCK 512
+
+typedef struct {
+    real_t u;
+    uint32_t count;
+} input_t;
+
+typedef struct {
+    uint32_t status;
+    real_t theta[PMF_MAX_PARAMETERS], variance_factor[PMF_MAX_PARAMETERS], inflation[PMF_MAX_PARAMETERS];
+    real_t innovation, innovation_variance;
+} output_t;
+
+static pmf_state_t axis;
+static input_t input[BLOCK];
+static output_t output[BLOCK];
+
+static void step(const input_t *in, output_t *out)
+{
+    const pmf_estimate_t *estimate;
+    uint32_t i;
+    out->status = pmf_step(&EXPORT_CONFIG, &axis, in->u, in->count);
+    estimate = pmf_estimate(&EXPORT_CONFIG, &axis);
+    for (i = 0; i < pmf_parameters(&EXPORT_CONFIG); ++i) {
+        out->theta[i] = estimate->theta[i];
+        out->variance_factor[i] = estimate->variance_factor[i];
+        out->inflation[i] = estimate->inflation[i];
+    }
+    out->innovation = estimate->innovation;
+    out->innovation_variance = estimate->innovation_variance;
+}
+
+int main(int argc, char **argv)
+{
+    FILE *in, *out;
+    size_t n, k;
+    if (argc != 3 || pmf_arithmetic() != 0U) {
+        return 2;
+    }
+    in = fopen(argv[1], "rb");
+    out = fopen(argv[2], "wb");
+    if (in == NULL || out == NULL) {
+        return 3;
+    }
+    pmf_init(&EXPORT_CONFIG, &axis);
+    while ((n = fread(input, sizeof input[0], BLOCK, in)) > 0U) {
+        for (k = 0; k < n; ++k) {
+            step(&input[k], &output[k]);
+        }
+        if (fwrite(output, sizeof output[0], n, out) != n) {
+            return 4;
+        }
+    }
+    (void)fwrite(&axis, sizeof axis, 1, out);
+    (void)fclose(in);
+    return fclose(out) == 0 ? 0 : 5;
+}

@@ -1,0 +1,59 @@
+"""A record through Python and through the exported C: the same bits?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.export.firmware import export_firmware
+from pmfid.layout.saved import configuration, shape_of, tight_state
+from tests.firmware.build import HERE, Target, compiled, run
+
+PREFIX = "axis"
+
+
+def exported(estimator: RecursiveEstimator, folder: Path, u: NDArray[np.float64], counts: NDArray[np.int64]) -> Path:
+    """Exports, with a file of samples in.bin and what Python makes of them, expected.bin."""
+    export_firmware(estimator, folder, prefix=PREFIX)
+    real = np.float32 if estimator.precision == "float32" else np.float64
+    samples = np.zeros(u.size, np.dtype([("u", real), ("count", np.uint32)], align=True))
+    samples["u"], samples["count"] = u, counts.astype(np.uint32)
+    (folder / "in.bin").write_bytes(samples.tobytes())
+    (folder / "expected.bin").write_bytes(expected(estimator, u, counts))
+    return folder
+
+
+def expected(estimator: RecursiveEstimator, u: NDArray[np.float64], counts: NDArray[np.int64]) -> bytes:
+    """What replay.c writes: status and estimate after each sample, then the state."""
+    kernel = estimator.make_kernel(estimator.forgetting)
+    theta, factor, inflation, innovation, variance, status = kernel.run(u, counts)
+    real = np.dtype(kernel.dtype)
+    shape = shape_of(configuration(kernel, estimator.precision))
+    columns = (shape.max_parameters,)
+    fields: list[Any] = [("status", np.uint32), ("theta", real, columns), ("factor", real, columns)]
+    fields += [("inflation", real, columns), ("innovation", real), ("variance", real)]
+    rows = np.zeros(u.size, np.dtype(fields, align=True))
+    p = theta.shape[1]
+    rows["theta"][:, :p], rows["factor"][:, :p], rows["inflation"][:, :p] = theta, factor, inflation
+    rows["status"], rows["innovation"], rows["variance"] = status, innovation, variance
+    return rows.tobytes() + tight_state(kernel, estimator.precision, shape).tobytes()
+
+
+def difference(folder: Path, target: Target, optimize: str, *options: str) -> int | None:
+    """Place of the first byte that differs between the exported C and Python; None: there is none."""
+    program = compiled(folder, PREFIX, target, HERE / "replay.c", optimize, *options)
+    out = folder / f"{program.name}.bin"
+    done = run(program, target, "in.bin", out.name)
+    if done.returncode != 0:
+        raise RuntimeError(f"exit code {done.returncode}: {done.stdout}{done.stderr}")
+    one = np.frombuffer((folder / "expected.bin").read_bytes(), np.uint8)
+    other = np.frombuffer(out.read_bytes(), np.uint8)
+    out.unlink()
+    if one.size != other.size:
+        return min(one.size, other.size)
+    apart = np.flatnonzero(one != other)
+    return int(apart[0]) if apart.size else None

@@ -1,0 +1,187 @@
+"""Sensitivities against difference quotients, an independent integration and closed forms; criteria against theirs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+import pmfid
+from pmfid.design.criteria import CRITERIA, Criterion, criterion_of, eliminate
+from pmfid.design.fisher import affine, check_identifiable, information, motion, sensitivities
+from pmfid.design.mixture import proportions, share
+from pmfid.design.problem import Limits, Problem
+
+NAMES = ("mass", "viscous_friction", "coulomb_friction")
+
+
+def problem(mass: float = 1.5, viscous: float = 6.0, coulomb: float = 0.6, **changes: object) -> Problem:
+    nominal = dict(zip(NAMES, (mass, viscous, coulomb), strict=True))
+    fields = {"drive": pmfid.Drive(2.0), "nominal": nominal, "unknown": NAMES, "horizon": 2.0, "intervals": 20}
+    fields |= {"limits": Limits(input=3.0), "resolution": 1e-4, **changes}
+    return Problem(**fields)  # type: ignore[arg-type]
+
+
+drives = st.tuples(st.floats(0.1, 20.0), st.floats(0.01, 50.0), st.floats(0.0, 5.0))
+
+
+@settings(max_examples=25, deadline=None)
+@given(drives, st.integers(0, 1000), st.integers(1, 3))
+def test_sensitivities_are_difference_quotients(drive: tuple[float, float, float], seed: int, samples: int) -> None:
+    case = problem(*drive, scaled=False, samples_per_interval=samples)
+    u = np.random.default_rng(seed).uniform(-3, 3, case.intervals)
+    exact = sensitivities(case, u)[samples - 1 :: samples]
+    for i, name in enumerate(NAMES):
+        h = 1e-3 * max(case.nominal[name], 0.1)
+
+        def moved(part: float, name: str = name, h: float = h) -> np.ndarray:
+            return motion(case, u, {name: case.nominal[name] + part * h})[0][1:]
+
+        # the quotient of order six leaves h^6: nothing beside rounding
+        quotient = (45 * (moved(1) - moved(-1)) - 9 * (moved(2) - moved(-2)) + moved(3) - moved(-3)) / (60 * h)
+        assert np.abs(quotient - exact[:, i]).max() <= 1e-8 * max(np.abs(exact[:, i]).max(), 1e-3)
+
+
+def test_sensitivities_are_those_of_an_independent_integration() -> None:
+    case = problem()
+    u = np.random.default_rng(3).uniform(0.5, 3, case.intervals)
+    m, d, F = (case.nominal[name] for name in NAMES)
+
+    def slope(t: float, X: np.ndarray, voltage: float) -> np.ndarray:
+        v, S = X[1], X[2:].reshape(3, 2)
+        a = (2.0 * voltage - d * v - F) / m
+        own = np.array([-a / m, -v / m, -1 / m])
+        return np.r_[v, a, np.column_stack([S[:, 1], -d / m * S[:, 1] + own]).ravel()]
+
+    X, found = np.zeros(8), []
+    for k, voltage in enumerate(u):
+        span = (k * case.dt, (k + 1) * case.dt)
+        X = solve_ivp(slope, span, X, "DOP853", args=(voltage,), rtol=1e-12, atol=1e-15).y[:, -1]
+        found.append(X[2::2])
+    exact = sensitivities(case, u)
+    assert np.abs(np.array(found) - exact).max() <= 1e-8 * np.abs(exact).max()
+
+
+def test_information_of_a_free_mass_has_a_closed_form() -> None:
+    """x = u t^2 gain / (2 m): F = sum (gain u t^2 / (2 m^2))^2 / variance."""
+    case = problem(2.0, 0.0, 0.0, unknown=("mass",), noise_variance=1e-6)
+    t = case.t[1:]
+    expected = np.sum((2.0 * 0.7 * t**2 / (2 * 2.0**2)) ** 2) / 1e-6
+    assert information(case, np.full(20, 0.7)) == pytest.approx(expected, rel=1e-10)
+
+
+def test_a_rest_keeps_position_sensitivities_and_drops_those_of_velocity() -> None:
+    case = problem(directions=(1,) * 10 + (0,) * 3 + (-1,) * 7)
+    maps = affine(case)
+    u = np.random.default_rng(0).uniform(0, 3, 20)
+    rest = maps.weighted(u)[:, 9:13]
+    assert np.ptp(rest, axis=1) == pytest.approx(0.0, abs=1e-9 * np.abs(rest).max())
+    assert np.abs(np.diff(maps.weighted(u)[:, 12:], axis=1)).min() > 0
+
+
+def test_prior_and_finer_samples_add_information() -> None:
+    u = np.full(20, 2.0)
+    prior = np.diag([4.0, 0.0, 1.0])
+    gain = information(problem(prior=prior), u) - information(problem(), u)
+    assert gain == pytest.approx(prior, abs=1e-6 * information(problem(), u).max())
+    assert np.trace(information(problem(samples_per_interval=5), u)) > 4 * np.trace(information(problem(), u))
+
+
+@pytest.mark.parametrize("name", list(CRITERIA))
+@pytest.mark.parametrize("size", [1, 2, 3])
+def test_gradients_and_homogeneity(name: str, size: int) -> None:
+    rng = np.random.default_rng(7)
+    root = rng.standard_normal((3, 5))
+    F, change = root @ root.T, rng.standard_normal((3, 3))
+    change = change + change.T
+    rule = Criterion(name, size, np.arange(1.0, size + 1))
+    h = 1e-5
+    quotient = (rule.log_value(F + h * change) - rule.log_value(F - h * change)) / (2 * h)
+    assert np.sum(rule.gradient(F) * change) == pytest.approx(float(quotient), rel=1e-6, abs=1e-9)
+    assert rule.value(3.0 * F) == pytest.approx(rule.value(F) * (1.0 if name == "ME" else 3.0))
+
+
+def test_criteria_are_what_their_names_say() -> None:
+    S = np.diag([1.0, 4.0])
+    values = {name: Criterion(name, 2, np.array([1.0, 0.0])).value(S) for name in CRITERIA}
+    assert values == pytest.approx({"trace": 5.0, "D": 2.0, "A": 1.6, "E": 1.0, "ME": 0.25, "c": 1.0})
+
+
+def test_nuisance_parameters_are_eliminated() -> None:
+    root = np.random.default_rng(1).standard_normal((3, 6))
+    F = root @ root.T
+    expected = np.linalg.inv(np.linalg.inv(F)[:2, :2])
+    assert eliminate(F, 2)[0] == pytest.approx(expected)
+    assert Criterion("D", 2).value(F) == pytest.approx(np.sqrt(np.linalg.det(expected)))
+
+
+def test_the_tangent_at_the_best_mixture_bounds_every_part() -> None:
+    rng = np.random.default_rng(2)
+    parts = np.array([np.outer(a, a) for a in rng.standard_normal((8, 2))])
+    for name in ("D", "A", "E"):
+        rule = Criterion(name, 2)
+        weights = proportions(rule, parts)
+        mean = np.tensordot(weights, parts, 1)
+        assert weights.sum() == pytest.approx(1.0, abs=1e-4)
+        if name != "E":  # not smooth where two eigenvalues meet
+            assert np.tensordot(parts, share(rule, mean), 2).max() <= rule.value(mean) * (1 + 1e-3)
+        for other in rng.dirichlet(np.ones(8), 20):
+            assert rule.value(np.tensordot(other, parts, 1)) <= np.sum(
+                share(rule, mean) * np.tensordot(other, parts, 1)
+            ) * (1 + 1e-9)
+
+
+def test_what_no_input_tells_is_named() -> None:
+    drive = pmfid.Drive(2.0, offset=True)
+    case = problem()
+    nominal = {**case.nominal, "offset": 0.1}
+    both = replace(case, drive=drive, nominal=nominal, unknown=("coulomb_friction", "offset"))
+    with pytest.raises(pmfid.NotIdentifiableError, match="coulomb_friction from offset"):
+        check_identifiable(both, affine(both))
+    known = replace(both, prior=np.diag([0.0, 100.0]))
+    check_identifiable(known, affine(known))
+    still = replace(case, directions=(0,) * 20)
+    with pytest.raises(pmfid.NotIdentifiableError, match="does not depend on mass"):
+        check_identifiable(still, affine(still))
+
+
+def test_unknown_criteria_and_combinations() -> None:
+    with pytest.raises(pmfid.UsageError, match="did you mean 'trace'"):
+        criterion_of(problem(), "trase")
+    with pytest.raises(pmfid.UsageError, match="needs combination"):
+        criterion_of(problem(), "c", {"offset": 1.0})
+    assert criterion_of(problem(), "T").name == "trace"
+    assert criterion_of(problem(), "c", {"mass": 2.0}).combination == pytest.approx([1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"intervals": 0}, "intervals must be a whole number"),
+        ({"horizon": -1.0}, "horizon must be positive"),
+        ({"unknown": ()}, "at least one unknown"),
+        ({"unknown": ("mas",)}, "did you mean 'mass'"),
+        ({"nominal": {"mass": 1.0}}, "must be given"),
+        ({"resolution": None}, "give resolution"),
+        ({"prior": np.eye(2)}, "prior must be"),
+        ({"prior": -np.eye(3)}, "semidefinite"),
+        ({"directions": (1,) * 10 + (-1,) * 10}, "interval of rest"),
+        ({"directions": (1,)}, "directions must hold"),
+        ({"end": (-0.1, 0.0)}, "directions never lead"),
+        ({"end": (9.0, 0.0), "limits": Limits(input=3.0, position=(0.0, 0.4))}, "outside the position limit"),
+        ({"average": "median"}, "average must be"),
+    ],
+)
+def test_bad_problems_are_named(change: dict[str, object], text: str) -> None:
+    with pytest.raises(pmfid.UsageError, match=text):
+        problem(**change)
+
+
+@pytest.mark.parametrize("bad", [{"input": -1.0}, {"position": (1.0, 0.0)}, {"jerk": 0.0}, {"min_speed": -0.1}])
+def test_bad_limits_are_named(bad: dict[str, object]) -> None:
+    with pytest.raises(pmfid.UsageError, match=f"limit {next(iter(bad))} must be"):
+        Limits(**bad)  # type: ignore[arg-type]

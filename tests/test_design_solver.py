@@ -1,0 +1,273 @@
+"""Designs keep all limits, are the best there are as far as anybody has found, and their bounds hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import highspy
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pmfid
+from pmfid.design.bounds import upper_bound
+from pmfid.design.campaign import campaign
+from pmfid.design.diagnosis import minimum_time, relaxations
+from pmfid.design.evaluation import setting
+from pmfid.design.fisher import information, motion
+from pmfid.design.oracle import Oracle, SolverError
+from pmfid.design.outer import free_end_time, search_directions
+from pmfid.design.problem import InfeasibleError, Limits, Problem
+from pmfid.design.solver import evaluate, price_of_robustness, solve
+
+NOMINAL = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+NAMES = tuple(NOMINAL)
+LIMITS = Limits(input=3.0, position=(0.0, 0.4), min_speed=0.01)
+
+
+def case(unknown: int = 1, intervals: int = 40, **limits: object) -> Problem:
+    """The case of the paper, section IV-A, with a least speed."""
+    bounds = replace(LIMITS, **limits)  # type: ignore[arg-type]
+    return Problem(pmfid.Drive(2.0), NOMINAL, NAMES[:unknown], 2.0, intervals, bounds, resolution=91e-6, end=(0.4, 0.0))
+
+
+#: Best values that 1000 starts found (criterion, parameters), relative to a variance of 1 m^2.
+BEST = {("trace", 1): 0.200554, ("D", 2): 0.765926, ("A", 2): 0.299415, ("D", 3): 0.212999, ("A", 3): 0.0689922}
+
+
+@pytest.mark.parametrize(("criterion", "unknown"), list(BEST))
+def test_nearly_every_start_reaches_the_best(criterion: str, unknown: int) -> None:
+    problem = case(unknown)
+    found = solve(problem, criterion, starts=20, seed=5)
+    assert found.feasible
+    assert not found.warnings
+    assert found.reached >= 0.95
+    assert found.value * problem.variance == pytest.approx(BEST[criterion, unknown], rel=1e-3)
+
+
+def test_the_same_seed_gives_the_same_input() -> None:
+    one, other = (solve(case(3), "D", starts=4, seed=9) for _ in range(2))
+    assert one.u.tolist() == other.u.tolist()
+    threads = solve(case(3), "D", starts=4, seed=9, workers=2)
+    assert threads.value == pytest.approx(one.value, rel=1e-9)
+    assert one.predicted_std["mass"] == pytest.approx(np.sqrt(np.linalg.inv(one.fisher)[0, 0]))
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.floats(0.3, 5.0),
+    st.floats(0.5, 20.0),
+    st.floats(0.01, 2.0),
+    st.floats(0.05, 0.5),
+    st.sampled_from(["velocity", "acceleration", "jerk", "input_rate", "rms", "energy"]),
+    st.integers(0, 100),
+)
+def test_vertices_keep_every_limit(m: float, d: float, F: float, end: float, tight: str, seed: int) -> None:
+    nominal = dict(zip(NAMES, (m, d, F), strict=True))
+    wide = Limits(input=12.0, position=(0.0, 1.0), min_speed=0.001)
+    problem = Problem(pmfid.Drive(2.0), nominal, NAMES, 2.0, 24, wide, resolution=1e-4, end=(end, 0.0))
+    problem = replace(problem, limits=replace(wide, **{tight: 2.0 * _needed(problem, tight)}))
+    oracle = Oracle(setting(problem, "D").shape)
+    assert oracle.feasible()
+    oracle.start()
+    u = oracle.maximise(np.random.default_rng(seed).standard_normal(24))
+    assert evaluate(problem, u).warnings == ()
+    x, v = motion(problem, u)
+    assert x[-1] == pytest.approx(end, abs=1e-6)
+    assert v[1:-1].min() >= 0.001 - 1e-6
+    assert _needed(problem, tight, u) <= 2.0 * _needed(problem, tight) * (1 + 1e-6)
+
+
+def _needed(problem: Problem, name: str, u: np.ndarray | None = None) -> float:
+    """What an input asks of a limit; without one, that of a quiet motion at constant speed."""
+    if u is None:
+        m, d, F = problem.nominal.values()
+        speed = (problem.end[0] or 0.0) / problem.horizon
+        rest = {"velocity": 1.5 * speed, "acceleration": 12 * speed, "jerk": 200 * speed}
+        force = (d * 2 * speed + F + m * 10 * speed) / 2.0
+        rest |= {"input_rate": force * 12, "rms": force, "energy": force**2 * problem.horizon}
+        return rest[name]
+    _, v = motion(problem, u)
+    a = np.r_[0.0, np.diff(v) / problem.dt, 0.0]
+    asked = {
+        "velocity": np.abs(v).max(),
+        "acceleration": np.abs(a).max(),
+        "jerk": np.abs(np.diff(a)).max() / problem.dt,
+        "input_rate": np.abs(np.diff(u, prepend=0.0)).max() / problem.dt,
+        "rms": np.sqrt(np.mean(u**2)),
+        "energy": np.sum(u**2) * problem.dt,
+    }
+    return float(asked[name])
+
+
+def test_bounds_are_proved_and_hold() -> None:
+    found = solve(case(1, 20), "trace", certify=20.0, gap=0.01)
+    assert found.gap is not None
+    assert found.gap <= 0.0101
+    rule = setting(case(1, 20), "trace").rule
+    bound = upper_bound(case(1, 20), rule, _slow(20), gap=0.0, seconds=1.0)
+    assert bound is not None
+    assert bound >= found.value
+
+
+def _slow(intervals: int) -> np.ndarray:
+    """A feasible input that is far from the best: the one of least energy."""
+    from pmfid.design.nearest import input_set, nearest
+
+    return nearest(input_set(setting(case(1, intervals), "trace").shape), np.zeros(intervals))
+
+
+@pytest.mark.parametrize(("criterion", "unknown"), [("D", 2), ("A", 2), ("E", 2), ("D", 3)])
+def test_every_concave_criterion_has_a_bound(criterion: str, unknown: int) -> None:
+    found = solve(case(unknown, 12), criterion, certify=60.0, gap=0.1)
+    assert found.gap is not None
+    assert found.gap <= 0.1001
+    many = solve(case(unknown, 12), criterion, starts=50, seed=77)
+    assert many.value <= (found.bound or 0.0)
+
+
+def test_roundness_has_no_bound() -> None:
+    found = solve(case(2, 12), "ME", starts=2, certify=1.0)
+    assert found.bound is None
+    assert found.gap is None
+
+
+def test_a_campaign_beats_repeating_the_best() -> None:
+    for criterion, least in (("D", 1.25), ("A", 1.8)):
+        found = campaign(case(3), criterion)
+        assert found.gain >= least
+        assert found.weights.sum() == pytest.approx(1.0, abs=1e-3)
+        assert all(motion.feasible for motion in found.motions)
+        assert sum(found.runs(7)) == 7
+        own = sum(w * information(case(3), d.u) for w, d in zip(found.weights, found.motions, strict=True))
+        assert found.fisher == pytest.approx(own, rel=1e-9)
+    with pytest.raises(pmfid.UsageError, match="concave"):
+        campaign(case(2), "ME")
+
+
+@pytest.mark.parametrize("average", [None, "mean", "worst"])
+def test_a_robust_design_keeps_the_limits_in_every_scenario(average: str | None) -> None:
+    scenarios = tuple({"mass": 1.5 * part} for part in (0.8, 1.2))
+    problem = replace(case(1), scenarios=scenarios, end_tolerance=(0.01, 0.01), average=average)
+    found = solve(problem, "trace", starts=5)
+    assert found.feasible
+    for scenario in scenarios:
+        x, v = motion(problem, found.u, scenario)
+        assert x.max() <= 0.4 + 1e-6
+        assert v[1:-1].min() >= 0.01 - 1e-6
+        assert abs(x[-1] - 0.4) <= 0.01 + 1e-6
+    assert 0.0 < price_of_robustness(found) < 0.2
+    values = [evaluate(replace(case(1), nominal={**NOMINAL, **s}), found.u, "trace").value for s in ({}, *scenarios)]
+    if average == "worst":
+        parts = np.array([1.0, 0.8, 1.2])  # each case is scaled by the nominal mass
+        assert found.value == pytest.approx(np.min(values / parts**2), rel=1e-6)
+
+
+def test_stops_and_reversals_are_exact() -> None:
+    """The information of a motion with rests is there with true stiction, too."""
+    from pmfid.design.simulated import simulated_information
+
+    sense = (1,) * 20 + (0,) * 2 + (-1,) * 18
+    problem = replace(case(3), directions=sense, end=(0.2, 0.0))
+    found = solve(problem, "D", starts=3)
+    assert found.feasible
+    assert simulated_information(problem, found.u) == pytest.approx(information(problem, found.u), rel=1e-3)
+
+
+def test_parking_at_standstill_is_warned_of() -> None:
+    found = solve(case(1, min_speed=0.0), "trace", starts=5)
+    assert "parks at standstill" in " ".join(found.warnings)
+
+
+def test_energy_is_kept_and_pays() -> None:
+    values = [solve(case(1, 16, energy=energy), "trace", starts=3) for energy in (3.0, 6.0)]
+    assert [np.sum(d.u**2) * d.problem.dt <= energy * (1 + 1e-6) for d, energy in zip(values, (3.0, 6.0), strict=True)]
+    assert values[0].value < values[1].value <= solve(case(1, 16), "trace").value * (1 + 1e-6)
+
+
+# --- what cannot be met -----------------------------------------------------------------------------------------------
+
+
+def test_too_short_a_horizon_says_the_least_time() -> None:
+    problem = replace(case(), horizon=0.5)
+    with pytest.raises(InfeasibleError, match=r"the least time is 0\.75\d+ s") as caught:
+        solve(problem)
+    names = {way.name: way.needed for way in caught.value.relaxations}
+    solve(replace(problem, horizon=names["horizon"]), starts=1)
+    solve(replace(problem, limits=replace(LIMITS, input=names["input"] * 1.0001)), starts=1)
+    assert minimum_time(case()) == pytest.approx(names["horizon"], rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("limits", "name"), [({"velocity": 0.15}, "velocity"), ({"energy": 1.0}, "energy"), ({"jerk": 0.3}, "jerk")]
+)
+def test_the_limit_to_relax_is_named_with_what_it_needs(limits: dict[str, float], name: str) -> None:
+    ways = {way.name: way for way in relaxations(case(**limits))}
+    assert ways[name].value == limits[name]
+    solve(case(**{name: ways[name].needed * 1.0001}), starts=1)
+    with pytest.raises(InfeasibleError, match=f"{name} .* -> "):
+        solve(case(**limits), starts=1)
+
+
+def test_limits_that_must_be_relaxed_together_are_named() -> None:
+    problem = replace(case(), scenarios=({"mass": 1.2}, {"mass": 1.8}))
+    with pytest.raises(InfeasibleError, match=r"relax together: position .*; end_tolerance"):
+        solve(problem, starts=1)
+
+
+def test_an_input_without_a_bound_is_named() -> None:
+    with pytest.raises(pmfid.UsageError, match="without a bound"):
+        solve(replace(case(), limits=Limits(), end=(None, None)), starts=1)
+
+
+def test_starts_must_be_positive() -> None:
+    with pytest.raises(pmfid.UsageError, match="starts and workers"):
+        solve(case(), starts=0)
+
+
+def test_a_linear_solver_that_gives_up_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    oracle = Oracle(setting(case(), "trace").shape)
+    monkeypatch.setattr(Oracle, "_run", lambda self: highspy.HighsModelStatus.kUnknown)
+    with pytest.raises(SolverError, match="rescale the problem"):
+        oracle.maximise(np.ones(40))
+
+
+def test_a_given_input_that_breaks_limits_says_which() -> None:
+    found = evaluate(case(3), np.full(40, 4.0))
+    assert not found.feasible
+    assert [text.split(" by ")[0] for text in found.warnings] == [
+        "breaks input",
+        "breaks end position",
+        "breaks end velocity",
+    ]
+    with pytest.raises(pmfid.UsageError, match="40 finite values"):
+        evaluate(case(), np.ones(3))
+
+
+# --- searches around the solver ---------------------------------------------------------------------------------------
+
+
+def test_a_free_end_time_is_the_best_of_those_tried() -> None:
+    problem = case(1, 20)
+    found = free_end_time(problem, "trace", shortest=0.5, longest=2.0, tries=4, starts=2)
+    rates = []
+    for count in (10, 15, 20):
+        other = replace(problem, intervals=count, horizon=count * problem.dt)
+        rates.append(solve(other, "trace", starts=2).value / other.horizon)
+    assert found.value / found.problem.horizon == pytest.approx(max(rates))
+    with pytest.raises(InfeasibleError):
+        free_end_time(problem, "trace", shortest=0.2, longest=0.4, tries=2)
+    with pytest.raises(pmfid.UsageError, match="shortest < longest"):
+        free_end_time(problem, "trace", shortest=2.0, longest=1.0)
+
+
+def test_a_reversal_is_placed_at_least_as_well_as_in_the_middle() -> None:
+    problem = replace(case(2, 20), end=(0.1, 0.0))
+    found = search_directions(problem, "D", starts=2)
+    middle = solve(replace(problem, directions=(1,) * 10 + (0,) + (-1,) * 9), "D", starts=2)
+    assert found.value >= middle.value
+    assert found.feasible
+    assert set(found.problem.sense) == {-1, 0, 1}
+    with pytest.raises(pmfid.UsageError, match="do not fit"):
+        search_directions(problem, reversals=15)

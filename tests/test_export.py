@@ -1,0 +1,364 @@
+"""The exported C: the same bits, on this computer and on emulated microcontrollers; states, canary, folder, command."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import pmfid
+from pmfid.cli.main import main
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.registry import OFF_LINE, RECURSIVE
+from pmfid.export.initializer import literal
+from pmfid.layout.saved import configuration
+from pmfid.layout.structures import structures
+from tests.conftest import EMPS, cart_run, needs_emps
+from tests.firmware.build import CLANG, GCC, HERE, M4F, M7, REQUIRED, WARNINGS, Target, command, compiled
+from tests.firmware.footprint import cost, kept
+from tests.firmware.replay import PREFIX, difference, exported
+
+DT, CUTOFF = 0.01, 100 / 3
+PRECISIONS = ("float32", "float64")
+AXIS = Path(__file__).parents[1] / "examples" / "cart.toml"
+FIRMWARE_PAGE = Path(__file__).parents[1] / "docs" / "firmware.md"
+
+
+def needs(target: Target) -> pytest.MarkDecorator:
+    return pytest.mark.skipif(bool(target.missing), reason=target.missing)
+
+
+def make(cls: type[RecursiveEstimator], precision: str = "float32", **options: object) -> RecursiveEstimator:
+    encoder = pmfid.Encoder(cart_run(1, samples=10, increments=512).encoder.resolution, bits=16, max_speed=5.0)
+    drive = options.pop("drive", pmfid.Drive(input_gain=2.0))
+    return cls(drive, encoder, DT, CUTOFF, **{"forgetting": 0.995, "precision": precision, **options})
+
+
+def hostile(samples: int = 1500) -> tuple[np.ndarray, np.ndarray]:
+    """A cart's run with a bad input, a jump of the counts, a rest, and numbers beyond float32."""
+    run = cart_run(1, samples=samples, increments=512)
+    u, counts = run.u.copy(), run.counts.copy()
+    u[300], u[301], u[1150], u[1151] = np.nan, np.inf, 1e30, -1e30
+    counts[600:] += 20_000
+    counts[800:900] = counts[800]
+    return u, counts
+
+
+@pytest.fixture(scope="module", params=[(cls, precision) for cls in RECURSIVE for precision in PRECISIONS], ids=str)
+def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    cls, precision = request.param
+    return exported(make(cls, precision), tmp_path_factory.mktemp("export"), *hostile())
+
+
+# --- the same bits ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("target", "optimize"),
+    [
+        pytest.param(target, optimize, marks=needs(target), id=f"{target.name}{optimize}")
+        for target, optimize in ((GCC, "-O0"), (GCC, "-O3"), (CLANG, "-O2"), (M4F, "-O2"), (M7, "-O3"))
+    ],
+)
+def test_exported_code_computes_the_bits_of_python(folder: Path, target: Target, optimize: str) -> None:
+    assert difference(folder, target, optimize, *WARNINGS) is None
+
+
+VARIANTS = {
+    "window": {"forgetting_scheme": "window"},
+    "constant-trace": {"forgetting_scheme": "constant-trace"},
+    "directional": {"forgetting_scheme": "directional"},
+    "offset": {"drive": pmfid.Drive(2.0, offset=True)},
+    "spring": {"drive": pmfid.Drive(2.0, spring=True)},
+    "friction": {"drive": pmfid.Drive(2.0, friction="directional")},
+    "order": {"order": 4},
+}
+
+
+@needs(GCC)
+@pytest.mark.parametrize("cls", RECURSIVE)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_configuration_is_exported(variant: str, cls: type[RecursiveEstimator], tmp_path: Path) -> None:
+    try:
+        estimator = make(cls, "float32", **VARIANTS[variant])
+    except pmfid.UsageError:
+        pytest.skip("this method does not have it")
+    assert difference(exported(estimator, tmp_path, *hostile()), GCC, "-O1", *WARNINGS) is None
+
+
+@needs(GCC)
+@needs_emps
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_measured_record_and_its_self_test(precision: str, tmp_path: Path) -> None:
+    out = tmp_path / "emps"
+    arguments = ["export", str(AXIS.with_name("emps.toml")), "--out", str(out), "--record", str(EMPS)]
+    result = CliRunner().invoke(main, [*arguments, "--precision", precision])
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "the same bits" in selftest(out, GCC).stdout
+
+
+@needs(GCC)
+def test_a_difference_is_found(tmp_path: Path) -> None:
+    folder = exported(make(pmfid.RLS), tmp_path, *hostile())
+    config = folder / f"{PREFIX}_config.c"
+    text = config.read_text()
+    config.write_text(re.sub(r"(\d+)U, /\* settle_samples", lambda m: f"{int(m[1]) + 1}U, /* settle_samples", text))
+    assert config.read_text() != text
+    assert difference(folder, GCC, "-O1") is not None
+    assert selftest(folder, GCC).returncode not in (0, 255)
+
+
+# --- the self-test ----------------------------------------------------------------------------------------------------
+
+
+def selftest(folder: Path, target: Target, *options: str) -> subprocess.CompletedProcess[str]:
+    """Compiles the self-test of an export with further options and runs it."""
+    sources = ["selftest.c", *sorted(path.name for path in folder.glob("pmf_*.c"))]
+    sources += [path.name for path in folder.glob("*_config.c")]
+    done = command([target.compiler, *REQUIRED, "-O2", *options, *sources, "-o", "test", "-lm"], folder)
+    assert done.returncode == 0, done.stderr[:2000]
+    return command(["./test"], folder)
+
+
+@needs(GCC)
+def test_make_selftest_and_example_as_a_stranger_would(folder: Path) -> None:
+    done = command(["make", "-s", "selftest", "all"], folder)
+    assert (done.returncode, done.stdout + done.stderr) == (0, "")
+    assert command(["./selftest"], folder).stdout == "800 samples, the same bits\n"
+    assert command(["./example"], folder).returncode == 0
+    command(["make", "clean"], folder)
+
+
+FMA = "fma" in Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else False
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize(
+    "target", [pytest.param(target, marks=needs(target), id=target.name) for target in (GCC, CLANG)]
+)
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("-ffast-math",),
+        pytest.param(("-mfma", "-ffp-contract=fast"), marks=pytest.mark.skipif(not FMA, reason="the CPU has no FMA")),
+        ("-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"),
+        ("-ffinite-math-only",),
+    ],
+    ids=" ".join,
+)
+def test_the_canary_finds_spoilt_arithmetic(
+    options: tuple[str, ...], target: Target, precision: str, tmp_path: Path
+) -> None:
+    pmfid.export_firmware(make(pmfid.RLS, precision), tmp_path)
+    assert selftest(tmp_path, target).returncode == 0
+    spoilt = selftest(tmp_path, target, *options)
+    assert (spoilt.returncode, spoilt.stdout[:11]) == (255, "arithmetic:")
+
+
+# --- compilers and checkers -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize(
+    "compiler",
+    [
+        pytest.param(words, marks=needs(Target("", words[0])), id=" ".join(words))
+        for words in (
+            ("gcc", "-std=c99"),
+            ("clang", "-std=c99"),
+            ("g++", "-x", "c++", "-std=c++17"),
+            ("clang++", "-x", "c++", "-std=c++17"),
+            ("arm-none-eabi-gcc", "-std=c99", "-mcpu=cortex-m4", "-mthumb"),
+        )
+    ],
+)
+def test_every_file_compiles_without_a_warning(compiler: tuple[str, ...], precision: str, tmp_path: Path) -> None:
+    pmfid.export_firmware(make(pmfid.RIV, precision), tmp_path)
+    files = [path.name for path in tmp_path.glob("*.c")]
+    assert {"main.c", "selftest.c", "axis_config.c"} < set(files)
+    done = command([*compiler, *WARNINGS, "-O2", "-ffp-contract=off", "-c", *files], tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+#: Rules of MISRA C:2012 that the kernel breaks on purpose; docs/firmware.md gives the reasons.
+MISRA = set(re.findall(r"^\| (\d+\.\d+) \|", FIRMWARE_PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+
+
+@needs(Target("", "cppcheck"))
+@pytest.mark.parametrize("cls", [pmfid.BCRLS, pmfid.RIV])
+def test_misra_finds_only_what_is_justified(cls: type[RecursiveEstimator], tmp_path: Path) -> None:
+    pmfid.export_firmware(make(cls), tmp_path)
+    files = sorted(path.name for path in tmp_path.glob("*.c") if path.name not in ("main.c", "selftest.c"))
+    done = command(["cppcheck", "--addon=misra", "--std=c99", "-I.", *files], tmp_path)
+    if "Bailing out from" in done.stderr or "failed to execute" in done.stderr.lower():
+        pytest.skip("this cppcheck has no working MISRA addon")
+    found = set(re.findall(r"misra-c2012-(\d+\.\d+)", done.stderr))
+    assert "15.5" in found, "the checker has looked at nothing"
+    assert found <= MISRA
+
+
+@needs(GCC)
+def test_sanitizers_find_nothing(tmp_path: Path) -> None:
+    folder = exported(make(pmfid.RIV), tmp_path, *hostile())
+    assert difference(folder, GCC, "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover") is None
+
+
+@needs(GCC)
+@needs(Target("", "valgrind"))
+def test_valgrind_finds_nothing(tmp_path: Path) -> None:
+    pmfid.export_firmware(make(pmfid.BCRLS), tmp_path)
+    assert selftest(tmp_path, GCC, "-g").returncode == 0
+    done = command(["valgrind", "--error-exitcode=9", "--leak-check=full", "-q", "./test"], tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs(CLANG)
+@pytest.mark.parametrize("cls", [pmfid.BCRLS, pmfid.RIV])
+def test_fuzzing_for_a_while_finds_nothing(cls: type[RecursiveEstimator], tmp_path: Path) -> None:
+    pmfid.export_firmware(make(cls), tmp_path)
+    sanitize = ("-fsanitize=fuzzer,undefined", "-fno-sanitize-recover=all")
+    try:
+        program = compiled(tmp_path, "axis", CLANG, HERE / "fuzz.c", "-O2", *sanitize)
+    except RuntimeError:
+        pytest.skip("this clang has no libFuzzer")
+    options = ["-max_total_time=3", "-max_len=600", "-len_control=0", "-seed=1"]
+    done = command([f"./{program.name}", *options], tmp_path)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert int(re.search(r"steps: (\d+)", done.stderr)[1]) > 1000
+
+
+@needs(M4F)
+def test_a_bcrls_drive_is_small(tmp_path: Path) -> None:
+    """BCRLS, float32, Cortex-M4F: flash under 4 kB, state under 700 bytes, stack under 400, 1500 instructions."""
+    pmfid.export_firmware(make(pmfid.BCRLS), tmp_path)
+    measured = cost(tmp_path, "axis")
+    assert 2000 < measured.flash < 4096
+    assert 100 < measured.stack < 400
+    assert 500 < measured.mean <= measured.most < 1500
+    assert "RAM 584 bytes" in (tmp_path / "axis.h").read_text()
+    names = {name for name, _ in kept((tmp_path / "drive.map").read_text())}
+    assert all(name.endswith("-drive.o") for name in names), "nothing of the C library"
+
+
+# --- saved states -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("cls", RECURSIVE)
+def test_interrupted_after_any_sample_it_goes_on_with_the_same_bits(
+    cls: type[RecursiveEstimator], precision: str
+) -> None:
+    u, counts = hostile()
+    whole = make(cls, precision)
+    states = []
+    for value, count in zip(u, counts.tolist(), strict=True):
+        whole.step(value, count)
+        states.append(whole.get_state())
+    resumed = make(cls, precision)
+    for k in [*range(0, 60), *range(60, 1199, 41)]:
+        resumed.set_state(states[k])
+        resumed.step(u[k + 1], int(counts[k + 1]))
+        assert resumed.get_state() == states[k + 1]
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_flipped_bit_is_refused(precision: str) -> None:
+    estimator = make(pmfid.BCRLS, precision)
+    estimator.run(*hostile())
+    state = estimator.get_state()
+    for place in range(0, len(state), 3):
+        damaged = bytearray(state)
+        damaged[place] ^= 1 << place % 8
+        with pytest.raises(pmfid.UsageError, match=r"checksum|configuration"):
+            estimator.set_state(bytes(damaged))
+    estimator.set_state(state)
+
+
+def test_the_header_is_read_as_the_compiler_lays_it_out() -> None:
+    for precision in PRECISIONS:
+        kernel, types = make(pmfid.RIV, precision)._kernel, structures(None, precision)
+        assert types["pmf_config_t"].itemsize == len(kernel.raw_config())
+        assert types["pmf_state_t"].itemsize == len(kernel.raw_state())
+        config = configuration(kernel, precision)
+        assert config["direct"]["forgetting"] == np.asarray(0.995, kernel.dtype)
+        assert config["encoder"]["count_mask"] == 2**16 - 1
+        assert config["auxiliary"]["dt"] == np.asarray(DT, kernel.dtype)
+
+
+# --- what is written --------------------------------------------------------------------------------------------------
+
+
+def test_two_exports_are_the_same_bytes_and_the_kernel_is_unchanged(tmp_path: Path) -> None:
+    one = pmfid.export_firmware(make(pmfid.BCRLS), tmp_path / "one")
+    two = pmfid.export_firmware(make(pmfid.BCRLS), tmp_path / "two")
+    assert [path.name for path in one] == [path.name for path in two]
+    assert all(a.read_bytes() == b.read_bytes() for a, b in zip(one, two, strict=True))
+    source = Path(__file__).parents[1] / "csrc"
+    copied = [path for path in one if path.name.startswith("pmf") and path.name != "pmf_sizes.h"]
+    assert len(copied) >= 7
+    assert all(path.read_bytes() == (source / path.name).read_bytes() for path in copied)
+    other = pmfid.export_firmware(replace(make(pmfid.BCRLS), dt=0.02), tmp_path / "other")
+    assert any(a.read_bytes() != b.read_bytes() for a, b in zip(one, other, strict=True))
+
+
+def test_the_header_is_a_page(tmp_path: Path) -> None:
+    pmfid.export_firmware(make(pmfid.RIV), tmp_path, prefix="x_axis")
+    lines = (tmp_path / "x_axis.h").read_text().splitlines()
+    assert len(lines) <= 85
+    assert all(len(line) <= 120 for line in lines)
+
+
+@pytest.mark.parametrize(("number", "text"), [(0.1, "0x1.999999999999ap-4"), (-3.0, "-0x1.8p+1"), (0.0, "0x0p+0")])
+def test_numbers_are_exact(number: float, text: str) -> None:
+    assert literal(np.float64(number)) == text
+    assert literal(np.float32(1.5)) == "0x1.8p+0f"
+    assert literal(np.uint32(7)) == "7U"
+    with pytest.raises(ValueError, match="no C constant"):
+        literal(np.float64(np.nan))
+
+
+@pytest.mark.parametrize("prefix", ["", "1st", "Axis", "a-b", "pmf", "pmf_x"])
+def test_a_prefix_must_be_a_name(prefix: str, tmp_path: Path) -> None:
+    with pytest.raises(pmfid.UsageError, match="prefix"):
+        pmfid.export_firmware(make(pmfid.RLS), tmp_path, prefix=prefix)
+
+
+def test_off_line_methods_and_full_folders_are_refused(tmp_path: Path) -> None:
+    for cls in OFF_LINE:
+        with pytest.raises(pmfid.UsageError, match="whole records"):
+            pmfid.export_firmware(cls(pmfid.Drive(2.0), pmfid.Encoder(1e-5), DT, CUTOFF), tmp_path)
+    (tmp_path / "thesis.tex").write_text("")
+    with pytest.raises(pmfid.UsageError, match=r"thesis\.tex"):
+        pmfid.export_firmware(make(pmfid.RLS), tmp_path)
+
+
+def test_the_command_says_what_is_missing(tmp_path: Path) -> None:
+    for arguments, remedy in ((["--out", "x"], "--dt"), (["--out", "x", "--method", "ls"], "--method")):
+        result = CliRunner().invoke(main, ["export", str(AXIS), *arguments])
+        assert result.exit_code == 2
+        assert remedy in result.stderr
+        assert result.stderr.count("\n") == 1
+
+
+@needs(GCC)
+def test_two_axes_in_one_program(tmp_path: Path) -> None:
+    """Different methods and precisions, each with a kernel of its own."""
+    pmfid.export_firmware(make(pmfid.BCRLS, "float32"), tmp_path / "x", prefix="x")
+    pmfid.export_firmware(make(pmfid.RIV, "float64"), tmp_path / "y", prefix="y")
+    objects = []
+    for name in ("x", "y"):
+        done = command(["make", "-s", f"lib{name}.a"], tmp_path / name)
+        assert (done.returncode, done.stderr) == (0, "")
+        flags = ["-c", "selftest.c", "-DSELFTEST_NO_MAIN", "-o", f"{name}_selftest.o"]
+        assert command(["gcc", *REQUIRED, *flags], tmp_path / name).returncode == 0
+        objects += [f"{name}/{name}_selftest.o", f"{name}/lib{name}.a"]
+    declared = "unsigned x_selftest(void); unsigned y_selftest(void);"
+    (tmp_path / "main.c").write_text(f"{declared} int main(void) {{ return (int)(x_selftest() | y_selftest()); }}")
+    assert command(["gcc", "main.c", *objects, "-o", "both"], tmp_path).returncode == 0
+    assert command(["./both"], tmp_path).returncode == 0
+    assert (HERE / "mps2.ld").exists()

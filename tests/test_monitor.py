@@ -1,0 +1,354 @@
+"""Block scores, detectors, thresholds and the monitor, against oracles and against what the cart really did."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pmfid import BCRLS, IV, RIV, RLS, Drive, Encoder, Status, UsageError
+from pmfid.monitor.calibration import Calibration, calibrate, fit_tail, make_detectors, noise_ratio
+from pmfid.monitor.cause import explain
+from pmfid.monitor.detectors import DETECTORS, Cusum, Glr, PageHinkley, statistics
+from pmfid.monitor.events import CANNOT_TELL, SETTLING, WATCHING, Alarm, Settled, StateChange, Watch
+from pmfid.monitor.scores import Blocks, ScoreFilter, make_scale, scores
+from pmfid.monitor.watch import Monitor
+from pmfid.simulation import CART, CART_DT, Schedule, resolution_of
+from pmfid.studies.monitoring.axis import changing, drive, make_riv, normal_work, random_stop_and_go
+from pmfid.studies.monitoring.false_alarms import count_alarms, poisson_interval
+
+THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+NAMES = ("mass", "viscous_friction", "coulomb_friction")
+INCREMENTS = 1024
+Floats = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    u, counts = normal_work(7, INCREMENTS, 0.2)
+    return calibrate(make_riv(INCREMENTS), THETA, u, counts, hours=4.0)
+
+
+def front(increments: int = INCREMENTS) -> IV:
+    return IV(Drive(CART.input_gain), Encoder(resolution_of(increments)), CART_DT, 50.0)
+
+
+def random_blocks(seed: int, runs: int = 3, n: int = 200) -> tuple[Floats, Floats]:
+    rng = np.random.default_rng(seed)
+    w = rng.uniform(0, 2, (runs, n, 3))
+    return rng.normal(size=(runs, n, 3)) * np.sqrt(w), w
+
+
+# --- scores -----------------------------------------------------------------------------------------------------------
+
+
+def test_scores_are_the_information_times_the_deviation() -> None:
+    """E S = W (theta - theta0), here without noise; the model's own stops make the rest."""
+    u, counts = normal_work(1, 100_000, 0.05)
+    away = THETA * [1.002, 1.0, 1.0]
+    blocks = scores(front(100_000), away, u, counts)[5:]
+    found = np.linalg.solve(blocks.cross.sum(axis=0), blocks.score.sum(axis=0))
+    assert np.abs(found - (THETA - away)) / THETA == pytest.approx(np.zeros(3), abs=1e-3)
+    assert found[0] == pytest.approx(-0.002 * CART.mass, rel=0.1)
+
+
+def test_sample_by_sample_gives_the_same_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    u, counts = normal_work(2, INCREMENTS, 0.01)
+    monkeypatch.setattr("pmfid.monitor.scores.CHUNK", 100)
+    whole = scores(front(), THETA, u, counts)
+    filter_ = ScoreFilter(front(), THETA)
+    parts = [filter_.step(a, b) for a, b in zip(u.tolist(), counts.tolist(), strict=True)]
+    single = Blocks.joined([part for part in parts if part is not None])
+    assert len(whole.score) > 10
+    for name in ("score", "cross", "square"):
+        assert np.array_equal(getattr(single, name), getattr(whole, name))
+
+
+def test_unusable_samples_count_for_nothing() -> None:
+    u, counts = normal_work(2, INCREMENTS, 0.01)
+    u[100] = np.nan
+    blocks = scores(front(), THETA, u, counts)
+    hit = 100 // front().settle_samples
+    assert not blocks.score[hit + 1].any()
+    assert blocks.score[hit + 6 :].any()
+    assert np.isfinite(blocks.score).all()
+
+
+def test_the_scale_makes_normal_work_standard() -> None:
+    u, counts = normal_work(3, INCREMENTS, 0.2)
+    blocks = scores(front(), THETA, u, counts)
+    x, w = make_scale(blocks).standardise(blocks)
+    assert np.mean(x**2, axis=0) == pytest.approx(np.ones(3))
+    assert np.mean(w, axis=0) == pytest.approx(np.ones(3))
+    lag_two = np.mean(x[2:] * x[:-2], axis=0)
+    assert np.abs(lag_two).max() < 0.15  # the detectors' blocks are not the memory of an estimate
+
+
+# --- detectors --------------------------------------------------------------------------------------------------------
+
+
+def test_cusum_is_pages_sum() -> None:
+    x, w = random_blocks(0, 1, 60)
+    up = down = np.zeros(3)
+    for k, found in enumerate(statistics(Cusum(0.5), x, w, np.full(3, 0.1))[0]):
+        up = np.maximum(0, up + x[0, k] - 0.6 * w[0, k])
+        down = np.maximum(0, down - x[0, k] - 0.6 * w[0, k])
+        assert found == pytest.approx(max(up.max(), down.max()))
+
+
+def test_page_hinkley_is_the_excess_over_the_smallest_sum() -> None:
+    """U_n - min U, U the sum of x minus mean minus drift (Hinkley 1971)."""
+    x, _ = random_blocks(1, 1, 80)
+    w, memory = np.ones_like(x), 1e12
+    found = statistics(PageHinkley(0.3, memory), x, w, np.zeros(3))[0]
+    for sign in (1.0, -1.0):
+        total = np.cumsum(sign * x[0] - 0.3, axis=0)  # so long a memory keeps the mean at zero
+        excess = total - np.minimum.accumulate(np.vstack([np.zeros(3), total]), axis=0)[1:]
+        assert np.all(found >= excess.max(axis=1) - 1e-6)
+    assert PageHinkley().start((3,))[3] == pytest.approx(100.0)
+
+
+def test_page_hinkley_takes_a_constant_deviation_for_normal() -> None:
+    x, w = np.full((1, 20_000, 3), 0.3), np.ones((1, 20_000, 3))
+    assert statistics(Cusum(0.1), x, w, np.zeros(3))[0, -1] > 1000
+    assert statistics(PageHinkley(0.1), x, w, np.zeros(3))[0, -1] == 0
+
+
+def test_glr_is_the_best_start_of_all() -> None:
+    x, w = random_blocks(2, 1, 50)
+    detector = Glr(window=16)
+    found = statistics(detector, x, w, np.zeros(3))[0]
+    for k in (0, 5, 30, 49):
+        sums = [(x[0, j : k + 1].sum(axis=0), w[0, j : k + 1].sum(axis=0)) for j in range(max(0, k - 15), k + 1)]
+        assert found[k] == pytest.approx(max(float(np.max(a**2 / (b + 1) / 2)) for a, b in sums))
+
+
+def test_chi_square_has_the_mean_of_its_degrees() -> None:
+    rng = np.random.default_rng(3)
+    x, w = rng.normal(size=(50, 2000, 3)), np.ones((50, 2000, 3))
+    keep = 0.9
+    power = (1 / (1 - keep**2)) / (1 / (1 - keep) + 1)  # variance of sum x over sum w + 1
+    precision = tuple(tuple(row) for row in (np.eye(3) / power).tolist())
+    found = statistics(make_detectors(keep, precision)["chi-square"], x, w, np.zeros(3))[:, 100:]
+    assert found.mean() == pytest.approx(3.0, rel=0.03)
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_every_detector(name: str) -> None:
+    """Sees both directions alike, many runs as one, nothing in a block without information, and less with tolerance."""
+    detector = make_detectors(0.9)[name]
+    x, w = random_blocks(4)
+    tolerance = np.zeros(3)
+    found = statistics(detector, x, w, tolerance)
+    assert np.allclose(found, statistics(detector, -x, w, tolerance))
+    assert np.allclose(found[1], statistics(detector, x[1:2], w[1:2], tolerance)[0])
+    assert np.all(statistics(detector, x, w, np.full(3, 0.5)).max(axis=1) < found.max(axis=1))
+    shifted = statistics(detector, x + 3 * w, w, tolerance)
+    assert shifted.max() > 5 * found.max()
+    state = detector.start((3,))
+    for _ in range(100):
+        state, statistic = detector.update(state, np.zeros(3), np.zeros(3), tolerance)
+    assert statistic == 0
+
+
+# --- thresholds -------------------------------------------------------------------------------------------------------
+
+
+def test_a_tail_is_read_off_beyond_what_was_seen() -> None:
+    """Exponential peaks: the threshold for a rate is known."""
+    rng = np.random.default_rng(5)
+    statistic = rng.exponential(2.0, (40, 36_000))  # blocks of 0.1 s: 40 h
+    tail = fit_tail(statistic, 0.1)
+    assert tail.hours == pytest.approx(40.0)
+    assert tail.threshold(24.0) > tail.threshold(1.0) > tail.threshold(0.2)
+    for hours in (1.0, 24.0, 1000.0):
+        assert tail.threshold(hours) == pytest.approx(2 * np.log(hours * 36_000), rel=0.06)
+
+
+def test_alarms_are_as_rare_as_asked() -> None:
+    """A small version of the study: a false alarm in a quarter of an hour, over nine hours under control."""
+    u, counts = normal_work(7, INCREMENTS, 0.5)
+    riv = make_riv(INCREMENTS)
+    found = calibrate(riv, THETA, u, counts, hours=10.0)
+    pairs = [found.scale.standardise(scores(riv, THETA, *normal_work(seed, INCREMENTS, 0.5))) for seed in range(30, 48)]
+    x, w = np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
+    for name, detector in make_detectors(0.99**17, found.chi_square).items():
+        alarms = count_alarms(detector, x, w, found.tails[name].threshold(0.25), 88)
+        assert 18 <= alarms <= 72, name
+    low, high = poisson_interval(36, 9.0)
+    assert low < 0.25 < high
+
+
+def test_a_noisy_record_raises_the_scale(calibration: Calibration) -> None:
+    u, counts = normal_work(8, INCREMENTS, 0.2)
+    assert np.array_equal(noise_ratio(calibration.scale, scores(front(), THETA, u, counts)), np.ones(3))
+    rough = counts + np.random.default_rng(0).integers(-1, 2, counts.size)
+    assert np.all(noise_ratio(calibration.scale, scores(front(), THETA, u, rough)) > 2)
+
+
+def test_calibration_is_reproducible(calibration: Calibration) -> None:
+    u, counts = normal_work(7, INCREMENTS, 0.2)
+    again = calibrate(make_riv(INCREMENTS), THETA, u, counts, hours=4.0)
+    assert again.tails == calibration.tails
+    assert calibrate(make_riv(INCREMENTS), THETA, u, counts, hours=4.0, seed=1).tails != calibration.tails
+
+
+# --- opening the memory -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cls", [RLS, BCRLS, RIV])
+@pytest.mark.parametrize("parameter", [None, "mass"])
+def test_opening_keeps_the_estimate_and_lets_go_of_the_past(cls: Any, parameter: str | None) -> None:
+    loaded = Schedule(((0.0, CART), (10.0, replace(CART, mass=1.44))))
+    u, counts = changing(loaded, 3, 4096, 16.0)
+    estimator = cls(Drive(2.0), Encoder(resolution_of(4096)), CART_DT, 50.0, forgetting=0.99)
+    estimator.run(u[:1040], counts[:1040])
+    before = estimator.estimate
+    estimator.open_memory(0.02 if parameter is None else 0.001, parameter)
+    assert np.array_equal(estimator.estimate.theta, before.theta)
+    opened = estimator.run(u[1040:1150], counts[1040:1150])["mass"][-1]
+    estimator.reset()
+    closed = estimator.run(u[:1150], counts[:1150])["mass"][-1]
+    assert abs(opened / 1.44 - 1) < 0.3 * abs(closed / 1.44 - 1)
+
+
+def test_opening_one_parameter_leaves_the_others() -> None:
+    """R - (1 - keep) r r^T / R_ii: what is known of the others, whatever the parameter, stays."""
+    u, counts = normal_work(4, INCREMENTS, 0.01)
+    estimator = make_riv(INCREMENTS, THETA)
+    estimator.run(u[:-1], counts[:-1])
+    closed = estimator.get_state()
+    estimator.open_memory(1.0)  # without what the blocks say of the error bars
+    estimator.run(u[-1:], counts[-1:])
+    before = np.linalg.inv(estimator.estimate.theta_cov / estimator.estimate.innovation_variance)
+    estimator.set_state(closed)
+    estimator.open_memory(0.01, "mass")
+    estimator.run(u[-1:], counts[-1:])
+    after = np.linalg.inv(estimator.estimate.theta_cov / estimator.estimate.innovation_variance)
+    assert estimator.estimate.theta == pytest.approx(THETA, rel=0.05)
+    assert after[0, 0] < 0.05 * before[0, 0]
+    schur = [R[1:, 1:] - np.outer(R[1:, 0], R[0, 1:]) / R[0, 0] for R in (before, after)]
+    assert schur[1] == pytest.approx(schur[0], rel=0.1)
+
+
+def test_opening_by_nothing_changes_nothing() -> None:
+    u, counts = normal_work(4, INCREMENTS, 0.01)
+    estimator = make_riv(INCREMENTS, THETA)
+    whole = estimator.run(u, counts).theta
+    estimator.reset()
+    estimator.run(u[:900], counts[:900])
+    estimator.open_memory(1.0)
+    assert np.array_equal(estimator.run(u[900:], counts[900:]).theta, whole[900:])
+
+
+def test_what_cannot_be_opened_is_said() -> None:
+    estimator = make_riv(INCREMENTS)
+    with pytest.raises(UsageError, match=r"keep must be in \(0, 1\], got 0"):
+        estimator.open_memory(0.0)
+    with pytest.raises(UsageError, match="parameter must be one of"):
+        estimator.open_memory(0.5, "inertia")
+    estimator.open_memory(0.5)  # before the first sample there is nothing to open
+    assert estimator.estimate.status == 0
+
+
+# --- cause ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("index", "name"), [*enumerate(NAMES), (3, "input_gain")])
+def test_the_cause_is_found_with_its_start(index: int, name: str) -> None:
+    u, counts = normal_work(5, INCREMENTS, 0.02)
+    blocks = scores(front(), THETA, u, counts)[6:]
+    scale = make_scale(blocks)
+    change = -0.1 * THETA if index == 3 else 0.1 * THETA * np.eye(3)[index]
+    score = blocks.score.copy()
+    score[200:] += blocks.cross[200:] @ change
+    cause = explain(Blocks(score, blocks.cross, blocks.square), scale, THETA, NAMES, 2.0)
+    assert cause.name == name
+    assert cause.relative == pytest.approx(1 / 0.9 - 1 if index == 3 else 0.1, abs=0.01)
+    assert abs(cause.start - 200) <= 3
+    assert cause.share > 0.95
+
+
+# --- the monitor ------------------------------------------------------------------------------------------------------
+
+
+def run(calibration: Calibration, schedule: Any, watch: Watch, seconds: float = 30.0, seed: int = 1) -> list[Any]:
+    u, counts = changing(schedule, seed, INCREMENTS, seconds)
+    monitor = Monitor(make_riv(INCREMENTS, THETA), calibration, watch)
+    return [event for a, b in zip(u.tolist(), counts.tolist(), strict=True) for event in monitor.step(a, b)[1]]
+
+
+@pytest.mark.parametrize("detector", DETECTORS)
+def test_a_mass_step_is_told_once(calibration: Calibration, detector: str) -> None:
+    step = Schedule(((0.0, CART), (12.0, replace(CART, mass=1.1 * CART.mass))))
+    events = run(calibration, step, Watch(detector))
+    (alarm,) = [event for event in events if isinstance(event, Alarm)]
+    (settled,) = [event for event in events if isinstance(event, Settled)]
+    assert 12.0 < alarm.time < 15.0
+    assert abs(alarm.changed_at - 12.0) < 1.5
+    assert (alarm.parameter, alarm.unit) == ("mass", "kg")
+    assert alarm.relative == pytest.approx(0.1, abs=0.03)
+    assert settled.theta / settled.before == pytest.approx([1.1, 1.0, 1.0], abs=0.015)
+
+
+def test_two_changes_are_told_one_after_the_other(calibration: Calibration) -> None:
+    heavy = replace(CART, mass=1.3 * CART.mass)
+    changes = Schedule(((0.0, CART), (10.0, heavy), (35.0, replace(heavy, coulomb_friction=1.4 * 0.8)), (60.0, CART)))
+    alarms = [event for event in run(calibration, changes, Watch(), 75.0) if isinstance(event, Alarm)]
+    assert [alarm.parameter for alarm in alarms[:2]] == ["mass", "coulomb_friction"]
+    assert [alarm.change > 0 for alarm in alarms] == [True, True, False]
+
+
+def test_within_the_tolerance_there_is_no_alarm(calibration: Calibration) -> None:
+    small = Schedule(((0.0, CART), (10.0, replace(CART, mass=1.03 * CART.mass))))
+    assert not [e for e in run(calibration, small, Watch(tolerance=0.05)) if isinstance(e, Alarm)]
+    assert [e for e in run(calibration, small, Watch(tolerance=0.01)) if isinstance(e, Alarm)]
+
+
+@pytest.mark.parametrize("detector", DETECTORS)
+def test_at_standstill_it_cannot_tell(calibration: Calibration, detector: str) -> None:
+    rng = np.random.default_rng(6)
+    moving = random_stop_and_go(2000, rng)
+    u, counts = drive(CART, np.concatenate([moving, np.full(6000, moving[-1])]), INCREMENTS, rng)
+    monitor = Monitor(make_riv(INCREMENTS, THETA), calibration, Watch(detector, tolerance=0.0))
+    events = []
+    for a, b in zip(u.tolist(), counts.tolist(), strict=True):
+        estimate, now = monitor.step(a, b)
+        events += now
+    assert [event.state for event in events if isinstance(event, StateChange)][-2:] == [WATCHING, CANNOT_TELL]
+    assert not [event for event in events if isinstance(event, Alarm)]
+    assert estimate.status & Status.STANDSTILL
+    assert estimate.theta == pytest.approx(THETA, rel=0.02)
+
+
+def test_lost_samples_are_no_change(calibration: Calibration) -> None:
+    u, counts = normal_work(9, INCREMENTS, 40 / 3600)
+    monitor = Monitor(make_riv(INCREMENTS, THETA), calibration, Watch())
+    events, k = [], 0
+    while k < u.size:
+        if k % 500 == 300:
+            events += monitor.skip(100)
+            k += 100
+        events += monitor.step(float(u[k]), int(counts[k]))[1]
+        k += 1
+    assert monitor.samples == k
+    assert not [event for event in events if isinstance(event, Alarm)]
+    assert monitor.state == WATCHING
+    assert SETTLING not in [getattr(event, "state", "") for event in events]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"detector": "cumsum"}, "detector must be one of"),
+        ({"mtbf_hours": 0.0}, "mtbf_hours must be in"),
+        ({"mtbf_hours": float("nan")}, "mtbf_hours must be in"),
+        ({"tolerance": -0.1}, "tolerance must be in"),
+    ],
+)
+def test_wrong_wishes_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        Watch(**options)

@@ -1,0 +1,337 @@
+"""`pmfid monitor`: records, pipes with bad lines and gaps, files, signals, events, the page."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner
+
+from pmfid.cli.main import main
+from pmfid.errors import UsageError
+from pmfid.session.calibrations import cache_dir
+from pmfid.session.config import load_axis
+from pmfid.session.monitor_run import MOST_ROWS, History
+from pmfid.session.sinks import CsvSink, ParquetSink
+from pmfid.session.stream import Sample, Stop, line_samples
+from pmfid.simulation import CART, CART_DT, Schedule
+from pmfid.studies.monitoring.axis import INCREMENTS, changing
+from pmfid.studies.monitoring.pipe import command, lines, resident, write_axis
+
+CHANGE = 15.0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """axis.toml, its reference, and run.csv, in which the mass grows by a fifth; one calibration for all tests."""
+    place = tmp_path_factory.mktemp("monitor")
+    write_axis(place, 300.0)
+    heavier = Schedule(((0.0, CART), (CHANGE, replace(CART, mass=1.2 * CART.mass))))
+    u, counts = changing(heavier, 5, INCREMENTS, 40.0)
+    rows = (f"{k * CART_DT:.2f},{a!r},{b}" for k, (a, b) in enumerate(zip(u.tolist(), counts.tolist(), strict=True)))
+    (place / "run.csv").write_text("\n".join(["t,u,counts", *rows]) + "\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PMFID_CACHE", str(place / "cache"))
+        patch.setattr("pmfid.session.monitoring.simulated_hours", lambda hours: 4.0)
+        yield place
+
+
+def invoke(folder: Path, *arguments: str, stdin: bytes | None = None, code: int = 0) -> str:
+    record = "-" if stdin is not None else str(folder / "run.csv")
+    result = CliRunner().invoke(
+        main, ["monitor", record, "--config", str(folder / "axis.toml"), *arguments], input=stdin
+    )
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def events(text: str, kind: str) -> list[dict[str, Any]]:
+    found = [json.loads(line) for line in text.splitlines()]
+    return [event for event in found if event["event"] == kind]
+
+
+# --- a record ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_record_with_a_heavier_load(folder: Path) -> None:
+    text = invoke(folder, "--json", "--report", str(folder / "page.html"), "--out", str(folder / "out.parquet"))
+    (start,), (alarm,) = events(text, "start"), events(text, "alarm")
+    assert start["nominal"]["mass"] == pytest.approx(CART.mass, rel=2e-3)
+    assert (alarm["parameter"], alarm["direction"], alarm["unit"]) == ("mass", "up", "kg")
+    assert alarm["relative"] == pytest.approx(0.2, abs=0.03)
+    assert CHANGE < alarm["time"] < CHANGE + 3
+    (settled,) = events(text, "settled")
+    assert settled["parameters"]["mass"]["change"] == pytest.approx(0.2, abs=0.01)
+    assert events(text, "end") == [
+        {"event": "end", "samples": 4000, "bad_lines": 0, "gaps": 0, "missing": 0, "alarms": 1}
+    ]
+    table = pl.read_parquet(folder / "out.parquet")
+    assert table.height == 4000
+    assert table["mass"][-1] == pytest.approx(1.2 * CART.mass, rel=0.01)
+    assert {"watching", "suspicious", "settling"} <= set(table["state"])
+    page = (folder / "page.html").read_text()
+    assert "mass +" in page
+    assert "<svg" in page
+    assert not re.search(r"(src|href)=\"http", page)
+
+
+def test_the_lines_for_people(folder: Path) -> None:
+    text = invoke(folder)
+    assert re.search(
+        r"^\d+\.\d\d s  ALARM  mass \+(19|20)\.\d % \(\+0\.\d+ ± 0\.\d+ kg\) since \d+\.\d\d s$", text, re.M
+    )
+    assert re.search(r"^normal: mass 1\.0\d* kg, viscous_friction 12", text)
+    assert "a false alarm in 1 h on average" in text
+    assert text.endswith("4000 samples, 1 alarm\n")
+
+
+def test_options_go_before_the_file(folder: Path) -> None:
+    text = invoke(folder, "--json", "--detector", "cusum", "--mtbf-hours", "5", "--tolerance", "0.5")
+    (start,) = events(text, "start")
+    assert (start["detector"], start["mtbf_hours"], start["tolerance"]) == ("cusum", 5.0, 0.5)
+    assert events(text, "alarm") == []
+
+
+def test_the_calibration_is_made_once(folder: Path) -> None:
+    invoke(folder, "--tolerance", "0.5")
+    (start,) = events(invoke(folder, "--json"), "start")
+    assert start["cached"] is True
+    path = Path(start["calibration"])
+    assert path.parent == folder / "cache"
+    path.write_text(path.read_text()[:100])  # a broken file is made anew
+    (start,) = events(invoke(folder, "--json"), "start")
+    assert start["cached"] is False
+
+
+def test_the_cache_has_a_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("PMFID_CACHE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_dir() == tmp_path / "pmfid"
+    monkeypatch.setenv("PMFID_CACHE", str(tmp_path / "own"))
+    assert cache_dir() == tmp_path / "own"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (('reference = "normal.csv"', ""), r"\[monitor\] reference is missing: name a record of normal work"),
+        (('reference = "normal.csv"', 'reference = "absent.csv"'), r"absent.csv: cannot read the record"),
+        (('reference = "normal.csv"', "nominal = { mass = 1.0 }"), r"\[monitor\] nominal must name \['mass', "),
+        (("mtbf_hours = 1.0", "mtbf_hours = 0"), r"\[monitor\] mtbf_hours = 0: .* give the mean time between"),
+        (("mtbf_hours = 1.0", 'detector = "grl"'), r"\[monitor\] detector = 'grl'"),
+        (("forgetting = 0.99", 'method = "iv"'), r"method = 'iv' does not run sample by sample"),
+    ],
+)
+def test_a_wrong_configuration_is_one_line(folder: Path, tmp_path: Path, change: tuple[str, str], message: str) -> None:
+    (tmp_path / "normal.csv").write_text((folder / "normal.csv").read_text())
+    (tmp_path / "run.csv").write_text((folder / "run.csv").read_text())
+    (tmp_path / "axis.toml").write_text((folder / "axis.toml").read_text().replace(*change))
+    text = invoke(tmp_path, code=2)
+    assert re.search(message, text)
+    assert "Traceback" not in text
+    assert len(text.splitlines()) == 1
+
+
+def test_without_a_reference_the_nominal_values_do(folder: Path, tmp_path: Path) -> None:
+    nominal = "nominal = { mass = 1.07, viscous_friction = 12.8, coulomb_friction = 0.8 }"
+    (tmp_path / "run.csv").write_text((folder / "run.csv").read_text())
+    (tmp_path / "axis.toml").write_text((folder / "axis.toml").read_text().replace('reference = "normal.csv"', nominal))
+    text = invoke(tmp_path)
+    assert "note: no reference record: thresholds hold for the encoder's noise alone" in text
+    assert "ALARM  mass" in text
+    assert "reference is missing" in invoke(tmp_path, stdin=b"t,u,counts\n0,0,0\n", code=2)
+
+
+# --- a pipe -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_pipe_gives_what_the_record_gives(folder: Path) -> None:
+    stdin = (folder / "run.csv").read_bytes()
+    piped, read = invoke(folder, "--json", stdin=stdin), invoke(folder, "--json")
+    assert events(piped, "alarm") == [
+        {key: pytest.approx(value) if isinstance(value, float) else value for key, value in alarm.items()}
+        for alarm in events(read, "alarm")
+    ]
+
+
+def test_bad_lines_are_counted_and_harmless(folder: Path) -> None:
+    rows = (folder / "run.csv").read_bytes().splitlines(keepends=True)
+    for k, bad in ((300, b"garbage\n"), (500, b"4.99,nan,1\n"), (700, b"6.99,1.0,\xff\xfe\n"), (900, b"8.99,1,0.5\n")):
+        rows[k] = bad
+    rows.insert(1100, b"\n")
+    text = invoke(folder, "--json", "--out", str(folder / "bad.csv"), stdin=b"".join(rows))
+    problems = [event["problem"] for event in events(text, "bad line")]
+    assert problems[0] == "1 cells in place of 3"
+    assert len(problems) == 4
+    (end,) = events(text, "end")
+    assert (end["samples"], end["bad_lines"], end["alarms"], end["missing"]) == (4000, 4, 1, 0)
+    (alarm,) = events(text, "alarm")
+    assert alarm["time"] > CHANGE
+    table = pl.read_csv(folder / "bad.csv")
+    assert table.height == 4000
+    assert np.isfinite(table[["t", "mass", "innovation"]].to_numpy()).all()
+    assert np.isfinite(table["mass_std"][200:].to_numpy()).all()
+
+
+def test_lines_that_are_missing_are_told(folder: Path) -> None:
+    rows = (folder / "run.csv").read_bytes().splitlines(keepends=True)
+    del rows[400:460], rows[800]
+    text = invoke(folder, "--json", stdin=b"".join(rows))
+    assert [event["missing"] for event in events(text, "gap")] == [60, 1]
+    (alarm,) = events(text, "alarm")
+    assert CHANGE < alarm["time"] < CHANGE + 4
+    assert events(text, "end")[0]["missing"] == 61
+
+
+@pytest.mark.parametrize(
+    ("stdin", "message"),
+    [
+        (b"", "standard input is empty"),
+        (b"t,v,counts\n0,1,2\n", "standard input has no column 'u'; it has t, v, counts"),
+    ],
+)
+def test_a_pipe_without_its_columns(folder: Path, stdin: bytes, message: str) -> None:
+    assert message in invoke(folder, stdin=stdin, code=2)
+
+
+def test_a_pipe_of_two_samples_says_so(folder: Path) -> None:
+    assert invoke(folder, stdin=b"t,u,counts\n0,1,2\n0.01,1,2\n").endswith("2 samples, 0 alarms\n")
+
+
+def samples_of(text: bytes, axis: Any) -> list[Sample]:
+    return list(line_samples(io.BytesIO(text), axis, 0.01, Stop()))
+
+
+def test_lines_become_samples(folder: Path) -> None:
+    axis = load_axis(folder / "axis.toml")
+    head = b'\xef\xbb\xbf"t", u ,counts\n'
+    good = samples_of(head + b"5.0,1.5,7\n5.01,2,8\n", axis)
+    assert [(s.time, s.u, s.counts, s.missing) for s in good] == [(5.0, 1.5, 7, 0), (5.01, 2.0, 8, 0)]
+    late = samples_of(head + b"5.0,1,7\n5.05,1,8\n5.05,1,9\n5.06,1,1e99\n", axis)
+    assert [s.missing for s in late] == [0, 4, 0, 0]
+    assert [bool(s.problem) for s in late] == [False, False, True, True]
+    assert [s.counts for s in late] == [7, 8, 8, 8]
+    assert math.isnan(late[2].u)
+
+
+def test_positions_and_scales_in_a_pipe(folder: Path) -> None:
+    axis = load_axis(folder / "axis.toml", {"record.output_kind": "position", "record.input_scale": 2.0})
+    step = axis.encoder.resolution
+    (sample,) = samples_of(f"t,u,counts\n0,1.5,{7 * step!r}\n".encode(), axis)
+    assert (sample.u, sample.counts) == (3.0, 7)
+    with pytest.raises(UsageError, match="a pipe needs a number"):
+        samples_of(b"t,u,counts\n", load_axis(folder / "axis.toml", {"record.input_scale": "gain"}))
+
+
+def test_estimates_come_out_one_by_one(folder: Path) -> None:
+    """A real pipe: each line is answered before the next one is sent. How soon is measured by the study."""
+    process = subprocess.Popen(
+        command(folder / "axis.toml", "--out", "-"),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    for k, line in enumerate(lines(2.0)):
+        process.stdin.write(line)
+        process.stdin.flush()
+        answer = process.stdout.readline().split(b",")
+        assert len(answer) == 10
+        assert k == 0 or float(answer[0]) == pytest.approx((k - 1) * CART_DT)
+    process.communicate(timeout=60)
+    assert process.returncode == 0
+
+
+@pytest.mark.parametrize(("kind", "number"), [("csv", signal.SIGINT), ("parquet", signal.SIGTERM)])
+def test_a_signal_ends_with_a_whole_file(folder: Path, kind: str, number: signal.Signals) -> None:
+    out, n = folder / f"killed.{kind}", 1500
+    process = subprocess.Popen(
+        [*command(folder / "axis.toml", "--out", str(out), "--json")], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(b"".join(lines(n * CART_DT)))
+    process.stdin.flush()
+    while b"watching" not in process.stdout.readline():
+        pass
+    time.sleep(1.0)
+    assert resident(process.pid) > 10
+    process.send_signal(number)
+    rest, _ = process.communicate(timeout=60)
+    end = json.loads(rest.splitlines()[-1])
+    assert process.returncode == 0
+    table = pl.read_csv(out) if kind == "csv" else pl.read_parquet(out)
+    assert table.height == end["samples"]
+    assert 100 < table.height <= n
+    assert table["t"].to_numpy() == pytest.approx(np.arange(table.height) * CART_DT)
+    assert not list(folder.glob("*.part*"))
+
+
+# --- parts ------------------------------------------------------------------------------------------------------------
+
+
+def test_parquet_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pmfid.session.sinks.PART", 7)
+    sink = ParquetSink(tmp_path / "a.parquet", ["t", "status", "state"])
+    for k in range(24):
+        sink.write((float(k), k, "watching"))
+    assert len(list(tmp_path.glob("*.part*"))) == 3
+    sink.close()
+    table = pl.read_parquet(tmp_path / "a.parquet")
+    assert table["t"].to_list() == [float(k) for k in range(24)]
+    assert table.schema == {"t": pl.Float64, "status": pl.UInt32, "state": pl.String}
+    assert os.listdir(tmp_path) == ["a.parquet"]
+    empty = ParquetSink(tmp_path / "b.parquet", ["t", "state"])
+    empty.close()
+    assert pl.read_parquet(tmp_path / "b.parquet").height == 0
+
+
+def test_csv_is_there_after_every_row(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    sink = CsvSink(path.open("w"), ["t", "state"])
+    sink.write((0.1, "watching"))
+    assert path.read_text() == "t,state\n0.1,watching\n"
+    sink.close()
+
+
+def test_estimates_in_another_kind_of_file_are_refused(folder: Path) -> None:
+    assert "a .csv or .parquet file" in invoke(folder, "--out", str(folder / "x.xlsx"), code=2)
+
+
+@pytest.mark.parametrize("option", ["--out", "--report"])
+def test_a_place_that_is_not_there_is_told_before_the_run(folder: Path, option: str) -> None:
+    text = invoke(folder, option, str(folder / "nowhere" / "x.csv"), code=2)
+    assert "there is no folder" in text
+    assert "normal:" not in text
+
+
+class Known:
+    theta = std = theta_std = np.ones(3)
+    innovation, status = 0.1, 0
+
+
+def test_the_history_stays_small() -> None:
+    history = History()
+    for k in range(5 * MOST_ROWS):
+        estimate = Known()
+        if k == 12_345:
+            estimate.innovation, estimate.status = -7.0, 64
+        history(Sample(k * 0.01, 0.0, k), estimate, "watching")
+    assert MOST_ROWS / 2 <= len(history.rows) <= MOST_ROWS
+    times = [row[0] for row in history.rows]
+    assert np.allclose(np.diff(times), 0.01 * history.stride)
+    assert times[-1] > 0.99 * 5 * MOST_ROWS * 0.01

@@ -1,0 +1,213 @@
+"""Schedules that change gradually, the references, the command `simulate`, and the speed of the plant."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from pmfid.cli.main import main
+from pmfid.session.config import load_axis
+from pmfid.session.pipeline import identify
+from pmfid.session.records import read_record
+from pmfid.simulation import (
+    CART,
+    CART_CONTROL,
+    CART_DT,
+    SCENARIOS,
+    Faults,
+    Schedule,
+    friction_growth,
+    make_scenario,
+    mass_ramp,
+    position_control,
+    prbs,
+    random_moves,
+    simulate_drive,
+    slipping_belt,
+    steps,
+    stop_and_go,
+    trapezoid,
+)
+
+HEAVY = replace(CART, mass=1.44)
+
+
+# --- schedules --------------------------------------------------------------------------------------------------------
+
+
+def test_a_ramp_is_a_straight_line_between_steps() -> None:
+    schedule = mass_ramp(CART, 1.44, 2.0, 4.0)
+    t = np.array([0.0, 1.99, 2.0, 3.0, 5.0, 6.0, 9.0])
+    mass, viscous, *_ = schedule.at(t, 0.01)
+    assert mass == pytest.approx([1.07, 1.07, 1.07, 1.1625, 1.3475, 1.44, 1.44], abs=1e-8)
+    assert viscous == pytest.approx(np.full(7, 12.8))
+
+
+def test_a_ramp_of_one_sample_is_a_step() -> None:
+    u = prbs(300, clock=7, amplitude=3.0, rng=np.random.default_rng(2))
+    step = simulate_drive(Schedule(((0.0, CART), (1.0, HEAVY))), u, 0.01)
+    ramp = simulate_drive(Schedule(((0.0, CART), (0.99, HEAVY)), (0.0, 0.01)), u, 0.01)
+    np.testing.assert_allclose(ramp.x, step.x, rtol=0, atol=1e-9)
+
+
+def test_friction_and_belt() -> None:
+    _, viscous, coulomb, gain, _ = friction_growth(CART, 1.5, 1.0, 1.0).at([0.5, 1.5, 3.0], 0.01)
+    assert viscous == pytest.approx([12.8, 16.0, 19.2])
+    assert coulomb == pytest.approx([0.8, 1.0, 1.2])
+    assert gain == pytest.approx([2.0, 2.0, 2.0])
+    assert slipping_belt(CART, 0.8, 1.0).at([0.5, 1.0], 0.01)[3].tolist() == [2.0, 1.6]
+
+
+@pytest.mark.parametrize(
+    ("ramps", "message"),
+    [
+        ((0.0,), r"one time per change, the first 0, got \(0.0,\)"),
+        ((1.0, 0.0), r"one time per change, the first 0, got \(1.0, 0.0\)"),
+        ((0.0, -1.0), "ramp must be >= 0 and end before the next change, got -1.0"),
+        ((0.0, float("nan")), "got nan; give a time in s"),
+    ],
+)
+def test_bad_ramps(ramps: tuple[float, ...], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Schedule(((0.0, CART), (1.0, HEAVY)), ramps)
+
+
+def test_a_ramp_does_not_run_into_the_next_change() -> None:
+    with pytest.raises(ValueError, match=r"end before the next change, got 2.0"):
+        Schedule(((0.0, CART), (1.0, HEAVY), (2.0, CART)), (0.0, 2.0, 0.0))
+
+
+# --- references -------------------------------------------------------------------------------------------------------
+
+
+def test_references_move_and_hold() -> None:
+    jumps = steps(500, 0.01, 0.1, 1.0)
+    assert jumps[[0, 99, 100, 199, 200]].tolist() == [0.1, 0.1, 0.0, 0.0, 0.1]
+    cycle = stop_and_go(400, 0.01, 0.2, 1.0, 0.5, "trapezoid")
+    np.testing.assert_allclose(cycle[:100], trapezoid(100, 0.01, 0.2, 1.0), atol=1e-12)
+    with pytest.raises(ValueError, match="unknown shape 'spline'; choose one of: s-curve, trapezoid"):
+        stop_and_go(400, 0.01, 0.2, 1.0, 0.5, "spline")
+
+
+def test_random_moves_join_and_stay_in_the_stroke() -> None:
+    x = random_moves(20_000, 0.01, 0.4, 0.8, 0.5, np.random.default_rng(3))
+    assert x[0] == 0.0
+    assert x.min() >= 0.0
+    assert x.max() <= 0.4
+    assert np.abs(np.diff(x)).max() <= 0.01 * 1.875 * 0.4 / 0.8
+    resting = np.diff(x) == 0.0
+    assert np.mean(resting) == pytest.approx(0.5 / 1.3, abs=0.05)
+    moves = np.flatnonzero(~resting[1:] & resting[:-1]).size
+    assert moves == pytest.approx(200 / 1.3, rel=0.1)
+
+
+def test_the_standstill_scenario_rests_in_the_middle_half() -> None:
+    motion = make_scenario("standstill", duration=104.0).motion
+    middle = (motion.t > 27.0) & (motion.t < 77.0)
+    assert not motion.moving[middle].any()
+    assert np.mean(motion.moving[motion.t < 26.0] > 0) > 0.5
+    assert np.mean(motion.moving[motion.t > 78.0] > 0) > 0.5
+
+
+def test_steps_saturate_the_input() -> None:
+    assert np.mean(np.abs(make_scenario("steps").motion.u) == 6.0) > 0.02
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+
+
+def run(*arguments: str) -> Result:
+    return CliRunner().invoke(main, ["simulate", *arguments])
+
+
+CHANGING = {name for name, recipe in SCENARIOS.items() if recipe.change != "constant"}
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_identify_reads_every_scenario_and_finds_the_mass(name: str, tmp_path: Path) -> None:
+    record = tmp_path / "run.csv"
+    result = run(name, "--out", str(record), "--increments", "1024", "--bits", "12", "--seed", "2")
+    assert result.exit_code == 0, result.output
+    axis = load_axis(tmp_path / "run.toml")
+    found = identify(read_record(record, axis), axis)
+    # the changes of a machine are seen with the present input gain: a belt that slips looks like more mass
+    truth = {"mass-step": 1.44, "mass-ramp": 1.44, "slipping-belt": 1.07 / 0.8}.get(SCENARIOS[name].change, 1.07)
+    assert found.theta[0] == pytest.approx(truth, rel=0.01)
+    assert axis.estimator.forgetting == (0.995 if name in CHANGING else 1.0)
+
+
+def test_truth_columns_are_the_truth(tmp_path: Path) -> None:
+    record = tmp_path / "run.csv"
+    assert run("stop-and-go-slipping-belt", "--out", str(record), "--truth", "--duration", "4").exit_code == 0
+    header, *rows = record.read_text().splitlines()
+    assert header == "t,u,counts,x,v,mass,viscous_friction,coulomb_friction,input_gain,offset"
+    values = np.array([[float(cell) for cell in row.split(",")] for row in rows])
+    motion = make_scenario("stop-and-go-slipping-belt", duration=4.0).motion
+    np.testing.assert_array_equal(values[:, 3], motion.x)
+    assert values[[0, 199, 200], 8].tolist() == [2.0, 2.0, 1.6]
+
+
+def test_faults_reach_the_record(tmp_path: Path) -> None:
+    plain, faulty = tmp_path / "a.csv", tmp_path / "b.csv"
+    options = ["--duration", "5", "--increments", "512"]
+    assert run("prbs", "--out", str(plain), *options).exit_code == 0
+    worse = ["--missed", "0.01", "--jitter", "0.1", "--line-error", "0.2"]
+    assert run("prbs", "--out", str(faulty), *options, *worse).exit_code == 0
+    made = make_scenario("prbs", duration=5.0, increments=512, faults=Faults(0.01, 0.1, 0.2, 512, 0))
+    counts = [int(row.split(",")[2]) for row in faulty.read_text().splitlines()[1:]]
+    assert counts == made.counts.tolist()
+    assert plain.read_text() != faulty.read_text()
+
+
+def test_list_names_every_scenario() -> None:
+    result = run("--list")
+    assert result.exit_code == 0
+    assert [line.split()[0] for line in result.output.splitlines()] == list(SCENARIOS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "give a scenario and --out RUN.csv"),
+        (["prbs"], "give a scenario and --out RUN.csv"),
+        (["stop-and-goo", "--out", "x.csv"], "unknown scenario 'stop-and-goo'; did you mean 'stop-and-go'?"),
+        (["prbs", "--out", "x.parquet"], "the record is written as CSV, got 'x.parquet'; name it x.csv"),
+        (["prbs", "--out", "x.csv", "--missed", "1"], r"missed must be in [0, 1), got 1.0"),
+        (["prbs", "--out", "x.csv", "--duration", "0"], "duration must be finite and > 0.01"),
+        (["prbs", "--out", "x.csv", "--duration", "nan"], "duration must be finite and > 0.01"),
+    ],
+)
+def test_bad_usage_is_one_error(
+    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert message in result.output
+    assert len(result.output.splitlines()) == 1
+    assert not list(Path().iterdir())
+
+
+# --- speed ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_million_samples_per_second() -> None:
+    samples = 200_000
+    u = prbs(samples, clock=10, amplitude=3.0, rng=np.random.default_rng(0))
+    reference = stop_and_go(samples, CART_DT, 0.2, 0.8, 0.5)
+    lattice = {"resolution": 91e-6, "faults": Faults(missed=1e-3, jitter=0.1, line_error=0.1)}
+    for job in (
+        lambda: simulate_drive(CART, u, CART_DT),
+        lambda: position_control(CART, reference, CART_DT, **CART_CONTROL, **lattice),
+    ):
+        took = []
+        for _ in range(5):
+            begin = time.perf_counter()
+            job()
+            took.append(time.perf_counter() - begin)
+        assert samples / min(took) > 1e6
