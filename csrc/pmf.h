@@ -319,6 +319,25 @@ uint32_t pmf_load(const pmf_config_t *config, const pmf_saved_t *saved, pmf_stat
 /* CRC-32 of ISO 3309 (Ethernet, zlib) of more data; crc: of the data before, 0 at the start. */
 uint32_t pmf_crc32(uint32_t crc, const void *data, uint32_t size);
 
+/* An alarm on a parameter of the estimate, after every step; not a part of the state: clear it to start. */
+typedef struct {
+    uint32_t parameter;
+    uint32_t interval; /* samples between two estimates that count */
+    real_t nominal;
+    real_t shift;      /* the change to be noticed, > 0 */
+    real_t threshold;  /* of the logarithm of the likelihood ratio */
+} pmf_alarm_config_t;
+
+typedef struct {
+    real_t up, down;
+    uint32_t wait;
+} pmf_alarm_state_t;
+
+#define PMF_LEAST_VARIANCE PMF_R(1e-30)
+/* 1: the parameter is above nominal, -1: below, 0: no alarm. */
+int32_t pmf_alarm_step(const pmf_alarm_config_t *alarm, pmf_alarm_state_t *sums, const pmf_config_t *config,
+                       const pmf_state_t *state);
+
 /* What compiler options did to the arithmetic of this build, as bits; 0: the bits are those of Python. */
 enum { PMF_CONTRACTED = 1, PMF_REARRANGED = 2, PMF_NO_NAN = 4, PMF_FLUSHED = 8 };
 uint32_t pmf_arithmetic(void);

@@ -27,13 +27,22 @@ from pmfid.estimators import METHODS
     type=click.Path(path_type=Path),
     help="A record of the axis: gives the sample period, the pre-filter zeros and the samples of the self-test.",
 )
+@click.option(
+    "--alarm",
+    "alarms",
+    type=(str, float, float),
+    multiple=True,
+    metavar="PARAMETER NOMINAL SHIFT",
+    help="An alarm where a parameter leaves its nominal value by such a shift; may be given several times.",
+)
 def export(
-    axis_file: Path, out: Path, prefix: str | None, record: Path | None, dt: float | None, **options: Any
+    axis_file: Path, out: Path, prefix: str | None, record: Path | None, dt: float | None, alarms: Any, **options: Any
 ) -> None:
     """Write the estimator of AXIS.toml as C99 that computes the same bits on a drive.
 
     The folder has the kernel, its configuration, a header, an example, a Makefile, a CMake file and a self-test.
     """
+    from pmfid.export.alarm import Alarm
     from pmfid.export.firmware import export_firmware
     from pmfid.session.config import load_axis
     from pmfid.session.firmware import drive_estimator
@@ -44,6 +53,7 @@ def export(
     estimator = drive_estimator(axis, data, dt)
     name = prefix or re.sub(r"\W+", "_", axis_file.stem.lower())
     samples = None if data is None else (data.u, data.counts)
-    export_firmware(estimator, out, prefix=name, record=samples)
+    watched = [Alarm(*alarm) for alarm in alarms]
+    export_firmware(estimator, out, prefix=name, record=samples, alarms=watched)
     click.echo(f"{estimator.method}, {estimator.precision}, every {estimator.dt:.9g} s: {out / name}.h")
     click.echo(f"the same bits? make -C {out} selftest && {out / 'selftest'}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,20 @@ MODEL_CHECK_TIME_CONSTANTS = 100.0
 
 
 def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
+    """What `_make_columns` makes, once for each estimator: an iteration asks for it at every turn."""
+    found: tuple[Network, list[Taps], int, int] = _kept(estimator, _make_columns)
+    return found
+
+
+def _kept(estimator: Estimator, make: Callable[[Estimator], Any]) -> Any:
+    """make(estimator), from the second time on what it gave the first time; an estimator's configuration is frozen."""
+    kept = estimator.__dict__
+    if make.__name__ not in kept:
+        kept[make.__name__] = make(estimator)
+    return kept[make.__name__]
+
+
+def _make_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
     """Columns: those of the direct BCRLS, then regressors, target and instruments with the auxiliary model, then the
     filtered velocity measured and modelled and the modelled acceleration. Returns network, columns, first
     instrumental and first check column."""
@@ -74,7 +88,7 @@ def make_auxiliary_kernel(
         "smoothing": min(1.0, estimator.cutoff * estimator.dt / COPY_TIME_CONSTANTS),
         "memory": math.exp(-estimator.cutoff * estimator.dt / CHECK_TIME_CONSTANTS),
         "mismatch_limit": MISMATCH_LIMIT,
-        "noise_power": _noise_power(estimator),
+        "noise_power": _kept(estimator, _noise_power),
         "direct_index": _indices(direct.equation.roles),
         "index": _indices(estimator.equation.roles),
         "initial": role_values(estimator, initial),
@@ -85,14 +99,15 @@ def make_auxiliary_kernel(
         estimator.encoder.kernel_config(estimator.dt),
         direct.recursion_config(len(direct.names), True, forgetting),
         2 * estimator.settle_samples,  # half-way the model is set to the measured velocity
-        estimator.recursion_config(p, True, forgetting, first) | _check_of_model(estimator, network, columns, first),
+        estimator.recursion_config(p, True, forgetting, first) | _kept(estimator, _check_of_model),
         auxiliary,
     )
     return kernel, first
 
 
-def _check_of_model(estimator: Estimator, network: Network, columns: list[Taps], first: int) -> dict[str, Any]:
+def _check_of_model(estimator: Estimator) -> dict[str, Any]:
     """Which innovations the encoder's step explains, as if its error were white, and over what memory they count."""
+    network, columns, first, _ = auxiliary_columns(estimator)
     products = impulse_products(estimator, network, columns[first : first + len(estimator.names)])
     return {
         "noise": (estimator.encoder.resolution**2 / 12 * products).tolist(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.export.alarm import Alarm
 from pmfid.export.initializer import initializer, literal
 from pmfid.export.samples import made_up_record, moving_part, recorded
 from pmfid.layout.saved import configuration, shape_of
@@ -39,13 +40,15 @@ def export_firmware(
     *,
     prefix: str = "axis",
     record: tuple[ArrayLike, ArrayLike] | None = None,
+    alarms: Sequence[Alarm] = (),
 ) -> list[Path]:
     """Writes the estimator as C99 into a folder: kernel, configuration, header, example, build files and self-test.
 
     The C computes the same bits as the estimator. prefix: of all names, an identifier of C. record: (n,) inputs and
-    (n,) counts of the axis for the self-test; None: of a made-up motion. Same arguments, same bytes. Returns the
-    files. Raises UsageError for an off-line method, a prefix that is no identifier, a folder with other things in
-    it, or a record that is empty or not finite, and OSError where the folder cannot be written.
+    (n,) counts of the axis for the self-test; None: of a made-up motion. alarms: on parameters of the estimate. Same
+    arguments, same bytes. Returns the files. Raises UsageError for an off-line method, a prefix that is no
+    identifier, a folder with other things in it, an alarm that cannot be, or a record that is empty or not finite, and
+    OSError where the folder cannot be written.
     """
     if not isinstance(estimator, RecursiveEstimator):
         raise UsageError(f"{estimator.method} works on whole records; export rls, bcrls, rknown-step or riv")
@@ -55,7 +58,10 @@ def export_firmware(
     names = {template: file.replace("NAME", prefix) for template, file in FILES.items()}
     copied = sorted({path for pattern in COPIED for path in source_files(pattern)} - {source_folder() / "pmf_sizes.h"})
     _check_folder(folder, prefix, {*names.values(), *(path.name for path in copied)})
-    texts = _render(_context(estimator, prefix, record))
+    texts = _render(
+        _context(estimator, prefix, record)
+        | {"alarms": alarms, "alarm_initializers": [initializer(alarm.structure(estimator), 1) for alarm in alarms]}
+    )
     folder.mkdir(parents=True, exist_ok=True)
     for path in copied:
         shutil.copyfile(path, folder / path.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar, Protocol
 
 from pmfid.errors import UsageError
@@ -80,7 +81,7 @@ class Drive:
                 "it is half the difference of the two Coulomb frictions"
             )
 
-    @property
+    @cached_property
     def equation(self) -> Equation:
         unknown = [Term("output", 2, "mass", "kg"), *_FRICTION_TERMS[self.friction]]
         if self.offset or (self.spring and self.friction == "symmetric"):

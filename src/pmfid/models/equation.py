@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, get_args
 
 from pmfid.errors import UsageError, did_you_mean
@@ -99,7 +100,7 @@ class Equation:
         if len(set(places)) < len(places):
             raise UsageError("a signal's derivative stands in two terms of the equation, which cannot be told apart")
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         return tuple(term.name or "" for term in self.unknown)
 
@@ -111,7 +112,7 @@ class Equation:
     def order(self) -> int:
         return max(term.derivative for term in (*self.unknown, *self.known) if term.signal.endswith("output"))
 
-    @property
+    @cached_property
     def noisy(self) -> tuple[int, ...]:
         """Columns that carry noise, highest derivative first (what G selects in paper eq. 22)."""
         columns = [i for i, term in enumerate(self.unknown) if term.noisy]
@@ -122,13 +123,13 @@ class Equation:
         """The parameter of the highest derivative: the mass of a drive."""
         return self.noisy[0]
 
-    @property
+    @cached_property
     def roles(self) -> tuple[int | None, ...]:
         """For each role of the auxiliary model the index of its parameter, or None."""
         places = {(term.signal, term.derivative): i for i, term in enumerate(self.unknown)}
         return tuple(next((places[place] for place in role if place in places), None) for role in ROLES)
 
-    @property
+    @cached_property
     def positive(self) -> tuple[bool, ...]:
         """Which unknowns are never negative in a machine: inertia and friction."""
         chosen = {self.roles[role] for role in POSITIVE_ROLES}

@@ -11,6 +11,7 @@ differentiated, hence a correlation of -0.3 to -0.4 with it and none beyond).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.estimators.auxiliary import make_auxiliary_kernel
+from pmfid.estimators.auxiliary import make_auxiliary_kernel, role_values
 from pmfid.estimators.base import Estimator
 from pmfid.status import Status
 
@@ -27,6 +28,8 @@ Floats = NDArray[np.float64]
 #: Samples with one of these say nothing of the plant.
 UNUSABLE = int(Status.SETTLING | Status.INVALID_INPUT | Status.COUNT_JUMP)
 
+#: After so many of its time constants the model's velocity is the plant's; at most so many blocks are waited.
+START_TIME_CONSTANTS, MOST_START_BLOCKS = 4.0, 60
 #: Samples whose columns are in memory at once.
 CHUNK = 50_000
 
@@ -65,24 +68,51 @@ def reference_kernel(estimator: Estimator, theta: Sequence[float]) -> tuple[Any,
     return make_auxiliary_kernel(estimator, 1.0, list(theta), adapt=False)
 
 
-def gather(columns: Floats, status: NDArray[np.uint32], theta: Floats, size: int) -> Blocks:
-    """Whole blocks of `size` samples from phi, z, zeta in columns (n, 2 p + 1); unusable samples count for nothing."""
+def start_blocks(estimator: Estimator, theta: Floats) -> int:
+    """Blocks that count for nothing after a start or a gap, while the model's velocity is not yet that of the plant: it
+    comes near with the plant's own time constant, mass over viscous friction."""
+    mass, viscous = role_values(estimator, list(theta))[:2]
+    time = START_TIME_CONSTANTS * mass / max(viscous, 1e-300)
+    return 1 + min(MOST_START_BLOCKS, math.ceil(time / (block_samples(estimator) * estimator.dt)))
+
+
+def silenced(blocks: Blocks, disturbed: NDArray[np.bool_], waiting: int, wait: int) -> tuple[Blocks, int]:
+    """The blocks without what they say within `wait` blocks after a disturbed one, and how many more are to wait.
+
+    disturbed: (n,); waiting: of blocks before these.
+    """
+    used = np.empty(disturbed.size)
+    for k, bad in enumerate(disturbed):
+        waiting = wait if bad else max(0, waiting - 1)
+        used[k] = float(waiting == 0)
+    return Blocks(
+        blocks.score * used[:, None], blocks.cross * used[:, None, None], blocks.square * used[:, None, None]
+    ), waiting
+
+
+def gather(columns: Floats, status: NDArray[np.uint32], theta: Floats, size: int) -> tuple[Blocks, NDArray[np.bool_]]:
+    """Whole blocks of `size` samples from phi, z, zeta in columns (n, 2 p + 1), and (n,) where one has unusable
+    samples, which count for nothing."""
     p, n = theta.size, columns.shape[0] // size
     rows = columns[: n * size].reshape(n, size, -1)
     zeta = np.where((status[: n * size].reshape(n, size, 1) & UNUSABLE) == 0, rows[..., p + 1 : 2 * p + 1], 0.0)
     error = rows[..., p] - rows[..., :p] @ theta
     turned = zeta.transpose(0, 2, 1)
-    return Blocks((turned @ error[..., None])[..., 0], turned @ rows[..., :p], turned @ zeta)
+    disturbed = np.any((status[: n * size].reshape(n, size) & UNUSABLE) != 0, axis=1)
+    return Blocks((turned @ error[..., None])[..., 0], turned @ rows[..., :p], turned @ zeta), disturbed
 
 
 def scores(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.int64]) -> Blocks:
     """All whole blocks of u, counts: (n,) at reference theta (p,)."""
     kernel, first = reference_kernel(estimator, list(theta))
-    size, parts = block_samples(estimator), []
+    size, wait, parts = block_samples(estimator), start_blocks(estimator, theta), []
+    waiting = wait
     chunk = size * max(1, CHUNK // size)
     for start in range(0, u.size, chunk):
         columns, status = kernel.filter(u[start : start + chunk], counts[start : start + chunk])
-        parts.append(gather(columns[:, first : first + 2 * theta.size + 1], status, theta, size))
+        found = gather(columns[:, first : first + 2 * theta.size + 1], status, theta, size)
+        blocks, waiting = silenced(*found, waiting, wait)
+        parts.append(blocks)
     return Blocks.joined(parts)
 
 
@@ -95,6 +125,7 @@ class ScoreFilter:
         size = block_samples(estimator)
         self._rows = np.empty((size, 2 * theta.size + 1))
         self._status = np.empty(size, np.uint32)
+        self._wait = self._waiting = start_blocks(estimator, theta)
         self._u, self._count, self._filled = np.empty(1), np.empty(1, np.int64), 0
 
     def step(self, u: float, count: int) -> Blocks | None:
@@ -107,7 +138,9 @@ class ScoreFilter:
         self._filled = (row + 1) % self._status.size
         if self._filled:
             return None
-        return gather(self._rows, self._status, self.theta, self._status.size)
+        found = gather(self._rows, self._status, self.theta, self._status.size)
+        block, self._waiting = silenced(*found, self._waiting, self._wait)
+        return block
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,8 @@ SILENT_TIME, SILENT_BLOCKS = 2.0, 6
 MODEL_INFORMATION, REFERENCE_INFORMATION = 15.0, 60.0
 #: Information after which a cause that explains so much of what is to explain is named, and after which the best is.
 CAUSE_INFORMATION, CAUSE_SHARE, CAUSE_LATEST = 4.0, 0.95, 8.0
-#: What all parameters keep of what was gathered before, at the first suspicion, and what the changed one keeps.
-KEEP_ALL, KEEP_ONE = 0.01, 1e-3
+#: What is kept at the first suspicion of what was gathered before.
+KEEP = 0.003
 NO_ALARM = Status.STARTING | Status.POOR_EXCITATION
 
 
@@ -48,8 +48,9 @@ class Monitor:
     """Watches one axis.
 
     estimator: recursive, at its start; calibration: of its configuration and the reference parameters. `step` takes one
-    sample. At the first suspicion the estimator's memory is opened a little, and with the alarm, once the cause is
-    clear, for what changed; the new value, once known, is the reference, so every change is told once.
+    sample. At the first suspicion the estimator's memory is opened: what it gathers from then on is of the new plant,
+    and must not be thrown away when the cause is clear, which is when the alarm comes. The new value, once known, is
+    the reference, so every change is told once.
     """
 
     estimator: RecursiveEstimator
@@ -124,7 +125,7 @@ class Monitor:
         crossed = self.statistic > self.threshold and information > INFORMATIVE
         if crossed and not estimate.status & NO_ALARM:
             self._gathered, self._crossed = information, self.statistic
-            self.estimator.open_memory(KEEP_ALL)
+            self.estimator.open_memory(KEEP)
             events += [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm()]
         return events
 
@@ -174,7 +175,6 @@ class Monitor:
             self._crossed,
             self.threshold,
         )
-        self.estimator.open_memory(KEEP_ONE, None if cause.name == INPUT_GAIN else cause.name)
         self._gathered, self._refined = 0.0, False
         return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
 

@@ -17,7 +17,7 @@ from pmfid.monitor.calibration import Calibration, Tail, calibrate
 from pmfid.monitor.scores import Floats, Scale
 
 #: To be raised with every change of what a calibration computes.
-VERSION = 1
+VERSION = 2
 
 
 def cache_dir() -> Path:

@@ -28,12 +28,12 @@ def tasks(hours: float, seeds: int) -> dict[str, list[tuple[Any, ...]]]:
     """Arguments of the work of every section."""
     per_task = false_alarms.RUN_HOURS * false_alarms.RUNS_PER_TASK
     mass = [("mass +10 %", detector, 0.02) for detector in DETECTORS]
-    others = [(change, "glr", tolerance) for change in detection.CHANGES for tolerance in (0.02, 0.0)]
-    cases = list(dict.fromkeys([*mass, *others]))
+    others = [(change, "glr", 0.02) for change in detection.CHANGES]
+    cases = list(dict.fromkeys([*mass, ("mass +10 %", "glr", 0.0), *others]))
     return {
         "false alarms": [(task,) for task in range(max(1, round(hours / per_task)))],
         "detection": [(detector, change, tol, seed) for change, detector, tol in cases for seed in range(seeds)],
-        "recovery": [(inc, seed) for inc in detection.RECOVERY_INCREMENTS for seed in range(max(1, seeds // 2))],
+        "recovery": [(inc, 500 + seed) for inc in detection.RECOVERY_INCREMENTS for seed in range(max(1, seeds // 2))],
         "standstill": [(detector, seed) for detector in DETECTORS for seed in range(max(1, min(2, seeds // 50)))],
     }
 

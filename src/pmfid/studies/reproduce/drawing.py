@@ -118,8 +118,9 @@ def draw(drawing: Drawing) -> Figure:
             for mark in drawing.marks:
                 axes.axvline(mark, color=GREY, lw=0.8, ls=":")
             axes.set_title(title)
-        for axes in list(grid.flat)[len(drawing.panels) :]:
-            axes.remove()
+        for place in range(len(drawing.panels), grid.size):
+            grid.flat[place].remove()
+            grid.flat[place - drawing.columns].tick_params(labelbottom=True)
         grid[0, 0].set_ylim(drawing.limits)
         grid[0, 0].set_xlim(drawing.t[0], drawing.t[-1])
         figure.supxlabel("time [s]", fontsize=10)

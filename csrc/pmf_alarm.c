@@ -1,0 +1,39 @@
+/* Alarm on a parameter: two-sided cumulative sum of its estimate's log-likelihood ratio (Page 1954).
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * One value of the estimate in `interval` samples, so that its errors are nearly independent: with
+ * x = theta - nominal of variance v, the ratio of a shift by s is s (x - s / 2) / v. Where the status says that the
+ * estimate is not to be trusted, and where the variance is large, the sums hold still: no alarm without excitation.
+ */
+#include "pmf.h"
+
+#define UNTRUSTED (PMF_STARTING | PMF_SETTLING | PMF_POOR_EXCITATION | PMF_RESET | PMF_UNMODELLED)
+
+/* max(0, sum + gain), and not beyond twice the threshold, so that it comes back after a repair. */
+static real_t next_sum(real_t sum, real_t gain, real_t threshold)
+{
+    real_t next = sum + gain, most = threshold + threshold;
+    if (!(next > PMF_R(0.0))) {
+        return PMF_R(0.0);
+    }
+    return next < most ? next : most;
+}
+
+int32_t pmf_alarm_step(const pmf_alarm_config_t *alarm, pmf_alarm_state_t *sums, const pmf_config_t *config,
+                       const pmf_state_t *state)
+{
+    real_t variance = pmf_variance(config, state, alarm->parameter), apart, gain;
+    uint32_t trusted = (state->status & (uint32_t)UNTRUSTED) == 0U && variance < PMF_UNKNOWN ? 1U : 0U;
+    sums->wait += sums->wait < alarm->interval ? 1U : 0U;
+    if (trusted != 0U && sums->wait >= alarm->interval) {
+        apart = pmf_estimate(config, state)->theta[alarm->parameter] - alarm->nominal;
+        gain = alarm->shift / (variance + PMF_LEAST_VARIANCE);
+        sums->up = next_sum(sums->up, gain * (apart - PMF_R(0.5) * alarm->shift), alarm->threshold);
+        sums->down = next_sum(sums->down, gain * (-apart - PMF_R(0.5) * alarm->shift), alarm->threshold);
+        sums->wait = 0U;
+    }
+    if (sums->up < alarm->threshold && sums->down < alarm->threshold) {
+        return 0;
+    }
+    return sums->up >= sums->down ? 1 : -1;
+}

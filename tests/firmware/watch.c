@@ -1,0 +1,38 @@
+/* Replays a file of samples and writes the alarm after each: -1, 0 or 1, and the two sums. */
+#include EXPORT_HEADER
+
+#include <stdio.h>
+
+typedef struct {
+    real_t u;
+    uint32_t count;
+} input_t;
+
+typedef struct {
+    int32_t alarm;
+    real_t up, down;
+} output_t;
+
+static axis_t axis;
+
+int main(int argc, char **argv)
+{
+    axis_alarm_t sums[AXIS_ALARMS] = {{PMF_R(0.0), PMF_R(0.0), 0U}};
+    input_t in;
+    output_t out;
+    FILE *from = fopen(argv[1], "rb"), *to = fopen(argv[2], "wb");
+    if (argc != 3 || from == NULL || to == NULL) {
+        return 2;
+    }
+    pmf_clear(&out, (uint32_t)sizeof out);
+    axis_init(&axis);
+    while (fread(&in, sizeof in, 1, from) == 1U) {
+        (void)axis_step(&axis, in.u, in.count);
+        out.alarm = axis_watch(&axis, sums, 0U);
+        out.up = sums[0].up;
+        out.down = sums[0].down;
+        (void)fwrite(&out, sizeof out, 1, to);
+    }
+    (void)fclose(from);
+    return fclose(to) == 0 ? 0 : 3;
+}
