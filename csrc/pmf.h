@@ -43,12 +43,12 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_ALIKE(x) (x)
 #define PMF_TO_REAL(x) ((real_t)(x))
 #define PMF_IF(truth, yes, no) ((truth) ? (yes) : (no))
-#define PMF_ANY(truth) (truth)
-#define PMF_ALL(truth) (truth)
+#define PMF_ANY(truth) ((truth) != 0)
+#define PMF_ALL(truth) ((truth) != 0)
 /* Does `action`, which changes nothing but `object` (a pointer) that is kept, where the truth holds. */
 #define PMF_WHERE(truth, object, action) \
     do {                                 \
-        if (truth) {                     \
+        if ((truth) != 0) {              \
             action;                      \
         }                                \
     } while (0)
@@ -278,14 +278,12 @@ typedef struct {
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state);
 /* One sample: `input` is applied from now on, `count` is read now. Returns the status bits. */
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
-#ifndef PMF_LANES
 /* P of the estimate, with theta_cov = innovation variance times P; n x n, row by row; its diagonal alone where the
  * estimate is borrowed from another parametrisation. */
-PMF_API void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p);
+void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p);
 /* The estimate of the last step. */
-PMF_API const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state);
-PMF_API void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state,
-                                      real_t *p);
+const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state);
+void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
 /* Opens the memory after a change of the plant: of what was gathered on one parameter, or with PMF_NO_PARAMETER on all, only
  * the part root^2 counts on, 0 < root <= 1. The estimate stays where it is; filters and auxiliary model go on. What the
  * innovations said of the error bars counts anew, also with root = 1. */
@@ -293,11 +291,9 @@ void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter
 /* Variance of a parameter of the estimate, for innovations as coloured as they are; PMF_UNKNOWN until there is one. */
 real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter);
 #define PMF_UNKNOWN PMF_R(1e30)
-#endif
 /* The number of parameters of the estimate. */
 PMF_API uint32_t pmf_parameters(const pmf_config_t *config);
 
-#ifndef PMF_LANES
 /* Continue after a loss of power: a state with what says whose it is. The same bytes as `get_state` in Python. */
 #define PMF_STATE_MAGIC 0x53464d50U /* "PMFS" */
 #define PMF_STATE_VERSION 1U
@@ -341,7 +337,6 @@ int32_t pmf_alarm_step(const pmf_alarm_config_t *alarm, pmf_alarm_state_t *sums,
 /* What compiler options did to the arithmetic of this build, as bits; 0: the bits are those of Python. */
 enum { PMF_CONTRACTED = 1, PMF_REARRANGED = 2, PMF_NO_NAN = 4, PMF_FLUSHED = 8 };
 uint32_t pmf_arithmetic(void);
-#endif
 
 /* Byte-wise, so that padding is zero too and two states can be compared. */
 PMF_API void pmf_clear(void *memory, uint32_t size);

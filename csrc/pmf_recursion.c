@@ -629,8 +629,7 @@ PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_rec
 }
 
 #ifndef PMF_LANES /* of one axis */
-PMF_API void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *recursion,
-                                      real_t *p)
+void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *recursion, real_t *p)
 {
     uint32_t n = config->n_parameters, i, j, k, column;
     for (column = 0; column < n; ++column) {

@@ -201,7 +201,7 @@ PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t 
 }
 
 #ifndef PMF_LANES
-PMF_API void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
+void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
 {
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U && (state->status & PMF_FALLBACK) == 0U) {
