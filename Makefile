@@ -43,7 +43,8 @@ format: .venv/installed
 bench: .venv/installed
 	mkdir -p .benchmarks
 	.venv/bin/python -m pytest benchmarks --benchmark-only --benchmark-sort=name --benchmark-json=.benchmarks/latest.json
-	.venv/bin/python -m benchmarks.table .benchmarks/latest.json docs/benchmarks.md
+	.venv/bin/python -m benchmarks.instructions .benchmarks/instructions.json
+	.venv/bin/python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json docs/benchmarks.md
 
 firmware: .venv/installed
 	.venv/bin/python -m tests.firmware.study --out docs/footprint.md
