@@ -70,10 +70,15 @@ static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state
     whole_t leaked = state->gap - (state->gap >> 2), pause = state->idle + 1U, limit;
     state->gap = PMF_IF(counted, PMF_IF(pause > leaked, pause, leaked), state->gap);
     state->idle = PMF_IF(counted, PMF_W(0), PMF_IF(state->idle < still, pause, state->idle));
-    limit = PMF_IF(state->gap <= CLOSE, state->gap + 1U, 4U * state->gap + 2U);
-    rest = PMF_NOT(counted) & ((state->idle >= still) | (state->idle > limit));
     state->direction = PMF_IF(change > 0, PMF_R(1.0), PMF_IF(counted, PMF_R(-1.0), state->direction));
     state->moving = PMF_IF(counted, PMF_R(1.0), state->moving);
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) {
+        return PMF_W(0);
+    }
+#endif
+    limit = PMF_IF(state->gap <= CLOSE, state->gap + 1U, 4U * state->gap + 2U);
+    rest = PMF_NOT(counted) & ((state->idle >= still) | (state->idle > limit));
     state->direction = PMF_IF(rest, PMF_R(0.0), state->direction);
     state->moving = PMF_IF(rest, PMF_R(0.0), state->moving);
     return PMF_BIT(rest, PMF_STANDSTILL);
@@ -108,8 +113,14 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
 {
 #if PMF_WITH_SPLIT
     real_t half = PMF_R(0.5) * direction, moving = PMF_R(0.5) * state->moving;
-    real_t position = config->position_per_count *
-                      (PMF_TO_REAL(signed_count(0xffffffffU, state->travel)) - PMF_R(0.5) * PMF_TO_REAL(state->change));
+    real_t middle = PMF_TO_REAL(signed_count(0xffffffffU, state->travel)) - PMF_R(0.5) * PMF_TO_REAL(state->change);
+    real_t position;
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) {
+        middle += PMF_R(0.5); /* a count says "in the middle" */
+    }
+#endif
+    position = config->position_per_count * middle;
 #endif
     (void)config;
     signal[PMF_INPUT] = state->moving * state->input_before;
@@ -124,6 +135,12 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
     signal[PMF_POSITION] = state->moving * position;
     signal[PMF_LATE_INPUT] = state->input_before;
     signal[PMF_LATE_VELOCITY] = state->mean_velocity;
+#endif
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) {
+        signal[PMF_ONE] = PMF_R(1.0);
+        signal[PMF_START] = PMF_IF(state->started == 1U, PMF_R(1.0), PMF_R(0.0));
+    }
 #endif
 }
 
@@ -151,8 +168,14 @@ PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder
     state->change = change;
     state->travel = (state->travel + (whole_t)change) & 0xffffffffU;
 #endif
-    state->count = count;
     state->started = PMF_W(1);
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) {
+        state->travel = PMF_IF(started, state->travel, (whole_t)signed_count(mask, count & mask) & 0xffffffffU);
+        state->started = PMF_IF(started, PMF_W(2), PMF_W(1));
+    }
+#endif
+    state->count = count;
     state->fast = fast;
     state->input_before = state->input;
     state->input = input;

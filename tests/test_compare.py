@@ -8,11 +8,14 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+import pmfid
 from pmfid.cli.main import main
-from pmfid.estimators import METHODS
+from pmfid.estimators.registry import methods_for
 from pmfid.simulation import CART, make_scenario, write_csv
 
 CONFIG = Path(__file__).parents[1] / "examples" / "cart.toml"
+
+METHODS = methods_for(pmfid.Drive(1.0))
 
 
 @pytest.fixture(scope="module")
@@ -30,14 +33,14 @@ def run(*arguments: str) -> str:
 
 def test_json_has_every_method_near_the_truth(record):
     found = json.loads(run(str(record), "--config", str(CONFIG), "--json"))
-    assert set(found["methods"]) == set(METHODS) - {"auto"}
+    assert set(found["methods"]) == set(METHODS)
     for result in found["methods"].values():
         assert result["parameters"]["mass"]["value"] == pytest.approx(CART.mass, rel=0.005)
 
 
 def test_table_and_report(record, tmp_path):
     printed = run(str(record), "--config", str(CONFIG), "--out", str(tmp_path))
-    assert all(method in printed for method in METHODS[1:])
+    assert all(method in printed for method in METHODS)
     assert {path.name for path in tmp_path.iterdir()} == {"compare.html", "compare.json"}
     page = (tmp_path / "compare.html").read_text()
     assert "mass in kg" in page

@@ -10,7 +10,20 @@ from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known_step import KnownStep, RKnownStep
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.rls import RLS
+from pmfid.estimators.rsrivc import RSRIVC
+from pmfid.estimators.srivc import SRIVC
+from pmfid.models.drive import Model
 
-OFF_LINE = (LS, BCLS, KnownStep, IV, OE, IntervalML)
-RECURSIVE = (RLS, BCRLS, RKnownStep, RIV)
+OFF_LINE = (LS, BCLS, KnownStep, IV, OE, IntervalML, SRIVC)
+RECURSIVE = (RLS, BCRLS, RKnownStep, RIV, RSRIVC)
 ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (*OFF_LINE, *RECURSIVE)}
+
+
+def methods_for(model: Model) -> list[str]:
+    """The methods that take this model."""
+    process, simulated = model.equation.process, not model.equation.without_simulation
+    return [
+        name
+        for name, cls in ESTIMATORS.items()
+        if (process or not cls.process_only) and (simulated or not cls.simulates or (process and cls.on_processes))
+    ]

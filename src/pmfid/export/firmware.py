@@ -17,7 +17,7 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.alarm import Alarm
 from pmfid.export.initializer import initializer, literal
 from pmfid.export.samples import made_up_record, moving_part, recorded
-from pmfid.layout.saved import configuration, shape_of
+from pmfid.layout.saved import configuration, recursions_of, shape_of
 from pmfid.layout.structures import header, layout_number, resized, source_folder, structures
 
 #: Template -> file in the folder; NAME is the prefix.
@@ -128,8 +128,9 @@ def _context(estimator: RecursiveEstimator, prefix: str, record: tuple[ArrayLike
 
 def fixed_recursion(config: Any) -> tuple[int, int, int] | None:
     """Number of parameters, whether there are instruments, and scheme of forgetting, if all recursions agree."""
-    recursions = [config["direct"], *([config["instrument"]] if config["auxiliary"]["enabled"] else [])]
-    kinds = {(int(one["n_parameters"]), int(one["instrumental"]), int(one["scheme"])) for one in recursions}
+    kinds = {
+        (int(one["n_parameters"]), int(one["instrumental"]), int(one["scheme"])) for one in recursions_of(config)
+    }
     return kinds.pop() if len(kinds) == 1 else None
 
 
@@ -143,6 +144,10 @@ SIGNALS = {
     "backward": "(moving backward)",
     "forward_output": "(x forward)",
     "backward_output": "(x backward)",
+    "process_output": "y",
+    "process_input": "u",
+    "constant": "",
+    "start": "(impulse at the first sample)",
 }
 
 

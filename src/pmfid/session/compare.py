@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators import METHODS
+from pmfid.estimators.registry import methods_for
 from pmfid.session.config import Axis
 from pmfid.session.pipeline import Result, identify
 from pmfid.session.records import Record
@@ -33,7 +33,7 @@ def compare(record: Record, axis: Axis, done: Callable[[str], None] | None = Non
     does, and NotIdentifiableError where no method has an answer."""
     results: dict[str, Result] = {}
     refused: dict[str, str] = {}
-    for method in METHODS[1:]:
+    for method in methods_for(axis.model.make()):
         estimator = axis.estimator.model_copy(update={"method": method})
         try:
             results[method] = identify(record, axis.model_copy(update={"estimator": estimator}))
