@@ -271,6 +271,7 @@ typedef struct {
     whole_t in_charge; /* the instrumental estimate has taken over from the direct one */
 } pmf_auxiliary_state_t;
 
+#if PMF_WITH_LINEAR
 /* A linear process, simulated from the input alone with a slow copy of the estimate, and the filters 1 / A(s). */
 typedef struct {
     uint32_t enabled;
@@ -301,6 +302,7 @@ typedef struct {
     whole_t wait, age, unsettled, settled;
     whole_t running, in_charge;
 } pmf_linear_state_t;
+#endif
 
 typedef struct {
     uint32_t settle_samples;

@@ -702,6 +702,7 @@ void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_
         discount_sums(&state->window[block], PARAMETERS(config), factor);
     }
 #endif
+    (void)config; /* an export has its values as constants */
     discount_sums(&state->sums, PARAMETERS(config), factor);
 }
 #endif

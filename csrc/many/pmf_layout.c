@@ -80,12 +80,13 @@ static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_c
 static void find_unused(const pmf_config_t *config, unused_t *unused)
 {
     const pmf_network_config_t *network = &config->network;
+    uint32_t columns = config->linear.enabled != 0U ? PMF_MAX_COLUMNS : network->n_columns; /* the model has its own */
     unused->ranges = 0U;
     leave_out(unused, IN_STATE(network.node) + (PMF_SIGNALS + network->n_stages) * (uint32_t)sizeof(scalar_t),
               END_IN_STATE(network.node));
     leave_out(unused, IN_STATE(network.memory) + network->n_stages * (uint32_t)sizeof(scalar_t),
               END_IN_STATE(network.memory));
-    leave_out(unused, IN_STATE(network.column) + network->n_columns * (uint32_t)sizeof(scalar_t),
+    leave_out(unused, IN_STATE(network.column) + columns * (uint32_t)sizeof(scalar_t),
               END_IN_STATE(network.column));
     leave_recursion(unused, IN_STATE(direct), &config->direct);
     if (config->auxiliary.enabled + config->linear.enabled != 0U) {

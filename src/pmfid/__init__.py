@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from pmfid.estimators.rls import RLS as RLS
     from pmfid.estimators.rsrivc import RSRIVC as RSRIVC
     from pmfid.estimators.srivc import SRIVC as SRIVC
-    from pmfid.linear.experiment import Experiment as Experiment
     from pmfid.export.firmware import export_firmware as export_firmware
+    from pmfid.linear.experiment import Experiment as Experiment
     from pmfid.models.drive import Drive as Drive
     from pmfid.models.drive import EquationModel as EquationModel
     from pmfid.models.equation import Equation as Equation

@@ -15,7 +15,7 @@ from pmfid.cli.export import export
 from pmfid.cli.monitor import monitor
 from pmfid.cli.reproduce import reproduce
 from pmfid.cli.simulate import simulate
-from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
+from pmfid.errors import PmfidError, UsageError
 from pmfid.estimators import METHODS
 
 if TYPE_CHECKING:

@@ -14,9 +14,12 @@ from pmfid.estimators.rsrivc import RSRIVC
 from pmfid.estimators.srivc import SRIVC
 from pmfid.models.drive import Model
 
-OFF_LINE = (LS, BCLS, KnownStep, IV, OE, IntervalML, SRIVC)
-RECURSIVE = (RLS, BCRLS, RKnownStep, RIV, RSRIVC)
-ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (*OFF_LINE, *RECURSIVE)}
+#: Those that take a drive.
+OFF_LINE = (LS, BCLS, KnownStep, IV, OE, IntervalML)
+RECURSIVE = (RLS, BCRLS, RKnownStep, RIV)
+#: And those that take a linear process alone.
+PROCESS_ONLY = (SRIVC, RSRIVC)
+ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (*OFF_LINE, *RECURSIVE, *PROCESS_ONLY)}
 
 
 def methods_for(model: Model) -> list[str]:

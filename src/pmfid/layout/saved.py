@@ -52,7 +52,7 @@ def recursions_of(config: NDArray[Any]) -> list[NDArray[Any]]:
 
 
 def columns_of(config: NDArray[Any]) -> int:
-    """Columns of the network, and behind them those of the model of a linear process: regressors, target, instruments."""
+    """Columns of the network, and behind them the model's of a linear process: regressors, target, instruments."""
     n, linear = int(config["network"]["n_columns"]), config["linear"]
     return int(linear["first_column"]) + 2 * int(config["instrument"]["n_parameters"]) + 1 if linear["enabled"] else n
 
