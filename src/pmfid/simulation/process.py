@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.simulation.drive import Floats, check_number
+from pmfid.simulation.checks import Floats, check_number
 from pmfid.simulation.signals import mls
 
 
