@@ -613,45 +613,55 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     return PMF_IF(waits, PMF_W(PMF_STARTING | PMF_POOR_EXCITATION), status | unmodelled);
 }
 
-/* The same code with the number of parameters as a constant: loops unroll, the bits stay. */
-static whole_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
-{
-#ifdef PMF_PARAMETERS
-    return update(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
-#else
-    switch (config->n_parameters * 2U + config->instrumental) {
-    case 6: return update(config, state, column, 3U, 0U);
-    case 7: return update(config, state, column, 3U, 1U);
-    case 8: return update(config, state, column, 4U, 0U);
-    case 9: return update(config, state, column, 4U, 1U);
-    case 10: return update(config, state, column, 5U, 0U);
-#if PMF_MAX_PARAMETERS >= 8 && !defined(PMF_LANES)
-    case 11: return update(config, state, column, 5U, 1U);
-    case 12: return update(config, state, column, 6U, 0U);
-    case 13: return update(config, state, column, 6U, 1U);
-    case 14: return update(config, state, column, 7U, 0U);
-    case 16: return update(config, state, column, 8U, 0U);
-#endif
-    default: return update(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
-    }
-#endif
-}
-
-/* The sums as well: one that left the range would show in theta much later, or never. */
-static truth_t finite_state(const pmf_recursion_state_t *state, uint32_t p, uint32_t instrumental)
+/* The sums as well: one that left the range would show in theta much later, or never. Row by row, so that no addition
+ * waits for all before it. */
+PMF_INLINE truth_t finite_state(const pmf_recursion_state_t *state, uint32_t p, uint32_t instrumental)
 {
     real_t sum = state->innovation_square;
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
-        sum += state->estimate.theta[i] + state->estimate.variance_factor[i] + state->sums.right[i];
-        for (j = 0; j < p; ++j) {
-            sum += state->sums.cross[i][j];
-            if (instrumental != 0U) {
-                sum += state->sums.square[i][j];
-            }
+        real_t row = state->estimate.theta[i] + state->estimate.variance_factor[i] + state->sums.right[i];
+        for (j = 0; j < (instrumental != 0U ? p : i + 1U); ++j) {
+            row += state->sums.cross[i][j];
         }
+        for (j = 0; j <= i && instrumental != 0U; ++j) {
+            row += state->sums.square[i][j];
+        }
+        sum += row;
     }
     return sum - sum == PMF_R(0.0);
+}
+
+/* The update, or PMF_RESET where it left the number format. */
+PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
+                           uint32_t p, uint32_t instrumental)
+{
+    whole_t status = update(config, state, column, p, instrumental);
+    return PMF_IF(finite_state(state, p, instrumental), status, PMF_W(PMF_RESET | PMF_STARTING));
+}
+
+/* The same code with the number of parameters as a constant: loops unroll, the bits stay. */
+static whole_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
+{
+#ifdef PMF_PARAMETERS
+    return checked(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
+#else
+    switch (config->n_parameters * 2U + config->instrumental) {
+    case 6: return checked(config, state, column, 3U, 0U);
+    case 7: return checked(config, state, column, 3U, 1U);
+    case 8: return checked(config, state, column, 4U, 0U);
+    case 9: return checked(config, state, column, 4U, 1U);
+    case 10: return checked(config, state, column, 5U, 0U);
+#if PMF_MAX_PARAMETERS >= 8 && !defined(PMF_LANES)
+    case 11: return checked(config, state, column, 5U, 1U);
+    case 12: return checked(config, state, column, 6U, 0U);
+    case 13: return checked(config, state, column, 6U, 1U);
+    case 14: return checked(config, state, column, 7U, 0U);
+    case 16: return checked(config, state, column, 8U, 0U);
+#endif
+    default: return checked(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
+    }
+#endif
 }
 
 /* Forget everything but the last finite estimate. */
@@ -670,14 +680,12 @@ PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_rec
     uint32_t p = PARAMETERS(config), i;
     real_t theta[N];
     whole_t status;
-    truth_t broken;
     for (i = 0; i < p; ++i) {
         theta[i] = state->estimate.theta[i];
     }
     status = dispatch(config, state, &column[config->first_column]);
-    broken = PMF_NOT(finite_state(state, p, INSTRUMENTAL(config)));
-    PMF_WHERE(broken, state, restart(state, theta, p));
-    return PMF_IF(broken, PMF_W(PMF_RESET | PMF_STARTING), status);
+    PMF_WHERE((status & PMF_RESET) != 0U, state, restart(state, theta, p));
+    return status;
 }
 
 #if PMF_LINEAR
