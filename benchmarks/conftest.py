@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from importlib.metadata import version
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ from pmfid.simulation.scenarios import CART, make_scenario
 SAMPLES = 200_000
 CUTOFF = 50.0
 FORGETTING = 0.999
-PACKAGES = ("pmfid", "numpy", "scipy", "padasip", "statsmodels")
+PACKAGES = ("pmfid", "numpy", "scipy", "padasip", "statsmodels", "sippy_unipi")
 
 DRIVE = pmfid.Drive(input_gain=CART.input_gain)
 
@@ -52,4 +54,5 @@ def record() -> Record:
 
 def pytest_benchmark_update_machine_info(config: pytest.Config, machine_info: dict[str, Any]) -> None:
     """The versions of pmfid and its peers, beside the machine's description in the JSON file."""
-    machine_info["packages"] = {name: version(name) for name in PACKAGES}
+    machine_info["packages"] = {name: version(name) for name in PACKAGES if find_spec(name)}
+    machine_info["processors"] = os.cpu_count()

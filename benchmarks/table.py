@@ -1,4 +1,8 @@
-"""Writes the page of benchmarks from pytest-benchmark's JSON: `python -m benchmarks.table RESULTS.json PAGE.md`."""
+"""Writes the page of benchmarks: `python -m benchmarks.table RESULTS.json INSTRUCTIONS.json PAGE.md`.
+
+The first two are those of pytest-benchmark and of `benchmarks.instructions`. Beside the page, with the same name but
+.json, it keeps the figures in a form that results of years can be compared in.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from benchmarks.instructions import PARTS, STEPS
 
 REFERENCE = "test_pmfid_bcrls_run[float64]"
 PEER = "test_padasip_rls"
@@ -23,8 +29,22 @@ LABELS = {
     "test_statsmodels_rls": "statsmodels `RecursiveLS.fit` ¹ ²",
     "test_numpy_rls": "NumPy, RLS (paper eq. 33), loop ¹",
     "test_numpy_bcrls": "NumPy, BCRLS (paper eq. 33 to 36), loop ¹ ³",
+    "test_sippy_rls": "sippy_unipi ARX by recursive least squares ⁵",
     "test_scipy_lfilter": "SciPy `lfilter`, the stages of BCRLS alone ⁴",
 }
+
+OPTIONAL = {"test_sippy_rls"}
+AXES = (1, 10, 100, 1000, 10_000, 100_000)
+LOOP = "test_pmfid_bcrls_loop[{}]"
+FLEET = "test_pmfid_bcrls_fleet[{}-{}]"
+THREAD = "test_pmfid_bcrls_fleet_one_thread[{}]"
+NUMPY = "test_numpy_over_axes"
+PRECISIONS = ("float64", "float32")
+MANY = [
+    NUMPY,
+    *(form.format(precision) for form in (LOOP, THREAD) for precision in PRECISIONS),
+    *(FLEET.format(precision, axes) for precision in PRECISIONS for axes in AXES),
+]
 
 PAGE = """\
 # Benchmarks
@@ -32,7 +52,10 @@ PAGE = """\
 Written by `make bench`, which runs
 
     python -m pytest benchmarks --benchmark-only --benchmark-sort=name --benchmark-json=.benchmarks/latest.json
-    python -m benchmarks.table .benchmarks/latest.json docs/benchmarks.md
+    python -m benchmarks.instructions .benchmarks/instructions.json
+    python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json docs/benchmarks.md
+
+and keeps the figures in [benchmarks.json](benchmarks.json).
 
 {machine}
 
@@ -53,6 +76,30 @@ Ratio: time per sample over that of pmfid BCRLS, `run`, float64.
 2. Without forgetting, which it does not have; it keeps the history of all samples.
 3. The code that the tests compare the kernel with: written to be read beside the paper, not for speed.
 4. One call per stage over the whole record, the direction by a plain sign; no encoder, no recursion.
+5. Velocity on input and direction, two terms of the input, without forgetting, which cannot be set. It is a difference
+   equation with noise in its regressors, so no mass is compared. Measured where it is installed: it brings CasADi.
+
+## Many axes
+
+`Fleet.run` of BCRLS on {processors} processors, each axis from another start of the same record; the last estimate of
+each is kept. In brackets how many times the axis-samples per second of the scalar kernel, which takes the axes one
+after the other on one core: {loop64:.0f} ns in float64, {loop32:.0f} ns in float32.
+
+| axes | samples of each | float64, ns per axis and sample | float32, ns per axis and sample |
+|---:|---:|---:|---:|
+{many}
+
+One thread with 10000 axes: {thread64:.1f} ns ({gain64:.1f}) in float64, {thread32:.1f} ns ({gain32:.1f}) in float32.
+NumPy vectorised over 10000 axes takes {numpy:.0f} ns for the recursion alone, on columns that are filtered already and
+the same for all axes. The bits of each axis are those of the scalar kernel (`tests/test_many.py`).
+
+## Instructions
+
+Of one step of the scalar kernel, counted by callgrind over the first {steps} samples of the record.
+
+| estimator | step | encoder | auxiliary model | filters | recursion |
+|---|---:|---:|---:|---:|---:|
+{instructions}
 
 ## Goals
 
@@ -87,7 +134,7 @@ def read(path: Path) -> tuple[Mapping[str, Any], dict[str, Result]]:
         sys.exit(f"cannot read {path}: {error.strerror}; run pytest with --benchmark-json={path} first")
     except (ValueError, KeyError, TypeError):
         sys.exit(f"{path} is not a result file of these benchmarks; run pytest with --benchmark-json={path}")
-    missing = sorted(set(LABELS) - set(results))
+    missing = sorted((set(LABELS) | set(MANY)) - OPTIONAL - set(results))
     if missing:
         sys.exit(f"{path} has no {', '.join(missing)}; run all benchmarks, without -k")
     return machine, results
@@ -104,48 +151,96 @@ def machine_text(machine: Mapping[str, Any]) -> str:
     name = cpu.get("brand_raw") or cpu.get("arch_string_raw") or machine["machine"]
     versions = ", ".join(f"{package} {version}" for package, version in machine["packages"].items())
     clock = f" ({cpu['hz_advertised_friendly']})" if cpu.get("hz_advertised_friendly") else ""
-    return f"Processor: {name}{clock}. Python {machine['python_version']}, {versions}."
+    return f"Processor: {name}{clock}, {machine['processors']} cores. Python {machine['python_version']}, {versions}."
 
 
 def rows(results: Mapping[str, Result]) -> list[str]:
     """The table's lines: in the order of `LABELS`, names that are not in it last."""
     reference = results[REFERENCE].ns
-    names = [*LABELS, *sorted(set(results) - set(LABELS))]
+    names = [name for name in LABELS if name in results] + sorted(set(results) - set(LABELS) - set(MANY))
     return [
         f"| {LABELS.get(name, name)} | {one.samples} | {one.ns:.0f} | {one.ns / reference:.2f} | {one.mass_text} |"
         for name, one in ((name, results[name]) for name in names)
     ]
 
 
+def many_rows(results: Mapping[str, Result]) -> list[str]:
+    """Time per axis and sample by the number of axes, with the gain over the scalar kernel in a loop."""
+    lines = []
+    for axes in AXES:
+        found = {precision: results[FLEET.format(precision, axes)] for precision in PRECISIONS}
+        cells = (f"{one.ns:.1f} ({results[LOOP.format(name)].ns / one.ns:.1f})" for name, one in found.items())
+        lines.append(f"| {axes} | {found['float64'].samples // axes} | {' | '.join(cells)} |")
+    return lines
+
+
+def many_figures(results: Mapping[str, Result]) -> dict[str, float]:
+    """The figures in the text below that table."""
+    loop, thread = ([results[form.format(precision)].ns for precision in PRECISIONS] for form in (LOOP, THREAD))
+    return {
+        **{"loop64": loop[0], "loop32": loop[1], "thread64": thread[0], "thread32": thread[1]},
+        **{"gain64": loop[0] / thread[0], "gain32": loop[1] / thread[1], "numpy": results[NUMPY].ns},
+    }
+
+
+def instruction_rows(counted: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """A line for each estimator; one that says so where nothing was counted."""
+    lines = [
+        f"| {name} | " + " | ".join(f"{one[part]:.0f}" if part in one else "–" for part in PARTS) + " |"
+        for name, one in counted.items()
+    ]
+    return lines or ["| not counted: valgrind is not installed | | | | | |"]
+
+
 def goals(results: Mapping[str, Result]) -> list[str]:
     """Each goal with what was measured, and whether that meets it."""
     run, ratio, step = results[REFERENCE].ns, results[PEER].ns / results[REFERENCE].ns, results[STEP].ns
+    many = [results[LOOP.format(name)].ns / results[FLEET.format(name, 10_000)].ns for name in PRECISIONS]
     lines = [
         ("BCRLS `run` takes at most 150 ns per sample", f"{run:.0f} ns", run <= 150),
         ("BCRLS `run` is at least 80 times as fast as padasip's bare RLS", f"{ratio:.0f} times", ratio >= 80),
         ("one call of `step` with its `theta` takes at most 1000 ns", f"{step:.0f} ns", step <= 1000),
+        ("10000 axes: 4 times the scalar kernel on one core, float64", f"{many[0]:.1f} times", many[0] >= 4),
+        ("10000 axes: 4 times the scalar kernel on one core, float32", f"{many[1]:.1f} times", many[1] >= 4),
     ]
     return [f"| {goal} | {measured} | {'met' if met else '**not met**'} |" for goal, measured, met in lines]
 
 
-def page(machine: Mapping[str, Any], results: Mapping[str, Result]) -> str:
+def page(machine: Mapping[str, Any], results: Mapping[str, Result], counted: Mapping[str, Mapping[str, float]]) -> str:
     """The whole page; the same results give the same bytes."""
     return PAGE.format(
         machine=machine_text(machine),
         rows="\n".join(rows(results)),
         goals="\n".join(goals(results)),
         like=results[PEER].ns / results["test_pmfid_rls_run[float64]"].ns,
+        processors=machine["processors"],
+        many="\n".join(many_rows(results)),
+        **many_figures(results),
+        instructions="\n".join(instruction_rows(counted)),
+        steps=STEPS,
     )
 
 
+def kept(machine: Mapping[str, Any], results: Mapping[str, Result], counted: Mapping[str, Mapping[str, float]]) -> str:
+    """The figures under their permanent names, and what machine they are of; nothing that names the host."""
+    figures = {
+        name: {"samples": one.samples, "ns": one.ns, "mass_error": one.mass_error} for name, one in results.items()
+    }
+    content = {"machine": machine_text(machine), "benchmarks": figures, "instructions": counted}
+    return json.dumps(content, indent=1, sort_keys=True) + "\n"
+
+
 def main(arguments: list[str]) -> None:
-    """Reads the first path, writes the second."""
-    if len(arguments) != 2:
-        sys.exit(f"two paths are needed, got {len(arguments)}: python -m benchmarks.table RESULTS.json PAGE.md")
-    source, target = (Path(argument) for argument in arguments)
-    text = page(*read(source))
+    """Reads the first two paths, writes the third and its twin in JSON."""
+    if len(arguments) != 3:
+        usage = "python -m benchmarks.table RESULTS.json INSTRUCTIONS.json PAGE.md"
+        sys.exit(f"three paths are needed, got {len(arguments)}: {usage}")
+    source, instructions, target = (Path(argument) for argument in arguments)
+    machine, results = read(source)
+    counted = json.loads(instructions.read_text(encoding="utf-8"))
     try:
-        target.write_text(text, encoding="utf-8", newline="\n")
+        target.write_text(page(machine, results, counted), encoding="utf-8", newline="\n")
+        target.with_suffix(".json").write_text(kept(machine, results, counted), encoding="utf-8", newline="\n")
     except OSError as error:
         sys.exit(f"cannot write {target}: {error.strerror}; name a file in a folder that exists")
 

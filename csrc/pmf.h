@@ -21,12 +21,40 @@ extern "C" {
 #endif
 
 #ifdef PMF_FLOAT32
-typedef float real_t;
-#define PMF_R(x) (x##f)
+typedef float scalar_t;
+#define PMF_SCALAR(x) (x##f)
 #else
-typedef double real_t;
-#define PMF_R(x) (x)
+typedef double scalar_t;
+#define PMF_SCALAR(x) (x)
 #endif
+
+/* The configuration consists of scalars. What depends on the data is written in the types and with the choices below,
+ * so that the same source also runs several axes side by side: many/pmf_lanes.h then defines them for vectors. */
+#ifdef PMF_LANES
+#include "many/pmf_lanes.h"
+#else
+typedef scalar_t real_t;
+typedef uint32_t whole_t;
+typedef int32_t integer_t;
+typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
+#define PMF_API
+#define PMF_R(x) PMF_SCALAR(x)
+#define PMF_W(x) ((uint32_t)(x))
+#define PMF_ALIKE(x) (x)
+#define PMF_TO_REAL(x) ((real_t)(x))
+#define PMF_IF(truth, yes, no) ((truth) ? (yes) : (no))
+#define PMF_ANY(truth) ((truth) != 0)
+#define PMF_ALL(truth) ((truth) != 0)
+/* Does `action`, which changes nothing but `object` (a pointer) that is kept, where the truth holds. */
+#define PMF_WHERE(truth, object, action) \
+    do {                                 \
+        if ((truth) != 0) {              \
+            action;                      \
+        }                                \
+    } while (0)
+#endif
+#define PMF_NOT(truth) ((truth) == 0)
+#define PMF_BIT(truth, bit) PMF_IF(truth, PMF_W(bit), PMF_W(0))
 
 /* Signals of one sampling interval. A block of eight comes from the counts (nodes 0..7) and one from the auxiliary
  * model (nodes 8..15). All but the velocity from the counts are one sample late, because the direction of an interval
@@ -89,23 +117,23 @@ enum {
 };
 
 typedef struct {
-    real_t velocity_per_count;   /* resolution / dt */
-    real_t position_per_count;   /* resolution */
+    scalar_t velocity_per_count;   /* resolution / dt */
+    scalar_t position_per_count;   /* resolution */
     uint32_t count_mask;         /* 2^bits - 1 */
     uint32_t max_change;         /* more counts in one sample are a jump; 0: no check */
     uint32_t standstill_samples; /* without a count for so long: at rest */
-    real_t position_gain, velocity_gain; /* of the tracker, per count */
-    real_t smooth_end, smooth_start;     /* one-step smoother of the tracker's velocity */
+    scalar_t position_gain, velocity_gain; /* of the tracker, per count */
+    scalar_t smooth_end, smooth_start;     /* one-step smoother of the tracker's velocity */
 } pmf_encoder_config_t;
 
 typedef struct {
-    uint32_t count;
-    uint32_t idle; /* samples since the last count, saturating */
-    uint32_t gap;  /* samples between counts lately */
-    int32_t fast, fast_before;
-    int32_t started;
-    int32_t change;  /* of the last interval */
-    uint32_t travel; /* counts since the first one, modulo 2^32 */
+    whole_t count;
+    whole_t idle; /* samples since the last count, saturating */
+    whole_t gap;  /* samples between counts lately */
+    whole_t fast, fast_before;
+    whole_t started;
+    integer_t change;  /* of the last interval */
+    whole_t travel; /* counts since the first one, modulo 2^32 */
     real_t position, velocity, velocity_before, innovation; /* tracker, in counts and samples */
     real_t direction, moving; /* of the last interval */
     real_t input, input_before;
@@ -115,12 +143,12 @@ typedef struct {
 /* node[k] = b0 * node[source] + (what b1 and a left from the step before) */
 typedef struct {
     uint32_t source;
-    real_t a, b0, b1;
+    scalar_t a, b0, b1;
 } pmf_stage_t;
 
 typedef struct {
     uint32_t node;
-    real_t weight;
+    scalar_t weight;
 } pmf_tap_t;
 
 /* Columns are sums of taps: regressors, then the target, then the instruments if there are any. */
@@ -143,16 +171,16 @@ typedef struct {
     uint32_t first_column;     /* regressors, target, instruments from here on */
     uint32_t min_updates;      /* before the first estimate */
     uint32_t residual_updates; /* so many steps from the accumulated right-hand side, then from the innovation */
-    real_t forgetting;
-    real_t regularization; /* information that is never forgotten, as a part of the largest seen */
-    real_t pivot;          /* smallest relative pivot for a first estimate */
+    scalar_t forgetting;
+    scalar_t regularization; /* information that is never forgotten, as a part of the largest seen */
+    scalar_t pivot;          /* smallest relative pivot for a first estimate */
     uint32_t scheme;       /* of forgetting */
     uint32_t window_block; /* samples in a block of the window */
     uint32_t compensated;  /* the noise of the columns is known: */
-    real_t noise[PMF_MAX_NOISE][PMF_MAX_NOISE]; /* its covariance in one sample's phi phi^T */
+    scalar_t noise[PMF_MAX_NOISE][PMF_MAX_NOISE]; /* its covariance in one sample's phi phi^T */
     uint32_t block;        /* updates whose errors may be correlated; the spread of such blocks scales P */
-    real_t unexplained;    /* mean square innovation over what the noise explains, beyond which the model is wrong; 0: no check */
-    real_t check_memory;   /* forgetting of that comparison */
+    scalar_t unexplained;    /* mean square innovation over what the noise explains, beyond which the model is wrong; 0: no check */
+    scalar_t check_memory;   /* forgetting of that comparison */
 } pmf_recursion_config_t;
 
 typedef struct {
@@ -178,18 +206,18 @@ typedef struct {
     real_t mass;   /* 1 - forgetting^updates: how much of the regularisation is in force */
     real_t weight; /* of the innovations below */
     real_t innovation_square;
-    uint32_t updates; /* saturating */
-    uint32_t started; /* updates since the first estimate, 0 before, saturating */
+    whole_t updates; /* saturating */
+    whole_t started; /* updates since the first estimate, 0 before, saturating */
     real_t score[PMF_MAX_PARAMETERS];  /* sum of zeta times innovation in this block */
     real_t spread[PMF_MAX_PARAMETERS]; /* of theta by blocks, over that of white innovations */
-    uint32_t block_updates, blocks;
-    uint32_t frozen;  /* too little information left to forget any more */
+    whole_t block_updates, blocks;
+    whole_t frozen;  /* too little information left to forget any more */
     real_t check_weight, check_innovation, check_target; /* mean squares, for the check of the model */
     real_t reference[PMF_MAX_PARAMETERS]; /* diagonal of P that constant trace keeps */
     real_t trace;                         /* mean of P over the reference; 0: not set yet */
 #if PMF_WINDOW_BLOCKS > 0
     pmf_sums_t window[PMF_WINDOW_BLOCKS];
-    uint32_t window_block, window_updates; /* the one that is filled, and its updates */
+    whole_t window_block, window_updates; /* the one that is filled, and its updates */
 #endif
 } pmf_recursion_state_t;
 
@@ -204,23 +232,23 @@ typedef struct {
     uint32_t target_column; /* corrected by what the discrete filters make of the model's own acceleration: */
     uint32_t mass_column;   /* that of the instrument of the mass */
     uint32_t trial_samples;         /* so long is a new start given before it is judged */
-    real_t dt, input_gain;
-    real_t position_gain; /* of the correction of the model's position, which matters with a spring only */
-    real_t initial[PMF_ROLES];
-    real_t smoothing;      /* per sample, of the copy */
-    real_t memory;         /* forgetting of the check, per sample */
-    real_t mismatch_limit; /* mean square difference of the velocities, as a part of their mean square */
-    real_t noise_power;    /* of the filtered measured velocity */
+    scalar_t dt, input_gain;
+    scalar_t position_gain; /* of the correction of the model's position, which matters with a spring only */
+    scalar_t initial[PMF_ROLES];
+    scalar_t smoothing;      /* per sample, of the copy */
+    scalar_t memory;         /* forgetting of the check, per sample */
+    scalar_t mismatch_limit; /* mean square difference of the velocities, as a part of their mean square */
+    scalar_t noise_power;    /* of the filtered measured velocity */
 } pmf_auxiliary_config_t;
 
 typedef struct {
     real_t parameter[PMF_ROLES];
     real_t velocity, position;
     real_t power, mismatch;
-    uint32_t running; /* has parameters */
-    uint32_t trial;   /* samples until it is judged */
-    uint32_t trusted;
-    uint32_t in_charge; /* the instrumental estimate has taken over from the direct one */
+    whole_t running; /* has parameters */
+    whole_t trial;   /* samples until it is judged */
+    whole_t trusted;
+    whole_t in_charge; /* the instrumental estimate has taken over from the direct one */
 } pmf_auxiliary_state_t;
 
 typedef struct {
@@ -235,8 +263,8 @@ typedef struct {
 } pmf_config_t;
 
 typedef struct {
-    uint32_t status;
-    uint32_t settle; /* samples until the filters have forgotten their start */
+    whole_t status;
+    whole_t settle; /* samples until the filters have forgotten their start */
     pmf_encoder_state_t encoder;
     pmf_network_state_t network;
     pmf_recursion_state_t direct;
@@ -247,14 +275,15 @@ typedef struct {
 #endif
 } pmf_state_t;
 
-void pmf_init(const pmf_config_t *config, pmf_state_t *state);
+PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state);
 /* One sample: `input` is applied from now on, `count` is read now. Returns the status bits. */
-uint32_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, uint32_t count);
+PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
 /* P of the estimate, with theta_cov = innovation variance times P; n x n, row by row; its diagonal alone where the
  * estimate is borrowed from another parametrisation. */
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p);
 /* The estimate of the last step. */
 const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state);
+void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
 /* Opens the memory after a change of the plant: of what was gathered on one parameter, or with PMF_NO_PARAMETER on all, only
  * the part root^2 counts on, 0 < root <= 1. The estimate stays where it is; filters and auxiliary model go on. What the
  * innovations said of the error bars counts anew, also with root = 1. */
@@ -263,7 +292,7 @@ void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter
 real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter);
 #define PMF_UNKNOWN PMF_R(1e30)
 /* The number of parameters of the estimate. */
-uint32_t pmf_parameters(const pmf_config_t *config);
+PMF_API uint32_t pmf_parameters(const pmf_config_t *config);
 
 /* Continue after a loss of power: a state with what says whose it is. The same bytes as `get_state` in Python. */
 #define PMF_STATE_MAGIC 0x53464d50U /* "PMFS" */
@@ -310,29 +339,29 @@ enum { PMF_CONTRACTED = 1, PMF_REARRANGED = 2, PMF_NO_NAN = 4, PMF_FLUSHED = 8 }
 uint32_t pmf_arithmetic(void);
 
 /* Byte-wise, so that padding is zero too and two states can be compared. */
-void pmf_clear(void *memory, uint32_t size);
+PMF_API void pmf_clear(void *memory, uint32_t size);
 
 /* The parts; `signal` has PMF_SIGNALS entries. */
-uint32_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
-                          uint32_t count, real_t *signal);
+PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
+                                 whole_t count, real_t *signal);
 /* Needs the encoder's signals of the same step. */
-void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal);
+PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal);
 /* The equation holds exactly for the model; what its columns leave is the error of the discretisation, and the same
  * for the plant. It is taken from the target. */
-void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state, real_t *column);
-void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state);
-/* Judges the model against the measured velocity; 1 where its instruments may be used. */
-uint32_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
-                             const real_t *column);
+PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state,
+                                   real_t *column);
+PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state);
+/* Judges the model against the measured velocity; true where its instruments may be used. */
+PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
+                                    const real_t *column);
 /* Moves the copy towards an estimate, whose parameters are found by `index`. */
-void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const real_t *theta,
-                          const uint32_t *index);
-void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
-uint32_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
-                            const real_t *column);
-void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
+PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, truth_t where,
+                                  const real_t *theta, const uint32_t *index);
+PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
+PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
+                                   const real_t *column);
 /* Encoder, auxiliary model and network alone, for batch methods: the columns are in state->network.column. */
-uint32_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, uint32_t count);
+PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
 
 #ifdef __cplusplus
 }

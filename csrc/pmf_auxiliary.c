@@ -51,44 +51,39 @@ static real_t stop_time(real_t z, real_t speed, real_t target)
     return x / z;
 }
 
-/* Moves in one direction (0 forward, 1 backward) for the time that is left, or until it stops. */
-static void move(const body_t *body, real_t dt, uint32_t backward, phase_t *phase)
+/* Moves in one direction for the time that is left, or until it stops, where one of the two holds. */
+static void move(const body_t *body, scalar_t dt, truth_t forward, truth_t backward, phase_t *phase)
 {
-    real_t sign = backward != 0U ? PMF_R(-1.0) : PMF_R(1.0);
-    real_t net = sign * body->force - body->coulomb[backward];
-    real_t speed = sign * phase->velocity, h = phase->left, z, n, phi, end;
+    truth_t moves = forward | backward, stops;
+    real_t sign = PMF_IF(backward, PMF_R(-1.0), PMF_R(1.0));
+    real_t net = sign * body->force - PMF_IF(backward, body->coulomb[1], body->coulomb[0]);
+    real_t speed = sign * phase->velocity, h = phase->left, z, n, phi, end, distance;
     /* a little damping always, so that z may divide; below it the motion over dt is that of constant force */
-    real_t rate = body->viscous[backward] / body->mass * dt + PMF_R(1e-9);
+    real_t rate = PMF_IF(backward, body->viscous[1], body->viscous[0]) / body->mass * dt + PMF_R(1e-9);
     real_t target = net * dt / (body->mass * rate);
     z = rate * h;
     n = PMF_R(120.0) + z * (PMF_R(60.0) + z * (PMF_R(12.0) + z));
     phi = (PMF_R(120.0) + PMF_R(2.0) * z * z) / n; /* (1 - exp(-z)) / z */
     end = speed + (target - speed) * z * phi;
-    if (speed > PMF_R(0.0) && end < PMF_R(0.0)) {
+    stops = moves & (speed > PMF_R(0.0)) & (end < PMF_R(0.0));
+    if (PMF_ANY(stops)) {
         real_t t = stop_time(rate, speed, target);
-        h = t < h ? t : h;
+        h = PMF_IF(stops & (t < h), t, h);
         z = rate * h;
         n = PMF_R(120.0) + z * (PMF_R(60.0) + z * (PMF_R(12.0) + z));
-        end = PMF_R(0.0);
+        end = PMF_IF(stops, PMF_R(0.0), end);
     }
     /* mean of target + (speed - target) exp(-z t) over h: (1 - phi) / z without cancellation */
-    phase->distance[backward] =
-        sign * h * (speed + (target - speed) * z * (PMF_R(60.0) + z * (PMF_R(10.0) + z)) / n);
-    phase->moving[backward] = h;
-    phase->velocity = sign * (end > PMF_R(0.0) ? end : PMF_R(0.0));
-    phase->left -= h;
+    distance = sign * h * (speed + (target - speed) * z * (PMF_R(60.0) + z * (PMF_R(10.0) + z)) / n);
+    phase->distance[0] = PMF_IF(forward, distance, phase->distance[0]);
+    phase->distance[1] = PMF_IF(backward, distance, phase->distance[1]);
+    phase->moving[0] = PMF_IF(forward, h, phase->moving[0]);
+    phase->moving[1] = PMF_IF(backward, h, phase->moving[1]);
+    phase->velocity = PMF_IF(moves, sign * PMF_IF(end > PMF_R(0.0), end, PMF_R(0.0)), phase->velocity);
+    phase->left = PMF_IF(moves, phase->left - h, phase->left);
 }
 
-/* From rest: 0 forward, 1 backward, 2 sticks. */
-static uint32_t breaks_away(const body_t *body)
-{
-    if (body->force > body->coulomb[0]) {
-        return 0U;
-    }
-    return -body->force > body->coulomb[1] ? 1U : 2U;
-}
-
-static void emit(const phase_t *phase, real_t middle, real_t *signal)
+static void emit_motion(const phase_t *phase, real_t middle, real_t *signal)
 {
     real_t moving = phase->moving[0] + phase->moving[1];
     real_t *own = &signal[PMF_AUXILIARY];
@@ -103,108 +98,116 @@ static void emit(const phase_t *phase, real_t middle, real_t *signal)
     own[PMF_BACKWARD] = -phase->moving[1];
     own[PMF_FORWARD_VELOCITY] = phase->distance[0];
     own[PMF_BACKWARD_VELOCITY] = phase->distance[1];
-    signal[PMF_SPLIT_FORWARD] = own[PMF_DIRECTION] > PMF_R(0.0) ? measured : PMF_R(0.0);
-    signal[PMF_SPLIT_BACKWARD] = own[PMF_DIRECTION] > PMF_R(0.0) ? PMF_R(0.0) : measured;
+    signal[PMF_SPLIT_FORWARD] = PMF_IF(own[PMF_DIRECTION] > PMF_R(0.0), measured, PMF_R(0.0));
+    signal[PMF_SPLIT_BACKWARD] = PMF_IF(own[PMF_DIRECTION] > PMF_R(0.0), PMF_R(0.0), measured);
 }
 
-void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal)
+PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal)
 {
     real_t middle = state->position + PMF_R(0.5) * config->dt * state->velocity;
     body_t body = body_of(config, state->parameter, signal[PMF_LATE_INPUT], middle);
     real_t sum;
+    truth_t absurd;
     phase_t phase;
-    uint32_t turn, direction;
+    uint32_t turn;
     phase.velocity = state->velocity;
     phase.left = PMF_R(1.0);
     phase.distance[0] = phase.distance[1] = phase.moving[0] = phase.moving[1] = PMF_R(0.0);
     for (turn = 0; turn < 2U; ++turn) {
-        if (phase.velocity != PMF_R(0.0)) {
-            direction = phase.velocity > PMF_R(0.0) ? 0U : 1U;
-        } else {
-            direction = breaks_away(&body);
-        }
-        if (direction < 2U && phase.left > PMF_R(0.0)) {
-            move(&body, config->dt, direction, &phase);
+        /* from rest it may break away, or stick */
+        truth_t rests = phase.velocity == PMF_R(0.0), left = phase.left > PMF_R(0.0);
+        truth_t forward = (rests & (body.force > body.coulomb[0])) | (phase.velocity > PMF_R(0.0));
+        truth_t backward = PMF_NOT(forward) & (PMF_NOT(rests) | (-body.force > body.coulomb[1]));
+        if (PMF_ANY((forward | backward) & left)) {
+            move(&body, config->dt, forward & left, backward & left, &phase);
         }
     }
     signal[PMF_ACCELERATION] = (phase.velocity - state->velocity) / config->dt;
     sum = signal[PMF_ACCELERATION] + phase.distance[0] + phase.distance[1] + middle;
-    if (!(sum - sum == PMF_R(0.0))) { /* absurd parameters: it starts again from rest */
-        phase.velocity = phase.distance[0] = phase.distance[1] = signal[PMF_ACCELERATION] = PMF_R(0.0);
-        state->position = middle = signal[PMF_LATE_POSITION];
+    absurd = PMF_NOT(sum - sum == PMF_R(0.0));
+    if (PMF_ANY(absurd)) { /* parameters: it starts again from rest */
+        phase.velocity = PMF_IF(absurd, PMF_R(0.0), phase.velocity);
+        phase.distance[0] = PMF_IF(absurd, PMF_R(0.0), phase.distance[0]);
+        phase.distance[1] = PMF_IF(absurd, PMF_R(0.0), phase.distance[1]);
+        signal[PMF_ACCELERATION] = PMF_IF(absurd, PMF_R(0.0), signal[PMF_ACCELERATION]);
+        middle = PMF_IF(absurd, signal[PMF_LATE_POSITION], middle);
+        state->position = PMF_IF(absurd, middle, state->position);
     }
     state->velocity = phase.velocity;
-    emit(&phase, middle, signal);
+    emit_motion(&phase, middle, signal);
     state->position += config->dt * (phase.distance[0] + phase.distance[1]) +
                        config->position_gain * (signal[PMF_LATE_POSITION] - middle);
 }
 
-void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state, real_t *column)
+PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state,
+                                   real_t *column)
 {
     real_t exact = column[config->check_column + 2U];
     column[config->target_column] -= state->parameter[PMF_MASS] * (exact - column[config->mass_column]);
 }
 
-void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state)
+PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state)
 {
     uint32_t i;
     for (i = 0; i < PMF_ROLES; ++i) {
-        state->parameter[i] = config->initial[i];
+        state->parameter[i] = PMF_ALIKE(config->initial[i]);
     }
-    state->running = config->has_initial;
-    state->trusted = config->has_initial;
-    state->trial = config->trial_samples;
+    state->running = PMF_W(config->has_initial);
+    state->trusted = PMF_W(config->has_initial);
+    state->trial = PMF_W(config->trial_samples);
 }
 
 /* A model that lost the plant starts again at the measured velocity, as often as it takes. */
 static void try_again(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t velocity)
 {
-    state->trusted = 0U;
-    state->trial = config->trial_samples;
+    state->trusted = PMF_W(0);
+    state->trial = PMF_W(config->trial_samples);
     state->velocity = velocity;
     state->power = PMF_R(0.0);
     state->mismatch = PMF_R(0.0);
 }
 
-uint32_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
-                             const real_t *column)
+PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
+                                    const real_t *column)
 {
     real_t measured = column[config->check_column], apart = measured - column[config->check_column + 1U];
     real_t limit;
-    if (config->adapt == 0U || state->running == 0U) {
-        return config->adapt == 0U ? 1U : 0U;
+    truth_t running = state->running != 0U, judged, lost;
+    if (config->adapt == 0U) {
+        return running | PMF_NOT(running); /* a check that is never made is passed */
     }
-    state->power = config->memory * state->power + measured * measured;
-    state->mismatch = config->memory * state->mismatch + apart * apart;
+    if (!PMF_ANY(running)) {
+        return running;
+    }
+    state->power = PMF_IF(running, config->memory * state->power + measured * measured, state->power);
+    state->mismatch = PMF_IF(running, config->memory * state->mismatch + apart * apart, state->mismatch);
     limit = config->mismatch_limit * state->power + config->noise_power;
-    if (state->trial > 0U) {
-        state->trial -= 1U;
-        return state->trusted;
-    }
-    if (state->mismatch > limit) {
-        try_again(config, state, measured);
-    } else {
-        state->trusted = 1U;
-    }
-    return state->trusted;
+    judged = running & (state->trial == 0U);
+    state->trial -= PMF_BIT(running & PMF_NOT(judged), 1U);
+    lost = judged & (state->mismatch > limit);
+    state->trusted = PMF_IF(judged, PMF_W(1), state->trusted);
+    PMF_WHERE(lost, state, try_again(config, state, measured));
+    return running & (state->trusted != 0U);
 }
 
-void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const real_t *theta,
-                          const uint32_t *index)
+PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, truth_t where,
+                                  const real_t *theta, const uint32_t *index)
 {
-    real_t smoothing = state->running != 0U ? config->smoothing : PMF_R(1.0);
+    real_t smoothing = PMF_IF(state->running != 0U, config->smoothing, PMF_R(1.0));
     uint32_t i;
-    if (config->adapt == 0U || !(theta[index[PMF_MASS]] > PMF_R(0.0))) {
+    where = where & (theta[index[PMF_MASS]] > PMF_R(0.0));
+    if (config->adapt == 0U || !PMF_ANY(where)) {
         return;
     }
     for (i = 0; i < PMF_ROLES; ++i) {
-        real_t target = index[i] == PMF_NO_PARAMETER ? PMF_R(0.0) : theta[index[i]];
-        if (i < PMF_OFFSET && target < PMF_R(0.0)) {
-            target = PMF_R(0.0);
+        real_t target = index[i] == PMF_NO_PARAMETER ? PMF_R(0.0) : theta[index[i]], moved;
+        if (i < PMF_OFFSET) {
+            target = PMF_IF(target < PMF_R(0.0), PMF_R(0.0), target);
         }
-        state->parameter[i] += smoothing * (target - state->parameter[i]);
+        moved = state->parameter[i] + smoothing * (target - state->parameter[i]);
+        state->parameter[i] = PMF_IF(where, moved, state->parameter[i]);
     }
-    state->running = 1U;
+    state->running = PMF_IF(where, PMF_W(1), state->running);
 }
 
 #endif

@@ -8,92 +8,80 @@
  */
 #include "pmf.h"
 
-#define FAST_COUNTS 2 /* counts in one sample from which on the tracker is trusted */
-#define FAST_SAMPLES 3
-#define CLOSE 3
+#define FAST_COUNTS 2U /* counts in one sample from which on the tracker is trusted */
+#define FAST_SAMPLES 3U
+#define CLOSE 3U
 #ifdef PMF_FLOAT32
 #define LARGEST_INPUT PMF_R(1e15)
 #else
 #define LARGEST_INPUT PMF_R(1e100)
 #endif
 
-static uint32_t magnitude(int32_t x)
+static whole_t magnitude(integer_t x)
 {
-    return x < 0 ? (uint32_t)0 - (uint32_t)x : (uint32_t)x;
+    return PMF_IF(x < 0, PMF_W(0) - (whole_t)x, (whole_t)x);
 }
 
-/* Difference modulo the counter's range, sign-extended. */
-static int32_t count_change(uint32_t mask, uint32_t now, uint32_t before)
+/* A count modulo mask + 1, sign-extended. */
+static integer_t signed_count(uint32_t mask, whole_t count)
 {
-    uint32_t change = (now - before) & mask;
     uint32_t half = (mask >> 1) + 1U;
-    if (change < half) {
-        return (int32_t)change;
-    }
-    return -(int32_t)(mask - change) - 1;
+    return PMF_IF(count < half, (integer_t)count, ~(integer_t)(mask - count));
 }
-
-#if PMF_WITH_SPLIT
-static real_t signed_count(uint32_t count)
-{
-    return count <= 0x7fffffffU ? (real_t)count : -(real_t)((uint32_t)0 - count);
-}
-#endif
 
 /* Signed moving fraction of an interval from the velocities at its start and end. */
 static real_t signed_fraction(real_t start, real_t end)
 {
-    real_t sum = start + end;
-    if ((start < PMF_R(0.0)) != (end < PMF_R(0.0))) {
-        real_t span = start < end ? end - start : start - end;
-        return span > PMF_R(0.0) ? sum / span : PMF_R(0.0);
+    real_t sum = start + end, fraction = PMF_IF(sum < PMF_R(0.0), PMF_R(-1.0), PMF_R(1.0));
+    truth_t reversal = (start < PMF_R(0.0)) != (end < PMF_R(0.0));
+    if (PMF_ANY(reversal)) {
+        real_t span = PMF_IF(start < end, end - start, start - end);
+        fraction = PMF_IF(reversal, PMF_IF(span > PMF_R(0.0), sum / span, PMF_R(0.0)), fraction);
     }
-    return sum < PMF_R(0.0) ? PMF_R(-1.0) : PMF_R(1.0);
+    return fraction;
 }
 
 /* The interval before the last: its direction from the tracker, or the last count's. */
 static real_t late_direction(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state,
-                             real_t innovation, int32_t fast, real_t velocity_two_before)
+                             real_t innovation, whole_t fast, real_t velocity_two_before)
 {
+    truth_t slow = (fast == 0) & (state->fast == 0);
     real_t end, start;
-    if (fast == 0 && state->fast == 0) {
+    if (PMF_ALL(slow)) {
         return state->direction;
     }
     end = state->velocity + config->smooth_end * innovation;
     start = velocity_two_before + config->smooth_end * state->innovation + config->smooth_start * innovation;
-    return signed_fraction(start, end);
+    return PMF_IF(slow, state->direction, signed_fraction(start, end));
 }
 
-static int32_t next_fast(int32_t fast, uint32_t counts)
+static whole_t next_fast(whole_t fast, whole_t counts)
 {
-    if (counts >= FAST_COUNTS) {
-        return FAST_SAMPLES;
-    }
-    return fast > 0 ? fast - 1 : 0;
+    return PMF_IF(counts >= FAST_COUNTS, PMF_W(FAST_SAMPLES), PMF_IF(fast > 0U, fast - 1U, PMF_W(0)));
 }
 
 /* Counts and the pauses between them. A pause much longer than the last ones is a standstill. Where counts came at
  * least every CLOSE samples, one sample more is enough; with a coarser encoder it may be a slow reversal, which takes
  * the longer the coarser it is. */
-static uint32_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, int32_t change)
+static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, integer_t change)
 {
-    uint32_t still = config->standstill_samples, leaked, limit;
-    if (change != 0) {
-        leaked = state->gap - state->gap / 4U;
-        state->gap = state->idle + 1U > leaked ? state->idle + 1U : leaked;
-        state->direction = change > 0 ? PMF_R(1.0) : PMF_R(-1.0);
-        state->moving = PMF_R(1.0);
-        state->idle = 0;
-        return 0U;
+    uint32_t still = config->standstill_samples;
+    truth_t counted = change != 0, rest = PMF_NOT(counted);
+    if (PMF_ANY(counted)) {
+        whole_t leaked = state->gap - (state->gap >> 2), pause = state->idle + 1U;
+        state->gap = PMF_IF(counted, PMF_IF(pause > leaked, pause, leaked), state->gap);
+        state->direction = PMF_IF(counted, PMF_IF(change > 0, PMF_R(1.0), PMF_R(-1.0)), state->direction);
+        state->moving = PMF_IF(counted, PMF_R(1.0), state->moving);
+        state->idle = PMF_IF(counted, PMF_W(0), state->idle);
     }
-    state->idle += state->idle < still ? 1U : 0U;
-    limit = state->gap <= CLOSE ? state->gap + 1U : 4U * state->gap + 2U;
-    if (state->idle >= still || state->idle > limit) {
-        state->direction = PMF_R(0.0);
-        state->moving = PMF_R(0.0);
-        return PMF_STANDSTILL;
+    if (PMF_ANY(rest)) {
+        whole_t limit = PMF_IF(state->gap <= CLOSE, state->gap + 1U, 4U * state->gap + 2U);
+        state->idle += PMF_BIT(rest & (state->idle < still), 1U);
+        rest = rest & ((state->idle >= still) | (state->idle > limit));
+        state->direction = PMF_IF(rest, PMF_R(0.0), state->direction);
+        state->moving = PMF_IF(rest, PMF_R(0.0), state->moving);
     }
-    return 0U;
+    return PMF_BIT(rest, PMF_STANDSTILL);
 }
 
 static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t innovation,
@@ -105,28 +93,31 @@ static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state
     state->innovation = innovation;
 }
 
-static uint32_t check(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t *input,
-                      int32_t *change)
+static whole_t check(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t *input,
+                     integer_t *change)
 {
-    uint32_t status = 0;
-    if (!(*input >= -LARGEST_INPUT && *input <= LARGEST_INPUT)) { /* NaN, infinite, or its square would be */
-        *input = state->input;
-        status |= PMF_INVALID_INPUT;
+    truth_t invalid = PMF_NOT(*input * *input <= LARGEST_INPUT * LARGEST_INPUT); /* NaN, or its square may be infinite */
+    whole_t status = PMF_W(0);
+    if (PMF_ANY(invalid)) {
+        *input = PMF_IF(invalid, state->input, *input);
+        status |= PMF_BIT(invalid, PMF_INVALID_INPUT);
     }
-    if (config->max_change > 0U && magnitude(*change) > config->max_change) {
-        *change = 0;
-        status |= PMF_COUNT_JUMP;
+    if (config->max_change > 0U) {
+        truth_t jump = magnitude(*change) > config->max_change;
+        *change = PMF_IF(jump, 0, *change);
+        status |= PMF_BIT(jump, PMF_COUNT_JUMP);
     }
     return status;
 }
 
 /* The signals of the interval before the last. */
-static void emit(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t direction, real_t *signal)
+static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t direction,
+                          real_t *signal)
 {
 #if PMF_WITH_SPLIT
     real_t half = PMF_R(0.5) * direction, moving = PMF_R(0.5) * state->moving;
     real_t position = config->position_per_count *
-                      (signed_count(state->travel) - PMF_R(0.5) * (real_t)state->change);
+                      (PMF_TO_REAL(signed_count(0xffffffffU, state->travel)) - PMF_R(0.5) * PMF_TO_REAL(state->change));
 #endif
     (void)config;
     signal[PMF_INPUT] = state->moving * state->input_before;
@@ -135,8 +126,8 @@ static void emit(const pmf_encoder_config_t *config, const pmf_encoder_state_t *
     signal[PMF_MOVING] = state->moving;
     signal[PMF_FORWARD] = moving + half;
     signal[PMF_BACKWARD] = half - moving;
-    signal[PMF_FORWARD_VELOCITY] = direction > PMF_R(0.0) ? state->mean_velocity : PMF_R(0.0);
-    signal[PMF_BACKWARD_VELOCITY] = direction > PMF_R(0.0) ? PMF_R(0.0) : state->mean_velocity;
+    signal[PMF_FORWARD_VELOCITY] = PMF_IF(direction > PMF_R(0.0), state->mean_velocity, PMF_R(0.0));
+    signal[PMF_BACKWARD_VELOCITY] = PMF_IF(direction > PMF_R(0.0), PMF_R(0.0), state->mean_velocity);
     signal[PMF_LATE_POSITION] = position;
     signal[PMF_POSITION] = state->moving * position;
     signal[PMF_LATE_INPUT] = state->input_before;
@@ -144,28 +135,32 @@ static void emit(const pmf_encoder_config_t *config, const pmf_encoder_state_t *
 #endif
 }
 
-uint32_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
-                          uint32_t count, real_t *signal)
+PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
+                                 whole_t count, real_t *signal)
 {
-    int32_t change = state->started != 0 ? count_change(config->count_mask, count, state->count) : 0;
-    uint32_t status = check(config, state, &input, &change);
-    int32_t fast = next_fast(state->fast, magnitude(change));
+    uint32_t mask = config->count_mask;
+    truth_t started = state->started != 0U;
+    integer_t change = PMF_IF(started, signed_count(mask, (count - state->count) & mask), 0);
+    whole_t status = check(config, state, &input, &change);
+    whole_t fast = next_fast(state->fast, magnitude(change));
     /* Position of the axis within the new count, in counts; a count says "in the middle". */
-    real_t predicted = state->started != 0 ? state->position + state->velocity - (real_t)change : PMF_R(0.5);
+    real_t changed = PMF_TO_REAL(change);
+    real_t predicted = PMF_IF(started, state->position + state->velocity - changed, PMF_R(0.5));
     real_t innovation = PMF_R(0.5) - predicted;
 
-    emit(config, state, state->moving * late_direction(config, state, innovation, fast, state->velocity_before), signal);
-    signal[PMF_VELOCITY] = config->velocity_per_count * (real_t)change;
+    emit_interval(config, state,
+                  state->moving * late_direction(config, state, innovation, fast, state->velocity_before), signal);
+    signal[PMF_VELOCITY] = config->velocity_per_count * changed;
 
     track(config, state, innovation, predicted);
     status |= note_motion(config, state, change);
     state->mean_velocity = signal[PMF_VELOCITY];
 #if PMF_WITH_SPLIT
     state->change = change;
-    state->travel += (uint32_t)change;
+    state->travel = (state->travel + (whole_t)change) & 0xffffffffU;
 #endif
     state->count = count;
-    state->started = 1;
+    state->started = PMF_W(1);
     state->fast = fast;
     state->input_before = state->input;
     state->input = input;

@@ -6,7 +6,7 @@
  */
 #include "pmf.h"
 
-void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
+PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
     const pmf_stage_t *stage = config->stage;
     const pmf_tap_t *tap = config->tap;

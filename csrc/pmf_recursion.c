@@ -79,7 +79,7 @@ PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], r
             lower[i][j] = sum * inverse[j];
             pivot -= sum * lower[i][j];
         }
-        inverse[i] = PMF_R(1.0) / (pivot > floor ? pivot : floor); /* floor > 0: P is positive whatever comes */
+        inverse[i] = PMF_R(1.0) / PMF_IF(pivot > floor, pivot, floor); /* floor > 0: P is positive whatever comes */
     }
 }
 
@@ -89,8 +89,8 @@ PMF_SELDOM real_t smallest_pivot(uint32_t p, real_t matrix[N][N], const real_t i
     real_t smallest = PMF_R(1.0), relative;
     uint32_t i;
     for (i = 0; i < p; ++i) {
-        relative = matrix[i][i] > TINY ? PMF_R(1.0) / (inverse[i] * matrix[i][i]) : PMF_R(0.0);
-        smallest = relative < smallest ? relative : smallest;
+        relative = PMF_IF(matrix[i][i] > TINY, PMF_R(1.0) / (inverse[i] * matrix[i][i]), PMF_R(0.0));
+        smallest = PMF_IF(relative < smallest, relative, smallest);
     }
     return smallest;
 }
@@ -121,6 +121,7 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
                                  uint32_t p)
 {
     real_t along[N], size = PMF_R(0.0);
+    truth_t where;
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
         along[i] = PMF_R(0.0);
@@ -129,12 +130,12 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
         }
         size += along[i] * phi[i];
     }
-    if (size > TINY) {
-        for (i = 0; i < p; ++i) {
-            real_t part = (PMF_R(1.0) - config->forgetting) * along[i] / size;
-            for (j = 0; j <= i; ++j) {
-                state->sums.cross[i][j] -= part * along[j];
-            }
+    where = (state->started != 0U) & (size > TINY);
+    for (i = 0; i < p && PMF_ANY(where); ++i) {
+        real_t part = (PMF_R(1.0) - config->forgetting) * along[i] / size;
+        for (j = 0; j <= i; ++j) {
+            real_t less = state->sums.cross[i][j] - part * along[j];
+            state->sums.cross[i][j] = PMF_IF(where, less, state->sums.cross[i][j]);
         }
     }
 }
@@ -143,21 +144,19 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
  * never less than forgetting twice as fast. */
 PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
-    real_t least = config->forgetting * config->forgetting;
-    if (state->frozen != 0U || SCHEME(config) == PMF_DIRECTIONAL || SCHEME(config) == PMF_WINDOW) {
+    real_t least = PMF_ALIKE(config->forgetting * config->forgetting), weight = PMF_ALIKE(config->forgetting);
+    if (SCHEME(config) == PMF_DIRECTIONAL || SCHEME(config) == PMF_WINDOW) {
         return PMF_R(1.0);
     }
-    if (SCHEME(config) != PMF_CONSTANT_TRACE) {
-        return config->forgetting;
+    if (SCHEME(config) == PMF_CONSTANT_TRACE) {
+        truth_t below = (state->trace > PMF_R(0.0)) & PMF_NOT(state->trace > PMF_R(1.0));
+        weight = PMF_IF(below, PMF_IF(state->trace > least, state->trace, least), PMF_R(1.0));
     }
-    if (!(state->trace > PMF_R(0.0)) || state->trace > PMF_R(1.0)) {
-        return PMF_R(1.0);
-    }
-    return state->trace > least ? state->trace : least;
+    return PMF_IF(state->frozen != 0U, PMF_R(1.0), weight);
 }
 
 PMF_INLINE void add_sample(pmf_sums_t *sums, real_t f, const real_t *column, uint32_t p, uint32_t instrumental,
-                           uint32_t with_right)
+                           truth_t with_right)
 {
     const real_t *zeta = instrumental != 0U ? &column[p + 1U] : column;
     uint32_t i, j;
@@ -170,8 +169,8 @@ PMF_INLINE void add_sample(pmf_sums_t *sums, real_t f, const real_t *column, uin
                 sums->square[i][j] = f * sums->square[i][j] + zeta[i] * zeta[j];
             }
         }
-        if (with_right != 0U) {
-            sums->right[i] = f * sums->right[i] + zeta[i] * column[p];
+        if (PMF_ANY(with_right)) {
+            sums->right[i] = PMF_IF(with_right, f * sums->right[i] + zeta[i] * column[p], sums->right[i]);
         }
     }
     sums->weight = f * sums->weight + PMF_R(1.0);
@@ -198,7 +197,7 @@ static void sum_window(pmf_recursion_state_t *state, uint32_t p)
 /* The oldest block goes at once and the sums are made anew: no rounding stays. */
 static void slide_window(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
 {
-    add_sample(&state->window[state->window_block], PMF_R(1.0), column, config->n_parameters, config->instrumental, 1U);
+    add_sample(&state->window[state->window_block], PMF_R(1.0), column, config->n_parameters, config->instrumental, 1);
     state->window_updates += 1U;
     if (state->window_updates >= config->window_block && state->frozen == 0U) {
         state->window_updates = 0U;
@@ -212,62 +211,65 @@ static void slide_window(const pmf_recursion_config_t *config, pmf_recursion_sta
 PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
-    real_t f = weight_of_past(config, state), fade = SCHEME(config) == PMF_EXPONENTIAL ? f : config->forgetting;
+    real_t f = weight_of_past(config, state), fade = SCHEME(config) == PMF_EXPONENTIAL ? f : PMF_ALIKE(config->forgetting);
     if (SCHEME(config) == PMF_DIRECTIONAL) {
         fade = PMF_R(1.0);
-        if (state->started != 0U) {
+        if (PMF_ANY(state->started != 0U)) {
             forget_direction(config, state, column, p);
         }
     }
-    add_sample(&state->sums, f, column, p, instrumental,
-               state->started <= config->residual_updates ? 1U : 0U); /* later nobody reads it */
+    add_sample(&state->sums, f, column, p, instrumental, state->started <= config->residual_updates); /* later nobody reads it */
 #if PMF_WINDOW_BLOCKS > 0
     if (SCHEME(config) == PMF_WINDOW) {
         slide_window(config, state, column);
     }
 #endif
     state->mass = fade * state->mass + (PMF_R(1.0) - fade);
-    state->updates += state->updates < SATURATED ? 1U : 0U;
+    state->updates += PMF_BIT(state->updates < SATURATED, 1U);
 }
 
 /* Constant trace (Goodwin and Sin 1984, section 3.3) keeps that of P at the end of the first memory, each parameter in
  * its own units. */
-static void note_trace(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t status)
+static void note_trace(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                       whole_t status)
 {
-    real_t sum = PMF_R(0.0), memories = (real_t)state->updates * (PMF_R(1.0) - config->forgetting);
+    const real_t *factor = state->estimate.variance_factor;
+    real_t sum = PMF_R(0.0), memories = PMF_TO_REAL(state->updates) * (PMF_R(1.0) - config->forgetting);
+    truth_t first = PMF_NOT(state->trace > PMF_R(0.0));
     uint32_t i;
-    if (!(state->trace > PMF_R(0.0)) && (memories < PMF_R(1.0) || status != 0U)) {
+    where = where & PMF_NOT(first & ((memories < PMF_R(1.0)) | (status != 0U)));
+    if (!PMF_ANY(where)) {
         return;
     }
     for (i = 0; i < PARAMETERS(config); ++i) {
-        if (!(state->trace > PMF_R(0.0))) {
-            state->reference[i] = state->estimate.variance_factor[i];
-        }
-        sum += state->estimate.variance_factor[i] / (state->reference[i] + TINY);
+        state->reference[i] = PMF_IF(where & first, factor[i], state->reference[i]);
+        sum += factor[i] / (state->reference[i] + TINY);
     }
-    state->trace = sum / (real_t)config->n_parameters;
+    state->trace = PMF_IF(where, sum / (scalar_t)PARAMETERS(config), state->trace);
 }
 
 /* Is the innovation larger than the known noise makes it? */
-static uint32_t check_model(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t target)
+static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                           real_t target)
 {
-    const real_t *theta = state->estimate.theta, memory = config->check_memory;
-    real_t explained = PMF_R(0.0);
+    const real_t *theta = state->estimate.theta, memory = PMF_ALIKE(config->check_memory);
+    real_t explained = PMF_R(0.0), square = state->estimate.innovation * state->estimate.innovation;
+    truth_t filled;
     uint32_t i, j;
-    state->check_weight = memory * state->check_weight + PMF_R(1.0);
-    state->check_innovation =
-        memory * state->check_innovation + state->estimate.innovation * state->estimate.innovation;
-    state->check_target = memory * state->check_target + target * target;
+    if (!PMF_ANY(where)) {
+        return PMF_W(0);
+    }
+    state->check_weight = PMF_IF(where, memory * state->check_weight + PMF_R(1.0), state->check_weight);
+    state->check_innovation = PMF_IF(where, memory * state->check_innovation + square, state->check_innovation);
+    state->check_target = PMF_IF(where, memory * state->check_target + target * target, state->check_target);
     for (i = 0; i < PARAMETERS(config); ++i) {
         for (j = 0; j < PARAMETERS(config); ++j) {
             explained += theta[i] * config->noise[i][j] * theta[j];
         }
     }
     explained = explained * state->check_weight + NEGLIGIBLE * state->check_target;
-    if (PMF_R(2.0) * (PMF_R(1.0) - memory) * state->check_weight < PMF_R(1.0)) {
-        return 0U; /* less than half the memory is filled */
-    }
-    return state->check_innovation > config->unexplained * explained ? (uint32_t)PMF_UNMODELLED : 0U;
+    filled = PMF_NOT(PMF_R(2.0) * (PMF_R(1.0) - memory) * state->check_weight < PMF_R(1.0)); /* at least half the memory */
+    return PMF_BIT(where & filled & (state->check_innovation > config->unexplained * explained), PMF_UNMODELLED);
 }
 
 /* Row i of half = L^-1 W, with the rows above it. */
@@ -340,19 +342,18 @@ PMF_INLINE void project_more(uint32_t p, projection_t *projection, real_t move[N
 
 /* Information less what the known noise feigns. Where hardly anything is left, that is poor excitation: some is kept,
  * so that P stays positive. */
-PMF_INLINE uint32_t subtract_noise(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, uint32_t p,
-                                   real_t information[N][N])
+PMF_INLINE whole_t subtract_noise(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, uint32_t p,
+                                  real_t information[N][N])
 {
-    uint32_t i, j, poor = 0U;
+    whole_t poor = PMF_W(0);
+    uint32_t i, j;
     for (i = 0; i < p; ++i) {
         real_t least = LEAST_CLEAN * information[i][i];
         for (j = 0; j <= i; ++j) {
             information[i][j] -= state->sums.weight * config->noise[i][j];
         }
-        if (information[i][i] < least) {
-            information[i][i] = least;
-            poor = PMF_POOR_EXCITATION;
-        }
+        poor |= PMF_BIT(information[i][i] < least, PMF_POOR_EXCITATION);
+        information[i][i] = PMF_IF(information[i][i] < least, least, information[i][i]);
     }
     return poor;
 }
@@ -363,22 +364,21 @@ PMF_INLINE void regularise(const pmf_recursion_config_t *config, pmf_recursion_s
 {
     real_t leak = PEAK_LEAK * (PMF_R(1.0) - config->forgetting);
     uint32_t i;
-    state->frozen = 1U;
+    state->frozen = PMF_W(1);
     for (i = 0; i < p; ++i) {
         real_t now = information[i][i], leaked = state->peak[i] - leak * now;
-        state->peak[i] = now > leaked ? now : leaked;
-        if (now > FREEZE * config->regularization * state->peak[i]) {
-            state->frozen = 0U;
-        }
+        state->peak[i] = PMF_IF(now > leaked, now, leaked);
+        state->frozen &= PMF_BIT(PMF_NOT(now > FREEZE * config->regularization * state->peak[i]), 1U);
         information[i][i] = now + state->mass * config->regularization * state->peak[i];
     }
 }
 
 /* Diagonal of P = (L D L^T)^-1, and whether a parameter's own information is little more than the regularisation. */
-PMF_INLINE uint32_t judge(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p)
+PMF_INLINE whole_t judge(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p)
 {
     real_t threshold = POOR * state->mass * config->regularization;
-    uint32_t i, j, k, poor = 0U;
+    whole_t poor = PMF_W(0);
+    uint32_t i, j, k;
     for (i = 0; i < p; ++i) {
         real_t unit[N], sum = state->inverse_pivot[i];
         unit[i] = PMF_R(1.0);
@@ -390,20 +390,21 @@ PMF_INLINE uint32_t judge(const pmf_recursion_config_t *config, pmf_recursion_st
             sum += unit[j] * unit[j] * state->inverse_pivot[j];
         }
         state->estimate.variance_factor[i] = sum;
-        if (PMF_R(1.0) < sum * threshold * state->peak[i] || state->peak[i] <= TINY) {
-            poor = 1U;
-        }
+        poor |= PMF_BIT((PMF_R(1.0) < sum * threshold * state->peak[i]) | (state->peak[i] <= TINY), PMF_POOR_EXCITATION);
     }
-    return poor != 0U ? (uint32_t)PMF_POOR_EXCITATION : 0U;
+    return poor;
 }
 
-PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
+PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where)
 {
-    real_t f = state->frozen != 0U ? PMF_R(1.0) : config->forgetting;
-    if (state->started > SKIPPED_INNOVATIONS && state->frozen == 0U) {
-        state->weight = f * state->weight + PMF_R(1.0);
-        state->innovation_square = f * state->innovation_square + state->estimate.innovation * state->estimate.innovation;
-        state->estimate.innovation_variance = state->innovation_square / state->weight;
+    pmf_estimate_t *estimate = &state->estimate;
+    real_t square = estimate->innovation * estimate->innovation, f = PMF_ALIKE(config->forgetting);
+    where = where & (state->started > SKIPPED_INNOVATIONS) & (state->frozen == 0U);
+    if (PMF_ANY(where)) {
+        state->weight = PMF_IF(where, f * state->weight + PMF_R(1.0), state->weight);
+        state->innovation_square = PMF_IF(where, f * state->innovation_square + square, state->innovation_square);
+        estimate->innovation_variance =
+            PMF_IF(where, state->innovation_square / state->weight, estimate->innovation_variance);
     }
 }
 
@@ -412,18 +413,19 @@ PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recurs
 PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state,
                             const real_t *zeta, uint32_t p, uint32_t instrumental, real_t move[N])
 {
-    uint32_t i, j, young = state->started <= config->residual_updates ? 1U : 0U;
+    truth_t young = state->started <= config->residual_updates;
+    uint32_t i, j;
     for (i = 0; i < p; ++i) {
-        if (young == 0U) {
-            move[i] = zeta[i] * state->estimate.innovation;
-        } else {
-            move[i] = state->sums.right[i];
+        move[i] = zeta[i] * state->estimate.innovation;
+        if (PMF_ANY(young)) {
+            real_t left = state->sums.right[i];
             for (j = 0; j < p; ++j) {
-                move[i] -= (instrumental == 0U && j > i ? state->sums.cross[j][i] : state->sums.cross[i][j]) * state->estimate.theta[j];
+                left -= (instrumental == 0U && j > i ? state->sums.cross[j][i] : state->sums.cross[i][j]) * state->estimate.theta[j];
             }
+            move[i] = PMF_IF(young, left, move[i]);
         }
         if (COMPENSATED(config)) {
-            real_t weight = young != 0U ? state->sums.weight : PMF_R(1.0);
+            real_t weight = PMF_IF(young, state->sums.weight, PMF_R(1.0));
             for (j = 0; j < p; ++j) {
                 move[i] += weight * config->noise[i][j] * state->estimate.theta[j];
             }
@@ -433,21 +435,22 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
 
 /* Spread of theta by blocks of innovations against that of white ones: an estimate by batch means of how much longer
  * or shorter than sqrt(P) times the innovations' size the error bars must be. `move` is a block's sum after the gain. */
-static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t move[N])
+static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                       const real_t move[N])
 {
-    real_t share = state->sums.weight / (real_t)config->block, keep, white, ratio;
+    real_t share = state->sums.weight / (scalar_t)config->block, keep, white, ratio, spread;
+    truth_t known;
     uint32_t i;
-    state->blocks += state->blocks < BLOCK_MEMORY ? 1U : 0U;
-    keep = PMF_R(1.0) - PMF_R(1.0) / (real_t)state->blocks;
+    state->blocks += PMF_BIT(where & (state->blocks < BLOCK_MEMORY), 1U);
+    known = where & (state->blocks >= MIN_BLOCKS);
+    keep = PMF_R(1.0) - PMF_R(1.0) / PMF_TO_REAL(state->blocks);
     for (i = 0; i < PARAMETERS(config); ++i) {
         white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
-        ratio = white > TINY ? move[i] * move[i] * share / white : PMF_R(1.0);
-        if (ratio - ratio == PMF_R(0.0)) { /* else it is beyond the number format and would stay */
-            state->spread[i] = keep * state->spread[i] + (PMF_R(1.0) - keep) * ratio;
-        }
-        if (state->blocks >= MIN_BLOCKS) {
-            state->estimate.inflation[i] = state->spread[i];
-        }
+        ratio = PMF_IF(white > TINY, move[i] * move[i] * share / white, PMF_R(1.0));
+        spread = keep * state->spread[i] + (PMF_R(1.0) - keep) * ratio;
+        /* else it is beyond the number format and would stay */
+        state->spread[i] = PMF_IF(where & (ratio - ratio == PMF_R(0.0)), spread, state->spread[i]);
+        state->estimate.inflation[i] = PMF_IF(known, state->spread[i], state->estimate.inflation[i]);
     }
 }
 
@@ -462,43 +465,46 @@ PMF_INLINE void solve(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
 }
 
 /* At the end of a block its effect on theta is compared with that of white innovations. */
-PMF_SELDOM void end_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p,
+PMF_SELDOM void end_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where, uint32_t p,
                           uint32_t instrumental, projection_t *projection)
 {
     real_t move[N];
     uint32_t i;
     for (i = 0; i < p; ++i) {
         move[i] = state->score[i];
-        state->score[i] = PMF_R(0.0);
+        state->score[i] = PMF_IF(where, PMF_R(0.0), state->score[i]);
     }
     if (instrumental != 0U) {
         project_more(p, projection, move);
     }
     solve(state, p, move);
-    note_block(config, state, move);
-    state->block_updates = 0U;
+    note_block(config, state, where, move);
+    state->block_updates = PMF_IF(where, PMF_W(0), state->block_updates);
 }
 
 /* Gathers the innovations of a block. */
-PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *zeta,
-                           uint32_t p)
+PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                           const real_t *zeta, uint32_t p)
 {
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
-        state->score[i] += zeta[i] * state->estimate.innovation;
+        real_t sum = state->score[i] + zeta[i] * state->estimate.innovation;
         for (j = 0; j < p && COMPENSATED(config); ++j) {
-            state->score[i] += config->noise[i][j] * state->estimate.theta[j];
+            sum += config->noise[i][j] * state->estimate.theta[j];
         }
+        state->score[i] = PMF_IF(where, sum, state->score[i]);
     }
-    state->block_updates += 1U;
+    state->block_updates += PMF_BIT(where, 1U);
 }
 
-PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
+PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
     real_t information[N][N], move[N], pivot, own;
     projection_t projection;
-    uint32_t i, j, status, compensated = 0U, unmodelled = 0U;
+    whole_t status, compensated = PMF_W(0), unmodelled = PMF_W(0);
+    truth_t waits = state->started == 0U, moves, scored, ends;
+    uint32_t i, j;
     state->estimate.innovation = column[p];
     for (i = 0; i < p; ++i) {
         state->estimate.innovation -= column[i] * state->estimate.theta[i];
@@ -513,48 +519,57 @@ PMF_INLINE uint32_t update(const pmf_recursion_config_t *config, pmf_recursion_s
                 information[i][j] = state->sums.cross[i][j];
             }
         }
-        compensated = COMPENSATED(config) ? subtract_noise(config, state, p, information) : 0U;
+        if (COMPENSATED(config)) {
+            compensated = subtract_noise(config, state, p, information);
+        }
     }
     regularise(config, state, p, information);
     factorise(p, information, state->factor, state->inverse_pivot);
     status = judge(config, state, p) | compensated;
-    if (state->started == 0U) {
+    if (PMF_ANY(waits)) {
         pivot = smallest_pivot(p, information, state->inverse_pivot);
         if (instrumental != 0U) {
             own = smallest_pivot(p, state->sums.square, projection.inverse);
-            pivot = own < pivot ? own : pivot;
+            pivot = PMF_IF(own < pivot, own, pivot);
         }
-        if (state->updates < config->min_updates || !(pivot > config->pivot)) {
-            state->estimate.innovation = PMF_R(0.0);
-            return PMF_STARTING | PMF_POOR_EXCITATION;
+        waits = waits & ((state->updates < config->min_updates) | PMF_NOT(pivot > config->pivot));
+        state->estimate.innovation = PMF_IF(waits, PMF_R(0.0), state->estimate.innovation);
+        if (PMF_ALL(waits)) {
+            return PMF_W(PMF_STARTING | PMF_POOR_EXCITATION);
         }
     }
-    state->started += state->started < SATURATED ? 1U : 0U;
-    if (status == 0U || state->started == 1U) { /* else the noise alone would carry theta away in a long while */
+    state->started += PMF_BIT(PMF_NOT(waits) & (state->started < SATURATED), 1U);
+    /* else the noise alone would carry theta away in a long while */
+    moves = PMF_NOT(waits) & ((status == 0U) | (state->started == 1U));
+    if (PMF_ANY(moves)) {
         solve(state, p, move);
         for (i = 0; i < p; ++i) {
-            state->estimate.theta[i] += move[i];
+            state->estimate.theta[i] = PMF_IF(moves, state->estimate.theta[i] + move[i], state->estimate.theta[i]);
         }
     }
-    note_innovation(config, state);
+    note_innovation(config, state, PMF_NOT(waits));
     if (SCHEME(config) == PMF_CONSTANT_TRACE) {
-        note_trace(config, state, status);
+        note_trace(config, state, PMF_NOT(waits), status);
     }
-    if (PMF_WITH_NOISE != 0 && config->unexplained > PMF_R(0.0) && state->started > SKIPPED_INNOVATIONS) {
-        unmodelled = check_model(config, state, column[p]);
+    if (PMF_WITH_NOISE != 0 && config->unexplained > PMF_SCALAR(0.0)) {
+        unmodelled = check_model(config, state, PMF_NOT(waits) & (state->started > SKIPPED_INNOVATIONS), column[p]);
     }
-    if (config->block > 0U && state->weight > PMF_R(0.0) && status == 0U) {
-        note_score(config, state, instrumental != 0U ? &column[p + 1U] : column, p);
-        if (state->block_updates >= config->block) {
-            end_block(config, state, p, instrumental, &projection);
+    scored = PMF_NOT(waits) & (state->weight > PMF_R(0.0)) & (status == 0U);
+    if (config->block > 0U && PMF_ANY(scored)) {
+        note_score(config, state, scored, instrumental != 0U ? &column[p + 1U] : column, p);
+        ends = scored & (state->block_updates >= config->block);
+        if (PMF_ANY(ends)) {
+            end_block(config, state, ends, p, instrumental, &projection);
         }
     }
-    status |= unmodelled | (status != 0U && instrumental != 0U ? (uint32_t)PMF_COMPENSATION_HELD : 0U);
-    return status;
+    if (instrumental != 0U) {
+        status |= PMF_BIT(status != 0U, PMF_COMPENSATION_HELD);
+    }
+    return PMF_IF(waits, PMF_W(PMF_STARTING | PMF_POOR_EXCITATION), status | unmodelled);
 }
 
 /* The same code with the number of parameters as a constant: loops unroll, the bits stay. */
-static uint32_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
+static whole_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
 {
 #ifdef PMF_PARAMETERS
     return update(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
@@ -571,7 +586,7 @@ static uint32_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_sta
 }
 
 /* The sums as well: one that left the range would show in theta much later, or never. */
-static int finite_state(const pmf_recursion_state_t *state, uint32_t p, uint32_t instrumental)
+static truth_t finite_state(const pmf_recursion_state_t *state, uint32_t p, uint32_t instrumental)
 {
     real_t sum = state->innovation_square;
     uint32_t i, j;
@@ -597,22 +612,23 @@ PMF_SELDOM void restart(pmf_recursion_state_t *state, const real_t theta[N], uin
     }
 }
 
-uint32_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
-                            const real_t *column)
+PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
+                                   const real_t *column)
 {
-    uint32_t p = PARAMETERS(config), i, status;
+    uint32_t p = PARAMETERS(config), i;
     real_t theta[N];
+    whole_t status;
+    truth_t broken;
     for (i = 0; i < p; ++i) {
         theta[i] = state->estimate.theta[i];
     }
     status = dispatch(config, state, &column[config->first_column]);
-    if (!finite_state(state, p, INSTRUMENTAL(config))) {
-        restart(state, theta, p);
-        status = PMF_RESET | PMF_STARTING;
-    }
-    return status;
+    broken = PMF_NOT(finite_state(state, p, INSTRUMENTAL(config)));
+    PMF_WHERE(broken, state, restart(state, theta, p));
+    return PMF_IF(broken, PMF_W(PMF_RESET | PMF_STARTING), status);
 }
 
+#ifndef PMF_LANES /* of one axis */
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *recursion, real_t *p)
 {
     uint32_t n = config->n_parameters, i, j, k, column;
@@ -637,3 +653,4 @@ void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_re
         }
     }
 }
+#endif

@@ -5,7 +5,8 @@
 
 #define TAKE_OVER PMF_R(1.5)
 
-void pmf_clear(void *memory, uint32_t size)
+#ifndef PMF_LANES
+PMF_API void pmf_clear(void *memory, uint32_t size)
 {
     volatile unsigned char *byte = (volatile unsigned char *)memory; /* else compilers call memset of the C library */
     uint32_t i;
@@ -13,18 +14,19 @@ void pmf_clear(void *memory, uint32_t size)
         byte[i] = 0;
     }
 }
+#endif
 
-void pmf_init(const pmf_config_t *config, pmf_state_t *state)
+PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_clear(state, (uint32_t)sizeof *state);
-    state->settle = config->settle_samples;
-    state->encoder.idle = config->encoder.standstill_samples; /* at rest until a count says otherwise */
+    state->settle = PMF_W(config->settle_samples);
+    state->encoder.idle = PMF_W(config->encoder.standstill_samples); /* at rest until a count says otherwise */
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
 #endif
 }
 
-uint32_t pmf_parameters(const pmf_config_t *config)
+PMF_API uint32_t pmf_parameters(const pmf_config_t *config)
 {
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
@@ -34,13 +36,15 @@ uint32_t pmf_parameters(const pmf_config_t *config)
     return config->direct.n_parameters;
 }
 
-uint32_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, uint32_t count)
+PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
-    uint32_t status =
+    whole_t status =
         pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
+    truth_t settling;
 #if PMF_WITH_AUXILIARY
-    if (config->auxiliary.enabled != 0U && state->auxiliary.running != 0U) {
-        pmf_auxiliary_step(&config->auxiliary, &state->auxiliary, state->network.node);
+    if (config->auxiliary.enabled != 0U) {
+        PMF_WHERE(state->auxiliary.running != 0U, state,
+                  pmf_auxiliary_step(&config->auxiliary, &state->auxiliary, state->network.node));
     }
 #endif
     pmf_network_step(&config->network, &state->network);
@@ -49,19 +53,22 @@ uint32_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input
         pmf_auxiliary_correct(&config->auxiliary, &state->auxiliary, state->network.column);
     }
 #endif
-    if ((status & (PMF_INVALID_INPUT | PMF_COUNT_JUMP)) != 0U) {
-        state->settle = config->settle_samples;
-    }
-    if (state->settle > 0U) {
+    state->settle = PMF_IF((status & (PMF_INVALID_INPUT | PMF_COUNT_JUMP)) != 0U, PMF_W(config->settle_samples),
+                           state->settle);
+    settling = state->settle > 0U;
+    if (PMF_ANY(settling)) {
 #if PMF_WITH_AUXILIARY
-        if (state->settle == config->settle_samples / 2U && config->auxiliary.enabled != 0U) {
+        if (config->auxiliary.enabled != 0U) {
             /* by now the measured velocity is known: the model need not run up to it with its own time constant */
-            state->auxiliary.velocity = state->network.column[config->auxiliary.check_column];
-            state->auxiliary.position = state->network.node[PMF_LATE_POSITION];
+            truth_t half_way = settling & (state->settle == config->settle_samples / 2U);
+            state->auxiliary.velocity = PMF_IF(half_way, state->network.column[config->auxiliary.check_column],
+                                               state->auxiliary.velocity);
+            state->auxiliary.position =
+                PMF_IF(half_way, state->network.node[PMF_LATE_POSITION], state->auxiliary.position);
         }
 #endif
-        state->settle -= 1U;
-        status |= PMF_SETTLING;
+        state->settle -= PMF_BIT(settling, 1U);
+        status |= PMF_BIT(settling, PMF_SETTLING);
     }
     return status;
 }
@@ -86,46 +93,48 @@ static void borrow_estimate(const pmf_config_t *config, pmf_state_t *state)
 }
 
 /* The instrumental estimate takes over once it knows the mass as well as the direct one, which has gathered longer. */
-static uint32_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
+static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
 {
     real_t own = state->instrument.estimate.variance_factor[config->auxiliary.index[PMF_MASS]];
     real_t direct = state->direct.estimate.variance_factor[config->auxiliary.direct_index[PMF_MASS]];
-    return state->instrument.started > 0U && (state->direct.started == 0U || own < TAKE_OVER * direct) ? 1U : 0U;
+    return (state->instrument.started > 0U) & ((state->direct.started == 0U) | (own < TAKE_OVER * direct));
 }
 
 /* Instrumental variables where the auxiliary model follows the plant, else the direct estimate. */
-static uint32_t instrument_step(const pmf_config_t *config, pmf_state_t *state, uint32_t direct_status, uint32_t settled)
+static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, whole_t direct_status, truth_t settled)
 {
     const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
-    uint32_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column);
-    uint32_t status = PMF_STARTING;
-    state->auxiliary.in_charge &= trusted;
-    if (trusted == 0U) {
-        if (state->instrument.updates != 0U) { /* what was gathered with a wrong direction would stay */
-            pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument);
-        }
-    } else if (settled != 0U) {
-        status = pmf_recursion_step(&config->instrument, &state->instrument, state->network.column);
-    } else {
-        status = state->instrument.started != 0U ? 0U : status;
+    truth_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column), in_charge, borrows;
+    whole_t status, stepped = PMF_W(0);
+    /* what was gathered with a wrong direction would stay */
+    PMF_WHERE(PMF_NOT(trusted) & (state->instrument.updates != 0U), &state->instrument,
+              pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument));
+    status = PMF_BIT(PMF_NOT(trusted) | (state->instrument.started == 0U), PMF_STARTING);
+    PMF_WHERE(trusted & settled, &state->instrument,
+              stepped = pmf_recursion_step(&config->instrument, &state->instrument, state->network.column));
+    status = PMF_IF(trusted & settled, stepped, status);
+    in_charge = trusted & (state->auxiliary.in_charge != 0U);
+    if (PMF_ANY(trusted & PMF_NOT(in_charge))) {
+        in_charge = in_charge | (trusted & takes_over(config, state));
     }
-    if (trusted != 0U && state->auxiliary.in_charge == 0U) {
-        state->auxiliary.in_charge = takes_over(config, state);
-    }
-    if (state->auxiliary.in_charge != 0U) {
-        pmf_auxiliary_follow(auxiliary, &state->auxiliary, state->instrument.estimate.theta, auxiliary->index);
+    state->auxiliary.in_charge = PMF_BIT(in_charge, 1U);
+    pmf_auxiliary_follow(auxiliary, &state->auxiliary, in_charge, state->instrument.estimate.theta, auxiliary->index);
+    if (PMF_ALL(in_charge)) {
         return status;
     }
-    if (state->direct.started != 0U && (direct_status & PMF_POOR_EXCITATION) == 0U &&
-        (trusted == 0U || auxiliary->has_initial == 0U)) {
-        pmf_auxiliary_follow(auxiliary, &state->auxiliary, state->direct.estimate.theta, auxiliary->direct_index);
+    borrows = PMF_NOT(in_charge) & (state->direct.started != 0U) & ((direct_status & PMF_POOR_EXCITATION) == 0U);
+    if (auxiliary->has_initial != 0U) {
+        borrows = borrows & PMF_NOT(trusted);
     }
-    borrow_estimate(config, state);
-    return (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK | (status & (PMF_RESET | PMF_UNMODELLED));
+    pmf_auxiliary_follow(auxiliary, &state->auxiliary, borrows, state->direct.estimate.theta, auxiliary->direct_index);
+    PMF_WHERE(PMF_NOT(in_charge), &state->borrowed, borrow_estimate(config, state));
+    direct_status = (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK;
+    return PMF_IF(in_charge, status, direct_status | (status & (PMF_RESET | PMF_UNMODELLED)));
 }
 
 #endif
 
+#ifndef PMF_LANES /* of one axis */
 const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state)
 {
 #if PMF_WITH_AUXILIARY
@@ -147,19 +156,21 @@ real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32
     return estimate->variance_factor[parameter] * estimate->innovation_variance *
            (inflation > PMF_R(0.0) ? inflation : PMF_R(1.0));
 }
+#endif
 
 /* The recursions on the columns of this sample. */
-static uint32_t estimate_step(const pmf_config_t *config, pmf_state_t *state, uint32_t settled)
+static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, truth_t settled)
 {
-    uint32_t status = state->direct.started == 0U ? (uint32_t)PMF_STARTING : 0U, use = settled;
+    whole_t status = PMF_BIT(state->direct.started == 0U, PMF_STARTING), stepped = PMF_W(0);
+    truth_t use = settled;
 #if PMF_WITH_AUXILIARY
-    if (config->auxiliary.enabled != 0U && state->settle < config->settle_samples / 2U) {
-        use = 1U; /* with an auxiliary model the second half of the settling is the model's */
+    if (config->auxiliary.enabled != 0U) { /* the second half of the settling is the model's */
+        use = use | (state->settle < config->settle_samples / 2U);
     }
 #endif
-    if (use != 0U) {
-        status = pmf_recursion_step(&config->direct, &state->direct, state->network.column);
-    }
+    PMF_WHERE(use, &state->direct,
+              stepped = pmf_recursion_step(&config->direct, &state->direct, state->network.column));
+    status = PMF_IF(use, stepped, status);
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
         status = instrument_step(config, state, status, settled);
@@ -172,7 +183,7 @@ static uint32_t estimate_step(const pmf_config_t *config, pmf_state_t *state, ui
 static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_clear(&state->network, (uint32_t)sizeof state->network);
-    state->settle = config->settle_samples;
+    state->settle = PMF_W(config->settle_samples);
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
     state->auxiliary.velocity = PMF_R(0.0);
@@ -180,17 +191,16 @@ static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
 #endif
 }
 
-uint32_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, uint32_t count)
+PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
-    uint32_t status = pmf_filter(config, state, input, count);
-    status |= estimate_step(config, state, (status & PMF_SETTLING) == 0U ? 1U : 0U);
-    if ((status & PMF_RESET) != 0U) {
-        restart_filters(config, state);
-    }
+    whole_t status = pmf_filter(config, state, input, count);
+    status |= estimate_step(config, state, (status & PMF_SETTLING) == 0U);
+    PMF_WHERE((status & PMF_RESET) != 0U, state, restart_filters(config, state));
     state->status = status;
     return status;
 }
 
+#ifndef PMF_LANES
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
 {
 #if PMF_WITH_AUXILIARY
@@ -208,3 +218,4 @@ void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state,
 #endif
     pmf_recursion_covariance(&config->direct, &state->direct, p);
 }
+#endif

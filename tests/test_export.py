@@ -194,7 +194,7 @@ MISRA = set(re.findall(r"^\| (\d+\.\d+) \|", FIRMWARE_PAGE.read_text(encoding="u
 def test_misra_finds_only_what_is_justified(cls: type[RecursiveEstimator], tmp_path: Path) -> None:
     pmfid.export_firmware(make(cls), tmp_path)
     files = sorted(path.name for path in tmp_path.glob("*.c") if path.name not in ("main.c", "selftest.c"))
-    done = command(["cppcheck", "--addon=misra", "--std=c99", "-I.", *files], tmp_path)
+    done = command(["cppcheck", "--addon=misra", "--std=c99", "-UPMF_LANES", "-I.", *files], tmp_path)
     if "Bailing out from" in done.stderr or "failed to execute" in done.stderr.lower():
         pytest.skip("this cppcheck has no working MISRA addon")
     found = set(re.findall(r"misra-c2012-(\d+\.\d+)", done.stderr))

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from pmfid.estimators.batch import LS as LS
     from pmfid.estimators.batch import Fit as Fit
     from pmfid.estimators.bcrls import BCRLS as BCRLS
+    from pmfid.estimators.fleet import Fleet as Fleet
+    from pmfid.estimators.fleet import Tracks as Tracks
     from pmfid.estimators.interval import IntervalML as IntervalML
     from pmfid.estimators.iv import IV as IV
     from pmfid.estimators.iv import RIV as RIV
@@ -42,6 +44,7 @@ _PUBLIC = {
     "Term": "pmfid.models.equation",
     "Estimate": "pmfid._kernel64",
     "Fit": "pmfid.estimators.batch",
+    "Fleet": "pmfid.estimators.fleet",
     "IV": "pmfid.estimators.iv",
     "RIV": "pmfid.estimators.iv",
     "OE": "pmfid.estimators.output_error",
@@ -54,6 +57,7 @@ _PUBLIC = {
     "RLS": "pmfid.estimators.rls",
     "Status": "pmfid.status",
     "Track": "pmfid.estimators.recursive",
+    "Tracks": "pmfid.estimators.fleet",
     "UsageError": "pmfid.errors",
     "export_firmware": "pmfid.export.firmware",
     "quantize": "pmfid.encoder",

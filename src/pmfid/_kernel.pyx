@@ -4,7 +4,8 @@
 from cpython.bytes cimport PyBytes_FromStringAndSize
 from cpython.long cimport PyLong_AsLongLong
 from cpython.number cimport PyNumber_Index
-from libc.stdint cimport int64_t, uint32_t
+from hashlib import sha256
+from libc.stdint cimport int64_t, uint32_t, uint64_t
 from libc.string cimport memcpy
 cimport numpy as cnp
 import numpy as np
@@ -82,6 +83,31 @@ cdef extern from "pmf.h":
     void pmf_auxiliary_step(const pmf_auxiliary_config_t *, pmf_auxiliary_state_t *, real_t *) nogil
     uint32_t pmf_parameters(const pmf_config_t *) nogil
     void pmf_covariance_factor(const pmf_config_t *, const pmf_state_t *, real_t *) nogil
+
+cdef extern from "many/pmf_many.h":
+    ctypedef struct pmf_rows_t:
+        const unsigned char *start
+        int64_t axis, sample
+        uint32_t size
+    ctypedef struct pmf_many_t:
+        uint32_t way
+        pmf_rows_t input
+        pmf_rows_t counts
+        uint64_t samples, every, kept
+        double *theta
+        double *variance_factor
+        double *inflation
+        double *innovation
+        double *innovation_variance
+        uint32_t *status
+    ctypedef struct pmf_layout_t:
+        uint32_t packed_size, lane_words
+    uint32_t pmf_layout(const pmf_config_t *, pmf_layout_t *) nogil
+    void pmf_pack(const pmf_layout_t *, const pmf_state_t *, unsigned char *) nogil
+    void pmf_unpack(const pmf_layout_t *, const unsigned char *, pmf_state_t *) nogil
+    uint32_t pmf_many_way() nogil
+    void pmf_many_run(const pmf_config_t *, const pmf_layout_t *, const pmf_many_t *, uint64_t, uint64_t,
+                      unsigned char *) nogil
 
 
 cdef inline object _vector(const real_t *source, Py_ssize_t n):
@@ -270,6 +296,10 @@ cdef class Kernel:
                     columns[k, i] = self.state.network.column[i]
         return np.asarray(columns), np.asarray(status)
 
+    def many(self, Py_ssize_t axes):
+        """So many axes from the present state."""
+        return ManyKernel(self, axes)
+
     def raw_config(self):
         """The bytes of the configuration, as a `pmf_config_t` of this module's sizes."""
         return PyBytes_FromStringAndSize(<char *> &self.config, sizeof(pmf_config_t))
@@ -283,6 +313,79 @@ cdef class Kernel:
         if len(state) != sizeof(pmf_state_t):
             raise ValueError(f"a state has {sizeof(pmf_state_t)} bytes, got {len(state)}")
         memcpy(&self.state, <char *> state, sizeof(pmf_state_t))
+
+
+cdef _set_rows(pmf_rows_t *rows, cnp.ndarray table):
+    rows.start = <const unsigned char *> cnp.PyArray_DATA(table)
+    rows.axis, rows.sample, rows.size = table.strides[0], table.strides[1], table.itemsize
+
+
+cdef class ManyKernel:
+    """Many axes with the configuration of one `Kernel`, each from its present state.
+
+    states: (axes, bytes) uint8, packed. way: 0 one axis after the other, 1 to 3 in vectors of 16, 32 or 64 bytes;
+    one that is not there is the same as 0.
+    """
+
+    cdef pmf_config_t config
+    cdef pmf_layout_t layout
+    cdef object _fingerprint, _start
+    cdef readonly object states
+
+    fastest_way = pmf_many_way()
+
+    def __init__(self, Kernel kernel, Py_ssize_t axes):
+        self.config = kernel.config
+        if pmf_layout(&self.config, &self.layout) == 0:
+            raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/pmf_many.h")
+        cdef cnp.ndarray own = np.zeros(self.layout.packed_size, np.uint8)
+        pmf_pack(&self.layout, &kernel.state, <unsigned char *> cnp.PyArray_DATA(own))
+        self._fingerprint, self._start = sha256(kernel.raw_config()).digest(), own
+        self.states = np.tile(own, (axes, 1))
+
+    def reset(self):
+        """Back to the states at the beginning."""
+        self.states[:] = self._start
+
+    def get_state(self):
+        """All states as bytes, after a fingerprint of the configuration that they belong to."""
+        return self._fingerprint + self.states.tobytes()
+
+    def set_state(self, bytes state):
+        """Restores what `get_state` gave; raises ValueError for another configuration or number of axes."""
+        own = self._fingerprint
+        if len(state) != len(own) + self.states.nbytes or state[:len(own)] != own:
+            raise ValueError("these bytes are not the states of this fleet; take them from one with the same estimator "
+                             "and number of axes")
+        self.states[:] = np.frombuffer(state, np.uint8, offset=len(own)).reshape(self.states.shape)
+
+    @property
+    def side_by_side(self):
+        """Whether this configuration can be computed in vectors."""
+        return self.layout.lane_words > 0
+
+    def load(self, Kernel kernel, Py_ssize_t axis):
+        """Gives a kernel of the same configuration the state of one axis."""
+        cdef const unsigned char[:, ::1] states = self.states
+        pmf_clear(&kernel.state, sizeof(pmf_state_t))
+        pmf_unpack(&self.layout, &states[axis, 0], &kernel.state)
+
+    def run(self, cnp.ndarray u, cnp.ndarray counts, Py_ssize_t first, Py_ssize_t end, uint64_t every, results, uint32_t way):
+        """Axes `first` to `end` through u (float32 or float64) and counts (int32 or int64), both (axes, n) with any
+        strides. results: theta, variance_factor, inflation (axes, kept, p), innovation, innovation_variance, status
+        (axes, kept), to be filled with every so many estimates and the last. Releases the interpreter meanwhile."""
+        cdef pmf_many_t many
+        cdef double[:, :, ::1] theta = results[0], factor = results[1], inflation = results[2]
+        cdef double[:, ::1] innovation = results[3], variance = results[4]
+        cdef uint32_t[:, ::1] status = results[5]
+        cdef unsigned char[:, ::1] states = self.states
+        _set_rows(&many.input, u)
+        _set_rows(&many.counts, counts)
+        many.way, many.samples, many.every, many.kept = way, u.shape[1], every, theta.shape[1]
+        many.theta, many.variance_factor, many.inflation = &theta[0, 0, 0], &factor[0, 0, 0], &inflation[0, 0, 0]
+        many.innovation, many.innovation_variance, many.status = &innovation[0, 0], &variance[0, 0], &status[0, 0]
+        with nogil:
+            pmf_many_run(&self.config, &self.layout, &many, first, end, &states[0, 0])
 
 
 def simulate(parameters, double input_gain, double dt, const double[::1] u, double velocity=0.0, double position=0.0):

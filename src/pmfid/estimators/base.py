@@ -207,17 +207,22 @@ def check_positive(name: str, value: float, what: str) -> None:
 def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """u and counts as contiguous (n,) arrays; raises UsageError where they do not fit each other."""
     u_array = np.ascontiguousarray(u, dtype=np.float64)
-    given = np.asarray(counts)
-    if given.dtype.kind not in "iu":
-        if not (np.all(np.isfinite(given)) and np.array_equal(given, np.round(given))):
-            raise UsageError("counts must be integers; use pmfid.quantize(position, resolution) for a position")
-        given = np.round(given)
-    counts_array = np.ascontiguousarray(given, dtype=np.int64)
+    counts_array = np.ascontiguousarray(integer_counts(counts), dtype=np.int64)
     if u_array.ndim != 1 or u_array.shape != counts_array.shape:
         raise UsageError(
             f"u and counts must be two arrays of the same length, got {u_array.shape} and {counts_array.shape}"
         )
     return u_array, counts_array
+
+
+def integer_counts(counts: ArrayLike) -> NDArray[Any]:
+    """Counts of any shape as an array of whole numbers; raises UsageError where they are none."""
+    given = np.asarray(counts)
+    if given.dtype.kind in "iu":
+        return given
+    if not (np.all(np.isfinite(given)) and np.array_equal(given, np.round(given))):
+        raise UsageError("counts must be integers; use pmfid.quantize(position, resolution) for a position")
+    return np.round(given).astype(np.int64)
 
 
 def check_size(u: NDArray[np.float64]) -> None:

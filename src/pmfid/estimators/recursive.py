@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator, check_arrays
 from pmfid.status import Status
+
+if TYPE_CHECKING:
+    from pmfid.estimators.fleet import Tracks
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class Track:
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """The (n,) track of one parameter."""
-        return self.theta[:, self.names.index(name)]
+        return self.theta[..., self.names.index(name)]
 
     def flagged(self, bit: Status) -> NDArray[np.bool_]:
         """(n,) where a status bit is set."""
@@ -131,6 +134,17 @@ class RecursiveEstimator(Estimator):
         Raises UsageError where the arrays differ in length or the counts are no integers.
         """
         return Track(self.names, self.units, *self._kernel.run(*check_arrays(u, counts)))
+
+    def run_many(self, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
+        """Many axes at once, each from the present state of this estimator, which itself does not change.
+
+        u: (axes, n), or (n,) the same for all; counts: (axes, n). The result has the last estimate of each axis, or
+        every so many. Each axis has the bits of `run`. To go on with further samples use a `Fleet`.
+        Raises UsageError like `Fleet.run`.
+        """
+        from pmfid.estimators.fleet import Fleet
+
+        return Fleet(self, np.shape(counts)[0] if np.ndim(counts) else 1).run(u, counts, every=every)
 
     @property
     def estimate(self) -> Any:

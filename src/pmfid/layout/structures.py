@@ -64,11 +64,9 @@ def header(name: str) -> str:
 def structures(shape: Shape | None, precision: str) -> Structures:
     """Structure's name -> type, laid out as C does it. shape: None: the module's own sizes."""
     constants = constants_of(shape)
-    types: Structures = {
-        "uint32_t": np.dtype("<u4"),
-        "int32_t": np.dtype("<i4"),
-        "real_t": np.dtype("<f4" if precision == "float32" else "<f8"),
-    }
+    whole, integer, real = (np.dtype(name) for name in ("<u4", "<i4", "<f4" if precision == "float32" else "<f8"))
+    types: Structures = {"uint32_t": whole, "whole_t": whole, "int32_t": integer, "integer_t": integer}
+    types |= {"scalar_t": real, "real_t": real}
     for body, name in re.findall(r"typedef struct \{(.*?)\}\s*(\w+);", header("pmf.h"), re.DOTALL):
         types[name] = np.dtype(_fields(_chosen(body, constants), types, constants), align=True)
     return types

@@ -1,0 +1,202 @@
+/* Which words of a state a configuration uses, and how they are packed.
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * The sizes in pmf.h are those of the largest model; a drive with three parameters uses a tenth of them.
+ */
+#include "pmf_many.h"
+
+#include <stddef.h>
+
+#define MAX_RANGES 64U
+#define IN_STATE(member) (uint32_t) offsetof(pmf_state_t, member)
+#define END_IN_STATE(member) (IN_STATE(member) + (uint32_t)sizeof(((pmf_state_t *)0)->member))
+#define IN_RECURSION(member) (uint32_t) offsetof(pmf_recursion_state_t, member)
+
+/* All members that are whole numbers, in the order of the structures. */
+static const uint32_t whole_in_state[] = {
+    IN_STATE(status), IN_STATE(settle),
+    IN_STATE(encoder.count), IN_STATE(encoder.idle), IN_STATE(encoder.gap), IN_STATE(encoder.fast),
+    IN_STATE(encoder.fast_before), IN_STATE(encoder.started), IN_STATE(encoder.change), IN_STATE(encoder.travel),
+    IN_STATE(auxiliary.running), IN_STATE(auxiliary.trial), IN_STATE(auxiliary.trusted), IN_STATE(auxiliary.in_charge)
+};
+static const uint32_t whole_in_recursion[] = {
+    IN_RECURSION(updates), IN_RECURSION(started), IN_RECURSION(block_updates), IN_RECURSION(blocks),
+    IN_RECURSION(frozen), IN_RECURSION(window_block), IN_RECURSION(window_updates)
+};
+#define LENGTH(list) (uint32_t)(sizeof list / sizeof list[0])
+
+typedef struct {
+    uint32_t from, to;
+} range_t;
+/* Bytes that are not in use. */
+typedef struct {
+    range_t range[MAX_RANGES];
+    uint32_t ranges;
+} unused_t;
+
+static void leave_out(unused_t *unused, uint32_t from, uint32_t to)
+{
+    if (unused->ranges < MAX_RANGES) {
+        unused->range[unused->ranges].from = from;
+        unused->range[unused->ranges].to = to;
+        unused->ranges += 1U;
+    }
+}
+
+/* Elements or rows from number `p` on of an array at `at` with PMF_MAX_PARAMETERS of them, `size` bytes each. */
+static void leave_tail(unused_t *unused, uint32_t at, uint32_t p, size_t size)
+{
+    leave_out(unused, at + p * (uint32_t)size, at + PMF_MAX_PARAMETERS * (uint32_t)size);
+}
+
+static void leave_estimate(unused_t *unused, uint32_t at, uint32_t p)
+{
+    leave_tail(unused, at + (uint32_t)offsetof(pmf_estimate_t, theta), p, sizeof(scalar_t));
+    leave_tail(unused, at + (uint32_t)offsetof(pmf_estimate_t, variance_factor), p, sizeof(scalar_t));
+    leave_tail(unused, at + (uint32_t)offsetof(pmf_estimate_t, inflation), p, sizeof(scalar_t));
+}
+
+static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_config_t *config)
+{
+    uint32_t p = config->n_parameters;
+    size_t row = PMF_MAX_PARAMETERS * sizeof(scalar_t);
+    leave_tail(unused, at + IN_RECURSION(sums.cross), p, row);
+    leave_tail(unused, at + IN_RECURSION(sums.square), config->instrumental != 0U ? p : 0U, row);
+    leave_tail(unused, at + IN_RECURSION(sums.right), p, sizeof(scalar_t));
+    leave_tail(unused, at + IN_RECURSION(peak), p, sizeof(scalar_t));
+    leave_tail(unused, at + IN_RECURSION(factor), p, row);
+    leave_tail(unused, at + IN_RECURSION(inverse_pivot), p, sizeof(scalar_t));
+    leave_tail(unused, at + IN_RECURSION(score), p, sizeof(scalar_t));
+    leave_tail(unused, at + IN_RECURSION(spread), p, sizeof(scalar_t));
+    leave_tail(unused, at + IN_RECURSION(reference), p, sizeof(scalar_t));
+    leave_estimate(unused, at + IN_RECURSION(estimate), p);
+    if (config->scheme != PMF_WINDOW) {
+        leave_out(unused, at + IN_RECURSION(window), at + IN_RECURSION(window_updates) + 4U);
+    }
+}
+
+static void find_unused(const pmf_config_t *config, unused_t *unused)
+{
+    const pmf_network_config_t *network = &config->network;
+    unused->ranges = 0U;
+    leave_out(unused, IN_STATE(network.node) + (PMF_SIGNALS + network->n_stages) * (uint32_t)sizeof(scalar_t),
+              END_IN_STATE(network.node));
+    leave_out(unused, IN_STATE(network.memory) + network->n_stages * (uint32_t)sizeof(scalar_t),
+              END_IN_STATE(network.memory));
+    leave_out(unused, IN_STATE(network.column) + network->n_columns * (uint32_t)sizeof(scalar_t),
+              END_IN_STATE(network.column));
+    leave_recursion(unused, IN_STATE(direct), &config->direct);
+    if (config->auxiliary.enabled != 0U) {
+        leave_recursion(unused, IN_STATE(instrument), &config->instrument);
+        leave_estimate(unused, IN_STATE(borrowed), config->instrument.n_parameters);
+    } else {
+        leave_out(unused, IN_STATE(instrument), END_IN_STATE(instrument));
+        leave_out(unused, IN_STATE(borrowed), END_IN_STATE(borrowed));
+    }
+}
+
+static uint32_t is_used(const unused_t *unused, uint32_t offset)
+{
+    uint32_t i;
+    for (i = 0; i < unused->ranges; ++i) {
+        if (offset >= unused->range[i].from && offset < unused->range[i].to) {
+            return 0U;
+        }
+    }
+    return 1U;
+}
+
+static uint32_t is_whole(uint32_t offset)
+{
+    const uint32_t *list = whole_in_state;
+    uint32_t length = LENGTH(whole_in_state), i;
+    uint32_t direct = offset >= IN_STATE(direct) && offset < END_IN_STATE(direct) ? 1U : 0U;
+    uint32_t instrument = offset >= IN_STATE(instrument) && offset < END_IN_STATE(instrument) ? 1U : 0U;
+    if (direct != 0U || instrument != 0U) {
+        offset -= direct != 0U ? IN_STATE(direct) : IN_STATE(instrument);
+        list = whole_in_recursion;
+        length = LENGTH(whole_in_recursion);
+    }
+    for (i = 0; i < length; ++i) {
+        if (list[i] == offset) {
+            return 1U;
+        }
+    }
+    return 0U;
+}
+
+/* Lanes are compiled without windows. */
+static uint32_t has_lane(uint32_t offset)
+{
+    uint32_t direct = IN_STATE(direct), instrument = IN_STATE(instrument), from = IN_RECURSION(window);
+    uint32_t to = IN_RECURSION(window_updates) + 4U;
+    return (offset >= direct + from && offset < direct + to) || (offset >= instrument + from && offset < instrument + to)
+               ? 0U
+               : 1U;
+}
+
+/* One pass over all words; adds the reals in use, or the whole numbers. */
+static void add_words(pmf_layout_t *layout, const unused_t *unused, uint32_t whole)
+{
+    uint32_t offset = 0, lane = 0;
+    while (offset < sizeof(pmf_state_t)) {
+        uint32_t found = is_whole(offset), lies = has_lane(offset);
+        uint32_t size = found != 0U ? 4U : (uint32_t)sizeof(scalar_t);
+        if (found == 0U && offset % sizeof(scalar_t) != 0U) { /* the gap before an aligned real */
+            offset += 4U;
+            continue;
+        }
+        if (found == whole && is_used(unused, offset) != 0U && layout->words < PMF_MAX_WORDS) {
+            pmf_word_t *word = &layout->word[layout->words++];
+            word->offset = offset;
+            word->packed = layout->packed_size;
+            word->lane = lies != 0U ? lane : PMF_NO_LANE;
+            layout->packed_size += size;
+        }
+        lane += lies;
+        offset += size;
+    }
+    layout->lane_words = lane;
+}
+
+uint32_t pmf_layout(const pmf_config_t *config, pmf_layout_t *layout)
+{
+    unused_t unused;
+    find_unused(config, &unused);
+    layout->words = 0U;
+    layout->packed_size = 0U;
+    add_words(layout, &unused, 0U);
+    layout->reals = layout->words;
+    add_words(layout, &unused, 1U);
+    layout->packed_size = (layout->packed_size + 7U) / 8U * 8U;
+    if (config->direct.scheme == PMF_WINDOW || config->instrument.scheme == PMF_WINDOW) {
+        layout->lane_words = 0U;
+    }
+    return layout->words < PMF_MAX_WORDS && unused.ranges < MAX_RANGES ? 1U : 0U;
+}
+
+void pmf_pack(const pmf_layout_t *layout, const pmf_state_t *state, unsigned char *packed)
+{
+    const unsigned char *from = (const unsigned char *)state;
+    const pmf_word_t *word = layout->word;
+    uint32_t i;
+    for (i = 0; i < layout->reals; ++i) {
+        *(scalar_t *)(void *)(packed + word[i].packed) = *(const scalar_t *)(const void *)(from + word[i].offset);
+    }
+    for (; i < layout->words; ++i) {
+        *(uint32_t *)(void *)(packed + word[i].packed) = *(const uint32_t *)(const void *)(from + word[i].offset);
+    }
+}
+
+void pmf_unpack(const pmf_layout_t *layout, const unsigned char *packed, pmf_state_t *state)
+{
+    unsigned char *to = (unsigned char *)state;
+    const pmf_word_t *word = layout->word;
+    uint32_t i;
+    for (i = 0; i < layout->reals; ++i) {
+        *(scalar_t *)(void *)(to + word[i].offset) = *(const scalar_t *)(const void *)(packed + word[i].packed);
+    }
+    for (; i < layout->words; ++i) {
+        *(uint32_t *)(void *)(to + word[i].offset) = *(const uint32_t *)(const void *)(packed + word[i].packed);
+    }
+}

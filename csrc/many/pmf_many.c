@@ -1,0 +1,105 @@
+/* Many axes, in groups as wide as the processor's vectors.
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "pmf_many.h"
+
+#define FEW_SAMPLES 8U /* fewer are not worth the change into lanes and back */
+
+#if defined(__x86_64__) || defined(__i386__)
+#define HAS(feature) __builtin_cpu_supports(feature)
+#else
+#define HAS(feature) 1
+#endif
+
+/* Null where this build has no such way, or the processor has not. */
+static const pmf_lanes_t *lanes_of(uint32_t way)
+{
+#ifdef PMF_HAVE_LANES_16
+    if (way == PMF_LANES_16 && HAS("sse4.2")) {
+        return &pmf_lanes_16;
+    }
+#endif
+#ifdef PMF_HAVE_LANES_32
+    if (way == PMF_LANES_32 && HAS("avx2")) {
+        return &pmf_lanes_32;
+    }
+#endif
+#ifdef PMF_HAVE_LANES_64
+    if (way == PMF_LANES_64 && HAS("avx512f") && HAS("avx512dq") && HAS("avx512vl") && HAS("avx512bw")) {
+        return &pmf_lanes_64;
+    }
+#endif
+    (void)way;
+    return 0;
+}
+
+uint32_t pmf_many_way(void)
+{
+    uint32_t way = PMF_WAYS - 1U;
+    while (way > PMF_ONE_BY_ONE && lanes_of(way) == 0) {
+        --way;
+    }
+    return way;
+}
+
+static real_t input_at(const pmf_rows_t *rows, uint64_t axis, uint64_t sample)
+{
+    const unsigned char *at = rows->start + (int64_t)axis * rows->axis + (int64_t)sample * rows->sample;
+    return rows->size == 4U ? (real_t) * (const float *)(const void *)at : (real_t) * (const double *)(const void *)at;
+}
+
+static uint32_t count_at(const pmf_rows_t *rows, uint64_t axis, uint64_t sample)
+{
+    const unsigned char *at = rows->start + (int64_t)axis * rows->axis + (int64_t)sample * rows->sample;
+    return rows->size == 4U ? *(const uint32_t *)(const void *)at : (uint32_t) * (const uint64_t *)(const void *)at;
+}
+
+static void keep(const pmf_config_t *config, const pmf_state_t *state, const pmf_many_t *many, uint64_t row)
+{
+    const pmf_estimate_t *estimate = pmf_estimate(config, state);
+    uint32_t p = pmf_parameters(config), i;
+    for (i = 0; i < p; ++i) {
+        many->theta[row * p + i] = (double)estimate->theta[i];
+        many->variance_factor[row * p + i] = (double)estimate->variance_factor[i];
+        many->inflation[row * p + i] = (double)estimate->inflation[i];
+    }
+    many->innovation[row] = (double)estimate->innovation;
+    many->innovation_variance[row] = (double)estimate->innovation_variance;
+    many->status[row] = state->status;
+}
+
+static void run_one(const pmf_config_t *config, const pmf_many_t *many, uint64_t axis, pmf_state_t *state)
+{
+    uint64_t sample, row = axis * many->kept, until = many->every;
+    for (sample = 0; sample < many->samples; ++sample) {
+        (void)pmf_step(config, state, input_at(&many->input, axis, sample), count_at(&many->counts, axis, sample));
+        if (--until == 0U || sample + 1U == many->samples) {
+            keep(config, state, many, row++);
+            until = many->every;
+        }
+    }
+}
+
+void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
+                  uint64_t end, unsigned char *packed)
+{
+    const pmf_lanes_t *lanes = lanes_of(many->way);
+    int usable = lanes != 0 && many->samples >= FEW_SAMPLES && layout->lane_words == lanes->words;
+    uint64_t axis = first, left;
+    pmf_state_t state;
+    pmf_clear(&state, (uint32_t)sizeof state);
+    while (axis < end) {
+        unsigned char *own = packed + axis * layout->packed_size;
+        left = end - axis;
+        if (usable && 4U * left >= lanes->lanes) {
+            uint32_t axes = left < lanes->lanes ? (uint32_t)left : lanes->lanes;
+            lanes->run(config, layout, many, axis, axes, own);
+            axis += axes;
+        } else {
+            pmf_unpack(layout, own, &state);
+            run_one(config, many, axis, &state);
+            pmf_pack(layout, &state, own);
+            ++axis;
+        }
+    }
+}

@@ -1,0 +1,72 @@
+/* Many axes with one configuration: for fleets and simulations on a computer, not needed on a drive.
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * Every axis has the bits that pmf_step() gives for it alone. Where compiler and processor have vectors, some axes are
+ * computed side by side (pmf_lanes.c). Between two calls a state is packed: only the words that the configuration uses.
+ */
+#ifndef PMF_MANY_H
+#define PMF_MANY_H
+
+#include "../pmf.h"
+
+/* Ways to compute: one axis after the other, or in vectors of 16, 32 (AVX2) or 64 bytes (AVX-512). */
+enum { PMF_ONE_BY_ONE = 0, PMF_LANES_16, PMF_LANES_32, PMF_LANES_64, PMF_WAYS };
+
+/* Where a word of a state is: byte offsets in pmf_state_t and in the packed state, and its number among the vectors. */
+typedef struct {
+    uint32_t offset, packed, lane;
+} pmf_word_t;
+#define PMF_NO_LANE 0xffffffffU
+#define PMF_MAX_WORDS 8192
+
+/* The words in use, reals first. */
+typedef struct {
+    uint32_t reals, words;
+    uint32_t packed_size; /* bytes of a packed state */
+    uint32_t lane_words;  /* vectors in a state of lanes; 0: this configuration has no lanes */
+    pmf_word_t word[PMF_MAX_WORDS];
+} pmf_layout_t;
+
+/* A table of numbers of 4 or 8 bytes, one row per axis. */
+typedef struct {
+    const unsigned char *start;
+    int64_t axis, sample; /* bytes from one to the next */
+    uint32_t size;
+} pmf_rows_t;
+
+typedef struct {
+    uint32_t way;
+    pmf_rows_t input;  /* float or double */
+    pmf_rows_t counts; /* int32_t or int64_t */
+    uint64_t samples;
+    uint64_t every; /* the estimates of so many samples each are kept, and that of the last; 0: of the last alone */
+    uint64_t kept;  /* estimates of each axis: */
+    double *theta, *variance_factor, *inflation; /* axes x kept x parameters */
+    double *innovation, *innovation_variance;    /* axes x kept */
+    uint32_t *status;                            /* axes x kept */
+} pmf_many_t;
+
+/* Axes `first` to `first + axes`, no more than there are lanes, through all samples; packed: their states. */
+typedef void pmf_lanes_run_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many,
+                             uint64_t first, uint32_t axes, unsigned char *packed);
+typedef struct {
+    uint32_t lanes, words; /* vectors in a state */
+    pmf_lanes_run_t *run;
+} pmf_lanes_t;
+
+extern const pmf_lanes_t pmf_lanes_16, pmf_lanes_32, pmf_lanes_64;
+
+#ifndef PMF_LANES
+/* Returns 0 where the words are more than a layout holds. */
+uint32_t pmf_layout(const pmf_config_t *config, pmf_layout_t *layout);
+void pmf_pack(const pmf_layout_t *layout, const pmf_state_t *state, unsigned char *packed);
+/* What is not in use is left as it is: zero, in a state that pmf_init() or pmf_clear() has made. */
+void pmf_unpack(const pmf_layout_t *layout, const unsigned char *packed, pmf_state_t *state);
+/* The fastest way of this build on this processor. */
+uint32_t pmf_many_way(void);
+/* Axes `first` to `end` through all samples; packed: the states of all axes. */
+void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
+                  uint64_t end, unsigned char *packed);
+#endif
+
+#endif

@@ -1,0 +1,251 @@
+"""Many axes side by side: each has the bits that it has alone, whatever happens to its neighbours."""
+
+from __future__ import annotations
+
+import subprocess
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid import Status
+from pmfid.estimators.fleet import _kept
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.registry import RECURSIVE
+from tests.conftest import cart_run
+from tests.test_architecture import C_FLAGS, COMPILER, CSRC
+
+DT, CUTOFF, AXES, SAMPLES = 0.01, 50.0, 21, 700
+ENCODER = pmfid.Encoder(22.75e-6 * 4, max_speed=3.0)
+DRIVE = pmfid.Drive(2.0)
+ARRAYS = ("theta", "variance_factor", "inflation", "innovation", "innovation_variance", "status")
+WAYS = range(pmfid.BCRLS(DRIVE, ENCODER, DT, CUTOFF)._kernel.many(1).fastest_way + 1)
+START = {"mass": 1.0, "viscous_friction": 12.0, "coulomb_friction": 0.7}
+VARIANTS: list[tuple[type[RecursiveEstimator], dict[str, Any]]] = [
+    *((cls, {}) for cls in RECURSIVE),
+    (pmfid.BCRLS, {"forgetting": 1.0}),
+    (pmfid.RLS, {"prefilter_zeros": (-5.0, -0.2)}),
+    (pmfid.RLS, {"forgetting_scheme": "directional"}),
+    (pmfid.RLS, {"forgetting_scheme": "constant-trace"}),
+    (pmfid.BCRLS, {"forgetting_scheme": "constant-trace"}),
+    (pmfid.BCRLS, {"forgetting_scheme": "window"}),
+    (pmfid.BCRLS, {"model": pmfid.Drive(2.0, offset=True)}),
+    (pmfid.RIV, {"model": pmfid.Drive(2.0, friction="directional")}),
+    (pmfid.RIV, {"model": pmfid.Drive(2.0, spring=True)}),
+    (pmfid.RIV, {"initial": START}),
+]
+
+
+@cache
+def fleet_record() -> tuple[np.ndarray, np.ndarray]:
+    """u, counts (axes, n): each axis moves on its own, and most suffer something at their own time."""
+    rng = np.random.default_rng(5)
+    run = cart_run(3, increments=1024, samples=4 * SAMPLES)
+    starts = rng.integers(0, 3 * SAMPLES, AXES)
+    u = np.stack([run.u[k : k + SAMPLES] for k in starts])
+    counts = np.stack([run.counts[k : k + SAMPLES] for k in starts])
+    for axis, at in enumerate(rng.integers(100, SAMPLES - 150, AXES)):
+        event = axis % 7
+        if event == 1:
+            u[axis, at : at + 3] = (np.nan, np.inf, -np.inf)
+        elif event == 2:
+            counts[axis, at:] += 5_000_000  # a jump
+        elif event == 3:
+            u[axis, at : at + 100], counts[axis, at : at + 100] = 0.0, counts[axis, at]  # held by its stiction
+            counts[axis, at + 100 :] += counts[axis, at] - counts[axis, at + 100]
+        elif event == 4:
+            u[axis, at], u[axis, at + 40] = 1e200, 1e30  # no drive's: refused, the second in float32 alone
+        elif event == 5:
+            u[axis, at:] *= -1.0  # the model no longer follows
+        elif event == 6:
+            u[axis], counts[axis] = 0.0, 0  # never moves
+    return u, counts
+
+
+def make(cls: type[RecursiveEstimator], precision: str = "float64", **options: Any) -> RecursiveEstimator:
+    settings = {"model": DRIVE, "encoder": ENCODER, "dt": DT, "cutoff": CUTOFF, "forgetting": 0.98}
+    return cls(**(settings | options), precision=precision)
+
+
+def fleet_of(estimator: RecursiveEstimator, axes: int, way: int, workers: int = 1) -> pmfid.Fleet:
+    fleet = pmfid.Fleet(estimator, axes, workers=workers)
+    fleet._way = way
+    return fleet
+
+
+def assert_equal_tracks(fleet: pmfid.Track, single: pmfid.Track) -> None:
+    for name in ARRAYS:
+        assert np.array_equal(getattr(fleet, name), getattr(single, name)), name
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize(("cls", "options"), VARIANTS, ids=lambda value: getattr(value, "__name__", str(value)))
+def test_every_axis_has_the_bits_that_it_has_alone(cls, options, precision, way):
+    u, counts = fleet_record()
+    fleet = fleet_of(make(cls, precision, **options), AXES, way)
+    tracks = fleet.run(u, counts, every=1)
+    occurred = Status(0)
+    for axis in range(AXES):
+        single = make(cls, precision, **options)
+        track = single.run(u[axis], counts[axis])
+        assert_equal_tracks(tracks.axis(axis), track)
+        assert fleet.axis(axis).get_state() == single.get_state()
+        occurred |= Status(int(np.bitwise_or.reduce(track.status)))
+    expected = Status.INVALID_INPUT | Status.COUNT_JUMP | Status.STANDSTILL | Status.POOR_EXCITATION
+    assert expected in occurred, "the record does not test what it is for"
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_hostile_input(precision, way):
+    rng = np.random.default_rng(9)
+    u = rng.choice([0.0, 3.0, -3.0, np.nan, np.inf, 1e30, -1e30, 1e-40], (17, 2000))
+    counts = rng.integers(-(2**31), 2**31, (17, 2000))
+    counts[5:] = rng.integers(-3, 4, (12, 2000)).cumsum(axis=1)
+    tracks = fleet_of(make(pmfid.RIV, precision, encoder=pmfid.Encoder(1e-5)), 17, way).run(u, counts, every=1)
+    for axis in range(17):
+        alone = make(pmfid.RIV, precision, encoder=pmfid.Encoder(1e-5)).run(u[axis], counts[axis])
+        assert_equal_tracks(tracks.axis(axis), alone)
+    assert np.all(np.isfinite(tracks.theta))
+
+
+@pytest.mark.parametrize("bits", [8, 16, 31, 32])
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_counters_wrap(bits, precision):
+    u, counts = fleet_record()
+    encoder = pmfid.Encoder(ENCODER.resolution, bits=bits)
+    wrapped = (counts + 2 ** (bits - 1) - 300) % 2**bits
+    tracks = pmfid.Fleet(make(pmfid.RIV, precision, encoder=encoder), AXES).run(u, wrapped, every=1)
+    for axis in range(0, AXES, 4):
+        alone = make(pmfid.RIV, precision, encoder=encoder).run(u[axis], wrapped[axis])
+        assert_equal_tracks(tracks.axis(axis), alone)
+
+
+@pytest.mark.parametrize("axes", [1, 2, 3, 4, 5, 8, 9, 16, 17])
+def test_any_number_of_axes(axes):
+    u, counts = fleet_record()
+    whole = make(pmfid.BCRLS).run_many(u, counts)
+    assert_equal_tracks(make(pmfid.BCRLS).run_many(u[:axes], counts[:axes]).axis(axes - 1), whole.axis(axes - 1))
+
+
+@pytest.mark.parametrize("cuts", [[300], [1, 2, 5, 40, 41, 650]])
+def test_a_split_run_is_the_whole_run(cuts):
+    u, counts = fleet_record()
+    fleet = pmfid.Fleet(make(pmfid.RIV), AXES)
+    for part in np.split(np.arange(SAMPLES), cuts):
+        last = fleet.run(u[:, part], counts[:, part])
+    assert_equal_tracks(last, make(pmfid.RIV).run_many(u, counts))
+
+
+def test_threads_change_nothing():
+    u, counts = (np.tile(table, (5, 1)) for table in fleet_record())
+    one, three = (fleet_of(make(pmfid.BCRLS), 5 * AXES, WAYS[-1], workers).run(u, counts) for workers in (1, 3))
+    assert_equal_tracks(one, three)
+    assert u.size > 20_000, "too small for a second thread"
+
+
+def test_every_so_many_and_the_last_are_kept():
+    u, counts = fleet_record()
+    whole = make(pmfid.BCRLS).run_many(u, counts, every=1)
+    some = make(pmfid.BCRLS).run_many(u, counts, every=300)
+    assert some.samples.tolist() == [299, 599, 699]
+    assert np.array_equal(some.theta, whole.theta[:, [299, 599, 699]])
+    assert np.array_equal(some["mass"], some.theta[:, :, 0])
+    assert np.array_equal(some.theta_std[3], whole.axis(3).theta_std[[299, 599, 699]])
+    assert np.array_equal(some.flagged(Status.STARTING), (some.status & 1) != 0)
+    assert [_kept(6, 3).tolist(), _kept(0, 3).tolist(), _kept(0, None).tolist()] == [[2, 5], [], []]
+
+
+def test_tables_are_read_in_place_in_any_order():
+    u, counts = fleet_record()
+    u = np.clip(u, -1e30, 1e30).astype(np.float32).astype(float)
+    reference = make(pmfid.BCRLS).run_many(u, counts)
+    small = counts.astype(np.int32)
+    for table, numbers in [
+        (u.astype(np.float32), small),
+        (np.asfortranarray(u), np.asfortranarray(counts)),
+        (u.tolist(), counts.astype(float)),
+        (u[::-1][::-1], counts.astype(">i8")),
+    ]:
+        assert_equal_tracks(make(pmfid.BCRLS).run_many(table, numbers), reference)
+    same = make(pmfid.BCRLS).run_many(u[0], counts)
+    assert_equal_tracks(same, make(pmfid.BCRLS).run_many(np.tile(u[0], (AXES, 1)), counts))
+
+
+def test_a_fleet_starts_from_the_present_state_and_leaves_it():
+    u, counts = fleet_record()
+    estimator = make(pmfid.BCRLS)
+    estimator.run(u[0, :200], counts[0, :200])
+    before = estimator.get_state()
+    fleet = pmfid.Fleet(estimator, 2)
+    first = fleet.run(u[[0, 0], 200:], counts[[0, 0], 200:])
+    assert estimator.get_state() == before
+    assert np.array_equal(first.theta[1, -1], make(pmfid.BCRLS).run(u[0], counts[0]).theta[-1])
+    fleet.reset()
+    assert_equal_tracks(fleet.run(u[[0, 0], 200:], counts[[0, 0], 200:]), first)
+
+
+def test_states_are_saved_and_single_axes_taken_out():
+    u, counts = fleet_record()
+    whole = make(pmfid.RIV).run_many(u, counts)
+    fleet = pmfid.Fleet(make(pmfid.RIV), AXES)
+    fleet.run(u[:, :400], counts[:, :400])
+    other = pmfid.Fleet(make(pmfid.RIV), AXES)
+    other.set_state(fleet.get_state())
+    assert_equal_tracks(other.run(u[:, 400:], counts[:, 400:]), whole)
+    axis = fleet.axis(-1)
+    assert np.array_equal(axis.run(u[-1, 400:], counts[-1, 400:]).theta[-1], whole.theta[-1, -1])
+    for wrong in (pmfid.Fleet(make(pmfid.RIV), AXES + 1), pmfid.Fleet(make(pmfid.RIV, forgetting=0.9), AXES)):
+        with pytest.raises(pmfid.UsageError, match="same estimator"):
+            wrong.set_state(fleet.get_state())
+
+
+def test_no_samples_give_no_estimates():
+    tracks = make(pmfid.BCRLS).run_many(np.zeros((3, 0)), np.zeros((3, 0), int), every=2)
+    assert tracks.theta.shape == (3, 0, 3)
+    assert tracks.samples.size == 0
+
+
+def test_what_does_not_fit_is_refused():
+    u, counts = fleet_record()
+    fleet = pmfid.Fleet(make(pmfid.BCRLS), AXES)
+    with pytest.raises(pmfid.UsageError, match=r"counts must be \(21, n\)"):
+        fleet.run(u[:20], counts[:20])
+    with pytest.raises(pmfid.UsageError, match="u the same or"):
+        fleet.run(u[:, 1:], counts)
+    with pytest.raises(pmfid.UsageError, match="an axis per row"):
+        make(pmfid.BCRLS).run_many(u[0], counts[0])
+    with pytest.raises(pmfid.UsageError, match="integers"):
+        fleet.run(u, counts + 0.5)
+    with pytest.raises(pmfid.UsageError, match="every must be"):
+        fleet.run(u, counts, every=0)
+    with pytest.raises(pmfid.UsageError, match="at least one axis"):
+        pmfid.Fleet(make(pmfid.BCRLS), 0)
+    with pytest.raises(pmfid.UsageError, match="there are 21 axes"):
+        fleet.axis(21)
+
+
+def test_only_the_words_in_use_are_kept():
+    packed = make(pmfid.BCRLS)._kernel.many(1).states.shape[1]
+    assert packed <= 1600
+    assert len(make(pmfid.BCRLS)._kernel.raw_state()) > 20_000
+
+
+def test_all_but_windows_run_side_by_side():
+    for cls, options in VARIANTS:
+        window = options.get("forgetting_scheme") == "window"
+        assert make(cls, **options)._kernel.many(1).side_by_side == (not window)
+
+
+@pytest.mark.skipif(COMPILER is None, reason="there is no C compiler cc on this machine")
+@pytest.mark.parametrize("precision", ["-UPMF_FLOAT32", "-DPMF_FLOAT32"], ids=["float64", "float32"])
+@pytest.mark.parametrize("size", [16, 32, 64])
+def test_lanes_compile_without_a_warning(size, precision):
+    flags = [*C_FLAGS, "-Wno-psabi", precision, f"-DPMF_LANE_BYTES={size}"]  # without options for wide vectors
+    source = str(Path(CSRC) / "many" / "pmf_lanes.c")
+    run = subprocess.run([str(COMPILER), *flags, source], capture_output=True, text=True, timeout=60)
+    assert run.returncode == 0, run.stderr
