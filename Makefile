@@ -40,7 +40,12 @@ format: .venv/installed
 	.venv/bin/ruff format .
 	.venv/bin/ruff check --fix .
 
-bench: .venv/installed
+# Peers that nothing else needs: sippy_unipi brings CasADi with it.
+.venv/peers: requirements-bench.txt .venv/installed
+	$(PIP) install -r requirements-bench.txt
+	touch $@
+
+bench: .venv/peers
 	mkdir -p .benchmarks
 	.venv/bin/python -m pytest benchmarks --benchmark-only --benchmark-sort=name --benchmark-json=.benchmarks/latest.json
 	.venv/bin/python -m benchmarks.instructions .benchmarks/instructions.json

@@ -66,21 +66,26 @@ static whole_t next_fast(whole_t fast, whole_t counts)
 static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, integer_t change)
 {
     uint32_t still = config->standstill_samples;
-    truth_t counted = change != 0, rest;
-    whole_t leaked = state->gap - (state->gap >> 2), pause = state->idle + 1U, limit;
-    state->gap = PMF_IF(counted, PMF_IF(pause > leaked, pause, leaked), state->gap);
-    state->idle = PMF_IF(counted, PMF_W(0), PMF_IF(state->idle < still, pause, state->idle));
-    state->direction = PMF_IF(change > 0, PMF_R(1.0), PMF_IF(counted, PMF_R(-1.0), state->direction));
-    state->moving = PMF_IF(counted, PMF_R(1.0), state->moving);
+    truth_t counted = change != 0, rest = PMF_NOT(counted);
+    if (PMF_ANY(counted)) {
+        whole_t leaked = state->gap - (state->gap >> 2), pause = state->idle + 1U;
+        state->gap = PMF_IF(counted, PMF_IF(pause > leaked, pause, leaked), state->gap);
+        state->direction = PMF_IF(counted, PMF_IF(change > 0, PMF_R(1.0), PMF_R(-1.0)), state->direction);
+        state->moving = PMF_IF(counted, PMF_R(1.0), state->moving);
+        state->idle = PMF_IF(counted, PMF_W(0), state->idle);
+    }
 #if PMF_WITH_PROCESS
-    if (config->process != 0U) {
+    if (config->process != 0U) { /* a process that does not change is no standstill */
         return PMF_W(0);
     }
 #endif
-    limit = PMF_IF(state->gap <= CLOSE, state->gap + 1U, 4U * state->gap + 2U);
-    rest = PMF_NOT(counted) & ((state->idle >= still) | (state->idle > limit));
-    state->direction = PMF_IF(rest, PMF_R(0.0), state->direction);
-    state->moving = PMF_IF(rest, PMF_R(0.0), state->moving);
+    if (PMF_ANY(rest)) {
+        whole_t limit = PMF_IF(state->gap <= CLOSE, state->gap + 1U, 4U * state->gap + 2U);
+        state->idle += PMF_BIT(rest & (state->idle < still), 1U);
+        rest = rest & ((state->idle >= still) | (state->idle > limit));
+        state->direction = PMF_IF(rest, PMF_R(0.0), state->direction);
+        state->moving = PMF_IF(rest, PMF_R(0.0), state->moving);
+    }
     return PMF_BIT(rest, PMF_STANDSTILL);
 }
 
@@ -96,9 +101,12 @@ static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state
 static whole_t check(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t *input,
                      integer_t *change)
 {
-    truth_t valid = (*input >= -LARGEST_INPUT) & (*input <= LARGEST_INPUT); /* else NaN, infinite, or its square would be */
-    whole_t status = PMF_BIT(PMF_NOT(valid), PMF_INVALID_INPUT);
-    *input = PMF_IF(valid, *input, state->input);
+    truth_t invalid = PMF_NOT(*input * *input <= LARGEST_INPUT * LARGEST_INPUT); /* NaN, or its square may be infinite */
+    whole_t status = PMF_W(0);
+    if (PMF_ANY(invalid)) {
+        *input = PMF_IF(invalid, state->input, *input);
+        status |= PMF_BIT(invalid, PMF_INVALID_INPUT);
+    }
     if (config->max_change > 0U) {
         truth_t jump = magnitude(*change) > config->max_change;
         *change = PMF_IF(jump, 0, *change);

@@ -74,7 +74,7 @@ def make_auxiliary_kernel(
     """
     network, columns, first, check = auxiliary_columns(estimator)
     p = len(estimator.names)
-    direct = direct_estimator(estimator)
+    direct = _kept(estimator, direct_estimator)
     auxiliary = {
         "adapt": int(adapt),
         "has_initial": int(initial is not None),

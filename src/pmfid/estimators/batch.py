@@ -231,7 +231,7 @@ def _check_rank(kind: str, matrix: NDArray[np.float64], names: tuple[str, ...], 
     for name, norm in zip(names, scale, strict=True):
         if norm == 0:
             raise NotIdentifiableError(f"the {kind} of {name} is zero throughout: the record says nothing about it")
-    inverse = np.linalg.pinv(matrix / scale)
+    inverse = np.linalg.pinv(np.linalg.qr(matrix / scale, mode="r"))  # its rows are as long as those for the matrix
     own = 1 / np.sum(inverse**2, axis=1)  # what of a column is not a combination of the others
     worst = int(np.argmin(own))
     if own[worst] < least_part:

@@ -16,6 +16,8 @@ from pmfid.status import Status
 
 #: Least standard deviation of the position's own noise, in counts: below, the likelihood is a box without slopes.
 NOISE_FLOOR = 0.02
+#: Relative accuracy of that noise: the likelihood is flat around its top.
+NOISE_TOLERANCE = 1e-3
 MAX_ITERATIONS = 100
 TOLERANCE = 1e-6
 MAX_DAMPING = 1e8
@@ -82,7 +84,10 @@ def likeliest_noise(e: Floats) -> float:
     bounds = (math.log(NOISE_FLOOR), math.log(1 + 2 * float(np.max(np.abs(e)))))
     apart = np.abs(e)
     search = minimize_scalar(
-        lambda log: -np.sum(log_probability(apart, math.exp(log))), bounds=bounds, method="bounded"
+        lambda log: -np.sum(log_probability(apart, math.exp(log))),
+        bounds=bounds,
+        method="bounded",
+        options={"xatol": NOISE_TOLERANCE},
     )
     return math.exp(search.x)
 

@@ -59,6 +59,11 @@ class IV(BatchEstimator):
         NotIdentifiableError where the record cannot identify every parameter, or no iteration settles."""
         if self.equation.process:
             return fit_process(self, [counted(self, u, counts)], fixed_filters)
+        columns, theta = self.settled(u, counts)
+        return self._result(columns, theta, self._gain(columns, theta, u, counts))
+
+    def settled(self, u: ArrayLike, counts: ArrayLike) -> tuple[Columns, NDArray[np.float64]]:
+        """The columns of the last turn and theta (p,): `fit` without the covariance, and with its errors."""
         theta = self.start(u, counts)
         for turn in range(MAX_ITERATIONS):
             columns = self.columns_at(theta, u, counts)
@@ -70,7 +75,7 @@ class IV(BatchEstimator):
             size = np.maximum(np.maximum(np.abs(theta), np.abs(before)), small)
             change = np.max(np.abs(theta - before) / size)
             if change <= TOLERANCE or (turn == MAX_ITERATIONS - 1 and change <= ACCEPTED):
-                return self._result(columns, theta, self._gain(columns, theta, u, counts))
+                return columns, theta
         raise NotIdentifiableError(
             f"the iteration does not settle (last {dict(zip(self.names, theta.round(4).tolist(), strict=True))}): the "
             "simulated motion does not follow the measured one; check input_gain and the model, or give `initial`"

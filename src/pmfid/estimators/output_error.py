@@ -168,13 +168,13 @@ class OE(BatchEstimator):
         Raises NotIdentifiableError where the counts alone show that nothing can be identified."""
         first = like(IV, self, initial=self.initial)
         try:
-            fit = first.fit(u, counts)
+            columns, theta = first.settled(u, counts)
         except NotIdentifiableError:
             batch = like(BCLS, self, model=self.model.symmetric)
             check_identifiable(batch.columns(u, counts), batch.names)
             theta = first.start(u, counts)
-            return theta, first.columns_at(theta, u, counts).status
-        return fit.theta, fit.status
+            columns = first.columns_at(theta, u, counts)
+        return theta, columns.status
 
     def _prepared(self, theta: Floats, u: Floats, y: Floats) -> tuple[Difference, Floats]:
         """The difference behind the high-pass, and q to start from: theta (p,), at the first count."""

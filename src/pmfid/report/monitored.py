@@ -97,11 +97,12 @@ def _run_text(history: History, setup: Setup) -> str:
 
 def _calibration(setup: Setup) -> Section:
     watch, calibration = setup.monitor.watch, setup.calibration
+    asked = sorted({1.0, watch.mtbf_hours})
     rows = [
-        [name, f"{tail.threshold(1.0):.3g}", f"{tail.threshold(watch.mtbf_hours):.3g}", f"{tail.slope:.3g}"]
+        [name, *(f"{tail.threshold(hours):.3g}" for hours in asked), f"{tail.slope:.3g}"]
         for name, tail in calibration.tails.items()
     ]
-    head = ("detector", "threshold for 1 h", f"for {watch.mtbf_hours:g} h", "slope of the tail")
+    head = ("detector", *(f"threshold for {hours:g} h" for hours in asked), "slope of the tail")
     noise = ", ".join(f"{value:.2f}" for value in calibration.noise)
     text = (
         f"In use: {watch.detector}, mean time between false alarms {watch.mtbf_hours:g} h for a machine exactly at its "

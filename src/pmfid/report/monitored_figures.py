@@ -36,6 +36,7 @@ STRIP_BITS = {
     "poor excitation": Status.POOR_EXCITATION,
     "standstill": Status.STANDSTILL,
     "fallback": Status.FALLBACK,
+    "unmodelled": Status.UNMODELLED,
     "bad input": Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET,
 }
 
