@@ -12,6 +12,7 @@ import pmfid
 from pmfid.cli.main import main
 from pmfid.estimators.registry import methods_for
 from pmfid.simulation import CART, make_scenario, write_csv
+from pmfid.studies.second_order import write
 
 CONFIG = Path(__file__).parents[1] / "examples" / "cart.toml"
 
@@ -53,3 +54,19 @@ def test_nothing_to_identify_is_said_once(tmp_path):
     result = CliRunner().invoke(main, ["compare", str(path), "--config", str(CONFIG)])
     assert result.exit_code == 3
     assert result.stderr.count("does not move") == 1
+
+
+def test_a_transfer_function_by_every_method(tmp_path):
+    record, config = tmp_path / "second_order.csv", CONFIG.with_name("second_order.toml")
+    write(record)
+    found = json.loads(run(str(record), "--config", str(config), "--json"))["methods"]
+    assert set(found) == set(methods_for(pmfid.TransferFunction(2, 0)))
+    for method in ("known-step", "rknown-step"):
+        assert "resolution" in found.pop(method)["error"]
+    for result in found.values():
+        assert result["gain"] == pytest.approx(1.0, abs=0.03)
+        assert result["fit"] == pytest.approx(90.1, abs=0.3)
+    printed = run(str(record), str(record), "--config", str(config), "--out", str(tmp_path))
+    assert "fit" in printed
+    assert "ls has no answer: ls takes one evenly spaced record" in printed
+    assert "a0 in s^-2" in (tmp_path / "compare.html").read_text()

@@ -19,12 +19,12 @@ from pmfid.errors import PmfidError, UsageError
 from pmfid.estimators import METHODS
 
 if TYPE_CHECKING:
+    from pmfid.linear.experiment import Experiment
     from pmfid.session.config import Axis
 
 EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
 
 
-RECORD = click.argument("record", type=click.Path(path_type=Path))
 RECORDS = click.argument("records", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RECORD...")
 CONFIG = click.option(
     "--config",
@@ -111,9 +111,7 @@ def identify(
     if axis.model.kind == "transfer_function":
         _identify_process(records, axis, quantize, out, as_json)
         return
-    if len(records) > 1:
-        raise UsageError("several records make one estimate of a transfer function only; give one record")
-    data = read_record(records[0], axis, quantize)
+    data = read_record(_only(records), axis, quantize)
     with _progress(data.u.size, quiet=as_json) as progress:
         result = run(data, axis, progress)
     if out is not None:
@@ -134,11 +132,8 @@ def _identify_process(
     paths: tuple[Path, ...], axis: Axis, quantize: float | None, out: Path | None, as_json: bool
 ) -> None:
     from pmfid.session.process import identify_process
-    from pmfid.session.records import read_experiment
 
-    if quantize is not None:
-        raise UsageError("quantize is for a drive; floor the column of the record for a transfer function")
-    result = identify_process([read_experiment(path, axis) for path in paths], axis)
+    result = identify_process(_experiments(paths, axis, quantize), axis)
     if out is not None:
         from pmfid.report.process import write_process
 
@@ -151,6 +146,20 @@ def _identify_process(
         from pmfid.cli.tables import print_process
 
         print_process(result, out)
+
+
+def _only(records: tuple[Path, ...]) -> Path:
+    if len(records) > 1:
+        raise UsageError("several records make one estimate of a transfer function only; give one record")
+    return records[0]
+
+
+def _experiments(paths: tuple[Path, ...], axis: Axis, quantize: float | None) -> list[Experiment]:
+    from pmfid.session.records import read_experiment
+
+    if quantize is not None:
+        raise UsageError("quantize is for a drive; floor the column of the record for a transfer function")
+    return [read_experiment(path, axis) for path in paths]
 
 
 @main.command()
@@ -186,7 +195,7 @@ def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Pa
 
 
 @main.command()
-@RECORD
+@RECORDS
 @CONFIG
 @CUTOFF
 @click.option("--quantize", type=float, metavar="STEP", help="Floor the position to this coarser step first.")
@@ -195,15 +204,27 @@ def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Pa
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 def compare(
-    record: Path, config: Path, cutoff: float | None, quantize: float | None, out: Path | None, as_json: bool
+    records: tuple[Path, ...],
+    config: Path,
+    cutoff: float | None,
+    quantize: float | None,
+    out: Path | None,
+    as_json: bool,
 ) -> None:
-    """Identify the parameters of RECORD by every method, side by side."""
+    """Identify the parameters of RECORD by every method, side by side.
+
+    Of a transfer function several records make one estimate.
+    """
     from pmfid.session.compare import compare as run
+    from pmfid.session.compare import compare_processes
     from pmfid.session.config import load_axis
     from pmfid.session.records import read_record
 
     axis = load_axis(config, {"estimator.cutoff": cutoff})
-    comparison = run(read_record(record, axis, quantize), axis)
+    if axis.model.kind == "transfer_function":
+        comparison = compare_processes(_experiments(records, axis, quantize), axis)
+    else:
+        comparison = run(read_record(_only(records), axis, quantize), axis)
     if out is not None:
         from pmfid.report.comparison import write_comparison
 

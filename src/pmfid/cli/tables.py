@@ -49,7 +49,7 @@ def print_comparison(comparison: Comparison, out: Path | None) -> None:
     from pmfid.report.comparison import comparison_rows
 
     header, rows = comparison_rows(comparison)
-    table = Table(title=escape(f"{comparison.record.name}: all methods"))
+    table = Table(title=escape(f"{comparison.name}: all methods"))
     for heading in header[:-1]:
         text = escape(heading.replace("_", "\n").replace(" [", "\n["))
         table.add_column(text, justify="left" if heading == "method" else "right", no_wrap=True)
