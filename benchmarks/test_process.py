@@ -1,4 +1,4 @@
-"""SRIVC of order 4 and its discrete peers on the same record: time, and error of the output simulated by each model.
+"""Recursive least squares of order 4; SRIVC and its discrete peers: time, and error of the output that each simulates.
 
 The peers, ARMAX and output error of sippy_unipi, are measured where that is installed; it is no requirement here.
 """
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from pytest_benchmark.fixture import BenchmarkFixture
 from scipy.signal import lfilter
 
-from pmfid import SRIVC, Encoder, Experiment, TransferFunction
+from pmfid import RLS, SRIVC, Encoder, Experiment, TransferFunction
+from pmfid.encoder import fine_counts
 from pmfid.simulation.process import PLANTS, simulate_process
 
 PLANT = PLANTS["rao-garnier"]
@@ -40,9 +41,19 @@ def test_pmfid_srivc_order_4(benchmark: BenchmarkFixture) -> None:
     assert benchmark.stats.stats.min < 1.0
 
 
+@pytest.mark.parametrize("zeros", range(4))
+def test_pmfid_rls_order_4(benchmark: BenchmarkFixture, zeros: int) -> None:
+    """`run` of five to eight parameters."""
+    encoder, counts = fine_counts(Y)
+    estimator = RLS(TransferFunction(4, zeros), encoder, PLANT.dt, PLANT.cutoff, forgetting=0.9995)
+    track: Any = benchmark.pedantic(lambda: estimator.run(U, counts), setup=estimator.reset, rounds=50)
+    benchmark.extra_info["samples"] = PLANT.samples
+    assert np.all(np.isfinite(track.theta))
+
+
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("kind", PEERS)
-def test_sippy(benchmark: BenchmarkFixture, kind: str) -> None:
+def test_sippy_process(benchmark: BenchmarkFixture, kind: str) -> None:
     identify: Callable[..., Any] = pytest.importorskip("sippy_unipi").system_identification
     model = benchmark.pedantic(identify, args=(Y, U, kind), kwargs={"tsample": PLANT.dt, **PEERS[kind]}, rounds=1)
     bottom, top = (np.ravel(part[0][0]) for part in (model.G.den, model.G.num))

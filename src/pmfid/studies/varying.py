@@ -21,16 +21,17 @@ NOISE_VARIANCE = 0.1
 #: Seconds at the start that do not count.
 START = 50.0
 GOAL = 5.0
-#: Method, memory [s], and whether b0 is known to stay as it is.
-CASES: dict[str, tuple[type[RLS | BCRLS | RSRIVC], float, bool]] = {
-    "`rls`, 12 s": (RLS, 12.0, False),
-    "`bcrls`, 12 s": (BCRLS, 12.0, False),
-    "`rsrivc`, 12 s": (RSRIVC, 12.0, False),
-    "`rls`, 4 s, b0 kept": (RLS, 4.0, True),
-    "`bcrls`, 4 s, b0 kept": (BCRLS, 4.0, True),
-    "`rsrivc`, 4 s, b0 kept": (RSRIVC, 4.0, True),
+#: Method, memory [s], and that of b0.
+CASES: dict[str, tuple[type[RLS | BCRLS | RSRIVC], float, float]] = {
+    "`rls`, 12 s": (RLS, 12.0, 12.0),
+    "`bcrls`, 12 s": (BCRLS, 12.0, 12.0),
+    "`rsrivc`, 12 s": (RSRIVC, 12.0, 12.0),
+    "`rls`, 4 s, b0 40 s": (RLS, 4.0, 40.0),
+    "`bcrls`, 4 s, b0 40 s": (BCRLS, 4.0, 40.0),
+    "`rsrivc`, 4 s, b0 40 s": (RSRIVC, 4.0, 40.0),
+    "`rsrivc`, 4 s, b0 kept": (RSRIVC, 4.0, np.inf),
 }
-JUDGED = "`rsrivc`, 4 s, b0 kept"
+JUDGED = ("`rsrivc`, 12 s", "`rsrivc`, 4 s, b0 40 s")
 
 
 def truth(t: Floats) -> Floats:
@@ -51,8 +52,8 @@ def work(seed: int) -> dict[str, Floats]:
     y = simulate_varying(lambda time: truth(np.array([time]))[0], 2, u, DT)
     encoder, counts = fine_counts(y + np.sqrt(NOISE_VARIANCE) * rng.standard_normal(t.size))
     late, errors = t >= START, {}
-    for name, (cls, memory, kept) in CASES.items():
-        options: dict[str, Any] = {"forgetting_of": {"b0": 1.0}} if kept else {}
+    for name, (cls, memory, slow) in CASES.items():
+        options: dict[str, Any] = {"forgetting_of": {"b0": 1 - DT / slow}} if slow > memory else {}
         estimator = cls(TransferFunction(2, 0), encoder, DT, CUTOFF, forgetting=1 - DT / memory, **options)
         off, size = (estimator.run(u, counts).theta - known)[late], known[late]
         errors[name] = 100 * np.sqrt(
@@ -64,19 +65,21 @@ def work(seed: int) -> dict[str, Floats]:
 def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     mean = {name: np.mean([results[(seed,)][name] for seed in range(seeds)], axis=0) for name in CASES}
     rows = [[name, *(f"{a:.1f} / {b:.1f}" for a, b in zip(*mean[name], strict=True))] for name in CASES]
-    worst = float(np.max(mean[JUDGED]))
     return [
         "## A process that changes all the time",
         "",
         f"y'' + a1 y' + a0 y = b0 u with a1 from 5 to 45 linearly, a0 = 160 - 90 cos(2 pi t / 1000 s), b0 = 200, T = "
         f"{DT:g} s, {SECONDS:g} s, random binary input of ±1 held for {CLOCK} samples, noise of variance "
-        f"{NOISE_VARIANCE:g}, cutoff {CUTOFF:g} rad/s; {seeds} runs. Memory as the table says; b0 kept: "
-        "`forgetting_of={'b0': 1.0}`. Root mean square error after "
-        f"{START:g} s in percent of the value at that time / of the root mean square value.",
+        f"{NOISE_VARIANCE:g}, cutoff {CUTOFF:g} rad/s; {seeds} runs. Memory as the table says. That b0 changes ten "
+        "times more slowly than the others, or never, is knowledge of the plant (`forgetting_of`). Root mean square "
+        f"error after {START:g} s in percent of the value at that time / of the root mean square value.",
         "",
         *table(["method and memory", "a0", "a1", "b0"], rows),
-        f"- {JUDGED}: every error below {GOAL:g} %: {'met' if worst < GOAL else '**not met**'}; the largest is "
-        f"{worst:.1f} %.",
+        *(
+            f"- {name}: every error below {GOAL:g} %: {'met' if np.max(mean[name]) < GOAL else '**not met**'}; the "
+            f"largest is {np.max(mean[name]):.1f} %."
+            for name in JUDGED
+        ),
         "",
     ]
 
