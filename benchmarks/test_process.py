@@ -38,7 +38,6 @@ def test_pmfid_srivc_order_4(benchmark: BenchmarkFixture) -> None:
     fit: Any = benchmark.pedantic(estimator.fit_experiments, args=([experiment],), rounds=5)
     found = fit.process
     assert record(benchmark, simulate_process(found.b[::-1], np.r_[1.0, found.a[::-1]], U, PLANT.dt)) < 0.02
-    assert benchmark.stats.stats.min < 1.0
 
 
 @pytest.mark.parametrize("zeros", range(4))
