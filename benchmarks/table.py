@@ -33,7 +33,15 @@ LABELS = {
     "test_scipy_lfilter": "SciPy `lfilter`, the stages of BCRLS alone ⁴",
 }
 
-OPTIONAL = {"test_sippy_rls"}
+OPTIONAL = {"test_sippy_rls", "test_sippy_process[OE]", "test_sippy_process[ARMAX]"}
+WHOLE = {
+    "test_pmfid_srivc_order_4": "**pmfid `SRIVC`**",
+    "test_sippy_process[OE]": "sippy_unipi output error, discrete",
+    "test_sippy_process[ARMAX]": "sippy_unipi ARMAX, discrete",
+}
+ON_LINE = "test_pmfid_rls_order_4[{}]"
+ZEROS = range(4)
+LINEAR = [*WHOLE, *(ON_LINE.format(zeros) for zeros in ZEROS)]
 AXES = (1, 10, 100, 1000, 10_000, 100_000)
 LOOP = "test_pmfid_bcrls_loop[{}]"
 FLEET = "test_pmfid_bcrls_fleet[{}-{}]"
@@ -93,6 +101,17 @@ One thread with 10000 axes: {thread64:.1f} ns ({gain64:.1f}) in float64, {thread
 NumPy vectorised over 10000 axes takes {numpy:.0f} ns for the recursion alone, on columns that are filtered already and
 the same for all axes. The bits of each axis are those of the scalar kernel (`tests/test_many.py`).
 
+## Linear processes
+
+The system of Rao and Garnier (four poles, one zero, T = 10 ms), {samples} samples of a random binary input, white noise
+at 10 dB, seed 0. Error: of the output that the model simulates, as a part of the output without noise.
+
+| | seconds | error |
+|---|---:|---:|
+{whole}
+
+RLS with four poles, `run`, per sample of the same record: {on_line}.
+
 ## Instructions
 
 Of one step of the scalar kernel, counted by callgrind over the first {steps} samples of the record.
@@ -118,6 +137,7 @@ class Result:
     samples: int
     ns: float
     mass_error: float | None
+    output_error: float | None = None
 
     @property
     def mass_text(self) -> str:
@@ -134,7 +154,7 @@ def read(path: Path) -> tuple[Mapping[str, Any], dict[str, Result]]:
         sys.exit(f"cannot read {path}: {error.strerror}; run pytest with --benchmark-json={path} first")
     except (ValueError, KeyError, TypeError):
         sys.exit(f"{path} is not a result file of these benchmarks; run pytest with --benchmark-json={path}")
-    missing = sorted((set(LABELS) | set(MANY)) - OPTIONAL - set(results))
+    missing = sorted((set(LABELS) | set(MANY) | set(LINEAR)) - OPTIONAL - set(results))
     if missing:
         sys.exit(f"{path} has no {', '.join(missing)}; run all benchmarks, without -k")
     return machine, results
@@ -142,7 +162,12 @@ def read(path: Path) -> tuple[Mapping[str, Any], dict[str, Result]]:
 
 def _result(entry: Mapping[str, Any]) -> Result:
     extra = entry["extra_info"]
-    return Result(extra["samples"], entry["stats"]["min"] / extra["samples"] * 1e9, extra.get("mass_error"))
+    return Result(
+        extra["samples"],
+        entry["stats"]["min"] / extra["samples"] * 1e9,
+        extra.get("mass_error"),
+        extra.get("output_error"),
+    )
 
 
 def machine_text(machine: Mapping[str, Any]) -> str:
@@ -157,7 +182,7 @@ def machine_text(machine: Mapping[str, Any]) -> str:
 def rows(results: Mapping[str, Result]) -> list[str]:
     """The table's lines: in the order of `LABELS`, names that are not in it last."""
     reference = results[REFERENCE].ns
-    names = [name for name in LABELS if name in results] + sorted(set(results) - set(LABELS) - set(MANY))
+    names = [name for name in LABELS if name in results] + sorted(set(results) - set(LABELS) - set(MANY) - set(LINEAR))
     return [
         f"| {LABELS.get(name, name)} | {one.samples} | {one.ns:.0f} | {one.ns / reference:.2f} | {one.mass_text} |"
         for name, one in ((name, results[name]) for name in names)
@@ -183,6 +208,20 @@ def many_figures(results: Mapping[str, Result]) -> dict[str, float]:
     }
 
 
+def linear_figures(results: Mapping[str, Result]) -> dict[str, Any]:
+    """What stands in the section on linear processes."""
+    found = [(label, results[name]) for name, label in WHOLE.items() if name in results]
+    times = [f"{results[ON_LINE.format(zeros)].ns:.0f} ns" for zeros in ZEROS]
+    return {
+        "samples": found[0][1].samples,
+        "whole": "\n".join(
+            f"| {label} | {one.ns * one.samples / 1e9:.2f} | {100 * (one.output_error or 0.0):.1f} % |"
+            for label, one in found
+        ),
+        "on_line": ", ".join(f"{time} (m = {zeros})" for zeros, time in zip(ZEROS, times, strict=True)),
+    }
+
+
 def instruction_rows(counted: Mapping[str, Mapping[str, float]]) -> list[str]:
     """A line for each estimator; one that says so where nothing was counted."""
     lines = [
@@ -195,11 +234,21 @@ def instruction_rows(counted: Mapping[str, Mapping[str, float]]) -> list[str]:
 def goals(results: Mapping[str, Result]) -> list[str]:
     """Each goal with what was measured, and whether that meets it."""
     run, ratio, step = results[REFERENCE].ns, results[PEER].ns / results[REFERENCE].ns, results[STEP].ns
+    order_4 = {zeros: results[ON_LINE.format(zeros)].ns for zeros in (1, 3)}
     many = [results[LOOP.format(name)].ns / results[FLEET.format(name, 10_000)].ns for name in PRECISIONS]
     lines = [
         ("BCRLS `run` takes at most 150 ns per sample", f"{run:.0f} ns", run <= 150),
         ("BCRLS `run` is at least 80 times as fast as padasip's bare RLS", f"{ratio:.0f} times", ratio >= 80),
         ("one call of `step` with its `theta` takes at most 1000 ns", f"{step:.0f} ns", step <= 1000),
+        (
+            "SRIVC of order 4 takes less than a second on 7161 samples",
+            f"{(srivc := results[next(iter(WHOLE))]).ns * srivc.samples / 1e9:.2f} s",
+            srivc.ns * srivc.samples < 1e9,
+        ),
+        *(
+            (f"RLS of order 4, m = {zeros}, `run` takes at most 200 ns per sample", f"{ns:.0f} ns", ns <= 200)
+            for zeros, ns in order_4.items()
+        ),
         ("10000 axes: 4 times the scalar kernel on one core, float64", f"{many[0]:.1f} times", many[0] >= 4),
         ("10000 axes: 4 times the scalar kernel on one core, float32", f"{many[1]:.1f} times", many[1] >= 4),
     ]
@@ -216,6 +265,7 @@ def page(machine: Mapping[str, Any], results: Mapping[str, Result], counted: Map
         processors=machine["processors"],
         many="\n".join(many_rows(results)),
         **many_figures(results),
+        **linear_figures(results),
         instructions="\n".join(instruction_rows(counted)),
         steps=STEPS,
     )
@@ -224,7 +274,8 @@ def page(machine: Mapping[str, Any], results: Mapping[str, Result], counted: Map
 def kept(machine: Mapping[str, Any], results: Mapping[str, Result], counted: Mapping[str, Mapping[str, float]]) -> str:
     """The figures under their permanent names, and what machine they are of; nothing that names the host."""
     figures = {
-        name: {"samples": one.samples, "ns": one.ns, "mass_error": one.mass_error} for name, one in results.items()
+        name: {key: value for key, value in vars(one).items() if key != "output_error" or value is not None}
+        for name, one in results.items()
     }
     content = {"machine": machine_text(machine), "benchmarks": figures, "instructions": counted}
     return json.dumps(content, indent=1, sort_keys=True) + "\n"

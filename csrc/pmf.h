@@ -7,7 +7,8 @@
  *   counts, input -> encoder -> network of first-order stages -> columns -> recursion -> estimate
  *
  * The kernel knows no equation: the configuration says which stages there are and which sums of their outputs are
- * regressors, target and instruments. Only the auxiliary model (optional) knows what a body with friction is. No malloc, no globals, no libc.
+ * regressors, target and instruments. Only the auxiliary model (optional) knows what a body with friction is, and the
+ * linear one (optional) what a transfer function is. No malloc, no globals, no libc.
  * Compile with -std=c99 -ffp-contract=off and never with -ffast-math: then every target gives the same bits.
  */
 #ifndef PMF_H
@@ -53,6 +54,11 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
         }                                \
     } while (0)
 #endif
+#ifdef PMF_LANES
+#define PMF_LINEAR 0 /* its matrices would pay in lanes only where all axes compute them at once */
+#else
+#define PMF_LINEAR PMF_WITH_LINEAR
+#endif
 #define PMF_NOT(truth) ((truth) == 0)
 #define PMF_BIT(truth, bit) PMF_IF(truth, PMF_W(bit), PMF_W(0))
 
@@ -78,7 +84,10 @@ enum {
     PMF_POSITION = 22,      /* the same times moving fraction */
     PMF_SPLIT_POSITION = 23, /* the same times the auxiliary model's moving fraction */
     PMF_MODEL_POSITION = 24, /* the auxiliary model's own, times its moving fraction */
-    PMF_SIGNALS = 25
+    PMF_SIGNALS = 25,
+    /* of a linear process, which has no auxiliary model: */
+    PMF_ONE = PMF_AUXILIARY,       /* always 1 */
+    PMF_START = PMF_AUXILIARY + 1 /* 1 in the first interval, as late as the rest: what stood in the plant at the start */
 };
 
 /* What a parameter means to the auxiliary model. */
@@ -113,7 +122,8 @@ enum {
     PMF_EXPONENTIAL = 0,    /* every sample is forgotten alike */
     PMF_DIRECTIONAL = 1,    /* only in the direction of each phi; least squares only */
     PMF_CONSTANT_TRACE = 2, /* as much as keeps the trace of P */
-    PMF_WINDOW = 3          /* the last samples alike, the others not at all */
+    PMF_WINDOW = 3,         /* the last samples alike, the others not at all */
+    PMF_SEPARATE = 4        /* every parameter in its own time */
 };
 
 typedef struct {
@@ -124,6 +134,9 @@ typedef struct {
     uint32_t standstill_samples; /* without a count for so long: at rest */
     scalar_t position_gain, velocity_gain; /* of the tracker, per count */
     scalar_t smooth_end, smooth_start;     /* one-step smoother of the tracker's velocity */
+#if PMF_WITH_PROCESS
+    uint32_t process; /* the output of a linear process: positions count from zero, and rest means nothing */
+#endif
 } pmf_encoder_config_t;
 
 typedef struct {
@@ -131,7 +144,7 @@ typedef struct {
     whole_t idle; /* samples since the last count, saturating */
     whole_t gap;  /* samples between counts lately */
     whole_t fast, fast_before;
-    whole_t started;
+    whole_t started; /* of a linear process 2 after the second sample */
     integer_t change;  /* of the last interval */
     whole_t travel; /* counts since the first one, modulo 2^32 */
     real_t position, velocity, velocity_before, innovation; /* tracker, in counts and samples */
@@ -178,6 +191,13 @@ typedef struct {
     uint32_t window_block; /* samples in a block of the window */
     uint32_t compensated;  /* the noise of the columns is known: */
     scalar_t noise[PMF_MAX_NOISE][PMF_MAX_NOISE]; /* its covariance in one sample's phi phi^T */
+#if PMF_WITH_PROCESS
+    scalar_t target_noise[PMF_MAX_NOISE]; /* and in phi z */
+    scalar_t target_power;                /* and in z^2 */
+#endif
+#if PMF_WITH_SEPARATE
+    scalar_t keep[PMF_MAX_PARAMETERS]; /* root of each parameter's forgetting factor */
+#endif
     uint32_t block;        /* updates whose errors may be correlated; the spread of such blocks scales P */
     scalar_t unexplained;    /* mean square innovation over what the noise explains, beyond which the model is wrong; 0: no check */
     scalar_t check_memory;   /* forgetting of that comparison */
@@ -251,14 +271,55 @@ typedef struct {
     whole_t in_charge; /* the instrumental estimate has taken over from the direct one */
 } pmf_auxiliary_state_t;
 
+#if PMF_WITH_LINEAR
+/* A linear process, simulated from the input alone with a slow copy of the estimate, and the filters 1 / A(s). */
+typedef struct {
+    uint32_t enabled;
+    uint32_t n, m, offset;   /* parameters: a_0 to a_(n-1), b_0 to b_m and the constant, if there is one */
+    uint32_t input_node;     /* held input, as late as the output and its dead time later */
+    uint32_t first_column;   /* regressors, target, instruments */
+    uint32_t update_samples; /* so often are the filters computed from the copy */
+    uint32_t settle_samples; /* beside the settling of the process itself */
+    uint32_t start_updates;  /* of the direct estimate before the model starts from it */
+    scalar_t half_dt;
+    scalar_t scale[PMF_MAX_ORDER + 1]; /* dt^(n-i) */
+    scalar_t limit[PMF_MAX_ORDER];     /* of a_i dt^(n-i), beyond which the process is too fast for the samples */
+    scalar_t smoothing;                /* per update, of the copy */
+    scalar_t memory;                   /* forgetting of the comparison with the output, per sample */
+} pmf_linear_config_t;
+
+typedef struct {
+    real_t parameter[PMF_MAX_PARAMETERS];           /* the copy */
+    real_t a[PMF_MAX_ORDER], b[PMF_MAX_PARAMETERS]; /* as the filters have them, time in samples */
+    real_t inverse;
+    real_t step[PMF_MAX_ORDER][PMF_MAX_ORDER], gain[PMF_MAX_ORDER];
+    real_t held[PMF_MAX_ORDER], one[PMF_MAX_ORDER];           /* 1 / A of the input and of a constant */
+    real_t measured[PMF_MAX_ORDER], simulated[PMF_MAX_ORDER]; /* and of the outputs */
+    real_t settling[PMF_MAX_ORDER];
+    real_t output, power, mismatch;
+    real_t discount; /* of what was gathered with other filters; 1 where they did not change */
+    whole_t since;   /* updates of the direct estimate at the start */
+    whole_t wait, age, unsettled, settled;
+    whole_t running, in_charge;
+} pmf_linear_state_t;
+#endif
+
 typedef struct {
     uint32_t settle_samples;
+#if PMF_WITH_PROCESS
+    uint32_t first_samples; /* the same at the start, shorter where the start is part of the equation */
+#endif
     pmf_encoder_config_t encoder;
     pmf_network_config_t network;
     pmf_recursion_config_t direct; /* from the counts alone */
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_config_t auxiliary;
-    pmf_recursion_config_t instrument; /* with the auxiliary model, if it is enabled */
+#endif
+#if PMF_WITH_LINEAR
+    pmf_linear_config_t linear;
+#endif
+#if PMF_WITH_AUXILIARY + PMF_WITH_LINEAR
+    pmf_recursion_config_t instrument; /* with the model that is simulated, if there is one */
 #endif
 } pmf_config_t;
 
@@ -270,8 +331,13 @@ typedef struct {
     pmf_recursion_state_t direct;
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_state_t auxiliary;
-    pmf_recursion_state_t instrument;
     pmf_estimate_t borrowed; /* the direct estimate in the parameters of the instrumental one */
+#endif
+#if PMF_WITH_LINEAR
+    pmf_linear_state_t linear;
+#endif
+#if PMF_WITH_AUXILIARY + PMF_WITH_LINEAR
+    pmf_recursion_state_t instrument;
 #endif
 } pmf_state_t;
 
@@ -357,6 +423,14 @@ PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_au
 /* Moves the copy towards an estimate, whose parameters are found by `index`. */
 PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, truth_t where,
                                   const real_t *theta, const uint32_t *index);
+#if PMF_LINEAR
+/* Columns of the linear process, from the network's nodes of the same step. */
+void pmf_linear_step(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *node, real_t *column);
+/* The recursion on them where the model has settled, else the direct estimate: its status. */
+uint32_t pmf_linear_estimate(const pmf_config_t *config, pmf_state_t *state, uint32_t direct_status, uint32_t settled);
+/* Lets everything gathered so far count by a factor <= 1. */
+void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor);
+#endif
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
 PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                    const real_t *column);

@@ -74,6 +74,11 @@ static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state
         state->moving = PMF_IF(counted, PMF_R(1.0), state->moving);
         state->idle = PMF_IF(counted, PMF_W(0), state->idle);
     }
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) { /* a process that does not change is no standstill */
+        return PMF_W(0);
+    }
+#endif
     if (PMF_ANY(rest)) {
         whole_t limit = PMF_IF(state->gap <= CLOSE, state->gap + 1U, 4U * state->gap + 2U);
         state->idle += PMF_BIT(rest & (state->idle < still), 1U);
@@ -116,8 +121,14 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
 {
 #if PMF_WITH_SPLIT
     real_t half = PMF_R(0.5) * direction, moving = PMF_R(0.5) * state->moving;
-    real_t position = config->position_per_count *
-                      (PMF_TO_REAL(signed_count(0xffffffffU, state->travel)) - PMF_R(0.5) * PMF_TO_REAL(state->change));
+    real_t middle = PMF_TO_REAL(signed_count(0xffffffffU, state->travel)) - PMF_R(0.5) * PMF_TO_REAL(state->change);
+    real_t position;
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) {
+        middle += PMF_R(0.5); /* a count says "in the middle" */
+    }
+#endif
+    position = config->position_per_count * middle;
 #endif
     (void)config;
     signal[PMF_INPUT] = state->moving * state->input_before;
@@ -132,6 +143,12 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
     signal[PMF_POSITION] = state->moving * position;
     signal[PMF_LATE_INPUT] = state->input_before;
     signal[PMF_LATE_VELOCITY] = state->mean_velocity;
+#endif
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) {
+        signal[PMF_ONE] = PMF_R(1.0);
+        signal[PMF_START] = PMF_IF(state->started == 1U, PMF_R(1.0), PMF_R(0.0));
+    }
 #endif
 }
 
@@ -159,8 +176,14 @@ PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder
     state->change = change;
     state->travel = (state->travel + (whole_t)change) & 0xffffffffU;
 #endif
-    state->count = count;
     state->started = PMF_W(1);
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) {
+        state->travel = PMF_IF(started, state->travel, (whole_t)signed_count(mask, count & mask) & 0xffffffffU);
+        state->started = PMF_IF(started, PMF_W(2), PMF_W(1));
+    }
+#endif
+    state->count = count;
     state->fast = fast;
     state->input_before = state->input;
     state->input = input;

@@ -140,6 +140,28 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
     }
 }
 
+#if PMF_WITH_SEPARATE
+/* Forgetting by parameter (Saelid and Foss 1983): P = D^-1 P D^-1, that is D R D for the information, and so for the sums
+ * that it is made of. Returns the weight of the past that is left to apply. */
+PMF_INLINE real_t forget_separately(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t f,
+                                    uint32_t p, uint32_t instrumental)
+{
+    truth_t where = (state->started != 0U) & (state->frozen == 0U);
+    uint32_t i, j;
+    for (i = 0; i < p; ++i) {
+        for (j = 0; j < (instrumental != 0U ? p : i + 1U); ++j) {
+            real_t factor = PMF_IF(where, PMF_ALIKE(config->keep[i] * config->keep[j]), PMF_R(1.0));
+            state->sums.cross[i][j] *= factor;
+            if (instrumental != 0U) {
+                state->sums.square[i][j] *= factor;
+            }
+        }
+    }
+    state->sums.weight *= PMF_IF(where, PMF_ALIKE(config->forgetting), PMF_R(1.0));
+    return PMF_IF(where, PMF_R(1.0), f);
+}
+#endif
+
 /* Weight of the past at the next sample. With constant trace the part of P by which the last one had lowered it, but
  * never less than forgetting twice as fast. */
 PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
@@ -211,7 +233,15 @@ static void slide_window(const pmf_recursion_config_t *config, pmf_recursion_sta
 PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
-    real_t f = weight_of_past(config, state), fade = SCHEME(config) == PMF_EXPONENTIAL ? f : PMF_ALIKE(config->forgetting);
+    real_t f = weight_of_past(config, state), fade = f;
+    if (SCHEME(config) != PMF_EXPONENTIAL && SCHEME(config) != PMF_SEPARATE) {
+        fade = PMF_ALIKE(config->forgetting);
+    }
+#if PMF_WITH_SEPARATE
+    if (SCHEME(config) == PMF_SEPARATE) {
+        f = forget_separately(config, state, f, p, instrumental);
+    }
+#endif
     if (SCHEME(config) == PMF_DIRECTIONAL) {
         fade = PMF_R(1.0);
         if (PMF_ANY(state->started != 0U)) {
@@ -259,10 +289,16 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
     if (!PMF_ANY(where)) {
         return PMF_W(0);
     }
+#if PMF_WITH_PROCESS
+    explained = PMF_ALIKE(config->target_power);
+#endif
     state->check_weight = PMF_IF(where, memory * state->check_weight + PMF_R(1.0), state->check_weight);
     state->check_innovation = PMF_IF(where, memory * state->check_innovation + square, state->check_innovation);
     state->check_target = PMF_IF(where, memory * state->check_target + target * target, state->check_target);
     for (i = 0; i < PARAMETERS(config); ++i) {
+#if PMF_WITH_PROCESS
+        explained -= PMF_SCALAR(2.0) * theta[i] * config->target_noise[i];
+#endif
         for (j = 0; j < PARAMETERS(config); ++j) {
             explained += theta[i] * config->noise[i][j] * theta[j];
         }
@@ -341,16 +377,17 @@ PMF_INLINE void project_more(uint32_t p, projection_t *projection, real_t move[N
 }
 
 /* Information less what the known noise feigns. Where hardly anything is left, that is poor excitation: some is kept,
- * so that P stays positive. */
+ * so that P stays positive. Before there can be an estimate nothing is subtracted: it may be more than there is. */
 PMF_INLINE whole_t subtract_noise(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, uint32_t p,
                                   real_t information[N][N])
 {
     whole_t poor = PMF_W(0);
+    real_t weight = PMF_IF(state->updates < config->min_updates, PMF_R(0.0), state->sums.weight);
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
         real_t least = LEAST_CLEAN * information[i][i];
         for (j = 0; j <= i; ++j) {
-            information[i][j] -= state->sums.weight * config->noise[i][j];
+            information[i][j] -= weight * config->noise[i][j];
         }
         poor |= PMF_BIT(information[i][i] < least, PMF_POOR_EXCITATION);
         information[i][i] = PMF_IF(information[i][i] < least, least, information[i][i]);
@@ -426,6 +463,9 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
         }
         if (COMPENSATED(config)) {
             real_t weight = PMF_IF(young, state->sums.weight, PMF_R(1.0));
+#if PMF_WITH_PROCESS
+            move[i] -= weight * config->target_noise[i];
+#endif
             for (j = 0; j < p; ++j) {
                 move[i] += weight * config->noise[i][j] * state->estimate.theta[j];
             }
@@ -489,6 +529,11 @@ PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_s
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
         real_t sum = state->score[i] + zeta[i] * state->estimate.innovation;
+#if PMF_WITH_PROCESS
+        if (COMPENSATED(config)) {
+            sum -= config->target_noise[i];
+        }
+#endif
         for (j = 0; j < p && COMPENSATED(config); ++j) {
             sum += config->noise[i][j] * state->estimate.theta[j];
         }
@@ -568,38 +613,55 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     return PMF_IF(waits, PMF_W(PMF_STARTING | PMF_POOR_EXCITATION), status | unmodelled);
 }
 
-/* The same code with the number of parameters as a constant: loops unroll, the bits stay. */
-static whole_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
-{
-#ifdef PMF_PARAMETERS
-    return update(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
-#else
-    switch (config->n_parameters * 2U + config->instrumental) {
-    case 6: return update(config, state, column, 3U, 0U);
-    case 7: return update(config, state, column, 3U, 1U);
-    case 8: return update(config, state, column, 4U, 0U);
-    case 9: return update(config, state, column, 4U, 1U);
-    case 10: return update(config, state, column, 5U, 0U);
-    default: return update(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
-    }
-#endif
-}
-
-/* The sums as well: one that left the range would show in theta much later, or never. */
-static truth_t finite_state(const pmf_recursion_state_t *state, uint32_t p, uint32_t instrumental)
+/* The sums as well: one that left the range would show in theta much later, or never. Row by row, so that no addition
+ * waits for all before it. */
+PMF_INLINE truth_t finite_state(const pmf_recursion_state_t *state, uint32_t p, uint32_t instrumental)
 {
     real_t sum = state->innovation_square;
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
-        sum += state->estimate.theta[i] + state->estimate.variance_factor[i] + state->sums.right[i];
-        for (j = 0; j < p; ++j) {
-            sum += state->sums.cross[i][j];
-            if (instrumental != 0U) {
-                sum += state->sums.square[i][j];
-            }
+        real_t row = state->estimate.theta[i] + state->estimate.variance_factor[i] + state->sums.right[i];
+        for (j = 0; j < (instrumental != 0U ? p : i + 1U); ++j) {
+            row += state->sums.cross[i][j];
         }
+        for (j = 0; j <= i && instrumental != 0U; ++j) {
+            row += state->sums.square[i][j];
+        }
+        sum += row;
     }
     return sum - sum == PMF_R(0.0);
+}
+
+/* The update, or PMF_RESET where it left the number format. */
+PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
+                           uint32_t p, uint32_t instrumental)
+{
+    whole_t status = update(config, state, column, p, instrumental);
+    return PMF_IF(finite_state(state, p, instrumental), status, PMF_W(PMF_RESET | PMF_STARTING));
+}
+
+/* The same code with the number of parameters as a constant: loops unroll, the bits stay. */
+static whole_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
+{
+#ifdef PMF_PARAMETERS
+    return checked(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
+#else
+    switch (config->n_parameters * 2U + config->instrumental) {
+    case 6: return checked(config, state, column, 3U, 0U);
+    case 7: return checked(config, state, column, 3U, 1U);
+    case 8: return checked(config, state, column, 4U, 0U);
+    case 9: return checked(config, state, column, 4U, 1U);
+    case 10: return checked(config, state, column, 5U, 0U);
+#if PMF_MAX_PARAMETERS >= 8 && !defined(PMF_LANES)
+    case 11: return checked(config, state, column, 5U, 1U);
+    case 12: return checked(config, state, column, 6U, 0U);
+    case 13: return checked(config, state, column, 6U, 1U);
+    case 14: return checked(config, state, column, 7U, 0U);
+    case 16: return checked(config, state, column, 8U, 0U);
+#endif
+    default: return checked(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
+    }
+#endif
 }
 
 /* Forget everything but the last finite estimate. */
@@ -618,15 +680,40 @@ PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_rec
     uint32_t p = PARAMETERS(config), i;
     real_t theta[N];
     whole_t status;
-    truth_t broken;
     for (i = 0; i < p; ++i) {
         theta[i] = state->estimate.theta[i];
     }
     status = dispatch(config, state, &column[config->first_column]);
-    broken = PMF_NOT(finite_state(state, p, INSTRUMENTAL(config)));
-    PMF_WHERE(broken, state, restart(state, theta, p));
-    return PMF_IF(broken, PMF_W(PMF_RESET | PMF_STARTING), status);
+    PMF_WHERE((status & PMF_RESET) != 0U, state, restart(state, theta, p));
+    return status;
 }
+
+#if PMF_LINEAR
+static void discount_sums(pmf_sums_t *sums, uint32_t p, real_t factor)
+{
+    uint32_t i, j;
+    for (i = 0; i < p; ++i) {
+        sums->right[i] *= factor;
+        for (j = 0; j < p; ++j) {
+            sums->cross[i][j] *= factor;
+            sums->square[i][j] *= factor;
+        }
+    }
+    sums->weight *= factor;
+}
+
+void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor)
+{
+#if PMF_WINDOW_BLOCKS > 0
+    uint32_t block;
+    for (block = 0; SCHEME(config) == PMF_WINDOW && block < PMF_WINDOW_BLOCKS; ++block) {
+        discount_sums(&state->window[block], PARAMETERS(config), factor);
+    }
+#endif
+    (void)config; /* an export has its values as constants */
+    discount_sums(&state->sums, PARAMETERS(config), factor);
+}
+#endif
 
 #ifndef PMF_LANES /* of one axis */
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *recursion, real_t *p)

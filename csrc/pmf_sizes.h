@@ -4,15 +4,19 @@
 #ifndef PMF_SIZES_H
 #define PMF_SIZES_H
 
-#define PMF_MAX_STAGES 64
-#define PMF_MAX_TAPS 96
+#define PMF_MAX_STAGES 96
+#define PMF_MAX_TAPS 160
 #define PMF_MAX_PARAMETERS 8
 #define PMF_MAX_NOISE PMF_MAX_PARAMETERS
 #define PMF_MAX_COLUMNS (4 * PMF_MAX_PARAMETERS + 4)
+#define PMF_MAX_ORDER 6 /* of the linear process that is simulated */
 #define PMF_WINDOW_BLOCKS 8 /* of a sliding window; 0 saves their memory where no window is used */
 
 /* 0 leaves a part out, its code and its memory. */
 #define PMF_WITH_AUXILIARY 1 /* the auxiliary model and its recursion */
+#define PMF_WITH_LINEAR 1    /* the model of a linear process and its recursion */
+#define PMF_WITH_PROCESS 1   /* an output that no encoder's friction holds: its start and its own noise */
+#define PMF_WITH_SEPARATE 1  /* forgetting by parameter */
 #define PMF_WITH_SPLIT 1     /* signals beyond input, velocity and direction */
 #define PMF_WITH_NOISE 1     /* known covariance of the noise */
 

@@ -19,7 +19,11 @@ PMF_API void pmf_clear(void *memory, uint32_t size)
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_clear(state, (uint32_t)sizeof *state);
+#if PMF_WITH_PROCESS
+    state->settle = PMF_W(config->first_samples);
+#else
     state->settle = PMF_W(config->settle_samples);
+#endif
     state->encoder.idle = PMF_W(config->encoder.standstill_samples); /* at rest until a count says otherwise */
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
@@ -51,6 +55,11 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
         pmf_auxiliary_correct(&config->auxiliary, &state->auxiliary, state->network.column);
+    }
+#endif
+#if PMF_LINEAR
+    if (config->linear.enabled != 0U) {
+        pmf_linear_step(&config->linear, &state->linear, state->network.node, state->network.column);
     }
 #endif
     state->settle = PMF_IF((status & (PMF_INVALID_INPUT | PMF_COUNT_JUMP)) != 0U, PMF_W(config->settle_samples),
@@ -142,6 +151,11 @@ const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t
         return (state->status & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
     }
 #endif
+#if PMF_LINEAR
+    if (config->linear.enabled != 0U && (state->status & PMF_FALLBACK) == 0U) {
+        return &state->instrument.estimate;
+    }
+#endif
     (void)config;
     return &state->direct.estimate;
 }
@@ -176,6 +190,11 @@ static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, tru
         status = instrument_step(config, state, status, settled);
     }
 #endif
+#if PMF_LINEAR
+    if (config->linear.enabled != 0U) {
+        status = pmf_linear_estimate(config, state, status, settled != 0 ? 1U : 0U);
+    }
+#endif
     return status;
 }
 
@@ -188,6 +207,9 @@ static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
     pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
     state->auxiliary.velocity = PMF_R(0.0);
     state->auxiliary.position = PMF_R(0.0);
+#endif
+#if PMF_LINEAR
+    pmf_clear(&state->linear, (uint32_t)sizeof state->linear);
 #endif
 }
 
@@ -213,6 +235,12 @@ void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state,
         for (i = 0; i < n * n; ++i) {
             p[i] = i % (n + 1U) == 0U ? state->borrowed.variance_factor[i / (n + 1U)] : PMF_R(0.0);
         }
+        return;
+    }
+#endif
+#if PMF_LINEAR
+    if (config->linear.enabled != 0U && (state->status & PMF_FALLBACK) == 0U) {
+        pmf_recursion_covariance(&config->instrument, &state->instrument, p);
         return;
     }
 #endif

@@ -21,7 +21,7 @@ CSRC = REPOSITORY / "csrc"
 
 GROUND = {"errors", "status", "_kernel32", "_kernel64", "layout"}
 FILTERS = GROUND | {"models", "encoder"}
-ESTIMATORS = FILTERS | {"filters"}
+ESTIMATORS = FILTERS | {"filters", "linear"}
 MONITOR = ESTIMATORS | {"estimators"}
 SESSION = MONITOR | {"monitor"}
 #: Room -> the rooms that it may import, besides itself; "pmfid" is the package's own `__init__`.
@@ -35,6 +35,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "models": GROUND,
     "encoder": GROUND,
     "filters": FILTERS,
+    "linear": {"errors"},
     "estimators": ESTIMATORS,
     "monitor": MONITOR,
     "simulation": {"errors"},
@@ -55,6 +56,7 @@ PUBLIC = [
     "Equation",
     "EquationModel",
     "Estimate",
+    "Experiment",
     "Fit",
     "Fleet",
     "IV",
@@ -67,10 +69,13 @@ PUBLIC = [
     "RIV",
     "RKnownStep",
     "RLS",
+    "RSRIVC",
+    "SRIVC",
     "Status",
     "Term",
     "Track",
     "Tracks",
+    "TransferFunction",
     "UsageError",
     "export_firmware",
     "quantize",

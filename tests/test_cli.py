@@ -19,13 +19,14 @@ import pytest
 import scipy.io
 from click.testing import CliRunner, Result
 
+from pmfid import Drive
 from pmfid.cli.main import main
-from pmfid.estimators import METHODS
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.estimators.registry import ESTIMATORS
+from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, make_scenario, write_csv
 from pmfid.simulation.drive import Schedule, quantize, simulate_drive
 
+METHODS = ["auto", *methods_for(Drive(1.0))]
 AXIS = Path(__file__).parents[1] / "examples" / "cart.toml"
 TRUTH = {
     "mass": CART.mass,
@@ -220,7 +221,7 @@ def test_configuration_that_does_not_exist(tmp_path: Path, cart: Cart) -> None:
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [
-        (["identify"], "Missing argument 'RECORD'"),
+        (["identify"], "Missing argument 'RECORD...'"),
         (["identify", "run.csv"], "Missing option '--config'"),
         (["identify", "run.csv", "--config", "axis.toml", "--method", "lms"], "'lms' is not one of 'auto', 'ls', "),
         (["identify", "run.csv", "--config", "axis.toml", "--cutoff", "fast"], "'fast' is not a valid float"),

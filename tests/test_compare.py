@@ -8,11 +8,15 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+import pmfid
 from pmfid.cli.main import main
-from pmfid.estimators import METHODS
+from pmfid.estimators.registry import methods_for
 from pmfid.simulation import CART, make_scenario, write_csv
+from pmfid.studies.second_order import write
 
 CONFIG = Path(__file__).parents[1] / "examples" / "cart.toml"
+
+METHODS = methods_for(pmfid.Drive(1.0))
 
 
 @pytest.fixture(scope="module")
@@ -30,14 +34,14 @@ def run(*arguments: str) -> str:
 
 def test_json_has_every_method_near_the_truth(record):
     found = json.loads(run(str(record), "--config", str(CONFIG), "--json"))
-    assert set(found["methods"]) == set(METHODS) - {"auto"}
+    assert set(found["methods"]) == set(METHODS)
     for result in found["methods"].values():
         assert result["parameters"]["mass"]["value"] == pytest.approx(CART.mass, rel=0.005)
 
 
 def test_table_and_report(record, tmp_path):
     printed = run(str(record), "--config", str(CONFIG), "--out", str(tmp_path))
-    assert all(method in printed for method in METHODS[1:])
+    assert all(method in printed for method in METHODS)
     assert {path.name for path in tmp_path.iterdir()} == {"compare.html", "compare.json"}
     page = (tmp_path / "compare.html").read_text()
     assert "mass in kg" in page
@@ -50,3 +54,19 @@ def test_nothing_to_identify_is_said_once(tmp_path):
     result = CliRunner().invoke(main, ["compare", str(path), "--config", str(CONFIG)])
     assert result.exit_code == 3
     assert result.stderr.count("does not move") == 1
+
+
+def test_a_transfer_function_by_every_method(tmp_path):
+    record, config = tmp_path / "second_order.csv", CONFIG.with_name("second_order.toml")
+    write(record)
+    found = json.loads(run(str(record), "--config", str(config), "--json"))["methods"]
+    assert set(found) == set(methods_for(pmfid.TransferFunction(2, 0)))
+    for method in ("known-step", "rknown-step"):
+        assert "resolution" in found.pop(method)["error"]
+    for result in found.values():
+        assert result["gain"] == pytest.approx(1.0, abs=0.03)
+        assert result["fit"] == pytest.approx(90.1, abs=0.3)
+    printed = run(str(record), str(record), "--config", str(config), "--out", str(tmp_path))
+    assert "fit" in printed
+    assert "ls has no answer: ls takes one evenly spaced record" in printed
+    assert "a0 in s^-2" in (tmp_path / "compare.html").read_text()

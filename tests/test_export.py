@@ -22,6 +22,7 @@ from tests.conftest import EMPS, cart_run, needs_emps
 from tests.firmware.build import CLANG, GCC, HERE, M4F, M7, REQUIRED, WARNINGS, Target, command, compiled
 from tests.firmware.footprint import cost, kept
 from tests.firmware.replay import PREFIX, difference, exported
+from tests.test_many import process_record
 
 DT, CUTOFF = 0.01, 100 / 3
 PRECISIONS = ("float32", "float64")
@@ -89,6 +90,73 @@ def test_every_configuration_is_exported(variant: str, cls: type[RecursiveEstima
     except pmfid.UsageError:
         pytest.skip("this method does not have it")
     assert difference(exported(estimator, tmp_path, *hostile()), GCC, "-O1", *WARNINGS) is None
+
+
+PROCESS = pmfid.TransferFunction(2, 1, delay=2, offset=True)
+PROCESSES = {
+    "rls": (pmfid.RLS, {}),
+    "bcrls": (pmfid.BCRLS, {}),
+    "rknown-step": (pmfid.RKnownStep, {"noise_std": 1e-3}),
+    "rsrivc": (pmfid.RSRIVC, {}),
+    "window": (pmfid.RSRIVC, {"forgetting_scheme": "window"}),
+    "separate": (pmfid.RSRIVC, {"forgetting_of": {"b0": 1.0}}),
+    "start": (pmfid.RLS, {"model": pmfid.TransferFunction(2, 0, initial_conditions=True)}),
+    "order": (pmfid.RSRIVC, {"model": pmfid.TransferFunction(3, 1)}),
+}
+
+
+def process_estimator(name: str, precision: str) -> RecursiveEstimator:
+    cls, options = PROCESSES[name]
+    settings = {
+        "model": PROCESS,
+        "encoder": pmfid.Encoder(1e-3, bits=16),
+        "dt": DT,
+        "cutoff": 10.0,
+        "forgetting": 0.999,
+    }
+    return cls(**(settings | options), precision=precision)
+
+
+@needs(GCC)
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("name", PROCESSES)
+def test_linear_processes_are_exported(name: str, precision: str, tmp_path: Path) -> None:
+    estimator = process_estimator(name, precision)
+    u, counts = (table[0].copy() for table in process_record())
+    track = estimator.run(u, counts)
+    assert name == "order" or not pmfid.Status(int(track.status[-1])) & pmfid.Status.FALLBACK, "it tests half of it"
+    estimator.reset()
+    u[1500], u[1501], counts[1600:] = np.nan, 1e30, counts[1600:] + 70_000
+    assert difference(exported(estimator, tmp_path, u, counts), GCC, "-O2", *WARNINGS) is None
+    assert "y'' + a0 y" in (tmp_path / "axis.h").read_text() or name == "order"
+    assert selftest(tmp_path, GCC).returncode == 0
+    resumed = process_estimator(name, precision)
+    estimator.run(u[:1700], counts[:1700])
+    resumed.set_state(estimator.get_state())
+    assert np.array_equal(resumed.run(u[1700:], counts[1700:]).theta, estimator.run(u[1700:], counts[1700:]).theta)
+
+
+@needs(M4F)
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_linear_process_on_a_microcontroller(precision: str, tmp_path: Path) -> None:
+    u, counts = (table[1, :2000] for table in process_record())
+    folder = exported(process_estimator("rsrivc", precision), tmp_path, u, counts)
+    assert difference(folder, M4F, "-O2", *WARNINGS) is None
+
+
+def test_the_command_exports_a_transfer_function_that_has_counts(tmp_path: Path) -> None:
+    axis = Path(__file__).parents[1] / "examples" / "second_order.toml"
+    result = CliRunner().invoke(main, ["export", str(axis), "--out", str(tmp_path / "x"), "--dt", "0.05"])
+    assert result.exit_code == 2
+    assert "[encoder] resolution" in result.stderr
+    text = axis.read_text() + "\n[encoder]\nresolution = 1e-3\n"
+    (tmp_path / "axis.toml").write_text(text)
+    arguments = ["export", str(tmp_path / "axis.toml"), "--out", str(tmp_path / "x"), "--dt", "0.05"]
+    result = CliRunner().invoke(main, arguments)
+    assert (result.exit_code, "bcrls, rknown-step, rsrivc" in result.stderr) == (2, True), "srivc works on records"
+    result = CliRunner().invoke(main, [*arguments, "--method", "rsrivc"])
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.stdout.startswith("rsrivc, ")
 
 
 @needs(GCC)

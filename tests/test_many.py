@@ -36,6 +36,16 @@ VARIANTS: list[tuple[type[RecursiveEstimator], dict[str, Any]]] = [
     (pmfid.RIV, {"model": pmfid.Drive(2.0, friction="directional")}),
     (pmfid.RIV, {"model": pmfid.Drive(2.0, spring=True)}),
     (pmfid.RIV, {"initial": START}),
+    (pmfid.RLS, {"forgetting_of": {"mass": 1.0}}),
+    (pmfid.BCRLS, {"forgetting_of": {"mass": 0.999, "coulomb_friction": 1.0}}),
+]
+PROCESS = pmfid.TransferFunction(2, 1, delay=2, offset=True)
+PROCESSES: list[tuple[type[RecursiveEstimator], dict[str, Any]]] = [
+    *((cls, {}) for cls in (pmfid.RLS, pmfid.BCRLS, pmfid.RSRIVC)),
+    (pmfid.RKnownStep, {"noise_std": ENCODER.resolution}),
+    (pmfid.RLS, {"model": pmfid.TransferFunction(2, 0, initial_conditions=True)}),
+    (pmfid.BCRLS, {"forgetting_of": {"b0": 1.0}}),
+    (pmfid.RSRIVC, {"forgetting_scheme": "window"}),
 ]
 
 
@@ -62,6 +72,21 @@ def fleet_record() -> tuple[np.ndarray, np.ndarray]:
             u[axis, at:] *= -1.0  # the model no longer follows
         elif event == 6:
             u[axis], counts[axis] = 0.0, 0  # never moves
+    return u, counts
+
+
+@cache
+def process_record() -> tuple[np.ndarray, np.ndarray]:
+    """u, counts (axes, n) of two lags, 2 and 0.5 s^-1, which the rsrivc of some axes follows by the end."""
+    rng = np.random.default_rng(6)
+    u = rng.choice([-1.0, 1.0], (AXES, 300)).repeat(10, axis=1)
+    y, slow, fast = np.zeros(u.shape), np.zeros(AXES), np.zeros(AXES)
+    for k in range(u.shape[1]):
+        y[:, k] = slow
+        slow, fast = slow + 0.05 * (fast - slow), fast + 0.2 * (u[:, k] - fast)
+    counts = np.floor(2000 * y + 100 + rng.standard_normal(y.shape)).astype(int)
+    u[3, 900], u[4, 901], counts[5, 1000:] = np.nan, 1e30, counts[5, 1000:] + 5_000_000
+    u[6], counts[6] = 0.0, 0
     return u, counts
 
 
@@ -97,6 +122,24 @@ def test_every_axis_has_the_bits_that_it_has_alone(cls, options, precision, way)
         occurred |= Status(int(np.bitwise_or.reduce(track.status)))
     expected = Status.INVALID_INPUT | Status.COUNT_JUMP | Status.STANDSTILL | Status.POOR_EXCITATION
     assert expected in occurred, "the record does not test what it is for"
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize(("cls", "options"), PROCESSES, ids=lambda value: getattr(value, "__name__", str(value)))
+def test_every_linear_process_has_the_bits_that_it_has_alone(cls, options, precision, way):
+    u, counts = process_record()
+    settings = {"model": PROCESS, "forgetting": 0.999, "cutoff": 10.0} | options
+    fleet = fleet_of(make(cls, precision, **settings), AXES, way)
+    tracks = fleet.run(u, counts, every=1)
+    followed = 0
+    for axis in range(AXES):
+        single = make(cls, precision, **settings)
+        track = single.run(u[axis], counts[axis])
+        assert_equal_tracks(tracks.axis(axis), track)
+        assert fleet.axis(axis).get_state() == single.get_state()
+        followed += not Status(int(track.status[-1])) & (Status.FALLBACK | Status.STARTING)
+    assert followed > AXES // 2, "the record does not test what it is for"
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -235,10 +278,13 @@ def test_only_the_words_in_use_are_kept():
     assert len(make(pmfid.BCRLS)._kernel.raw_state()) > 20_000
 
 
-def test_all_but_windows_run_side_by_side():
+def test_all_but_windows_and_simulated_processes_run_side_by_side():
     for cls, options in VARIANTS:
         window = options.get("forgetting_scheme") == "window"
         assert make(cls, **options)._kernel.many(1).side_by_side == (not window)
+    for cls, options in PROCESSES:
+        alone = cls is pmfid.RSRIVC
+        assert make(cls, **({"model": PROCESS} | options))._kernel.many(1).side_by_side == (not alone)
 
 
 @pytest.mark.skipif(COMPILER is None, reason="there is no C compiler cc on this machine")

@@ -17,7 +17,9 @@ static const uint32_t whole_in_state[] = {
     IN_STATE(status), IN_STATE(settle),
     IN_STATE(encoder.count), IN_STATE(encoder.idle), IN_STATE(encoder.gap), IN_STATE(encoder.fast),
     IN_STATE(encoder.fast_before), IN_STATE(encoder.started), IN_STATE(encoder.change), IN_STATE(encoder.travel),
-    IN_STATE(auxiliary.running), IN_STATE(auxiliary.trial), IN_STATE(auxiliary.trusted), IN_STATE(auxiliary.in_charge)
+    IN_STATE(auxiliary.running), IN_STATE(auxiliary.trial), IN_STATE(auxiliary.trusted), IN_STATE(auxiliary.in_charge),
+    IN_STATE(linear.since), IN_STATE(linear.wait), IN_STATE(linear.age), IN_STATE(linear.unsettled),
+    IN_STATE(linear.settled), IN_STATE(linear.running), IN_STATE(linear.in_charge)
 };
 static const uint32_t whole_in_recursion[] = {
     IN_RECURSION(updates), IN_RECURSION(started), IN_RECURSION(block_updates), IN_RECURSION(blocks),
@@ -78,20 +80,27 @@ static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_c
 static void find_unused(const pmf_config_t *config, unused_t *unused)
 {
     const pmf_network_config_t *network = &config->network;
+    uint32_t columns = config->linear.enabled != 0U ? PMF_MAX_COLUMNS : network->n_columns; /* the model has its own */
     unused->ranges = 0U;
     leave_out(unused, IN_STATE(network.node) + (PMF_SIGNALS + network->n_stages) * (uint32_t)sizeof(scalar_t),
               END_IN_STATE(network.node));
     leave_out(unused, IN_STATE(network.memory) + network->n_stages * (uint32_t)sizeof(scalar_t),
               END_IN_STATE(network.memory));
-    leave_out(unused, IN_STATE(network.column) + network->n_columns * (uint32_t)sizeof(scalar_t),
+    leave_out(unused, IN_STATE(network.column) + columns * (uint32_t)sizeof(scalar_t),
               END_IN_STATE(network.column));
     leave_recursion(unused, IN_STATE(direct), &config->direct);
-    if (config->auxiliary.enabled != 0U) {
+    if (config->auxiliary.enabled + config->linear.enabled != 0U) {
         leave_recursion(unused, IN_STATE(instrument), &config->instrument);
-        leave_estimate(unused, IN_STATE(borrowed), config->instrument.n_parameters);
     } else {
         leave_out(unused, IN_STATE(instrument), END_IN_STATE(instrument));
+    }
+    if (config->auxiliary.enabled != 0U) {
+        leave_estimate(unused, IN_STATE(borrowed), config->instrument.n_parameters);
+    } else {
         leave_out(unused, IN_STATE(borrowed), END_IN_STATE(borrowed));
+    }
+    if (config->linear.enabled == 0U) {
+        leave_out(unused, IN_STATE(linear), END_IN_STATE(linear));
     }
 }
 
@@ -169,7 +178,7 @@ uint32_t pmf_layout(const pmf_config_t *config, pmf_layout_t *layout)
     layout->reals = layout->words;
     add_words(layout, &unused, 1U);
     layout->packed_size = (layout->packed_size + 7U) / 8U * 8U;
-    if (config->direct.scheme == PMF_WINDOW || config->instrument.scheme == PMF_WINDOW) {
+    if (config->direct.scheme == PMF_WINDOW || config->instrument.scheme == PMF_WINDOW || config->linear.enabled != 0U) {
         layout->lane_words = 0U;
     }
     return layout->words < PMF_MAX_WORDS && unused.ranges < MAX_RANGES ? 1U : 0U;

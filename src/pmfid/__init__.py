@@ -26,11 +26,15 @@ if TYPE_CHECKING:
     from pmfid.estimators.output_error import OE as OE
     from pmfid.estimators.recursive import Track as Track
     from pmfid.estimators.rls import RLS as RLS
+    from pmfid.estimators.rsrivc import RSRIVC as RSRIVC
+    from pmfid.estimators.srivc import SRIVC as SRIVC
     from pmfid.export.firmware import export_firmware as export_firmware
+    from pmfid.linear.experiment import Experiment as Experiment
     from pmfid.models.drive import Drive as Drive
     from pmfid.models.drive import EquationModel as EquationModel
     from pmfid.models.equation import Equation as Equation
     from pmfid.models.equation import Term as Term
+    from pmfid.models.transfer_function import TransferFunction as TransferFunction
     from pmfid.status import Status as Status
 
 #: Public name -> module. Modules are imported when a name is used: `pmfid --help` stays quick.
@@ -54,8 +58,12 @@ _PUBLIC = {
     "LS": "pmfid.estimators.batch",
     "NotIdentifiableError": "pmfid.errors",
     "PmfidError": "pmfid.errors",
+    "RSRIVC": "pmfid.estimators.rsrivc",
     "RLS": "pmfid.estimators.rls",
+    "SRIVC": "pmfid.estimators.srivc",
+    "Experiment": "pmfid.linear.experiment",
     "Status": "pmfid.status",
+    "TransferFunction": "pmfid.models.transfer_function",
     "Track": "pmfid.estimators.recursive",
     "Tracks": "pmfid.estimators.fleet",
     "UsageError": "pmfid.errors",

@@ -28,9 +28,10 @@ cdef extern from "pmf.h":
         PMF_MOVING
         PMF_LATE_INPUT
         PMF_WINDOW_BLOCKS
+        PMF_MAX_ORDER
     ctypedef struct pmf_encoder_config_t:
         real_t velocity_per_count, position_per_count, position_gain, velocity_gain, smooth_end, smooth_start
-        uint32_t count_mask, max_change, standstill_samples
+        uint32_t count_mask, max_change, standstill_samples, process
     ctypedef struct pmf_stage_t:
         uint32_t source
         real_t a, b0, b1
@@ -48,21 +49,30 @@ cdef extern from "pmf.h":
         uint32_t n_parameters, instrumental, first_column, min_updates, residual_updates
         real_t forgetting, regularization, pivot
         uint32_t compensated, block, scheme, window_block
+        real_t keep[PMF_MAX_PARAMETERS]
         real_t unexplained, check_memory
         real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]
+        real_t target_noise[PMF_MAX_PARAMETERS]
+        real_t target_power
     ctypedef struct pmf_auxiliary_config_t:
         uint32_t enabled, adapt, has_initial, check_column, target_column, mass_column, trial_samples
         uint32_t direct_index[PMF_ROLES]
         uint32_t index[PMF_ROLES]
         real_t dt, input_gain, position_gain, smoothing, memory, mismatch_limit, noise_power
         real_t initial[PMF_ROLES]
+    ctypedef struct pmf_linear_config_t:
+        uint32_t enabled, n, m, offset, input_node, first_column, update_samples, settle_samples, start_updates
+        real_t half_dt, smoothing, memory
+        real_t scale[PMF_MAX_ORDER + 1]
+        real_t limit[PMF_MAX_ORDER]
     ctypedef struct pmf_auxiliary_state_t:
         real_t parameter[PMF_ROLES]
         real_t velocity, position
     ctypedef struct pmf_config_t:
-        uint32_t settle_samples
+        uint32_t settle_samples, first_samples
         pmf_encoder_config_t encoder
         pmf_auxiliary_config_t auxiliary
+        pmf_linear_config_t linear
         pmf_network_config_t network
         pmf_recursion_config_t direct
         pmf_recursion_config_t instrument
@@ -173,14 +183,19 @@ cdef _set_recursion(pmf_recursion_config_t *target, source):
     for i in range(target.n_parameters):
         for j in range(target.n_parameters):
             target.noise[i][j] = noise[i][j] if noise is not None else 0.0
+    target_noise, target.target_power = source.get("target_noise"), source.get("target_power", 0.0)
+    keep = source.get("keep")
+    for i in range(target.n_parameters):
+        target.keep[i] = keep[i] if keep is not None else 1.0
+        target.target_noise[i] = target_noise[i] if target_noise is not None else 0.0
 
 
 cdef class Kernel:
     """One configured kernel with its state.
 
     stages: rows (source, a, b0, b1); columns: per column a list of (node, weight);
-    encoder, direct, instrument, auxiliary: the fields of the C structures by name; without the last two there is no
-    auxiliary model. Raises ValueError where a size is exceeded.
+    encoder, direct, instrument, auxiliary, linear: the fields of the C structures by name; without the last two there
+    is no model that is simulated. Raises ValueError where a size is exceeded.
     """
 
     cdef pmf_config_t config
@@ -188,7 +203,7 @@ cdef class Kernel:
 
     dtype = np.dtype(np.float32 if sizeof(real_t) == 4 else np.float64)
 
-    def __init__(self, stages, columns, encoder, direct, settle_samples, instrument=None, auxiliary=None):
+    def __init__(self, stages, columns, encoder, direct, settle_samples, instrument=None, auxiliary=None, first_samples=None, linear=None):
         cdef pmf_network_config_t *net = &self.config.network
         pmf_clear(&self.config, sizeof(self.config))
         n_taps = sum(len(column) for column in columns)
@@ -202,7 +217,11 @@ cdef class Kernel:
         if auxiliary is not None:
             _set_recursion(&self.config.instrument, instrument)
             self._set_auxiliary(auxiliary)
+        if linear is not None:
+            _set_recursion(&self.config.instrument, instrument)
+            self._set_linear(linear)
         self.config.settle_samples = settle_samples
+        self.config.first_samples = settle_samples if first_samples is None else first_samples
         net.n_stages, net.n_columns = len(stages), len(columns)
         for i, (source, a, b0, b1) in enumerate(stages):
             net.stage[i].source, net.stage[i].a, net.stage[i].b0, net.stage[i].b1 = source, a, b0, b1
@@ -228,6 +247,19 @@ cdef class Kernel:
             config.direct_index[role] = auxiliary["direct_index"][role]
             config.index[role] = auxiliary["index"][role]
             config.initial[role] = auxiliary["initial"][role]
+
+    cdef _set_linear(self, linear):
+        cdef pmf_linear_config_t *config = &self.config.linear
+        config.enabled = 1
+        config.n, config.m, config.offset = linear["n"], linear["m"], linear["offset"]
+        config.input_node, config.first_column = linear["input_node"], linear["first_column"]
+        config.update_samples, config.settle_samples = linear["update_samples"], linear["settle_samples"]
+        config.start_updates, config.half_dt = linear["start_updates"], linear["half_dt"]
+        config.smoothing, config.memory = linear["smoothing"], linear["memory"]
+        for i in range(config.n + 1):
+            config.scale[i] = linear["scale"][i]
+        for i in range(config.n):
+            config.limit[i] = linear["limit"][i]
 
     def reset(self):
         """Back to the state before the first sample."""

@@ -48,6 +48,7 @@ class Encoder:
             "position_per_count": self.resolution,
             "count_mask": 2**self.bits - 1,
             "max_change": self._max_change(dt),
+            "process": 0,
             "standstill_samples": min(max(1, round(self.standstill_time / dt)), 2**32 - 1),
             **tracker_gains(TRACKING_INDEX),
         }
@@ -73,6 +74,17 @@ def quantize(y: ArrayLike, resolution: float) -> NDArray[np.int64]:
     """Counts of an encoder at position y: floor(y / resolution) (paper eq. 3). y: (n,); returns (n,)."""
     _positive("resolution", resolution, "unit of position per count")
     return np.floor(np.asarray(y, float) / resolution).astype(np.int64)
+
+
+#: Counts in the range of an output that is measured as a number: beyond the resolution of any converter.
+FINE = 2**30
+
+
+def fine_counts(y: NDArray[np.float64]) -> tuple[Encoder, NDArray[np.int64]]:
+    """An encoder so fine that it does not matter, and its counts of a finite output y (n,)."""
+    size = float(np.max(np.abs(y), initial=0.0)) or 1.0
+    resolution = size / FINE
+    return Encoder(resolution), quantize(y, resolution)
 
 
 @cache

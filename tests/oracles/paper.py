@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from scipy.integrate import quad
 from scipy.signal import lfilter
 
 
@@ -61,3 +64,30 @@ def bcrls(phi, z, forgetting, start, H, h, G):
         theta = theta + P @ phi[k] * (z[k] - phi[k] @ theta)
         track[k] = compensate(P, theta, H, h, G)
     return track
+
+
+def moment(w, k, cutoff, gain, t):
+    """M_k of w at time t, by the definition (paper eq. 8) with a gain for each of the k + 1 stages."""
+
+    def weighted(tau):
+        return gain ** (k + 1) * (t - tau) ** k / math.factorial(k) * math.exp(-cutoff * (t - tau)) * w(tau)
+
+    return quad(weighted, 0.0, t)[0]
+
+
+def matched_input(w, cutoff, order, dt, j, r):
+    """s^j F(s) on the input of a plant of relative degree r, w[k] valid over [k dt, (k+1) dt): Tustin times M_r(z)."""
+    B = {1: [1], 2: [1, 1], 3: [1, 4, 1], 4: [1, 11, 11, 1]}[r]
+    gain, pole = cutoff / (2 / dt + cutoff), (2 / dt - cutoff) / (2 / dt + cutoff)
+    numerator = np.r_[0.0, B] * (2 * gain) ** r / math.factorial(r) * gain ** (order - r)
+    for factor in [[2 / dt, -2 / dt]] * j + [[1, 1]] * (order - r - j):
+        numerator = np.convolve(numerator, factor)
+    return lfilter(numerator, np.poly([pole] * order), w)
+
+
+def process_facts(zeros, dt, n, m):
+    """H (2n + m + 1, n) of a transfer function, b^e in ascending powers: b^e(z_i) = 0 (paper eq. 34 to 36)."""
+    H = np.zeros((2 * n + m + 1, n))
+    for column, zero in enumerate(zeros):
+        H[n:, column] = [J(i, np.exp(zero * dt), dt, n) for i in range(n + m + 1)]
+    return H

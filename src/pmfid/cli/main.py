@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,13 +15,17 @@ from pmfid.cli.export import export
 from pmfid.cli.monitor import monitor
 from pmfid.cli.reproduce import reproduce
 from pmfid.cli.simulate import simulate
-from pmfid.errors import PmfidError
+from pmfid.errors import PmfidError, UsageError
 from pmfid.estimators import METHODS
 
-EXIT_USAGE = 2
+if TYPE_CHECKING:
+    from pmfid.linear.experiment import Experiment
+    from pmfid.session.config import Axis
+
+EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
 
 
-RECORD = click.argument("record", type=click.Path(path_type=Path))
+RECORDS = click.argument("records", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RECORD...")
 CONFIG = click.option(
     "--config",
     required=True,
@@ -58,11 +62,11 @@ class Group(click.Group):
 @click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__)
 def main() -> None:
-    """Mass and friction of a drive from its input and a coarse encoder."""
+    """Mass and friction of a drive, or a transfer function, from input and a coarse encoder."""
 
 
 @main.command()
-@RECORD
+@RECORDS
 @CONFIG
 @click.option(
     "--method",
@@ -85,11 +89,16 @@ def main() -> None:
     metavar="DIR",
     help="Write report.html, result.json and track.parquet there.",
 )
+@click.option("--n", type=int, help="Poles of a transfer function.")
+@click.option("--m", type=int, help="Zeros of a transfer function.")
+@click.option("--delay", type=int, help="Dead time of a transfer function in samples.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 def identify(
-    record: Path, config: Path, quantize: float | None, out: Path | None, as_json: bool, **options: Any
+    records: tuple[Path, ...], config: Path, quantize: float | None, out: Path | None, as_json: bool, **options: Any
 ) -> None:
     """Identify the parameters of RECORD, a CSV, Parquet or MATLAB .mat file.
+
+    Of a transfer function several records make one estimate.
 
     Exit code 0: an estimate; 2: wrong usage or unreadable input; 3: the data cannot identify the parameters.
     """
@@ -97,9 +106,12 @@ def identify(
     from pmfid.session.pipeline import identify as run
     from pmfid.session.records import read_record
 
-    sections = {"resolution": "encoder"}
+    sections = {"resolution": "encoder", "n": "model", "m": "model", "delay": "model"}
     axis = load_axis(config, {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()})
-    data = read_record(record, axis, quantize)
+    if axis.model.kind == "transfer_function":
+        _identify_process(records, axis, quantize, out, as_json)
+        return
+    data = read_record(_only(records), axis, quantize)
     with _progress(data.u.size, quiet=as_json) as progress:
         result = run(data, axis, progress)
     if out is not None:
@@ -116,8 +128,74 @@ def identify(
         print_result(result, out)
 
 
+def _identify_process(
+    paths: tuple[Path, ...], axis: Axis, quantize: float | None, out: Path | None, as_json: bool
+) -> None:
+    from pmfid.session.process import identify_process
+
+    result = identify_process(_experiments(paths, axis, quantize), axis)
+    if out is not None:
+        from pmfid.report.process import write_process
+
+        write_process(out, result)
+    if as_json:
+        import json
+
+        click.echo(json.dumps(result.to_json(), allow_nan=False))
+    else:
+        from pmfid.cli.tables import print_process
+
+        print_process(result, out)
+
+
+def _only(records: tuple[Path, ...]) -> Path:
+    if len(records) > 1:
+        raise UsageError("several records make one estimate of a transfer function only; give one record")
+    return records[0]
+
+
+def _experiments(paths: tuple[Path, ...], axis: Axis, quantize: float | None) -> list[Experiment]:
+    from pmfid.session.records import read_experiment
+
+    if quantize is not None:
+        raise UsageError("quantize is for a drive; floor the column of the record for a transfer function")
+    return [read_experiment(path, axis) for path in paths]
+
+
 @main.command()
-@RECORD
+@RECORDS
+@CONFIG
+@CUTOFF
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write order.html there.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Path | None, as_json: bool) -> None:
+    """Search the poles, zeros and dead time of a transfer function that explains RECORD.
+
+    1 to 5 poles, fewer zeros, dead times of 0 to 5 samples; the configuration's n, m and delay are not used.
+    """
+    from pmfid.session.config import load_axis
+    from pmfid.session.process import search_json, search_order
+    from pmfid.session.records import read_experiment
+
+    structure = {"model.kind": "transfer_function", "model.n": 1, "model.m": 0, "model.delay": 0}
+    axis = load_axis(config, {"estimator.cutoff": cutoff, **structure})
+    search = search_order([read_experiment(path, axis) for path in records], axis)
+    if out is not None:
+        from pmfid.report.process import write_search
+
+        write_search(out, search, records[0].name)
+    if as_json:
+        import json
+
+        click.echo(json.dumps(search_json(search), allow_nan=False))
+    else:
+        from pmfid.cli.tables import print_search
+
+        print_search(search, records[0].name, out)
+
+
+@main.command()
+@RECORDS
 @CONFIG
 @CUTOFF
 @click.option("--quantize", type=float, metavar="STEP", help="Floor the position to this coarser step first.")
@@ -126,15 +204,27 @@ def identify(
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 def compare(
-    record: Path, config: Path, cutoff: float | None, quantize: float | None, out: Path | None, as_json: bool
+    records: tuple[Path, ...],
+    config: Path,
+    cutoff: float | None,
+    quantize: float | None,
+    out: Path | None,
+    as_json: bool,
 ) -> None:
-    """Identify the parameters of RECORD by every method, side by side."""
+    """Identify the parameters of RECORD by every method, side by side.
+
+    Of a transfer function several records make one estimate.
+    """
     from pmfid.session.compare import compare as run
+    from pmfid.session.compare import compare_processes
     from pmfid.session.config import load_axis
     from pmfid.session.records import read_record
 
     axis = load_axis(config, {"estimator.cutoff": cutoff})
-    comparison = run(read_record(record, axis, quantize), axis)
+    if axis.model.kind == "transfer_function":
+        comparison = compare_processes(_experiments(records, axis, quantize), axis)
+    else:
+        comparison = run(read_record(_only(records), axis, quantize), axis)
     if out is not None:
         from pmfid.report.comparison import write_comparison
 

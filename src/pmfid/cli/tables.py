@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pmfid.estimators.structure import Search
     from pmfid.session.compare import Comparison
     from pmfid.session.pipeline import Result
+    from pmfid.session.process import ProcessResult
     from pmfid.studies.reproduce.merit import Merit
 
 #: Shorter runs are over before a bar could be read.
@@ -47,7 +49,7 @@ def print_comparison(comparison: Comparison, out: Path | None) -> None:
     from pmfid.report.comparison import comparison_rows
 
     header, rows = comparison_rows(comparison)
-    table = Table(title=escape(f"{comparison.record.name}: all methods"))
+    table = Table(title=escape(f"{comparison.name}: all methods"))
     for heading in header[:-1]:
         text = escape(heading.replace("_", "\n").replace(" [", "\n["))
         table.add_column(text, justify="left" if heading == "method" else "right", no_wrap=True)
@@ -89,6 +91,53 @@ def print_merits(rows: Sequence[Merit], out: Path) -> None:
             table.add_row(*row)
         console.print(table)
     console.print(f"table, pictures and their data: {out}", highlight=False, markup=False, soft_wrap=True)
+
+
+def print_process(result: ProcessResult, out: Path | None) -> None:
+    """The transfer function, its parameters, poles, zeros and gain with standard deviations, and what to mind."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from pmfid.report.process import dynamics_rows
+
+    console = Console()
+    console.print(str(result.process), highlight=False, markup=False, soft_wrap=True)
+    samples = sum(part.size for part in result.assessment.samples)
+    table = Table(title=f"{result.estimator.method}, {samples} samples, fit {result.assessment.fit:.2f} %")
+    for heading in ("", "value", "std", "unit"):
+        table.add_column(heading, justify="right" if heading in ("value", "std") else "left")
+    rows = zip(result.estimator.names, result.theta, result.theta_std, result.estimator.units, strict=True)
+    for name, value, std, unit in rows:
+        table.add_row(name, f"{value:.6g}", f"{std:.2g}", unit)
+    table.add_section()
+    for row in dynamics_rows(result.process):
+        table.add_row(*row)
+    console.print(table)
+    for note in result.notes:
+        console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
+    if out is not None:
+        console.print(f"report: {out / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
+
+
+def print_search(search: Search, name: str, out: Path | None) -> None:
+    """The best structures."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from pmfid.report.process import search_header, search_rows
+
+    table = Table(title=escape(f"{name}: poles n, zeros m, dead time in samples"))
+    for heading in search_header():
+        table.add_column(escape(heading), justify="right")
+    for row in search_rows(search):
+        table.add_row(*row)
+    console = Console()
+    console.print(table)
+    best = search.best
+    console.print(f"best: --n {best.n} --m {best.m} --delay {best.delay}", highlight=False, markup=False)
+    if out is not None:
+        console.print(f"report: {out / 'order.html'}", highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager

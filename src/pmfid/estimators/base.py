@@ -25,8 +25,14 @@ SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
 MAX_SETTLE_SAMPLES = 10**8
 #: Information that is never forgotten, as a part of the largest seen: P stays below 1e4 times its best.
 REGULARIZATION = 1e-4
+#: The discretisation that is refined from pass to pass with the estimate.
+EXACT = "exact"
 #: Relative pivot of the information matrix from which on a first estimate is given.
 START_PIVOT = 1e-4
+#: The same of a linear process, whose columns may nearly follow from each other: the third
+#: derivative of a lightly damped mode is hardly more than a multiple of y'.
+PROCESS_REGULARIZATION = 1e-7
+PROCESS_PIVOT = 1e-7
 #: After so many updates theta is moved by the innovation alone; without forgetting float64 never needs to.
 RESIDUAL_UPDATES = 256
 
@@ -35,10 +41,11 @@ RESIDUAL_UPDATES = 256
 class Estimator:
     """A method of estimation on a model and an encoder; configuration only, checked at construction.
 
-    model: `Drive`, or an `EquationModel`. encoder: `Encoder`. dt: sample period [s]. cutoff: pole of the Poisson chain
-    [rad/s], 0 < cutoff <= 2/dt; its inverse is the filter time constant. order: stages, >= 2 for a drive.
-    discretization: "matched" or "paper". prefilter_zeros: one negative zero [rad/s] per noisy column, or None for
-    the method's default. precision: "float64" or "float32". Raises UsageError with the remedy.
+    model: `Drive`, `TransferFunction`, or an `EquationModel`. encoder: `Encoder`. dt: sample period [s]. cutoff: pole
+    of the Poisson chain [rad/s], 0 < cutoff <= 2/dt; its inverse is the filter time constant. order: stages, >= 2 for a
+    drive; left at 2 it is n for a transfer function of a higher order n. discretization: "matched", "paper", or "exact"
+    for `LS` and `BCLS`. prefilter_zeros: one negative zero [rad/s] per noisy column, or None for the method's default.
+    precision: "float64" or "float32". Raises UsageError with the remedy.
     """
 
     model: Model
@@ -54,11 +61,21 @@ class Estimator:
     instrumental: ClassVar[bool] = False
     #: least squares, with the bias of a noisy output
     plain: ClassVar[bool] = False
+    #: takes the exact discretisation, too
+    exact: ClassVar[bool] = False
     #: has an auxiliary model, which must know the equation
     simulates: ClassVar[bool] = False
+    #: ... but simulates a linear process in its own way
+    on_processes: ClassVar[bool] = False
+    #: for linear processes alone, not for a machine with friction
+    process_only: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        if self.simulates and self.equation.without_simulation:
+        if self.equation.process and self.order == 2:
+            object.__setattr__(self, "order", max(2, self.equation.order))
+        if self.process_only and not self.equation.process:
+            raise UsageError(f"{self.method} is for a transfer function; for a {self.model.kind} use iv or interval")
+        if self.simulates and self.equation.without_simulation and not (self.equation.process and self.on_processes):
             raise UsageError(
                 f"{self.method} simulates the motion, which it cannot for this equation: "
                 f"{self.equation.without_simulation}; use ls, bcls, rls or bcrls"
@@ -77,14 +94,17 @@ class Estimator:
             )
         if self.order < self.equation.order:
             raise UsageError(f"order must be at least {self.equation.order}, got {self.order}")
-        if self.discretization not in HOLD_FILTERS:
-            raise UsageError(f"discretization must be one of {sorted(HOLD_FILTERS)}, got {self.discretization!r}")
+        if self.discretization not in HOLD_FILTERS and not (self.exact and self.discretization == EXACT):
+            known = [*sorted(HOLD_FILTERS), EXACT] if self.exact else sorted(HOLD_FILTERS)
+            raise UsageError(f"discretization of {self.method} must be one of {known}, got {self.discretization!r}")
         if self.precision not in ("float64", "float32"):
             raise UsageError(f"precision must be 'float64' or 'float32', got {self.precision!r}")
         self._check_zeros()
 
     def _check_zeros(self) -> None:
         zeros, needed = self.zeros, self._zeros_needed
+        if zeros and self.equation.process and not self.instrumental:
+            raise UsageError(f"{self.method} takes no prefilter_zeros for a linear process; bcls and bcrls do")
         if zeros and needed > len(zeros) and self.prefilter_zeros is None:
             raise UsageError(
                 f"{self.method} with {needed} noisy columns needs {needed} prefilter_zeros; give them, or use iv or riv"
@@ -107,7 +127,11 @@ class Estimator:
         """Zeros of the pre-filter polynomial f(s) [rad/s]; () where there is no pre-filter."""
         if self.prefilter_zeros is not None:
             return tuple(float(z) for z in self.prefilter_zeros)
-        return default_zeros(self.cutoff)[: self._zeros_needed] if self.instrumental else ()
+        if not self.instrumental:
+            return ()
+        if self.equation.process:
+            return process_zeros(self.cutoff, self._zeros_needed)
+        return default_zeros(self.cutoff)[: self._zeros_needed]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -125,7 +149,8 @@ class Estimator:
 
     @property
     def spec(self) -> FilterSpec:
-        return FilterSpec(self.cutoff, self.order, self.dt, self.discretization, self.zeros)
+        first = "matched" if self.discretization == EXACT else self.discretization  # where the exact one starts from
+        return FilterSpec(self.cutoff, self.order, self.dt, first, self.zeros)
 
     @cached_property
     def _columns(self) -> tuple[Network, list[Taps]]:
@@ -144,9 +169,28 @@ class Estimator:
         """A new kernel in its initial state."""
         network, columns = self._columns
         direct = self.recursion_config(len(self.names), self.instrumental, forgetting)
-        return self.kernel_class(
-            network.stages, columns, self.encoder.kernel_config(self.dt), direct, self.settle_samples
-        )
+        try:
+            return self.kernel_class(
+                network.stages,
+                columns,
+                self.encoder_config,
+                direct,
+                self.settle_samples,
+                first_samples=self.first_samples,
+            )
+        except ValueError as error:  # more than it holds
+            raise UsageError(str(error)) from None
+
+    @property
+    def encoder_config(self) -> dict[str, float]:
+        """The encoder's part of the kernel configuration."""
+        return self.encoder.kernel_config(self.dt) | {"process": int(self.equation.process)}
+
+    @property
+    def first_samples(self) -> int:
+        """Samples that do not count at the start: until the filters have settled, or where the equation knows of the
+        start, until it has come through the kernel."""
+        return 1 if any(term.signal == "start" for term in self.equation.unknown) else self.settle_samples
 
     @property
     def kernel_class(self) -> Any:
@@ -164,6 +208,7 @@ class Estimator:
     ) -> dict[str, Any]:
         """A recursion's part of the kernel configuration."""
         exact = forgetting == 1 and self.precision == "float64"
+        process = self.equation.process
         return {
             "n_parameters": parameters,
             "instrumental": int(instrumental),
@@ -171,8 +216,8 @@ class Estimator:
             "min_updates": math.ceil(1 / (self.cutoff * self.dt)) + 2 * parameters,
             "residual_updates": 2**32 - 1 if exact else RESIDUAL_UPDATES,
             "forgetting": forgetting,
-            "regularization": REGULARIZATION,
-            "pivot": START_PIVOT,
+            "regularization": PROCESS_REGULARIZATION if process else REGULARIZATION,
+            "pivot": PROCESS_PIVOT if process else START_PIVOT,
             "block": 2 * self.settle_samples,
             "scheme": 0,
             "window_block": 1,
@@ -196,6 +241,13 @@ def default_zeros(cutoff: float) -> tuple[float, float]:
     lie anywhere near or above d/m.
     """
     return (-cutoff / 10, -cutoff / 300)
+
+
+def process_zeros(cutoff: float, n: int) -> tuple[float, ...]:
+    """Pre-filter zeros for a linear process of which nothing is known: n, evenly in the logarithm from half the cutoff
+    down to a twentieth of it."""
+    spread = np.geomspace(0.5, 0.05, n) if n > 1 else np.array([0.2])
+    return tuple(-cutoff * float(part) for part in spread)
 
 
 def check_positive(name: str, value: float, what: str) -> None:
@@ -223,6 +275,12 @@ def integer_counts(counts: ArrayLike) -> NDArray[Any]:
     if not (np.all(np.isfinite(given)) and np.array_equal(given, np.round(given))):
         raise UsageError("counts must be integers; use pmfid.quantize(position, resolution) for a position")
     return np.round(given).astype(np.int64)
+
+
+def held(u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """u (n,) with the last finite value in place of those that are not, as the kernel does it."""
+    last = np.maximum.accumulate(np.where(np.isfinite(u), np.arange(1, u.size + 1), 0))
+    return np.ascontiguousarray(np.r_[0.0, u][last])
 
 
 def check_size(u: NDArray[np.float64]) -> None:

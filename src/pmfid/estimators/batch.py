@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.base import START_PIVOT, Estimator, check_arrays, check_size
+from pmfid.encoder import fine_counts
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.base import EXACT, START_PIVOT, Estimator, check_arrays, check_size
 from pmfid.status import Status
 
 #: A target closer than this to one regressor alone, relative to its size, identifies nothing else.
 TARGET_APART = 1e-6
 TINY = 1e-300
+#: Of the power of a column that must not follow from the others, of a linear process: its derivatives nearly do, around
+#: each lightly damped mode.
+PROCESS_PART = 1e-12
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,12 @@ class Columns:
 class BatchEstimator(Estimator):
     """An `Estimator` over a whole record."""
 
+    def recursion_config(
+        self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
+    ) -> dict[str, Any]:
+        """None: the kernel filters, and holds columns of more parameters than it could estimate."""
+        return super().recursion_config(0, instrumental, forgetting, first_column)
+
     def columns(self, u: ArrayLike, counts: ArrayLike) -> Columns:
         """Regressors, target and instruments of the samples after the filters have settled; u, counts: (n,)."""
         u, counts = check_arrays(u, counts)
@@ -72,12 +82,36 @@ class BatchEstimator(Estimator):
         occurred = int(np.bitwise_or.reduce(status)) & ~int(Status.SETTLING | Status.STARTING)
         return Columns(columns[:, :p], columns[:, p], zeta, used, occurred)
 
+    @property
+    def least_part(self) -> float:
+        """Of the power of a column that must not follow from the others."""
+        return PROCESS_PART if self.equation.process else START_PIVOT
+
     def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
         NotIdentifiableError where the record cannot identify every parameter, naming the one and the reason."""
         columns = self.columns(u, counts)
-        check_identifiable(columns, self.names)
+        check_identifiable(columns, self.names, self.least_part)
+        if self.discretization == EXACT:
+            from pmfid.estimators.exact import fit_exactly
+
+            u, counts = check_arrays(u, counts)
+            return fit_exactly(self, u, self.encoder.position(counts))
         return self._result(columns, *self._solve(columns))
+
+    def fit_output(self, u: ArrayLike, y: ArrayLike) -> Fit:
+        """Estimates from an output (n,) that is measured as a number; no encoder counts, and its resolution is not
+        used. Raises as `fit`."""
+        y = np.asarray(y, np.float64)
+        if not np.all(np.isfinite(y)) or y.ndim != 1:
+            raise UsageError(f"y must be a finite array (n,), got shape {y.shape}; see Experiment for missing samples")
+        if self.discretization == EXACT:
+            from pmfid.estimators.exact import fit_exactly
+
+            u, _ = check_arrays(u, np.zeros(y.shape, np.int64))
+            return fit_exactly(self, u, y)
+        encoder, counts = fine_counts(y)
+        return replace(self, encoder=encoder).fit(u, counts)
 
     def _result(self, columns: Columns, theta: NDArray[np.float64], gain: NDArray[np.float64]) -> Fit:
         residual = columns.z - columns.phi @ theta
@@ -118,6 +152,7 @@ class LS(BatchEstimator):
 
     method: ClassVar[str] = "ls"
     plain: ClassVar[bool] = True
+    exact: ClassVar[bool] = True
 
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         scale = np.linalg.norm(columns.phi, axis=0)
@@ -132,6 +167,7 @@ class BCLS(BatchEstimator):
 
     method: ClassVar[str] = "bcls"
     instrumental: ClassVar[bool] = True
+    exact: ClassVar[bool] = True
 
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return solve_with_instruments(columns)
@@ -160,7 +196,7 @@ def long_run_covariance(scores: NDArray[np.float64], lags: int) -> NDArray[np.fl
     return np.asarray((covariance + covariance.T) / 2)
 
 
-def check_identifiable(columns: Columns, names: tuple[str, ...]) -> None:
+def check_identifiable(columns: Columns, names: tuple[str, ...], least_part: float = START_PIVOT) -> None:
     """Raises NotIdentifiableError where a column is zero or a combination of the others, naming the parameter."""
     if columns.z.size <= 2 * len(names) and columns.status & Status.COUNT_JUMP:
         raise NotIdentifiableError("the counts jump further than max_speed allows all the time; correct max_speed")
@@ -175,7 +211,7 @@ def check_identifiable(columns: Columns, names: tuple[str, ...]) -> None:
         raise NotIdentifiableError("the input is zero while the axis moves: record the input that drives it")
     _check_target(columns, names)
     for kind, matrix in (("regressor", columns.phi), ("instrument", columns.zeta)):
-        _check_rank(kind, matrix, names)
+        _check_rank(kind, matrix, names, least_part)
 
 
 def _check_target(columns: Columns, names: tuple[str, ...]) -> None:
@@ -190,7 +226,7 @@ def _check_target(columns: Columns, names: tuple[str, ...]) -> None:
             )
 
 
-def _check_rank(kind: str, matrix: NDArray[np.float64], names: tuple[str, ...]) -> None:
+def _check_rank(kind: str, matrix: NDArray[np.float64], names: tuple[str, ...], least_part: float) -> None:
     scale = np.linalg.norm(matrix, axis=0)
     for name, norm in zip(names, scale, strict=True):
         if norm == 0:
@@ -198,7 +234,7 @@ def _check_rank(kind: str, matrix: NDArray[np.float64], names: tuple[str, ...]) 
     inverse = np.linalg.pinv(np.linalg.qr(matrix / scale, mode="r"))  # its rows are as long as those for the matrix
     own = 1 / np.sum(inverse**2, axis=1)  # what of a column is not a combination of the others
     worst = int(np.argmin(own))
-    if own[worst] < START_PIVOT:
+    if own[worst] < least_part:
         raise NotIdentifiableError(
             f"the {kind} of {names[worst]} follows from the others to {np.sqrt(own[worst]):.1g} of its size: too "
             "little excitation; record reversals, and speeds and accelerations that vary"

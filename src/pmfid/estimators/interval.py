@@ -41,6 +41,7 @@ class IntervalML(OE):
     """
 
     method: ClassVar[str] = "interval"
+    on_processes: ClassVar[bool] = False
 
     def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and

@@ -15,6 +15,7 @@ from pmfid.estimators.base import check_arrays, check_size, like
 from pmfid.estimators.batch import BCLS, TINY, BatchEstimator, Columns, Fit, check_identifiable, solve_with_instruments
 from pmfid.estimators.known_step import impulse_products
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.srivc import counted, fit_process, fixed_filters, without_start
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, Equation
 from pmfid.status import Status
 
@@ -39,17 +40,25 @@ class IV(BatchEstimator):
     The plant is simulated from the input alone with the present estimate, stiction included; the simulated motion
     gives the instruments, and the direction and moving fractions of every interval. theta = (sum zeta phi^T)^-1
     sum zeta z, until it no longer changes. initial: parameters by name to start from; None: bias-compensated least
-    squares.
+    squares. A transfer function is simulated as such, with unknown initial conditions; its filter stays that of the
+    cutoff (`SRIVC` lets it follow the estimate).
     """
 
     method: ClassVar[str] = "iv"
     simulates: ClassVar[bool] = True
+    on_processes: ClassVar[bool] = True
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        without_start(self)
 
     def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
         NotIdentifiableError where the record cannot identify every parameter, or no iteration settles."""
+        if self.equation.process:
+            return fit_process(self, [counted(self, u, counts)], fixed_filters)
         columns, theta = self.settled(u, counts)
         return self._result(columns, theta, self._gain(columns, theta, u, counts))
 

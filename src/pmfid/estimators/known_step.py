@@ -13,32 +13,28 @@ from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator, Columns
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.filters.network import SPLIT_FORWARD, VELOCITY, Network, Taps
+from pmfid.filters.network import LATE_POSITION, SPLIT_FORWARD, VELOCITY, Network, Taps
 
 
 def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[np.float64]:
-    """(p, p) covariance of the regressors' noise: sigma^2 sum g g^T, g the impulse responses of the noisy columns.
+    """(p + 1, p + 1) covariance of the noise of regressors and target: sigma^2 sum g g^T, g the impulse responses of
+    the noisy columns; that of the target is zero but for an equation with known terms of the output.
 
     noise_std: standard deviation of the position [unit of y]; None: resolution / sqrt(12), as of a quantiser whose
     error is white, which holds from about one count of motion per sample on.
     """
     sigma = estimator.encoder.resolution / np.sqrt(12.0) if noise_std is None else noise_std
     network, columns = estimator._columns
-    return np.asarray(sigma**2 * impulse_products(estimator, network, columns[: len(estimator.names)]))
-
-
-def check_target(estimator: Estimator) -> None:
-    """Raises UsageError where the known side of the equation has the output's noise."""
-    if any(term.noisy for term in estimator.equation.known):
-        raise UsageError(f"{estimator.method} takes no known term of the output; use bcls, bcrls, ls or rls")
+    return np.asarray(sigma**2 * impulse_products(estimator, network, columns[: len(estimator.names) + 1]))
 
 
 def impulse_products(estimator: Estimator, network: Network, columns: list[Taps]) -> NDArray[np.float64]:
-    """(p, p): sum over time of the products of the columns' responses to one wrong position."""
+    """(c, c): sum over time of the products of the columns' responses to one wrong position."""
     samples = 4 * estimator.settle_samples
     nodes = [np.zeros(samples) for _ in range(network.first)]
     nodes[VELOCITY][:2] = np.array([1.0, -1.0]) / estimator.dt  # the mean velocities of one wrong position
     nodes[SPLIT_FORWARD][1:3] = nodes[VELOCITY][:2]
+    nodes[LATE_POSITION][1:3] = 0.5
     for source, a, b0, b1 in network.stages:
         nodes.append(lfilter([b0, b1], [1.0, -a], nodes[source]))
     g = np.array([sum(weight * nodes[node] for node, weight in taps) for taps in columns])
@@ -47,7 +43,8 @@ def impulse_products(estimator: Estimator, network: Network, columns: list[Taps]
 
 @dataclass(frozen=True)
 class KnownStep(BatchEstimator):
-    """Off-line: theta = (R - n sigma^2 C)^-1 r, R = sum phi phi^T, r = sum phi z, C from the filters alone.
+    """Off-line: theta = (R - n sigma^2 C)^-1 (r - n sigma^2 c), R = sum phi phi^T, r = sum phi z; C and c, that of phi
+    and z, from the filters alone.
 
     noise_std: of the position; None: that of the encoder's step. No instruments are needed and no pre-filter; it fails
     where the noise is not white, below about one count of motion per sample.
@@ -57,20 +54,17 @@ class KnownStep(BatchEstimator):
 
     noise_std: float | None = field(default=None, kw_only=True)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_target(self)
-
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         scale = np.linalg.norm(columns.phi, axis=0)
-        noise = columns.z.size * noise_covariance(self, self.noise_std) / np.outer(scale, scale)
+        noise = columns.z.size * noise_covariance(self, self.noise_std)
         phi = columns.phi / scale
-        inverse = np.linalg.inv(phi.T @ phi - noise)
-        return inverse @ (phi.T @ columns.z) / scale, inverse / np.outer(scale, scale)
+        inverse = np.linalg.inv(phi.T @ phi - noise[:-1, :-1] / np.outer(scale, scale))
+        right = phi.T @ columns.z - noise[:-1, -1] / scale
+        return inverse @ right / scale, inverse / np.outer(scale, scale)
 
     def _scores(self, columns: Columns, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         noise = noise_covariance(self, self.noise_std)
-        return super()._scores(columns, theta) + noise @ theta
+        return super()._scores(columns, theta) + noise[:-1, :-1] @ theta - noise[:-1, -1]
 
 
 @dataclass(frozen=True)
@@ -82,7 +76,6 @@ class RKnownStep(RecursiveEstimator):
     noise_std: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        check_target(self)
         if self.forgetting_scheme == "constant-trace":
             raise UsageError(
                 "constant-trace is not for rknown-step: it forgets nothing at rest, and the noise that is subtracted "
@@ -94,4 +87,5 @@ class RKnownStep(RecursiveEstimator):
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
     ) -> dict[str, Any]:
         config = super().recursion_config(parameters, instrumental, forgetting, first_column)
-        return config | {"compensated": 1, "noise": noise_covariance(self, self.noise_std).tolist()}
+        noise = noise_covariance(self, self.noise_std)
+        return config | {"compensated": 1, "noise": noise[:-1, :-1].tolist(), "target_noise": noise[:-1, -1].tolist()}

@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.base import check_arrays, like
+from pmfid.estimators.base import check_arrays, held, like
 from pmfid.estimators.batch import BCLS, BatchEstimator, Fit, check_identifiable, long_run_covariance
 from pmfid.estimators.iv import IV
+from pmfid.estimators.srivc import by_descent, counted, fit_process, without_start
 from pmfid.models.equation import Equation
 
 #: Step of the difference quotients as a part of a parameter: far above the kinks that stops and reversals leave in
@@ -107,12 +108,14 @@ class OE(BatchEstimator):
 
     method: ClassVar[str] = "output-error"
     simulates: ClassVar[bool] = True
+    on_processes: ClassVar[bool] = True
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)
     drift_cutoff: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        without_start(self)
         if self.drift_cutoff is not None and not 0 <= self.drift_cutoff * self.dt <= 2:
             raise UsageError(
                 f"drift_cutoff must be from 0 to 2/dt = {2 / self.dt:g} rad/s, got {self.drift_cutoff}; 0 is no "
@@ -122,6 +125,8 @@ class OE(BatchEstimator):
     def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
         NotIdentifiableError where the record cannot identify every parameter, or the simulation does not follow."""
+        if self.equation.process:
+            return fit_process(self, [counted(self, u, counts)], by_descent)
         return self.by_squares(*self.followed(u, counts))
 
     def followed(self, u: ArrayLike, counts: ArrayLike) -> tuple[Difference, Floats, int]:
@@ -208,12 +213,6 @@ class OE(BatchEstimator):
 def rms(signal: Floats) -> float:
     """Root mean square of a signal (n,)."""
     return float(np.sqrt(np.mean(signal**2)))
-
-
-def held(u: Floats) -> Floats:
-    """u (n,) with the last finite value in place of those that are not, as the kernel does it."""
-    last = np.maximum.accumulate(np.where(np.isfinite(u), np.arange(1, u.size + 1), 0))
-    return np.ascontiguousarray(np.r_[0.0, u][last])
 
 
 def least(difference: Difference, q: Floats) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -57,6 +58,8 @@ class Track:
 
 #: What becomes of old samples -> its number in csrc/pmf.h.
 FORGETTING_SCHEMES = {"exponential": 0, "directional": 1, "constant-trace": 2, "window": 3}
+#: The same of `forgetting_of`, which is a scheme of its own there.
+SEPARATE = 4
 #: Information that is never forgotten under constant trace, as a part of the largest seen.
 TRACE_REGULARIZATION = 1e-6
 #: The sliding window drops one of its 8 blocks at a time: it holds 7 to 8 of them.
@@ -77,11 +80,14 @@ class RecursiveEstimator(Estimator):
     "constant-trace": as much as keeps the mean of P, each entry relative to its value after the first memory, and at
     most twice as fast as `forgetting` (Goodwin and Sin 1984, section 3.3);
     "window": the samples of the last memory alike, older ones not at all, in blocks of an eighth.
+    forgetting_of: factors of single parameters, by name, that change more slowly than the others or never (1):
+    {"b0": 1.0}. With the exponential scheme only; a parameter that is known to stay sharpens the others.
     The object holds one state; `step` and `run` continue from it, `reset` goes back to the start.
     """
 
     forgetting: float = field(default=1.0, kw_only=True)
     forgetting_scheme: str = field(default="exponential", kw_only=True)
+    forgetting_of: Mapping[str, float] | None = field(default=None, kw_only=True)
     _kernel: Any = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -91,7 +97,10 @@ class RecursiveEstimator(Estimator):
                 f"forgetting must be in (0, 1], got {self.forgetting}; for a memory of T seconds use 1 - dt/T"
             )
         self._check_scheme()
-        object.__setattr__(self, "_kernel", self.make_kernel(self.forgetting))
+        try:
+            object.__setattr__(self, "_kernel", self.make_kernel(self.forgetting))
+        except ValueError as error:  # more than it holds
+            raise UsageError(str(error)) from None
         # bound here so that a call costs no look-up in Python
         object.__setattr__(self, "step", self._kernel.step)
 
@@ -104,6 +113,14 @@ class RecursiveEstimator(Estimator):
                 f"directional forgetting is for rls, not for {self.method}, whose instruments point elsewhere; "
                 "use constant-trace or window"
             )
+        for name, factor in (self.forgetting_of or {}).items():
+            if name not in self.names or not self.forgetting <= factor <= 1:
+                raise UsageError(
+                    f"forgetting_of takes factors from forgetting = {self.forgetting} to 1 of {list(self.names)}, got "
+                    f"{factor} of {name!r}"
+                )
+        if self.forgetting_of and scheme != "exponential":
+            raise UsageError(f"forgetting_of is for the exponential scheme, not for {scheme}")
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
@@ -111,6 +128,10 @@ class RecursiveEstimator(Estimator):
         config = super().recursion_config(parameters, instrumental, forgetting, first_column)
         scheme = self.forgetting_scheme if forgetting < 1 else "exponential"
         config["scheme"] = FORGETTING_SCHEMES[scheme]
+        if self.forgetting_of and forgetting < 1:  # as with directional forgetting: innovations only
+            config["residual_updates"] = 0
+            config["scheme"] = SEPARATE
+            config["keep"] = [math.sqrt(self.forgetting_of.get(name, forgetting)) for name in self.names]
         if scheme == "directional":  # the accumulated right-hand side does not follow the forgetting: innovations only
             config["residual_updates"] = 0
         if scheme == "constant-trace":  # bounds P by itself, but for a direction that others outgrow by far

@@ -10,7 +10,23 @@ from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known_step import KnownStep, RKnownStep
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.rls import RLS
+from pmfid.estimators.rsrivc import RSRIVC
+from pmfid.estimators.srivc import SRIVC
+from pmfid.models.drive import Model
 
+#: Those that take a drive.
 OFF_LINE = (LS, BCLS, KnownStep, IV, OE, IntervalML)
 RECURSIVE = (RLS, BCRLS, RKnownStep, RIV)
-ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (*OFF_LINE, *RECURSIVE)}
+#: And those that take a linear process alone.
+PROCESS_ONLY = (SRIVC, RSRIVC)
+ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (*OFF_LINE, *RECURSIVE, *PROCESS_ONLY)}
+
+
+def methods_for(model: Model) -> list[str]:
+    """The methods that take this model."""
+    process, simulated = model.equation.process, not model.equation.without_simulation
+    return [
+        name
+        for name, cls in ESTIMATORS.items()
+        if (process or not cls.process_only) and (simulated or not cls.simulates or (process and cls.on_processes))
+    ]

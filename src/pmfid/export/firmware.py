@@ -17,7 +17,7 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.alarm import Alarm
 from pmfid.export.initializer import initializer, literal
 from pmfid.export.samples import made_up_record, moving_part, recorded
-from pmfid.layout.saved import configuration, shape_of
+from pmfid.layout.saved import configuration, recursions_of, shape_of
 from pmfid.layout.structures import header, layout_number, resized, source_folder, structures
 
 #: Template -> file in the folder; NAME is the prefix.
@@ -128,8 +128,7 @@ def _context(estimator: RecursiveEstimator, prefix: str, record: tuple[ArrayLike
 
 def fixed_recursion(config: Any) -> tuple[int, int, int] | None:
     """Number of parameters, whether there are instruments, and scheme of forgetting, if all recursions agree."""
-    recursions = [config["direct"], *([config["instrument"]] if config["auxiliary"]["enabled"] else [])]
-    kinds = {(int(one["n_parameters"]), int(one["instrumental"]), int(one["scheme"])) for one in recursions}
+    kinds = {(int(one["n_parameters"]), int(one["instrumental"]), int(one["scheme"])) for one in recursions_of(config)}
     return kinds.pop() if len(kinds) == 1 else None
 
 
@@ -143,12 +142,23 @@ SIGNALS = {
     "backward": "(moving backward)",
     "forward_output": "(x forward)",
     "backward_output": "(x backward)",
+    "process_output": "y",
+    "process_input": "u",
+    "constant": "",
+    "start": "(impulse at the first sample)",
 }
 
 
 def equation_text(estimator: Estimator) -> str:
     """The model in one line."""
     equation = estimator.equation
+    if equation.process:  # its output's highest derivative is the known term, and the input's side has factors -1
+        highest = f"{SIGNALS['process_output']}{chr(39) * equation.order}"
+        sides = [[t for t in equation.unknown if (t.coefficient < 0) == right] for right in (False, True)]
+        left, right = (
+            [f"{t.name} {SIGNALS[t.signal]}{chr(39) * t.derivative}".strip() for t in side] for side in sides
+        )
+        return f"{' + '.join([highest, *left])} = {' + '.join(right)}"
     left = [f"{term.name} {SIGNALS[term.signal]}{chr(39) * term.derivative}" for term in equation.unknown]
     right = [f"{term.coefficient:.9g} {SIGNALS[term.signal]}{chr(39) * term.derivative}" for term in equation.known]
     return f"{' + '.join(left)} = {' + '.join(right)}"

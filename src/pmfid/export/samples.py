@@ -16,6 +16,8 @@ from pmfid.layout.saved import configuration, shape_of, tight_state
 SAMPLES = 800
 #: Of the made-up motion: counts per sample at full speed, and the parts of the input that the frictions take.
 COUNTS_PER_SAMPLE, VISCOUS_PART, COULOMB_PART = 40.0, 0.6, 0.3
+#: And of the made-up linear process, for an input of one.
+PROCESS_COUNTS = 500.0
 #: Samples between the changes of the made-up input, and samples of rest.
 CLOCK, REST = 23, 150
 
@@ -33,6 +35,8 @@ class Samples:
 
 def made_up_record(estimator: RecursiveEstimator) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Input and counts (n,) of a body that suits the axis; it reverses, rests, and its counter wraps."""
+    if estimator.equation.process:
+        return _made_up_process(estimator)
     full_speed = COUNTS_PER_SAMPLE * estimator.encoder.resolution / estimator.dt
     gain = estimator.equation.input_gain
     viscous, coulomb = VISCOUS_PART * abs(gain) / full_speed, COULOMB_PART * abs(gain)
@@ -43,6 +47,17 @@ def made_up_record(estimator: RecursiveEstimator) -> tuple[NDArray[np.float64], 
     velocity, *_ = simulate([mass, viscous, viscous, coulomb, coulomb, 0.0, 0.0], gain, estimator.dt, u)
     position = np.concatenate([[0.0], np.cumsum(np.asarray(velocity)[:-1])]) * estimator.dt
     return u, np.floor(position / estimator.encoder.resolution).astype(np.int64) - 100
+
+
+def _made_up_process(estimator: RecursiveEstimator) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The same of lags one behind the other; some hundred counts."""
+    u, y = _input(SAMPLES), []
+    states, part = [0.0] * estimator.equation.order, min(0.5, estimator.cutoff * estimator.dt / 2)
+    for value in u.tolist():
+        y.append(states[-1])
+        for i, source in enumerate([value, *states[:-1]]):
+            states[i] += part * (source - states[i])
+    return u, np.floor(PROCESS_COUNTS * np.asarray(y)).astype(np.int64)
 
 
 def _input(samples: int) -> NDArray[np.float64]:

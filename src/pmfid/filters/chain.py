@@ -32,12 +32,55 @@ def differentiating_lag(network: Network, source: int, pole: float, dt: float) -
     return network.stage(source, _tustin_pole(pole, dt), gain, -gain)
 
 
-def chain(network: Network, source: int, cutoff: float, order: int, dt: float) -> list[int]:
-    """Nodes of the stages 1 to `order`; the first with its zero at z = -1 cancelled."""
-    nodes = [network.stage(source, _tustin_pole(cutoff, dt), 2 * cutoff / (2 / dt + cutoff), 0.0)]
-    for _ in range(order - 1):
-        nodes.append(lag(network, nodes[-1], cutoff, dt))
+def chain(network: Network, source: int, cutoff: float, order: int, dt: float, cancelled: int = 1) -> list[int]:
+    """Nodes of the stages 1 to `order`; the first, or as many as `cancelled`, with their zero at z = -1 cancelled."""
+    nodes: list[int] = []
+    for i in range(order):
+        before = nodes[-1] if nodes else source
+        if i < cancelled:
+            nodes.append(network.stage(before, _tustin_pole(cutoff, dt), 2 * cutoff / (2 / dt + cutoff), 0.0))
+        else:
+            nodes.append(lag(network, before, cutoff, dt))
     return nodes
+
+
+def matched_input(
+    network: Network, source: int, cutoff: float, order: int, dt: float, relative_degree: int
+) -> list[int]:
+    """Nodes of the chain behind M_r(z) = 2^r B_r(z) / (r! (z+1)^r), for a held input of a plant of relative degree r.
+
+    B_r are the Euler-Frobenius polynomials (Astrom, Hagander and Sternby 1984): the zeros that sampling gives an
+    integrator chain behind a hold, where the trapezoidal rule has (z+1)^r. The zeros at -1 cancel in the coefficients;
+    what is left of B_r are first-order stages. order >= derivative + relative_degree.
+    """
+    roots = [root for root in np.roots(euler_frobenius(relative_degree)).real if abs(root + 1) > 1e-6]
+    for root in sorted(roots):
+        source = network.stage(source, 0.0, 1 / (1 - root), -root / (1 - root))
+    return chain(network, source, cutoff, order, dt, cancelled=len(roots) + 1)
+
+
+def euler_frobenius(degree: int) -> list[int]:
+    """Coefficients (degree,) of B_r(z), palindromic: sum_l (-1)^l C(r+1, l) (k+1-l)^r for the k-th."""
+    return [sum((-1) ** i * comb(degree + 1, i) * (k + 1 - i) ** degree for i in range(k + 1)) for k in range(degree)]
+
+
+def coefficient_matrix(n: int, cutoff: float, gain: float) -> np.ndarray:
+    """The matrix A_n (n+1, n+1) of paper eq. 13 to 16, with the exponent of the gain corrected.
+
+    M_n{d^(n+1-i) y / dt^(n+1-i)} = sum_j A_n(i, j) M_{j-1}{y}, i, j = 1 .. n+1, for the moments
+    M_k = (gain / (s + cutoff))^(k+1):
+
+        A_n(i, j) = (-1)^(j-i) C(n+1-i, j-i) cutoff^(j-i) gain^(n+1-j) for i <= j, else 0.
+
+    The first row is that of the target y_PMF^(n) (eq. 14), the others are those of the regressors (eq. 13). The paper
+    prints the exponent of the gain as n+i-j, which is right for gain = 1 alone.
+    `derivative` is this matrix for gain = cutoff.
+    """
+    matrix = np.zeros((n + 1, n + 1))
+    for i in range(1, n + 2):
+        for j in range(i, n + 2):
+            matrix[i - 1, j - 1] = comb(n + 1 - i, j - i) * (-cutoff) ** (j - i) * gain ** (n + 1 - j)
+    return matrix
 
 
 def derivative(nodes: list[int], j: int, cutoff: float) -> Taps:
@@ -51,13 +94,13 @@ def hold_matched(network: Network, source: int, cutoff: float, order: int, dt: f
     return [(chain(network, source, cutoff, order, dt)[-1], 1.0)]
 
 
-def hold_exact(network: Network, source: int, cutoff: float, order: int, dt: float) -> Taps:
-    """F(s) behind a zero-order hold, exactly (paper section III-A): a sum of stages with the pole exp(-cutoff dt)."""
+def hold_exact(network: Network, source: int, cutoff: float, order: int, dt: float, j: int = 0) -> Taps:
+    """s^j F(s) behind a zero-order hold, exactly (paper section III-A): a sum of stages of pole exp(-cutoff dt)."""
     pole = float(np.exp(-cutoff * dt))
     nodes = [network.stage(source, pole, 1 - pole, 0.0)]
     for _ in range(order - 1):
         nodes.append(network.stage(nodes[-1], pole, 0.0, 1 - pole))
-    weights = np.linalg.solve(_stage_responses(pole, order).T, _hold_response(cutoff, order, dt))
+    weights = np.linalg.solve(_stage_responses(pole, order).T, _hold_response(cutoff, order, dt, j))
     return [(node, float(weight)) for node, weight in zip(nodes, weights, strict=True)]
 
 
@@ -88,11 +131,14 @@ def _stage_responses(pole: float, order: int) -> np.ndarray:
     return responses
 
 
-def _hold_response(cutoff: float, order: int, dt: float) -> np.ndarray:
-    """First `order` samples of the response of F(s) to an input held for one interval, by the matrix exponential."""
+def _hold_response(cutoff: float, order: int, dt: float, j: int) -> np.ndarray:
+    """First `order` samples of the response of s^j F(s) to an input held for one interval; matrix exponential."""
     A = cutoff * (np.diag(np.ones(order - 1), -1) - np.eye(order))
     B = np.zeros(order)
     B[0] = cutoff
     transition = expm(A * dt)
     held = np.linalg.solve(A, (transition - np.eye(order)) @ B)
-    return np.array([(np.linalg.matrix_power(transition, k) @ held)[-1] for k in range(order)])
+    C = np.zeros(order)
+    for node, weight in derivative(list(range(order)), j, cutoff):
+        C[node] = weight
+    return np.array([C @ np.linalg.matrix_power(transition, k) @ held for k in range(order)])

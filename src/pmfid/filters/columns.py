@@ -10,7 +10,9 @@ from pmfid.filters.chain import (
     chain,
     derivative,
     differentiating_lag,
+    hold_exact,
     lag,
+    matched_input,
     mean_velocity_correction,
 )
 from pmfid.filters.network import (
@@ -22,12 +24,16 @@ from pmfid.filters.network import (
     FORWARD,
     FORWARD_VELOCITY,
     INPUT,
+    LATE_INPUT,
+    LATE_POSITION,
     MODEL_POSITION,
     MOVING,
+    ONE,
     POSITION,
     SPLIT_BACKWARD,
     SPLIT_FORWARD,
     SPLIT_POSITION,
+    START,
     VELOCITY,
     Network,
     Taps,
@@ -71,19 +77,21 @@ class ColumnBuilder:
         self.network = Network() if network is None else network
 
     def regressors(self, source: str = "measured") -> list[Taps]:
-        return [self.term(term, source) for term in self.equation.unknown]
+        return [self.coefficient(term, source) for term in self.equation.unknown]
 
     def target(self, source: str = "measured") -> Taps:
         taps: Taps = []
         for term in self.equation.known:
-            taps += scaled(self.term(term, source), term.coefficient)
+            taps += self.coefficient(term, source)
         return taps
 
     def instruments(self) -> list[Taps]:
         """Regressors, with the filtered input behind 1/f(s) in place of the noisy ones."""
         columns = self.regressors()
-        for j, column in enumerate(self.equation.noisy):
-            columns[column] = self.prefiltered(len(self.equation.noisy) - j)
+        noisy = self.equation.noisy
+        for j, column in enumerate(noisy):
+            power = len(noisy) - j - (1 if self.equation.process else 0)  # a process has a term of y itself
+            columns[column] = self.prefiltered(power)
         return columns
 
     def prefiltered(self, j: int) -> Taps:
@@ -92,15 +100,21 @@ class ColumnBuilder:
         f(s) = prod (1 - s / zero): the lag's pole in the trapezoidal rule is the zero's Tustin image, so that its pole
         in z is exp(zero dt) (paper eq. 36), and the relation between the columns is exact in discrete time.
         """
-        taps = self.target()
+        taps = self.process_input(0) if self.equation.process else self.target()
         poles = [tustin_image(-zero, self.spec.dt) for zero in self.spec.prefilter_zeros]
         for i, pole in enumerate(reversed(poles)):
             build = lag if i < len(poles) - j else differentiating_lag
             taps = [(build(self.network, node, pole, self.spec.dt), weight) for node, weight in taps]
         return taps
 
+    def coefficient(self, term: Term, source: str) -> Taps:
+        """The term's filtered derivative times its coefficient."""
+        return scaled(self.term(term, source), term.coefficient)
+
     def term(self, term: Term, source: str) -> Taps:
         """The filtered derivative that the term stands for, one sample late."""
+        if self.equation.process:
+            return self.process(term)
         block = 0 if source == "measured" else AUXILIARY
         if term.signal in HELD:
             return self._hold(HELD[term.signal] + block)
@@ -110,6 +124,62 @@ class ColumnBuilder:
         if term.derivative == 0:
             return self._hold(POSITIONS[source])
         return self.velocity(term.derivative - 1, simulated=source == "simulated")
+
+    def process(self, term: Term) -> Taps:
+        """The same for a linear process: no moving fractions."""
+        if term.signal == "process_input":
+            return self.process_input(term.derivative)
+        if term.signal == "constant":
+            return self._hold(ONE)
+        if term.signal == "start":
+            return scaled(self._derivative(START, term.derivative), 1 / self.spec.dt)
+        return self.process_output(term.derivative)
+
+    def process_output(self, i: int) -> Taps:
+        """i-th derivative of the filtered output, less c = (n - i) / 12 times its second difference.
+
+        The trapezoidal s_T is s (1 - dt^2 s^2 / 12) to second order, and M_k / M_(k-1) is 1 - dt^2 s_T^2 / 12 for
+        k > 2: relative to y^(n) every lower derivative has one such factor more, as `mean_velocity_correction` has for
+        a drive. With M_(n-j) on u^(j) the error is then one of fourth order in dt, for a relative degree of 2 or more;
+        of 1 there is no such factor, for M_2 = M_1.
+        """
+        equation, delay = self.equation, self.network.delay
+        c = (equation.order - i) / 12 if self._corrected else 0.0
+        taps: Taps = []
+        if i == 0:  # the second difference of mean positions is that of the mean velocities two samples apart
+            for node, weight in self._derivative(VELOCITY, 0) if c else []:
+                ends = c * self.spec.dt / 2 * weight
+                taps += [(node, -ends), (delay(delay(node)), ends)]
+            return taps + self._derivative(LATE_POSITION, 0)
+        for node, weight in self._derivative(VELOCITY, i - 1):
+            taps.append((delay(node), (1 + 2 * c) * weight))
+            if c:
+                taps += [(node, -c * weight), (delay(delay(node)), -c * weight)]
+        return taps
+
+    @property
+    def _corrected(self) -> bool:
+        return self.spec.discretization == "matched" and self.equation.relative_degree > 1
+
+    def input_node(self) -> int:
+        """The held input of a process behind its dead time."""
+        node = LATE_INPUT
+        for _ in range(self.equation.delay):
+            node = self.network.delay(node)
+        return node
+
+    def process_input(self, j: int) -> Taps:
+        """j-th derivative of the filtered input, delayed."""
+        spec, source = self.spec, self.input_node()
+        r = self.equation.order - j if self._corrected else self.equation.relative_degree
+        if spec.discretization == "matched":
+            nodes = matched_input(self.network, source, spec.cutoff, spec.order, spec.dt, r)
+            return derivative(nodes, j, spec.cutoff)
+        return hold_exact(self.network, source, spec.cutoff, spec.order, spec.dt, j)
+
+    def _derivative(self, source: int, j: int) -> Taps:
+        spec = self.spec
+        return derivative(chain(self.network, source, spec.cutoff, spec.order, spec.dt), j, spec.cutoff)
 
     def velocity(self, j: int, *, simulated: bool) -> Taps:
         """j-th derivative of the filtered velocity, of the counts or of the auxiliary model."""

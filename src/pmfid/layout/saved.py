@@ -19,24 +19,42 @@ def configuration(kernel: Any, precision: str) -> NDArray[Any]:
 
 def shape_of(config: NDArray[Any]) -> Shape:
     """The sizes and parts that a configuration needs."""
-    network, direct = config["network"], config["direct"]
-    recursions = [direct, config["instrument"]] if config["auxiliary"]["enabled"] else [direct]
-    columns = int(network["n_columns"])
+    constants, network = constants_of(None), config["network"]
+    linear = config["linear"]
+    recursions = recursions_of(config)
+    columns = columns_of(config)
     parameters = max(int(recursion["n_parameters"]) for recursion in recursions)
     noise = any(recursion["compensated"] or recursion["unexplained"] > 0 for recursion in recursions)
-    window = any(recursion["scheme"] == constants_of(None)["PMF_WINDOW"] for recursion in recursions)
+    schemes = {int(recursion["scheme"]) for recursion in recursions}
+    process = config["encoder"]["process"] or any(np.any(recursion["target_noise"]) for recursion in recursions)
     nodes = {*network["stage"]["source"].tolist(), *network["tap"]["node"].tolist()}
     return Shape(
         max_stages=max(1, int(network["n_stages"])),
-        max_taps=int(network["tap_end"][columns - 1]),
+        max_taps=int(network["tap_end"][int(network["n_columns"]) - 1]),
         max_parameters=parameters,
         max_noise=parameters if noise else 1,
         max_columns=columns,
-        window_blocks=constants_of(None)["PMF_WINDOW_BLOCKS"] if window else 0,
+        max_order=int(linear["n"]) if linear["enabled"] else 1,
+        window_blocks=constants["PMF_WINDOW_BLOCKS"] if constants["PMF_WINDOW"] in schemes else 0,
         with_auxiliary=int(config["auxiliary"]["enabled"]),
-        with_split=int(any(node in split_signals() for node in nodes)),
+        with_linear=int(linear["enabled"]),
+        with_process=int(process),
+        with_separate=int(constants["PMF_SEPARATE"] in schemes),
+        with_split=int(bool(process) or any(node in split_signals() for node in nodes)),
         with_noise=int(noise),
     )
+
+
+def recursions_of(config: NDArray[Any]) -> list[NDArray[Any]]:
+    """The recursions that a configuration uses."""
+    two = config["auxiliary"]["enabled"] or config["linear"]["enabled"]
+    return [config["direct"], config["instrument"]] if two else [config["direct"]]
+
+
+def columns_of(config: NDArray[Any]) -> int:
+    """Columns of the network, and behind them the model's of a linear process: regressors, target, instruments."""
+    n, linear = int(config["network"]["n_columns"]), config["linear"]
+    return int(linear["first_column"]) + 2 * int(config["instrument"]["n_parameters"]) + 1 if linear["enabled"] else n
 
 
 def split_signals() -> range:

@@ -32,8 +32,12 @@ class Shape:
     max_parameters: int
     max_noise: int
     max_columns: int
+    max_order: int
     window_blocks: int
     with_auxiliary: int
+    with_linear: int
+    with_process: int
+    with_separate: int
     with_split: int
     with_noise: int
 

@@ -12,11 +12,33 @@ from pmfid.errors import UsageError, did_you_mean
 #: `output`: the measured position; `input`: what drives the plant; `direction`: sign of the velocity, at a
 #: reversal inside a sample as the signed moving fraction; `moving`: 1 while the plant moves (a constant load);
 #: `forward`, `backward`: 1 while it moves forward, -1 while it moves backward; `forward_output`, `backward_output`:
-#: the position as far as it changes in that direction.
-Signal = Literal["output", "input", "direction", "moving", "forward", "backward", "forward_output", "backward_output"]
+#: the position as far as it changes in that direction. Of a linear process, where rest means nothing:
+#: `process_output`, from count zero; `process_input`, held; `constant`: 1; `start`: an impulse at the first sample.
+Signal = Literal[
+    "output",
+    "input",
+    "direction",
+    "moving",
+    "forward",
+    "backward",
+    "forward_output",
+    "backward_output",
+    "process_output",
+    "process_input",
+    "constant",
+    "start",
+]
+PROCESS_SIGNALS = ("process_output", "process_input", "constant", "start")
 
 #: Highest and lowest derivative of the signals that have any; the others hold for a sampling interval and have none.
-DERIVATIVES = {"output": (0, 2), "forward_output": (1, 1), "backward_output": (1, 1)}
+DERIVATIVES = {
+    "output": (0, 2),
+    "forward_output": (1, 1),
+    "backward_output": (1, 1),
+    "process_output": (0, 6),
+    "process_input": (0, 5),
+    "start": (0, 5),
+}
 
 #: What the auxiliary model of the kernel takes each role from (csrc/pmf.h): signal and derivative of the term.
 ROLES: tuple[tuple[tuple[Signal, int], ...], ...] = (
@@ -38,8 +60,9 @@ class Term:
     """coefficient * d^derivative signal / dt^derivative, the coefficient unknown (it has a name) or known.
 
     signal: see `Signal`. derivative: 0 to 2 of `output`, 1 of `forward_output` and `backward_output`, else 0. The
-    output itself counts from its first sample on. name, unit: of an unknown coefficient; None, if it is known.
-    coefficient: the known value; 1 for an unknown one. Raises UsageError for another signal, derivative or value.
+    output itself counts from its first sample on. Of a process: 0 to 6 of the output, less than that of the input.
+    name, unit: of an unknown coefficient; None, if it is known. coefficient: the known value; for an unknown one a
+    factor, as -1 for the other side. Raises UsageError for another signal, derivative or value.
     """
 
     signal: Signal
@@ -67,20 +90,21 @@ class Term:
     def noisy(self) -> bool:
         """Does the term carry the noise of the measured output? Not to speak of where it is not differentiated: there
         a step of the encoder is as small as it is against the travel."""
-        return self.signal.endswith("output") and self.derivative > 0
+        return self.signal == "process_output" or (self.signal.endswith("output") and self.derivative > 0)
 
 
 @dataclass(frozen=True)
 class Equation:
     """sum of `unknown` terms = sum of `known` terms (theory: sum theta_i D^j w_i = D^j w_0).
 
-    The order is the highest derivative of the output.
+    The order is the highest derivative of the output. delay: of the input, in whole samples; of a process only.
     Raises UsageError where there is no unknown or no known term, where two unknowns share a name, where an unknown
     term has no name or a known one has, and where a term stands twice.
     """
 
     unknown: tuple[Term, ...]
     known: tuple[Term, ...]
+    delay: int = 0
 
     def __post_init__(self) -> None:
         names = [term.name for term in self.unknown]
@@ -92,13 +116,35 @@ class Equation:
             raise UsageError(
                 "a known term has a coefficient and no name; put it among the unknown ones, or drop the name"
             )
-        if not any(term.signal == "input" for term in self.known):
+        if self.process:
+            self._check_process()
+        elif not any(term.signal == "input" for term in self.known):
             raise UsageError("one known term must be the input: without it nothing gives the unknown ones their scale")
         if not any(term.noisy for term in self.unknown):
             raise UsageError("one unknown term must be a derivative of the output, as of a mass or a viscous friction")
         places = [(term.signal, term.derivative) for term in (*self.unknown, *self.known)]
         if len(set(places)) < len(places):
             raise UsageError("a signal's derivative stands in two terms of the equation, which cannot be told apart")
+
+    def _check_process(self) -> None:
+        terms = (*self.unknown, *self.known)
+        if any(term.signal not in PROCESS_SIGNALS for term in terms):
+            raise UsageError(f"an equation of a linear process has no terms but those of {list(PROCESS_SIGNALS)}")
+        if not any(term.signal == "process_input" for term in terms):
+            raise UsageError("one term must be the process_input")
+        if self.relative_degree < 1:
+            raise UsageError("the highest derivative of the output must be higher than that of the input")
+
+    @cached_property
+    def process(self) -> bool:
+        """Is it one of a linear process, with no moving fractions?"""
+        return any(term.signal in PROCESS_SIGNALS for term in (*self.unknown, *self.known))
+
+    @property
+    def relative_degree(self) -> int:
+        """Of a process: highest derivative of the output less that of the input."""
+        terms = (*self.unknown, *self.known)
+        return self.order - max(term.derivative for term in terms if term.signal == "process_input")
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -155,6 +201,8 @@ class Equation:
     def without_simulation(self) -> str:
         """Why the auxiliary model cannot simulate this equation; empty if it can."""
         known = {(term.signal, term.derivative) for term in self.known}
+        if self.process:
+            return "it is one of a linear process"
         if self.roles[MASS] is None:
             return "it has no unknown second derivative of the output (a mass)"
         if known != {("input", 0)}:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.estimators.auxiliary import role_values
-from pmfid.estimators.base import like
+from pmfid.estimators.base import held, like
 from pmfid.estimators.iv import IV
-from pmfid.estimators.output_error import OE, held
+from pmfid.estimators.output_error import OE
 from pmfid.report.check_balance import FEWEST_BINS, Balance, Floats, encoder_response, low_pass
 from pmfid.session.pipeline import Result
 

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from pmfid.report.figures import figure_style
 from pmfid.report.html import Section, svg, write_report
 from pmfid.session.compare import Comparison
+from pmfid.session.process import ProcessResult
 
 
 def write_comparison(out: Path, comparison: Comparison) -> None:
@@ -22,18 +23,20 @@ def write_comparison(out: Path, comparison: Comparison) -> None:
         Section("Methods", refused, (header, rows)),
         Section("Estimates with two standard deviations", svg=svg(comparison_dots(comparison))),
     ]
-    write_report(out / "compare.html", f"{comparison.record.name}: all methods", sections)
+    write_report(out / "compare.html", f"{comparison.name}: all methods", sections)
 
 
 def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
     """Header and one row of text for each method."""
     first = next(iter(comparison.results.values())).estimator
-    header = ["method", *(f"{name} [{unit}]" for name, unit in zip(first.names, first.units, strict=True)), "flags"]
+    names = [f"{name} [{unit}]" for name, unit in zip(first.names, first.units, strict=True)]
+    header = ["method", *names, *(["fit [%]"] if first.equation.process else []), "flags"]
     rows = []
     for method, result in comparison.results.items():
         values = dict(zip(result.estimator.names, zip(result.theta, result.theta_std, strict=True), strict=True))
         cells = [f"{values[n][0]:.5g} ± {values[n][1]:.2g}" if n in values else "-" for n in first.names]
-        rows.append([method, *cells, ", ".join(result.status)])
+        fit = [f"{result.assessment.fit:.2f}"] if isinstance(result, ProcessResult) else []
+        rows.append([method, *cells, *fit, ", ".join(result.status)])
     return header, rows
 
 

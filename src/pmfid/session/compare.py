@@ -1,46 +1,70 @@
-"""All methods on one record, side by side."""
+"""All methods on one record, or on the records of one transfer function, side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pmfid.errors import NotIdentifiableError
-from pmfid.estimators import METHODS
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.registry import methods_for
+from pmfid.linear.experiment import Experiment
 from pmfid.session.config import Axis
 from pmfid.session.pipeline import Result, identify
+from pmfid.session.process import ProcessResult, identify_process
 from pmfid.session.records import Record
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Results by method, and the reason for each method that has none."""
+    """Results by method, and the reason for each method that has none; name, samples: of the record or records."""
 
-    record: Record
-    results: dict[str, Result]
+    name: str
+    samples: int
+    results: Mapping[str, Result | ProcessResult]
     refused: dict[str, str]
 
     def to_json(self) -> dict[str, Any]:
         """The object that `--json` prints."""
         methods: dict[str, Any] = {name: result.to_json() for name, result in self.results.items()}
         methods |= {name: {"error": reason} for name, reason in self.refused.items()}
-        return {"record": self.record.name, "samples": int(self.record.u.size), "methods": methods}
+        return {"record": self.name, "samples": self.samples, "methods": methods}
 
 
 def compare(record: Record, axis: Axis, done: Callable[[str], None] | None = None) -> Comparison:
     """Runs every method with the settings of `axis`; `done` is called with each name. Raises UsageError as `identify`
     does, and NotIdentifiableError where no method has an answer."""
     results: dict[str, Result] = {}
-    refused: dict[str, str] = {}
-    for method in METHODS[1:]:
-        estimator = axis.estimator.model_copy(update={"method": method})
+    refused: dict[str, Exception] = {}
+    for method in methods_for(axis.model.make()):
         try:
-            results[method] = identify(record, axis.model_copy(update={"estimator": estimator}))
+            results[method] = identify(record, _with_method(axis, method))
         except NotIdentifiableError as error:
-            refused[method] = str(error)
+            refused[method] = error
         if done is not None:
             done(method)
+    return Comparison(record.name, int(record.u.size), results, _reasons(results, refused))
+
+
+def compare_processes(experiments: Sequence[Experiment], axis: Axis) -> Comparison:
+    """The same for a transfer function, where some methods do not take every record. Raises what the first method
+    raised where none has an answer."""
+    results: dict[str, ProcessResult] = {}
+    refused: dict[str, Exception] = {}
+    for method in methods_for(axis.model.make()):
+        try:
+            results[method] = identify_process(experiments, _with_method(axis, method))
+        except (NotIdentifiableError, UsageError) as error:
+            refused[method] = error
+    name = ", ".join(experiment.name for experiment in experiments)
+    return Comparison(name, sum(part.u.size for part in experiments), results, _reasons(results, refused))
+
+
+def _with_method(axis: Axis, method: str) -> Axis:
+    return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"method": method})})
+
+
+def _reasons(results: dict[str, Any], refused: dict[str, Exception]) -> dict[str, str]:
     if not results:
-        raise NotIdentifiableError(next(iter(refused.values())))
-    return Comparison(record, results, refused)
+        raise next(iter(refused.values()))
+    return {method: str(error) for method, error in refused.items()}

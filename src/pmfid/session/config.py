@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation, Signal, Term
+from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.toml_file import FileSection, load_sections
 
 __all__ = ["Axis", "check_sampling", "load_axis"]
@@ -31,6 +32,9 @@ def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
     return value
 
 
+#: Resolution of an output that is a number and no count: finer than any.
+NO_ENCODER = 1e-29
+
 Positive = Annotated[float, Field(gt=0)]
 Negative = Annotated[float, Field(lt=0)]
 Name = Annotated[str, Field(min_length=1)]
@@ -43,6 +47,11 @@ class RecordConfig(FileSection):
     output: Name = Field(description="the name of the column that holds the position or the counts")
     output_kind: Literal["position", "counts"] = Field("position", description="what the output column holds")
     time: Name | None = Field(None, description="the name of the time column, in s")
+    reference: Name | None = Field(
+        None, description="the name of the column that holds what a controller was told, of a transfer function"
+    )
+    hold: Literal["zoh", "foh"] = Field("zoh", description="what the input does between samples: holds, or a line")
+    gap: Positive | None = Field(None, description="the time step in s beyond which the record is interrupted")
     dt: Positive | None = Field(None, description="the sample period in s, for example 1e-3")
     input_scale: Annotated[float | str, AfterValidator(_usable_scale)] = Field(
         1.0,
@@ -93,9 +102,12 @@ class ModelConfig(FileSection):
     """[model]: the equation, mass x'' + viscous_friction x' + coulomb_friction sign(x') [+ ...] = input_gain u, or one
     of the user's own terms: kind = "equation"."""
 
-    kind: Literal["drive", "equation"] = Field(
-        "drive", description='"drive", or "equation" for the terms in unknown and known'
+    kind: Literal["drive", "equation", "transfer_function"] = Field(
+        "drive", description='"drive", "transfer_function", or "equation" for the terms in unknown and known'
     )
+    n: int | None = Field(None, description="the number of poles, 1 to 6, of a transfer function")
+    m: int | None = Field(None, description="the number of zeros, 0 to n - 1, of a transfer function")
+    delay: int = Field(0, description="the dead time in whole samples, 0 to 20, of a transfer function")
     input_gain: Positive | None = Field(None, description="the force in N per unit of u, for example 2.0")
     friction: Literal["symmetric", "directional"] = Field(
         "symmetric", description="whether friction differs between forward and backward"
@@ -113,19 +125,32 @@ class ModelConfig(FileSection):
     def _one_kind(self) -> Self:
         if self.kind == "drive" and self.input_gain is None:
             raise ValueError("input_gain is missing; give the force in N per unit of u, for example 2.0")
-        if self.kind == "drive" and (self.unknown or "known" in self.model_fields_set):
+        if self.kind != "equation" and (self.unknown or "known" in self.model_fields_set):
             raise ValueError('unknown and known are for kind = "equation"; add that, or drop them')
         own = {"input_gain", "friction", "offset", "spring"} & self.model_fields_set
         if self.kind == "equation" and own:
             raise ValueError(f'{", ".join(sorted(own))} is for kind = "drive"; write it as a term of unknown or known')
+        self._check_transfer_function()
         try:
             self.make()
         except UsageError as error:
             raise ValueError(str(error)) from None
         return self
 
+    def _check_transfer_function(self) -> None:
+        wanted, own = self.kind == "transfer_function", {"n", "m", "delay"} & self.model_fields_set
+        if wanted and (self.n is None or self.m is None):
+            raise ValueError("n or m is missing; give the numbers of poles and zeros, or search: pmfid order RECORD")
+        if own and not wanted:
+            raise ValueError(f'{", ".join(sorted(own))} is for kind = "transfer_function"; add that, or drop it')
+        foreign = {"input_gain", "friction", "spring", "unknown", "known"} & self.model_fields_set
+        if wanted and foreign:
+            raise ValueError(f"{', '.join(sorted(foreign))} is not for a transfer function; drop it")
+
     def make(self) -> Model:
         """The model that the section describes. Raises UsageError where the terms make no equation."""
+        if self.kind == "transfer_function" and self.n is not None and self.m is not None:
+            return TransferFunction(self.n, self.m, delay=self.delay, offset=self.offset)
         if self.kind == "drive" and self.input_gain is not None:
             return Drive(self.input_gain, offset=self.offset, friction=self.friction, spring=self.spring)
         unknown = tuple(Term(term.signal, term.derivative, term.name, term.unit) for term in self.unknown)
@@ -144,10 +169,12 @@ class EstimatorConfig(FileSection):
         "iv",
         "output-error",
         "interval",
+        "srivc",
         "rls",
         "bcrls",
         "rknown-step",
         "riv",
+        "rsrivc",
     ] = Field("auto", description="the estimation method")
     cutoff: Positive = Field(description="the pole of the filter chain in rad/s, for example 50.0")
     order: int = Field(2, ge=2, le=6, description="the number of filter stages, 2 to 6")
@@ -160,7 +187,9 @@ class EstimatorConfig(FileSection):
     forgetting_scheme: Literal["exponential", "directional", "constant-trace", "window"] = Field(
         "exponential", description="what becomes of old samples where forgetting < 1"
     )
-    discretization: Literal["matched", "paper"] = Field("matched", description="the discretisation of the filters")
+    discretization: Literal["matched", "paper", "exact"] = Field(
+        "matched", description="the discretisation of the filters"
+    )
     # not strict, because TOML has lists and a frozen object wants a tuple
     prefilter_zeros: Annotated[tuple[Negative, Negative] | None, AfterValidator(_distinct)] = Field(
         None, strict=False, description="two different negative numbers in 1/s, for example [-30.0, -60.0]"
@@ -203,7 +232,14 @@ def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis
     `overrides` holds dotted keys, {"estimator.cutoff": 50.0}, that go before the file's; None is ignored.
     Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
     """
-    return load_sections(Axis, path, overrides, "an AXIS.toml")
+    return load_sections(Axis, path, overrides, "an AXIS.toml", _without_encoder)
+
+
+def _without_encoder(raw: dict[str, Any]) -> None:
+    """A transfer function needs no encoder: its output is a number, or in counts."""
+    model = raw.get("model")
+    if isinstance(model, dict) and model.get("kind") == "transfer_function":
+        raw.setdefault("encoder", {"resolution": NO_ENCODER})
 
 
 def check_sampling(axis: Axis, dt: float) -> None:

@@ -10,13 +10,14 @@ from pmfid.errors import UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import default_zeros
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.estimators.registry import ESTIMATORS, RECURSIVE
-from pmfid.session.config import Axis
+from pmfid.estimators.registry import ESTIMATORS, methods_for
+from pmfid.session.config import NO_ENCODER, Axis
 from pmfid.session.pipeline import make_estimator
 from pmfid.session.records import Record
 
 #: What "auto" is on a drive.
 DEFAULT_METHOD = "riv"
+DEFAULT_PROCESS_METHOD = "rsrivc"
 
 
 def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None = None) -> RecursiveEstimator:
@@ -26,16 +27,23 @@ def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None =
     [record] dt does, and the zeros are the method's default. Raises UsageError for an off-line method or without a
     sample period.
     """
-    config = axis.estimator
+    config, model = axis.estimator, axis.model.make()
+    if axis.encoder.resolution == NO_ENCODER:
+        raise UsageError("firmware reads counts: give [encoder] resolution, that of the encoder or converter")
     if config.method == AUTO:
-        config = config.model_copy(update={"method": DEFAULT_METHOD})
-    if not issubclass(ESTIMATORS[config.method], RecursiveEstimator):
-        names = ", ".join(cls.method for cls in RECURSIVE)
-        raise UsageError(f"{config.method} works on whole records; a drive runs one of {names}: give one as --method")
+        config = config.model_copy(
+            update={"method": DEFAULT_PROCESS_METHOD if model.equation.process else DEFAULT_METHOD}
+        )
+    usable = [name for name in methods_for(model) if issubclass(ESTIMATORS[name], RecursiveEstimator)]
+    if config.method not in usable:
+        names = ", ".join(usable)
+        raise UsageError(
+            f"{config.method} works on whole records or other models; a drive runs one of {names}: give one as --method"
+        )
     if record is None:
         record = _no_record(axis, dt)
-        if ESTIMATORS[config.method].instrumental and config.prefilter_zeros is None:
-            needed = len(axis.model.make().equation.symmetric.noisy)
+        if ESTIMATORS[config.method].instrumental and config.prefilter_zeros is None and not model.equation.process:
+            needed = len(model.equation.symmetric.noisy)
             config = config.model_copy(update={"prefilter_zeros": default_zeros(config.cutoff)[:needed]})
     estimator = make_estimator(axis.model_copy(update={"estimator": config}), record)
     encoder = replace(estimator.encoder, bits=axis.encoder.bits or 32)

@@ -49,6 +49,8 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
     there is neither, or no nominal values, and NotIdentifiableError where the reference cannot identify them.
     """
     config, notes = axis.monitor, []
+    if axis.model.make().equation.process:
+        raise UsageError("the monitor is for a machine with friction; to follow a transfer function use RSRIVC")
     normal = None if config.reference is None else read_record(folder / config.reference, axis)
     source = normal or record
     if source is None or (normal is None and config.nominal is None):

@@ -110,7 +110,7 @@ def _check_known(result: Result) -> None:
 def _identify(estimator: Estimator, record: Record, axis: Axis, progress: Progress | None) -> Result:
     batch = _batch_twin(estimator)
     columns = batch.columns(record.u, record.counts)
-    check_identifiable(columns, batch.names)
+    check_identifiable(columns, batch.names, batch.least_part)
     if isinstance(estimator, RecursiveEstimator):
         return _recursive(estimator, record, columns, progress)
     fit = batch.fit(record.u, record.counts)

@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
+from pmfid.linear.experiment import Experiment
+from pmfid.session.config import NO_ENCODER
 from pmfid.session.tables import Floats, Table, column, from_array, lookup, read_table
 
 if TYPE_CHECKING:
     from pmfid.session.config import Axis, RecordConfig
 
-__all__ = ["MIN_SAMPLES", "Record", "read_record"]
+__all__ = ["MIN_SAMPLES", "Record", "read_experiment", "read_record"]
 
 MIN_SAMPLES = 10
 # Beyond 2**53 neighbouring integers share one float64, and a count would be silently wrong.
@@ -43,6 +45,36 @@ class Record:
     resolution: float
     notes: tuple[str, ...]
     name: str
+
+
+def read_experiment(path: Path, axis: Axis) -> Experiment:
+    """The record as it is, for a transfer function: any spacing, gaps, samples of the output that are missing (empty).
+
+    Of output_kind = "counts" in units of the encoder's resolution. Raises UsageError naming the file and the remedy.
+    """
+    config = axis.record
+    try:
+        table = read_table(path)
+        keys = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
+        columns = {key: column(table, key, name) for key, name in keys.items() if name is not None}
+        _check_lengths(columns, keys)
+        scale, _ = _input_scale(table, config.input_scale)
+        y, t = columns["output"], columns.get("time")
+        if config.output_kind == "counts":
+            resolution = axis.encoder.resolution
+            y = (y + 0.5) * (1.0 if resolution == NO_ENCODER else resolution)
+        return Experiment(
+            scale * columns["input"],
+            y,
+            dt=config.dt if t is None else None,
+            t=t,
+            hold=config.hold,
+            gap=config.gap,
+            reference=columns.get("reference"),
+            name=path.name,
+        )
+    except UsageError as error:
+        raise UsageError(f"{path}: {' '.join(str(error).split())}") from None
 
 
 def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record:

@@ -6,7 +6,7 @@ The description of a field ends the error message about it: it must read well af
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -28,15 +28,23 @@ class FileSection(BaseModel):
 Whole = TypeVar("Whole", bound=FileSection)
 
 
-def load_sections(whole: type[Whole], path: Path, overrides: Mapping[str, object] | None, kind: str) -> Whole:
+def load_sections(
+    whole: type[Whole],
+    path: Path,
+    overrides: Mapping[str, object] | None,
+    kind: str,
+    complete: Callable[[dict[str, Any]], None] | None = None,
+) -> Whole:
     """Read and validate a file whose sections are the fields of `whole`.
 
     `overrides` holds dotted keys, {"estimator.cutoff": 50.0}, that go before the file's; None is ignored. kind: what to
-    give where the file is unreadable, as "an AXIS.toml".
+    give where the file is unreadable, as "an AXIS.toml". complete: adds to the file's sections what follows from them.
     Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
     """
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
     raw = _read_toml(path, kind)
+    if complete is not None:
+        complete(raw)
     for dotted, value in given.items():
         section, _, key = dotted.partition(".")
         table = raw.setdefault(section, {})

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from pmfid.estimators.base import status_names
-from pmfid.estimators.registry import ESTIMATORS
+from pmfid.estimators.registry import methods_for
+from pmfid.models.drive import Drive
 from pmfid.simulation import CART, CART_DT, position_control, resolution_of
 from pmfid.status import Status
 from pmfid.studies.truth import (
@@ -36,6 +37,7 @@ MOST_SEEDS = 5
 #: Outside these multiples of the truth an estimate has diverged.
 LOW, HIGH = 0.3, 3.0
 AFTER = 5.0  # s
+ON_DRIVES = tuple(methods_for(Drive(1.0)))
 STEPS_OF_CREEP = (0.0, 0.001, 0.005)  # m
 SAMPLES_PER_COUNT = 20
 
@@ -132,14 +134,14 @@ def creep(step: float, seed: int) -> dict[str, Outcome]:
     motion, counts = position_control(
         CART, reference, CART_DT, kp=KP, kd=KD, u_max=U_MAX, resolution=resolution, phase=phase
     )
-    return outcomes(Record(motion.u, counts, resolution), tuple(ESTIMATORS))
+    return outcomes(Record(motion.u, counts, resolution), ON_DRIVES)
 
 
 def write_creep(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     count = min(seeds, MOST_SEEDS)
     rows = []
     for step in STEPS_OF_CREEP:
-        for method in ESTIMATORS:
+        for method in ON_DRIVES:
             found = [results[step, seed][method] for seed in range(count)]
             flags = tally([[*o.flags, *([o.failure] if o.failure else [])] for o in found])
             status = tally([status_names(o.status) for o in found])

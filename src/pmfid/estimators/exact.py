@@ -1,0 +1,188 @@
+"""Passes of a linear method with filters that have no error of discretisation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.base import Estimator, like
+from pmfid.estimators.batch import BatchEstimator, Columns, Fit
+from pmfid.filters.columns import tustin_image
+from pmfid.linear.exact import Filter, Term, respond_exactly
+from pmfid.models.equation import Equation
+
+Floats = NDArray[np.float64]
+
+PASSES = 12
+#: Relative change of every parameter at which the passes end.
+SETTLED = 1e-12
+#: ... and from which on they are taken to have settled where rounding or noise goes on.
+CLOSE = 1e-6
+OUTPUTS = ("output", "process_output")
+#: Signals that hold for an interval, and what they are made from.
+HELD = ("input", "process_input", "direction", "moving", "constant")
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One pass at theta: phi (N, p) regressors, zeta (N, p) instruments, slope (N, p) by which the error falls with
+    theta, error (N,) of the filtered equation, known (N,) its known side."""
+
+    phi: Floats
+    zeta: Floats
+    slope: Floats
+    error: Floats
+    known: Floats
+
+
+@dataclass(frozen=True)
+class Exact:
+    """The exact columns of an equation on one record; y (N,) position, signals: name -> (N,)."""
+
+    equation: Equation
+    filter: Filter
+    zeros: tuple[float, ...]
+    y: Floats
+    signals: dict[str, Floats]
+
+    def at(self, theta: Floats) -> Pass:
+        """Columns around the equation's own denominator at theta (p,)."""
+        A, held = self._denominator(theta), self._held(theta)
+        found = respond_exactly(A, held, np.array([self.signals[name] for name in HELD]), self.filter.dt)
+        F, p = self.filter, len(self.equation.unknown)
+        inputs = [F.equation(response, A) for response in found.responses]
+        phi, slope, known = np.zeros((p, self.y.size)), np.zeros((p, self.y.size)), np.zeros(self.y.size)
+        gap = self.y - found.simulated
+        for column, term in enumerate(self.equation.unknown):
+            if term.signal in OUTPUTS:
+                k = term.derivative
+                phi[column] = term.coefficient * F.output(self.y, k)
+                slope[column] = term.coefficient * (F.output(gap, k) + F.equation(found.slopes[k], A))
+        for part, signal in zip(held, inputs, strict=True):
+            if part.column is None:
+                known += part.coefficient * signal
+            else:
+                phi[part.column] = slope[part.column] = self.equation.unknown[part.column].coefficient * signal
+        error = -F.equation(gap, A)
+        zeta = phi.copy()
+        if self.zeros:
+            self._instruments(zeta, inputs[self._main(held)])
+        return Pass(phi.T, zeta.T, slope.T, error, known)
+
+    def _denominator(self, theta: Floats) -> Floats:
+        """A(s), (n+1,), all output terms on the left."""
+        A = np.zeros(self.equation.order + 1)
+        for term, value in zip(self.equation.unknown, theta, strict=True):
+            if term.signal in OUTPUTS:
+                A[term.derivative] += term.coefficient * value
+        for term in self.equation.known:
+            if term.signal in OUTPUTS:
+                A[term.derivative] -= term.coefficient
+        return A
+
+    def _held(self, theta: Floats) -> list[Term]:
+        """All other terms on the right."""
+        terms = [
+            Term(HELD.index(term.signal), term.derivative, -term.coefficient * value, column)
+            for column, (term, value) in enumerate(zip(self.equation.unknown, theta, strict=True))
+            if term.signal in HELD
+        ]
+        known = [term for term in self.equation.known if term.signal in HELD]
+        return terms + [Term(HELD.index(term.signal), term.derivative, term.coefficient, None) for term in known]
+
+    def _main(self, held: list[Term]) -> int:
+        """The term of the input itself, that instruments are made from."""
+        names = [HELD[term.source] for term in held]
+        return next(i for i, name in enumerate(names) if name in ("input", "process_input"))
+
+    def _instruments(self, zeta: Floats, signal: Floats) -> None:
+        """s^j / f(s) of the filtered input in place of the noisy regressors, as in `ColumnBuilder.prefiltered`."""
+        noisy = self.equation.noisy
+        for j, column in enumerate(noisy):
+            power = len(noisy) - j - (1 if self.equation.process else 0)
+            made = signal
+            for i, zero in enumerate(reversed(self.zeros)):
+                pole = tustin_image(-zero, self.filter.dt)
+                made = self.filter.stage(made, pole, differentiating=i >= len(noisy) - power)
+            zeta[column] = made
+
+
+def make_exact(estimator: Estimator, u: Floats, y: Floats) -> Exact:
+    """The record u, y: (n,), for an equation of outputs and held signals, at rest at the start."""
+    equation = estimator.equation
+    names = {term.signal for term in (*equation.unknown, *equation.known)}
+    if not names <= {*OUTPUTS, *HELD}:
+        raise UsageError(f"the exact discretisation takes no terms of {sorted(names - {*OUTPUTS, *HELD})}; use matched")
+    if not equation.process:
+        y = y - y[0]
+    late = np.r_[np.zeros(equation.delay), u][: u.size]
+    one, motion = np.ones(u.size), np.sign(np.diff(y, append=y[-1:]))
+    signals = {"input": late, "process_input": late, "direction": motion, "moving": one, "constant": one}
+    return Exact(equation, Filter(estimator.cutoff, estimator.order, estimator.dt), estimator.zeros, y, signals)
+
+
+@dataclass(frozen=True)
+class Refined:
+    """theta (p,), the last pass, its gain (p, p); history (passes, p): after each pass; status: bits of the record."""
+
+    theta: Floats
+    last: Pass
+    gain: Floats
+    history: Floats
+    status: int = 0
+
+
+def refine_exactly(exact: Exact, theta: Floats, used: slice) -> Refined | None:
+    """Passes from theta (p,) to sum zeta error = 0: what the linear method asks for, with the exact columns.
+
+    Each is a Newton step that leaves out how the instruments change. None where they do not settle."""
+    change, history = np.inf, []
+    for count in range(1, PASSES + 1):
+        with np.errstate(all="ignore"):
+            here = exact.at(theta)
+            size = np.linalg.norm(here.zeta[used], axis=0)
+        if not (np.all(np.isfinite(here.slope)) and np.all(np.isfinite(here.error)) and 0 < np.min(size) < np.inf):
+            return None
+        Q, R = np.linalg.qr(here.zeta[used] / size)
+        inverse = np.linalg.pinv(Q.T @ here.slope[used], rcond=1e-14)
+        step = inverse @ (Q.T @ here.error[used])
+        theta, before = theta + step, change
+        history.append(theta)
+        change = float(np.max(np.abs(step) / np.maximum(np.abs(theta), 1e-300)))
+        if change < SETTLED or (change < CLOSE and (change > before / 4 or count == PASSES)):
+            return Refined(theta, here, inverse @ np.linalg.inv(R.T) / size, np.array(history))
+    return None
+
+
+def fit_exactly(estimator: BatchEstimator, u: Floats, y: Floats) -> Fit:
+    """The fit of a linear method with the exact discretisation, u, y: (n,). Raises as `refined`."""
+    found, used = refined(estimator, u, y), slice(estimator.settle_samples, None)
+    last = found.last
+    target = last.error[used] + last.phi[used] @ found.theta
+    columns = Columns(last.phi[used], target, last.zeta[used], np.arange(y.size) >= used.start, found.status)
+    return estimator._result(columns, found.theta, found.gain)
+
+
+def refined(estimator: BatchEstimator, u: Floats, y: Floats) -> Refined:
+    """The passes from the estimate with matched filters; where they do not settle, from the filters' own poles.
+
+    Raises NotIdentifiableError where those do not, either."""
+    first = like(type(estimator), estimator, discretization="matched").fit_output(u, y)
+    exact, used = make_exact(estimator, u, y), slice(estimator.settle_samples, None)
+    found = refine_exactly(exact, first.theta, used)
+    if found is None and estimator.equation.process:
+        found = refine_exactly(exact, _filter_poles(estimator), used)
+    if found is None:
+        raise NotIdentifiableError("the passes of the exact discretisation do not settle; use matched, or srivc")
+    return replace(found, status=first.status)
+
+
+def _filter_poles(estimator: Estimator) -> Floats:
+    """theta of a process with all poles at the cutoff and no input."""
+    order = estimator.equation.order
+    A = np.poly(np.full(order, -estimator.cutoff))[::-1]
+    terms = estimator.equation.unknown
+    return np.array([A[term.derivative] if term.signal in OUTPUTS else 0.0 for term in terms])

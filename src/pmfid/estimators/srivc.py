@@ -1,0 +1,191 @@
+"""Refined instrumental variables, instrumental variables and output error for any linear process, off-line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.base import Estimator, check_arrays, check_size, held
+from pmfid.estimators.batch import BatchEstimator, Fit, long_run_covariance
+from pmfid.linear.experiment import Experiment
+from pmfid.linear.process import Process
+from pmfid.linear.sensitivity import Structure
+from pmfid.linear.solve import Point, Problem, Solution, descend, first_guess, refine, solve, with_fixed_filter
+from pmfid.models.transfer_function import TransferFunction
+
+#: Time constants of the slowest pole over which scores are taken to be correlated, and samples at most.
+MEMORY = 3.0
+#: Part of a sensitivity that must not follow from the others.
+APART = 1e-6
+
+
+@dataclass(frozen=True)
+class ProcessFit(Fit):
+    """A `Fit` of a transfer function. process: the transfer function itself, with poles, zeros, responses;
+    passes: of the iteration."""
+
+    process: Process
+    passes: int
+
+
+@dataclass(frozen=True)
+class SRIVC(BatchEstimator):
+    """Simplified refined instrumental variables for continuous time (Young and Jakeman 1980; Young 2011, chapter 8).
+
+    sum zeta (z - phi^T theta) = 0, all signals behind 1/A(s) of the estimate, instruments zeta from the output that the
+    estimate simulates from the input; iterated from least squares with filters of the pole `cutoff`. Unstable
+    intermediate models are reflected; where the iteration does not settle, output error by Levenberg and Marquardt
+    takes over, and further filters are tried. There is no error of discretisation. Initial conditions are always
+    unknown and part of the fit. For white noise on the output it is efficient; for any noise that is not correlated
+    with the input it is consistent. theta_cov allows for coloured noise (Newey and West 1987).
+    `fit` takes u and counts; `fit_experiments` takes records with gaps, missing samples, other holds and a reference.
+    For `TransferFunction` alone; raises UsageError for another model.
+    """
+
+    method: ClassVar[str] = "srivc"
+    process_only: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        without_start(self)
+
+    def fit(self, u: ArrayLike, counts: ArrayLike) -> ProcessFit:
+        """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
+        NotIdentifiableError where the record cannot identify every parameter."""
+        return self.fit_experiments([counted(self, u, counts)])
+
+    def fit_experiments(self, experiments: Sequence[Experiment]) -> ProcessFit:
+        """Estimates from several records at once; `dt` of the estimator is the period that `delay` counts in.
+
+        Raises UsageError without a usable record and NotIdentifiableError as `fit`."""
+        return fit_process(self, experiments)
+
+
+def without_start(estimator: Estimator) -> None:
+    """Initial conditions are part of every fit here, and no parameters; for use at construction."""
+    if isinstance(estimator.model, TransferFunction):
+        object.__setattr__(estimator, "model", replace(estimator.model, initial_conditions=False))
+
+
+def counted(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Experiment:
+    """The record as an `Experiment`: the position of the counts, an input that is not finite replaced."""
+    u, counts = check_arrays(u, counts)
+    check_size(u)
+    if u.size < 2:
+        raise NotIdentifiableError("the record has fewer than two samples; record longer")
+    return Experiment(held(u), estimator.encoder.position(counts), dt=estimator.dt)
+
+
+def fit_process(
+    estimator: Estimator, experiments: Sequence[Experiment], solver: Callable[[Problem], Solution] = solve
+) -> ProcessFit:
+    """The estimate from all records, by refined instrumental variables or another solver."""
+    problem = make_problem(estimator, experiments)
+    check_signals(problem, estimator.names)
+    return result(estimator, problem, solver(problem))
+
+
+def fixed_filters(problem: Problem) -> Solution:
+    """Instrumental variables with the filters of the estimator's cutoff."""
+    return with_fixed_filter(problem, 1.0)
+
+
+def by_descent(problem: Problem) -> Solution:
+    """Least squares of the output error."""
+    return descend(problem, refine(problem, first_guess(problem, 1.0)).point)
+
+
+def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> Problem:
+    """The stretches of all records, in units of the filters' time constant. Raises UsageError where none is usable."""
+    model = estimator.model
+    if not isinstance(model, TransferFunction):
+        raise UsageError(f"{estimator.method} on experiments is for a transfer function, not for a {model.kind}")
+    parts = [experiment.stretches(model.delay) for experiment in experiments]
+    stretches = [replace(stretch, record=i) for i, some in enumerate(parts) for stretch in some]
+    # what the initial conditions take up, a stretch must have more of
+    usable = [stretch.scaled(estimator.cutoff) for stretch in stretches if stretch.rows.size > model.n + 1]
+    if not usable:
+        raise UsageError("no record has a stretch with enough samples of input and output; record longer")
+    return Problem(Structure(model.n, model.m, model.offset), tuple(usable), estimator.cutoff)
+
+
+def check_signals(problem: Problem, names: tuple[str, ...]) -> None:
+    """Raises NotIdentifiableError where input or output say nothing, whatever the method."""
+    samples = sum(stretch.rows.size for stretch in problem.stretches)
+    if samples <= 2 * len(names):
+        raise NotIdentifiableError(f"only {samples} samples for {len(names)} parameters: record longer")
+    if not any(np.ptp(stretch.y[stretch.rows]) > 0 for stretch in problem.stretches):
+        raise NotIdentifiableError("the output does not move in this record: nothing can be identified; excite it more")
+    if not any(np.ptp(stretch.inputs[0]) > 0 or np.any(stretch.inputs[0]) for stretch in problem.stretches):
+        raise NotIdentifiableError("the input is zero throughout: record the input that drives the process")
+
+
+def result(estimator: Estimator, problem: Problem, solution: Solution) -> ProcessFit:
+    """The `ProcessFit` in seconds. Raises NotIdentifiableError where a sensitivity follows from the others."""
+    point = solution.point
+    check_apart(point, estimator.names)
+    scale = problem.structure.scale(problem.rate)
+    cov = covariance(point, problem) * np.outer(scale, scale)
+    theta = point.theta * scale
+    residual = point.error
+    relative = float(np.sqrt(point.cost / max(spread(problem), 1e-300)))
+    model = estimator.model
+    delay = model.delay if isinstance(model, TransferFunction) else 0
+    process = Process.of(problem.structure, theta, cov, delay * estimator.dt)
+    return ProcessFit(
+        estimator.names,
+        estimator.units,
+        theta,
+        cov,
+        residual.size,
+        residual,
+        relative,
+        0,
+        process,
+        solution.passes,
+    )
+
+
+def check_apart(point: Point, names: tuple[str, ...]) -> None:
+    """Raises NotIdentifiableError where a sensitivity is zero or a combination of the others, naming the parameter."""
+    size = np.linalg.norm(point.zeta, axis=0)
+    inverse = np.linalg.pinv(point.zeta / np.where(size > 0, size, 1.0), rcond=1e-13)
+    apart = 1 / np.maximum(np.linalg.norm(inverse, axis=1), 1.0)
+    apart[size == 0] = 0.0
+    worst = int(np.argmin(apart))
+    if not apart[worst] > APART:
+        raise NotIdentifiableError(
+            f"the output depends on {names[worst]} hardly, or just as on the others: too little excitation, or a model "
+            "of too high an order; use fewer poles or zeros, or a richer input"
+        )
+
+
+def covariance(point: Point, problem: Problem) -> NDArray[np.float64]:
+    """(p, p) for residuals correlated in time (Newey and West 1987), in the problem's units."""
+    size = np.linalg.norm(point.zeta, axis=0)
+    zeta = point.zeta / size
+    inverse = np.linalg.inv(zeta.T @ (point.phi / size))
+    lags = min(point.error.size // 10, memory(point, problem))
+    spectrum = long_run_covariance(zeta * point.error[:, None], lags)
+    cov = inverse @ spectrum @ inverse.T * point.error.size / max(1, point.error.size - size.size)
+    return np.asarray(cov / np.outer(size, size))
+
+
+def memory(point: Point, problem: Problem) -> int:
+    """Lags: some time constants of the slowest pole."""
+    poles = np.roots(np.r_[1.0, point.theta[: problem.structure.n][::-1]])
+    slowest = float(np.min(np.abs(poles)))
+    step = float(np.median(problem.stretches[0].grid.steps))
+    return int(min(1e6, np.ceil(MEMORY / max(slowest * step, 1e-6))))
+
+
+def spread(problem: Problem) -> float:
+    """Sum of squares of the output about the mean of each stretch."""
+    return sum(
+        float(np.sum((y := stretch.y[stretch.rows]) ** 2) - y.size * np.mean(y) ** 2) for stretch in problem.stretches
+    )

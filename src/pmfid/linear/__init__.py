@@ -1,0 +1,1 @@
+"""Linear processes: exact responses between samples, off-line, for any hold, spacing and gap."""

@@ -1,0 +1,202 @@
+"""An identified transfer function: poles, zeros, gain, responses, each with its uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.errors import UsageError
+from pmfid.linear.experiment import Stretch
+from pmfid.linear.propagate import Grid
+from pmfid.linear.sensitivity import Structure, channels
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class Process:
+    """G(s) = exp(-delay s) (b_0 + ... + b_m s^m) / (a_0 + ... + a_{n-1} s^{n-1} + s^n).
+
+    a: (n,), b: (m+1,), both from the constant upwards; cov: (n+m+1, n+m+1) covariance of a and b; delay [s].
+    All uncertainties are one standard deviation, by the delta method: to first order in the parameters' errors.
+    """
+
+    a: Floats
+    b: Floats
+    cov: Floats
+    delay: float = 0.0
+
+    @classmethod
+    def of(cls, structure: Structure, theta: ArrayLike, cov: ArrayLike, delay: float) -> Process:
+        """From theta (p,) and its covariance (p, p); an offset is left out."""
+        theta, kept = np.asarray(theta, float), structure.n + structure.m + 1
+        return cls(theta[: structure.n], theta[structure.n : kept], np.asarray(cov, float)[:kept, :kept], delay)
+
+    @property
+    def poles(self) -> Complex:
+        """(n,) rad/s, the slowest first."""
+        return _roots(np.r_[self.a, 1.0])
+
+    @property
+    def zeros(self) -> Complex:
+        """(m,) rad/s, the slowest first."""
+        return _roots(self.b)
+
+    @property
+    def poles_std(self) -> Floats:
+        """(n, 2) of real and imaginary part; infinite where two poles coincide."""
+        return self._root_std(np.r_[self.a, 1.0], self.poles, slice(0, self.a.size))
+
+    @property
+    def zeros_std(self) -> Floats:
+        """(m, 2) of real and imaginary part."""
+        return self._root_std(self.b, self.zeros, slice(self.a.size, None))
+
+    @property
+    def gain(self) -> float:
+        """G(0); infinite for an integrating process."""
+        return float(self.b[0] / self.a[0]) if self.a[0] else float("inf")
+
+    @property
+    def gain_std(self) -> float:
+        slope = np.zeros(self.cov.shape[0])
+        if not self.a[0]:
+            return float("inf")
+        slope[0], slope[self.a.size] = -self.b[0] / self.a[0] ** 2, 1 / self.a[0]
+        return float(np.sqrt(slope @ self.cov @ slope))
+
+    @property
+    def time_constants(self) -> Floats:
+        """(n,) s: 1 / |pole|, in the order of `poles`."""
+        return np.asarray(1 / np.abs(self.poles))
+
+    @property
+    def time_constants_std(self) -> Floats:
+        poles = self.poles
+        slopes = [self._root_slope(np.r_[self.a, 1.0], pole)[: self.a.size] for pole in poles]
+        size = [-(np.conj(pole) * slope).real / abs(pole) ** 3 for pole, slope in zip(poles, slopes, strict=True)]
+        part = self.cov[: self.a.size, : self.a.size]
+        return np.array([np.sqrt(max(0.0, row @ part @ row)) for row in size])
+
+    @property
+    def damping(self) -> Floats:
+        """(n,) -Re(pole) / |pole|."""
+        return np.asarray(-self.poles.real / np.abs(self.poles))
+
+    def frequency_response(self, frequencies: ArrayLike) -> tuple[Complex, Floats, Floats]:
+        """G (f,) at frequencies (f,) [rad/s], and the standard deviations of its magnitude, relative to it, and of its
+        phase [rad]."""
+        s = 1j * np.asarray(frequencies, float)
+        A = np.polyval(np.r_[1.0, self.a[::-1]], s)
+        G = np.polyval(self.b[::-1], s) / A
+        slopes = [-(s**i) * G / A for i in range(self.a.size)] + [s**j / A for j in range(self.b.size)]
+        relative = np.array(slopes) / G
+        spread = [np.sqrt(np.einsum("if,ij,jf->f", part, self.cov, part)) for part in (relative.real, relative.imag)]
+        return G * np.exp(-s * self.delay), spread[0], spread[1]
+
+    def step_response(self, t: ArrayLike) -> tuple[Floats, Floats]:
+        """Response (k,) to a unit step at evenly spaced t (k,) [s] from 0 on, and its standard deviation."""
+        t = np.asarray(t, float)
+        steps = np.diff(t)
+        if t.ndim != 1 or t.size < 2 or t[0] != 0 or not np.allclose(steps, steps[0]):
+            raise UsageError("t of a step response must be evenly spaced and start at 0")
+        structure = Structure(self.a.size, self.b.size - 1)
+        late = int(np.sum(t < self.delay - 1e-9 * steps[0]))
+        grid = Grid(float(steps[0]), t.size - late) if t.size - late > 1 else Grid(float(steps[0]), 2)
+        rows = np.arange(grid.size)
+        stretch = Stretch(grid, np.ones((1, grid.size)), np.zeros(grid.size), rows, rows, held=True)
+        rate = max(float(np.max(np.abs(self.poles))), 1e-300)
+        factors = structure.scale(rate)
+        a, b = self.a / factors[: self.a.size], self.b / factors[self.a.size :]
+        states = channels(structure, a, stretch.scaled(rate), twice=True)[:, 0]
+        n = self.a.size
+        slopes = [-(b @ states[n + i : n + i + b.size]) for i in range(n)] + list(states[: b.size])
+        scaled_cov = self.cov / np.outer(factors, factors)
+        std = np.sqrt(np.maximum(0.0, np.einsum("it,ij,jt->t", np.array(slopes), scaled_cov, np.array(slopes))))
+        response = b @ states[: b.size]
+        before = np.zeros(late)
+        return np.r_[before, response][: t.size], np.r_[before, std][: t.size]
+
+    def to_scipy(self) -> Any:
+        """`scipy.signal.TransferFunction`; it has no dead time, so that must be added by the caller."""
+        from scipy.signal import TransferFunction
+
+        return TransferFunction(self.b[::-1], np.r_[1.0, self.a[::-1]])
+
+    def to_control(self) -> Any:
+        """`control.TransferFunction` of python-control, without the dead time. Raises UsageError where that is not
+        installed."""
+        try:
+            import control
+        except ImportError:
+            raise UsageError("python-control is not installed; pip install pmfid[control]") from None
+        return control.TransferFunction(self.b[::-1], np.r_[1.0, self.a[::-1]])
+
+    def __str__(self) -> str:
+        top, bottom = polynomial(self.b), polynomial(np.r_[self.a, 1.0])
+        dead = f"  exp(-{self.delay:g} s)" if self.delay else ""
+        width = max(len(top), len(bottom))
+        return (
+            f"       {top.center(width).rstrip()}\nG(s) = {'-' * width}{dead}\n       {bottom.center(width).rstrip()}"
+        )
+
+    def __repr__(self) -> str:
+        rows = [str(self), "", f"gain {_value(self.gain, self.gain_std)}"]
+        for pole, std, tau in zip(self.poles, self.poles_std, self.time_constants, strict=True):
+            rows.append(f"pole {_complex(pole, std)} rad/s, time constant {tau:.4g} s")
+        rows += [f"zero {_complex(zero, std)} rad/s" for zero, std in zip(self.zeros, self.zeros_std, strict=True)]
+        return "\n".join(rows)
+
+    def _repr_latex_(self) -> str:
+        dead = rf"\,e^{{-{self.delay:g}s}}" if self.delay else ""
+        top, bottom = (polynomial(part, "^{%d}") for part in (self.b, np.r_[self.a, 1.0]))
+        return rf"$G(s) = \frac{{{top}}}{{{bottom}}}{dead}$"
+
+    def _root_slope(self, coefficients: Floats, root: complex) -> Complex:
+        """(k,) derivatives of a root of sum c_i s^i by all c_i: -s^i / C'(s)."""
+        derivative = np.polyval(np.polyder(coefficients[::-1]), root)
+        powers = root ** np.arange(coefficients.size)
+        with np.errstate(all="ignore"):
+            return np.asarray(-powers / derivative)
+
+    def _root_std(self, coefficients: Floats, roots: Complex, part: slice) -> Floats:
+        cov = self.cov[part, part]
+        found = np.full((roots.size, 2), np.inf)
+        for row, root in zip(found, roots, strict=True):
+            slope = self._root_slope(coefficients, root)[: cov.shape[0]]
+            if np.all(np.isfinite(slope)):
+                row[:] = [max(0.0, float(g @ cov @ g)) ** 0.5 for g in (slope.real, slope.imag)]
+        return found
+
+
+def polynomial(coefficients: Floats, power: str = "^%d") -> str:
+    """Text of sum c_i s^i, highest power first."""
+    parts: list[str] = []
+    for i in range(coefficients.size - 1, -1, -1):
+        value = float(coefficients[i])
+        number = "" if i and abs(value) == 1 else f"{abs(value):.5g}"
+        symbol = "" if i == 0 else "s" if i == 1 else "s" + power % i
+        sign = ("-" if value < 0 else "") if not parts else (" - " if value < 0 else " + ")
+        parts.append(f"{sign}{number}{' ' if number and symbol else ''}{symbol}")
+    return "".join(parts)
+
+
+def _roots(coefficients: Floats) -> Complex:
+    """Slowest first, of a pair the one with the positive imaginary part."""
+    found = [complex(root) for root in np.roots(coefficients[::-1])]
+    return np.array(sorted(found, key=lambda root: (round(abs(root), 12), root.real, -root.imag)), np.complex128)
+
+
+def _value(value: float, std: float) -> str:
+    return f"{value:.5g} ± {std:.2g}"
+
+
+def _complex(value: complex, std: Floats) -> str:
+    if value.imag == 0:
+        return _value(value.real, float(std[0]))
+    sign = "+" if value.imag > 0 else "-"
+    return f"{value.real:.5g} ± {std[0]:.2g} {sign} j ({abs(value.imag):.5g} ± {std[1]:.2g})"

@@ -1,0 +1,226 @@
+"""Files of an identified transfer function: report, figures, numbers; table and figure of a search."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pmfid.estimators.structure import Search
+from pmfid.linear.process import Process
+from pmfid.report.figures import COLOURS, GREY, WIDTH, decimation, figure_style
+from pmfid.report.html import Section, svg, write_report
+from pmfid.session.process import ProcessResult, search_json
+
+#: Frequencies from a tenth of the slowest to ten times the fastest corner, and time constants of a step response.
+DECADES, SETTLING = 1.0, 8.0
+POINTS = 400
+#: Structures in the table of a search.
+ROWS = 15
+
+
+def write_process(out: Path, result: ProcessResult) -> None:
+    """Writes report.html and result.json into the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "result.json").write_text(json.dumps(result.to_json(), indent=2, allow_nan=False) + "\n")
+    sections = [
+        _parameters(result),
+        _dynamics(result.process),
+        Section("Measured and simulated output", svg=svg(output_figure(result))),
+        Section("Frequency response", BAND, svg=svg(bode_figure(result))),
+        Section("Step response", BAND, svg=svg(step_figure(result.process))),
+        Section("Residual", _residual_text(result), svg=svg(correlation_figure(result))),
+    ]
+    write_report(out / "report.html", f"transfer function: {result.estimator.method}", sections)
+
+
+BAND = "Band: two standard deviations."
+
+
+def _parameters(result: ProcessResult) -> Section:
+    names, units = result.estimator.names, result.estimator.units
+    rows = [
+        [name, f"{value:.6g}", f"{std:.2g}", unit]
+        for name, value, std, unit in zip(names, result.theta, result.theta_std, units, strict=True)
+    ]
+    records = ", ".join(experiment.name for experiment in result.experiments)
+    samples = sum(part.size for part in result.assessment.samples)
+    text = f"{records}: {samples} samples. Fit {result.assessment.fit:.2f} %."
+    notes = [f"Note: {note}." for note in result.notes]
+    return Section("Parameters", "\n\n".join([text, *notes]), (("parameter", "value", "std", "unit"), rows))
+
+
+def dynamics_rows(process: Process) -> list[list[str]]:
+    """Poles, zeros and gain, each with its standard deviation."""
+    rows = [["gain", f"{process.gain:.5g}", f"{process.gain_std:.2g}", ""]]
+    taus = zip(process.time_constants, process.time_constants_std, strict=True)
+    for (pole, std), (tau, tau_std) in zip(zip(process.poles, process.poles_std, strict=True), taus, strict=True):
+        rows.append(["pole", _number(pole), _number(complex(*std)), f"time constant {tau:.4g} ± {tau_std:.2g} s"])
+    for zero, std in zip(process.zeros, process.zeros_std, strict=True):
+        rows.append(["zero", _number(zero), _number(complex(*std)), ""])
+    if process.delay:
+        rows.append(["dead time", f"{process.delay:.4g} s", "", ""])
+    return rows
+
+
+def _number(value: complex) -> str:
+    if value.imag == 0:
+        return f"{value.real:.4g}"
+    return f"{value.real:.4g} {'+' if value.imag > 0 else '-'} {abs(value.imag):.4g} j"
+
+
+def _dynamics(process: Process) -> Section:
+    header = ("", "value [rad/s]", "std", "")
+    return Section("Poles, zeros, gain", "Time constant: 1 / |pole|.", (header, dynamics_rows(process)))
+
+
+def _residual_text(result: ProcessResult) -> str:
+    checks = result.assessment
+    parts = [
+        "white" if checks.white else "not white: the noise is coloured, or the model lacks something",
+        "not correlated with the input" if checks.independent else "correlated with the input: the model is too small",
+    ]
+    parts += ["correlated with later inputs: feedback"] if checks.feedback else []
+    return f"The residual is {'; '.join(parts)}. Grey: bounds that 99 % of an independent residual stay within."
+
+
+def output_figure(result: ProcessResult) -> Figure:
+    """Measured and simulated output of every record over time."""
+    with figure_style():
+        records = result.experiments
+        figure = Figure(figsize=(WIDTH, 2.2 * len(records)), layout="constrained")
+        checks = result.assessment
+        parts = list(zip(checks.records, checks.samples, checks.simulated, strict=True))
+        for row, experiment in enumerate(records):
+            axes = figure.add_subplot(len(records), 1, row + 1)
+            shown = decimation(experiment.y)
+            axes.plot(experiment.times[shown], experiment.y[shown], color=GREY, label="measured")
+            for record, samples, simulated in parts:
+                if record == row:
+                    kept = decimation(simulated)
+                    t = experiment.times[samples[kept]]
+                    axes.plot(t, simulated[kept], color=COLOURS[0], label="simulated")
+            axes.set_ylabel(f"y, {experiment.name}")
+        axes.set_xlabel("time [s]")
+        handles, labels = axes.get_legend_handles_labels()
+        figure.legend(handles[:2], labels[:2], loc="outside upper right", ncols=2)
+    return figure
+
+
+def bode_figure(result: ProcessResult) -> Figure:
+    """Magnitude and phase over frequency with two standard deviations, up to half the sampling frequency."""
+    process = result.process
+    corners = np.abs(np.r_[process.poles, process.zeros])
+    corners = corners[corners > 0]
+    nyquist = np.pi / result.estimator.dt
+    low, high = np.log10(np.min(corners)) - DECADES, min(np.log10(np.max(corners)) + DECADES, np.log10(nyquist))
+    w = np.logspace(low, max(high, low + DECADES), POINTS)
+    G, magnitude, phase = process.frequency_response(w)
+    size, angle = 20 * np.log10(np.abs(G)), np.unwrap(np.angle(G))
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
+        upper = figure.add_subplot(2, 1, 1)
+        _banded(upper, w, size, 2 * 20 / np.log(10) * magnitude)
+        upper.set_ylabel("magnitude [dB]")
+        lower = figure.add_subplot(2, 1, 2, sharex=upper)
+        _banded(lower, w, np.degrees(angle), 2 * np.degrees(phase))
+        lower.set_ylabel("phase [degrees]")
+        lower.set_xlabel("frequency [rad/s]")
+        upper.set_xscale("log")
+    return figure
+
+
+def step_figure(process: Process) -> Figure:
+    """Step response with two standard deviations."""
+    slowest = float(np.max(1 / np.maximum(np.abs(process.poles.real), 1e-3 * np.max(np.abs(process.poles)))))
+    t = np.linspace(0, SETTLING * slowest + 2 * process.delay, POINTS)
+    y, std = process.step_response(t)
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 2.6), layout="constrained")
+        axes = figure.add_subplot()
+        _banded(axes, t, y, 2 * std)
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel("response to a unit step")
+    return figure
+
+
+def correlation_figure(result: ProcessResult) -> Figure:
+    """Autocorrelation of the residual, its correlation with the input, and their bounds."""
+    checks = result.assessment
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
+        panels = (
+            (np.arange(checks.autocorrelation.size), checks.autocorrelation, checks.autocorrelation_bound, "residual"),
+            (checks.lags, checks.cross, checks.cross_bound, "residual and input"),
+        )
+        for row, (lags, values, bound, label) in enumerate(panels):
+            axes = figure.add_subplot(2, 1, row + 1)
+            axes.axhspan(-bound, bound, color="#DDDDDD")
+            axes.vlines(lags, 0, values, color=COLOURS[0])
+            axes.plot(lags, values, "o", color=COLOURS[0], markersize=3)
+            axes.set_ylabel(f"correlation,\n{label}")
+        axes.set_xlabel("lag [samples]; negative: the input comes later")
+    return figure
+
+
+def _banded(axes: Axes, x: np.ndarray, y: np.ndarray, half: np.ndarray) -> None:
+    axes.fill_between(x, y - half, y + half, color=COLOURS[0], alpha=0.25, linewidth=0)
+    axes.plot(x, y, color=COLOURS[0])
+
+
+def search_header() -> tuple[str, ...]:
+    return ("n", "m", "delay", "criterion", "fit [%]", "condition")
+
+
+def search_rows(search: Search) -> list[list[str]]:
+    """The best structures; the criterion as the distance from the best."""
+    return [
+        [
+            str(row.n),
+            str(row.m),
+            str(row.delay),
+            f"{row.bic - search.best.bic:.1f}",
+            f"{row.fit:.2f}",
+            f"{row.condition:.1e}" + ("" if row.settled else " (not settled)"),
+        ]
+        for row in search.candidates[:ROWS]
+    ]
+
+
+def search_figure(search: Search) -> Figure:
+    """Criterion of the best structure of each size, and which it is."""
+    best: dict[int, int] = {}
+    for index, row in enumerate(search.candidates):
+        best.setdefault(row.n + row.m + 1, index)
+    sizes = sorted(best)
+    values = [search.candidates[best[size]].bic - search.best.bic for size in sizes]
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
+        axes = figure.add_subplot()
+        axes.plot(sizes, values, "o-", color=COLOURS[0])
+        for size, value in zip(sizes, values, strict=True):
+            row = search.candidates[best[size]]
+            place = f"{row.n}, {row.m}, {row.delay}"
+            axes.annotate(place, (size, value), (0, 7), textcoords="offset points", ha="center")
+        axes.set_yscale("symlog", linthresh=10)
+        axes.margins(y=0.25)
+        axes.set_xlabel("parameters; beside the point: n, m, delay of the best such structure")
+        axes.set_ylabel("criterion above the best")
+    return figure
+
+
+def write_search(out: Path, search: Search, name: str) -> None:
+    """Writes order.html and order.json into the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "order.json").write_text(json.dumps(search_json(search), indent=2, allow_nan=False) + "\n")
+    text = (
+        f"{search.samples} samples, {len(search.candidates)} structures fitted, {search.skipped} cannot be better. "
+        "Criterion: Schwarz (1978), above that of the best; less is better, and less than about 10 apart is not sure. "
+        "Condition: of the scaled sensitivities; large where poles and zeros nearly cancel."
+    )
+    table = (search_header(), search_rows(search))
+    sections = [Section("Structures", text, table), Section("Criterion", svg=svg(search_figure(search)))]
+    write_report(out / "order.html", f"{name}: poles, zeros and dead time", sections)

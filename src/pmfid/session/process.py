@@ -1,0 +1,214 @@
+"""Transfer functions: from records as they come to a result, and the search for a structure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pmfid.encoder import Encoder, fine_counts
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.base import Estimator, status_names
+from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.registry import ESTIMATORS, methods_for
+from pmfid.estimators.srivc import by_descent, fit_process, fixed_filters, make_problem
+from pmfid.estimators.structure import DELAYS, ORDERS, Search, search_structure
+from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.linear.assess import Assessment, assess
+from pmfid.linear.experiment import Experiment
+from pmfid.linear.process import Process
+from pmfid.linear.solve import Problem, Solution, solve
+from pmfid.models.transfer_function import TransferFunction
+from pmfid.session.config import NO_ENCODER, Axis, check_sampling
+from pmfid.status import Status
+
+AUTOMATIC = "srivc"
+#: Methods that take several records, gaps, missing samples and uneven spacing.
+FREE: dict[str, Callable[[Problem], Solution]] = {"srivc": solve, "iv": fixed_filters, "output-error": by_descent}
+#: The input must not be correlated with the noise by more than chance for these to be consistent without reference.
+FEEDBACK = (
+    "the residual is correlated with later inputs, so the input has the noise in it, as a controller feeds it back: "
+    "the estimate is biased; give the reference of the controller ([record] reference)"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessResult:
+    """theta, theta_std: (p,); process: the transfer function; assessment: fit and residual tests over all records;
+    notes: sentences for people; status: names of the bits that hold."""
+
+    estimator: Estimator
+    experiments: tuple[Experiment, ...]
+    theta: np.ndarray
+    theta_std: np.ndarray
+    process: Process
+    assessment: Assessment
+    status: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def delay(self) -> int:
+        model = self.estimator.model
+        return model.delay if isinstance(model, TransferFunction) else 0
+
+    def to_json(self) -> dict[str, Any]:
+        """The object that `--json` prints; poles and zeros as [real, imaginary], fit in percent."""
+        names, process, checks = self.estimator.names, self.process, self.assessment
+        values = dict(zip(names, self.theta.tolist(), strict=True))
+        rows = zip(names, self.estimator.units, self.theta, self.theta_std, strict=True)
+        return {
+            "model": self.estimator.model.kind,
+            "method": self.estimator.method,
+            "records": [experiment.name for experiment in self.experiments],
+            "samples": sum(part.size for part in checks.samples),
+            "dt": self.estimator.dt,
+            "delay": self.delay,
+            **values,
+            "parameters": {
+                name: {"value": float(value), "std": float(std), "unit": unit} for name, unit, value, std in rows
+            },
+            "poles": [[pole.real, pole.imag] for pole in process.poles.tolist()],
+            "zeros": [[zero.real, zero.imag] for zero in process.zeros.tolist()],
+            "gain": process.gain if np.isfinite(process.gain) else None,
+            "time_constants": process.time_constants.tolist(),
+            "fit": checks.fit,
+            "residual": {"white": checks.white, "independent": checks.independent, "feedback": checks.feedback},
+            "status": list(self.status),
+            "notes": list(self.notes),
+        }
+
+
+def identify_process(experiments: Sequence[Experiment], axis: Axis) -> ProcessResult:
+    """Identifies the transfer function of `axis` from one or more records.
+
+    Raises UsageError for a method that cannot take the model or such records and NotIdentifiableError where the
+    records cannot identify every parameter.
+    """
+    estimator = make_process_estimator(experiments, axis)
+    method = estimator.method
+    if method in FREE:
+        fit = fit_process(estimator, experiments, FREE[method])
+        theta, cov, bits = fit.theta, fit.theta_cov, fit.status
+    else:
+        theta, cov, bits = _from_counts(estimator, experiments)
+    problem = make_problem(estimator, experiments)
+    n_parameters = problem.structure.size
+    checks = assess(problem, theta[:n_parameters] / problem.structure.scale(problem.rate))
+    model = estimator.model
+    delay = model.delay * estimator.dt if isinstance(model, TransferFunction) else 0.0
+    process = Process.of(problem.structure, theta, cov, delay)
+    std = np.sqrt(np.diagonal(cov))
+    _check_known(estimator, theta, std)
+    notes = [*_notes(experiments, checks, process), *Status(bits).advice]
+    flags = ["feedback"] if checks.feedback and not problem.referenced else []
+    status = (*status_names(bits), *flags)
+    return ProcessResult(estimator, tuple(experiments), theta, std, process, checks, status, tuple(notes))
+
+
+def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Estimator:
+    """The estimator that a configuration asks for, at the period of the first record."""
+    model, config, dt = axis.model.make(), axis.estimator, experiments[0].period
+    check_sampling(axis, dt)
+    if any(abs(experiment.period / dt - 1) > 0.01 for experiment in experiments):
+        raise UsageError("the records differ in their sample period; decimate them to one, or identify them one by one")
+    method = AUTOMATIC if config.method == "auto" else config.method
+    if method not in methods_for(model):
+        raise UsageError(f"{method} is not for a transfer function; use one of {', '.join(methods_for(model))}")
+    cls = ESTIMATORS[method]
+    options: dict[str, Any] = {"order": config.order, "precision": config.precision}
+    options |= {"discretization": config.discretization, "prefilter_zeros": config.prefilter_zeros}
+    if issubclass(cls, RecursiveEstimator):
+        options |= {"forgetting": config.forgetting, "forgetting_scheme": config.forgetting_scheme}
+    if method in ("known-step", "rknown-step"):
+        if axis.encoder.resolution == NO_ENCODER:
+            raise UsageError(f"{method} needs the step of the encoder or converter; give [encoder] resolution")
+        options["noise_std"] = axis.encoder.resolution / np.sqrt(12.0)
+    estimator = cls(model, Encoder(axis.encoder.resolution), dt, config.cutoff, **options)
+    if cls.instrumental and config.prefilter_zeros is None:
+        encoder, counts = fine_counts(_plain(experiments, method).y)
+        zeros = choose_prefilter_zeros(replace(estimator, encoder=encoder), experiments[0].u, counts)
+        return replace(estimator, prefilter_zeros=zeros)
+    return estimator
+
+
+def _plain(experiments: Sequence[Experiment], method: str) -> Experiment:
+    """The only record, evenly spaced and complete."""
+    first = experiments[0]
+    stretches = first.stretches()
+    whole = len(stretches) == 1 and stretches[0].grid.uniform and stretches[0].rows.size == first.u.size
+    if len(experiments) > 1 or not whole or not np.all(np.isfinite(first.u)) or first.hold != "zoh":
+        raise UsageError(
+            f"{method} takes one evenly spaced record without gaps or missing samples and with a held input; "
+            f"use {', '.join(FREE)}"
+        )
+    return first
+
+
+def _from_counts(estimator: Estimator, experiments: Sequence[Experiment]) -> tuple[np.ndarray, np.ndarray, int]:
+    """theta, covariance and status of a method on the kernel's columns."""
+    record = _plain(experiments, estimator.method)
+    if isinstance(estimator, BatchEstimator):
+        fit = estimator.fit_output(record.u, record.y)
+        return fit.theta, fit.theta_cov, fit.status
+    if not isinstance(estimator, RecursiveEstimator):
+        raise UsageError(f"{estimator.method} is not for a transfer function")
+    encoder, counts = fine_counts(record.y)
+    track = replace(estimator, encoder=encoder).run(record.u, counts)
+    last = int(track.status[-1])
+    if last & Status.STARTING:
+        raise NotIdentifiableError("the record ends before there is an estimate; record longer, or raise the cutoff")
+    occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.RESET)
+    return track.theta[-1], np.diag(track.theta_std[-1] ** 2), occurred | (last & ~int(Status.SETTLING))
+
+
+def _check_known(estimator: Estimator, theta: np.ndarray, std: np.ndarray) -> None:
+    """An estimate of nothing but noise is none."""
+    if not np.all(np.isfinite(theta)) or np.all(std > np.abs(theta)):
+        raise NotIdentifiableError(
+            f"no parameter of the transfer function is known to its own size ({estimator.method}): the records do not "
+            "identify it; excite the process more, or use fewer poles and zeros"
+        )
+
+
+def _notes(experiments: Sequence[Experiment], checks: Assessment, process: Process) -> list[str]:
+    notes = []
+    if checks.feedback and all(experiment.reference is None for experiment in experiments):
+        notes.append(FEEDBACK)
+    if not checks.independent:
+        notes.append(
+            "the residual is correlated with the input: more poles or zeros, or another delay, may explain more"
+        )
+    if np.any(process.poles.real > 0):
+        notes.append("the transfer function is unstable")
+    missing = sum(int(np.sum(~np.isfinite(experiment.y))) for experiment in experiments)
+    if missing:
+        notes.append(f"{missing} samples of the output are missing")
+    return notes
+
+
+def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[float], None] | None = None) -> Search:
+    """The structures with 1 to 5 poles, any number of zeros and dead times up to 5 samples, best first."""
+    cutoff, offset = axis.estimator.cutoff, axis.model.offset
+    check_sampling(axis, experiments[0].period)
+    return search_structure(experiments, cutoff, orders=ORDERS, delays=DELAYS, offset=offset, done=done)
+
+
+def search_json(search: Search) -> dict[str, Any]:
+    """The object that `pmfid order --json` prints."""
+    rows = [
+        {
+            "n": row.n,
+            "m": row.m,
+            "delay": row.delay,
+            "criterion": row.bic - search.best.bic,
+            "fit": row.fit,
+            "condition": row.condition,
+            "settled": row.settled,
+        }
+        for row in search.candidates
+    ]
+    best = rows[0]
+    return {"best": {key: best[key] for key in ("n", "m", "delay")}, "candidates": rows, "skipped": search.skipped}

@@ -1,0 +1,128 @@
+"""Linear processes under a held input, solved exactly by the matrix exponential, and the plants of the studies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid.simulation.checks import Floats, check_number
+from pmfid.simulation.signals import mls
+
+
+@dataclass(frozen=True)
+class Plant:
+    """b_m s^m + ... + b_0 over s^n + a_{n-1} s^{n-1} + ... + a_0, and how it is excited.
+
+    b, a: in descending powers, a with its leading 1; dt [s]; stages, clock: of a maximum length sequence of +-1;
+    samples; cutoff, zeros [rad/s] of the filters and pre-filter that its studies use.
+    """
+
+    name: str
+    b: tuple[float, ...]
+    a: tuple[float, ...]
+    dt: float
+    clock: int
+    samples: int
+    cutoff: float
+    zeros: tuple[float, ...]
+    stages: int = 10
+
+    @property
+    def theta(self) -> Floats:
+        """(n + m + 1,) a0 to a{n-1}, b0 to bm."""
+        return np.array([*self.a[:0:-1], *self.b[::-1]])
+
+    @property
+    def u(self) -> Floats:
+        """(samples,) the input."""
+        return np.resize(mls(self.stages, self.clock, 1.0), self.samples)
+
+    @property
+    def y(self) -> Floats:
+        """(samples,) the output without noise, from rest."""
+        return simulate_process(self.b, self.a, self.u, self.dt)
+
+
+#: The plants of the black-box study; the last is that of Rao and Garnier (2002).
+PLANTS = {
+    plant.name: plant
+    for plant in (
+        Plant("second-order", (3.0,), (1.0, 4.0, 3.0), 0.05, 3, 3069, 5.0, (-1.0, -3.0)),
+        Plant("non-minimum-phase", (1.0, -1.0), (1.0, 2.0, 1.0), 0.1, 4, 5000, 2.0, (-0.5, -1.5)),
+        Plant(
+            "rao-garnier",
+            (-6400.0, 1600.0),
+            (1.0, 5.0, 408.0, 416.0, 1600.0),
+            0.01,
+            7,
+            7161,
+            20.0,
+            (-1.0, -2.0, -4.0, -8.0),
+        ),
+    )
+}
+
+
+def simulate_process(
+    b: ArrayLike, a: ArrayLike, u: ArrayLike, steps: float | ArrayLike, *, hold: str = "zoh"
+) -> Floats:
+    """Output (n,) at the instants of the input u (n,), from rest.
+
+    b, a: numerator and denominator in descending powers of s, strictly proper. steps: the sample period [s], or (n-1,)
+    the times between the instants. hold: "zoh" or "foh". Raises ValueError for a step that is not positive.
+    """
+    from scipy.linalg import expm
+
+    u = np.asarray(u, float)
+    times = np.broadcast_to(np.asarray(steps, float), (u.size - 1,))
+    for value in np.unique(times):
+        check_number("steps", float(value), above=0.0, remedy="give the sample period in seconds")
+    A, B, C = _state_space(np.atleast_1d(np.asarray(b, float)), np.asarray(a, float))
+    n = A.shape[0]
+    block = np.zeros((n + 2, n + 2))
+    block[:n, :n], block[:n, n], block[n, n + 1] = A, B, 1.0
+    moves = {value: expm(block * np.array([value] * n + [1.0, 1.0])[:, None]) for value in np.unique(times)}
+    x, y = np.zeros(n), np.zeros(u.size)
+    for k, step in enumerate(times):
+        move = moves[step]
+        x = move[:n, :n] @ x + move[:n, n] * u[k]
+        if hold == "foh":
+            x = x + move[:n, n + 1] * (u[k + 1] - u[k])
+        y[k + 1] = C @ x
+    return y
+
+
+def simulate_varying(theta: Callable[[float], Floats], n: int, u: ArrayLike, dt: float) -> Floats:
+    """Output (samples,) of y^(n) + sum a_i(t) y^(i) = b_0(t) u under a held input u (samples,), from rest.
+
+    theta: time [s] -> a_0 to a_{n-1}, b_0 (n + 1,); they count as constant over each sample, at its middle, by the
+    power series of the exponential to fifth order: slow parameters, and poles well below 1 / dt.
+    """
+    u = np.asarray(u, float)
+    move, x, y = np.zeros((n + 1, n + 1)), np.zeros(n + 1), np.zeros(u.size)
+    for k in range(u.size - 1):
+        values = theta((k + 0.5) * dt)
+        move[:n, 1:] = np.eye(n)
+        move[n - 1, :n], move[n - 1, n] = -values[:n], values[n]
+        x[n] = u[k]
+        term = x.copy()
+        for power in range(1, 6):
+            term = move @ term * (dt / power)
+            x += term
+        y[k + 1] = x[0]
+    return y
+
+
+def _state_space(b: Floats, a: Floats) -> tuple[Floats, Floats, Floats]:
+    """Controllable form with time in units that make the coefficients alike."""
+    n = a.size - 1
+    rate = float(np.max(np.abs(np.roots(a)))) or 1.0
+    scaled = a[1:] / a[0] / rate ** np.arange(1, n + 1)
+    A = np.diag(np.ones(n - 1), 1)
+    A[-1] = -scaled[::-1]
+    C = np.zeros(n)
+    C[: b.size] = b[::-1] / a[0] / rate ** np.arange(n, n - b.size, -1)
+    return A * rate, np.eye(n)[-1] * rate, C

@@ -1,0 +1,31 @@
+"""The study of transfer functions: every section computes and writes its part of the page."""
+
+from __future__ import annotations
+
+import pytest
+
+from pmfid.studies.black_box import STUDIES, main, run
+
+#: Sections that take a few seconds for one seed.
+QUICK = ("processes", "published")
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_section_has_numbers(name):
+    study = STUDIES[name]
+    page = "\n".join(study.write(1, {task: study.work(*task) for task in study.tasks(1)}))
+    rows = [line for line in page.splitlines() if line.startswith("|")]
+    assert len(rows) > 5
+    assert "nan" not in page
+    assert "inf" not in page
+
+
+def test_the_page_says_how_it_was_made():
+    page = run(1, 1, ["published"])
+    assert "--seeds 1 --only published" in page
+    assert "errors in variables (printed)" in page
+
+
+def test_wrong_arguments_are_one_line(tmp_path, capsys):
+    assert main(["--out", str(tmp_path / "page.md"), "--seeds", "0"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -1,0 +1,83 @@
+"""The exact discretisation: no error at all without noise, and the orders of the others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pmfid import BCLS, LS, Drive, Encoder, TransferFunction, UsageError
+from pmfid.estimators import exact
+from pmfid.simulation.process import PLANTS, simulate_process
+from pmfid.simulation.signals import prbs
+from pmfid.studies.discretizations import plant_at_random, record_of
+
+ENCODER = Encoder(1.0)  # not used by fit_output
+
+
+@pytest.mark.parametrize("cls", [LS, BCLS])
+@pytest.mark.parametrize(("n", "r"), [(n, r) for n in range(1, 5) for r in range(1, min(n, 3) + 1)])
+@pytest.mark.parametrize("fastest", [0.01, 0.1, 0.3])
+def test_exact_without_noise_after_six_passes(cls, n, r, fastest, monkeypatch):
+    monkeypatch.setattr(exact, "PASSES", 6)
+    plant = plant_at_random(n, r, fastest, seed=100 * n + 10 * r)
+    u, y = record_of(plant, seed=1)
+    estimator = cls(TransferFunction(n, n - r), ENCODER, plant.dt, plant.cutoff, discretization="exact")
+    np.testing.assert_allclose(estimator.fit_output(u, y).theta, plant.theta, rtol=1e-6)
+
+
+@pytest.mark.parametrize("cls", [LS, BCLS])
+def test_drive_without_stops(cls, monkeypatch):
+    monkeypatch.setattr(exact, "PASSES", 6)
+    mass, viscous, coulomb, gain, dt = 1.07, 12.8, 0.8, 2.0, 0.01
+    u = 3.0 + prbs(3000, clock=10, amplitude=1.5, rng=np.random.default_rng(3))
+    y = simulate_process([1.0], [mass, viscous, 0.0], gain * u - coulomb, dt)
+    estimator = cls(Drive(gain), ENCODER, dt, 50.0, discretization="exact")
+    np.testing.assert_allclose(estimator.fit_output(u, y).theta, [mass, viscous, coulomb], rtol=1e-6)
+
+
+def test_offset_and_delay():
+    plant = PLANTS["second-order"]
+    u = plant.u
+    late = np.r_[np.zeros(3), u[:-3]]
+    y = simulate_process(plant.b, plant.a, late, plant.dt) + simulate_process([1.0], plant.a, np.ones(u.size), plant.dt)
+    model = TransferFunction(2, 0, delay=3, offset=True)
+    fit = LS(model, ENCODER, plant.dt, plant.cutoff, discretization="exact").fit_output(u, y)
+    np.testing.assert_allclose(fit.theta, [*plant.theta, 1.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "longest", "order"), [("second-order", 0.1, 4), ("non-minimum-phase", 0.025, 2)])
+def test_matched_converges_with_the_second_power_of_the_period_or_the_fourth(name, longest, order):
+    """Regression of the logarithm of the error on that of the period: second for relative degree 1, else fourth.
+
+    The periods are so short that the terms beyond do not show in the third decimal.
+    """
+    plant = PLANTS[name]
+    periods, errors = longest / np.array([1, 2, 4, 8]), []
+    for dt in periods:
+        u = np.repeat(prbs(400, clock=1, amplitude=1.0, rng=np.random.default_rng(1)), round(0.4 / dt))
+        y = simulate_process(plant.b, plant.a, u, dt)
+        model = TransferFunction(len(plant.a) - 1, len(plant.b) - 1)
+        theta = LS(model, ENCODER, dt, plant.cutoff).fit_output(u, y).theta
+        errors.append(np.max(np.abs(theta / plant.theta - 1)))
+    slope = np.polyfit(np.log(periods), np.log(errors), 1)[0]
+    assert round(slope, 3) >= 2, (slope, errors)
+    assert slope == pytest.approx(order, abs=0.01)
+
+
+def test_exact_with_noise_is_least_squares_still():
+    """The same bias by noise as that of the matched filters: the discretisation changes little else."""
+    plant = PLANTS["second-order"]
+    y = plant.y + 0.3 * np.std(plant.y) * np.random.default_rng(5).standard_normal(plant.samples)
+    matched, refined = (
+        LS(TransferFunction(2, 0), ENCODER, plant.dt, plant.cutoff, discretization=kind).fit_output(plant.u, y)
+        for kind in ("matched", "exact")
+    )
+    np.testing.assert_allclose(refined.theta, matched.theta, rtol=0.03)
+    assert refined.theta_std == pytest.approx(matched.theta_std, rel=0.2)
+
+
+def test_what_has_no_exact_filters_says_so():
+    ls = LS(TransferFunction(2, 0, initial_conditions=True), ENCODER, 0.1, 2.0, discretization="exact")
+    plant = PLANTS["non-minimum-phase"]
+    with pytest.raises(UsageError, match="takes no terms of"):
+        ls.fit_output(plant.u, plant.y)

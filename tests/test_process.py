@@ -1,0 +1,315 @@
+"""Transfer functions off-line: exact without noise, honest with it, and with data as they come."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from pmfid import IV, OE, SRIVC, Drive, Encoder, Experiment, NotIdentifiableError, TransferFunction, UsageError
+from pmfid.cli.main import main
+from pmfid.estimators.srivc import make_problem
+from pmfid.estimators.structure import search_structure
+from pmfid.linear.assess import Assessment, assess
+from pmfid.linear.process import Process
+from pmfid.simulation.process import PLANTS, Plant, simulate_process
+from pmfid.studies.second_order import write
+
+ENCODER = Encoder(1.0)
+CONFIG = Path(__file__).parents[1] / "examples" / "second_order.toml"
+SECOND, HARD = PLANTS["second-order"], PLANTS["rao-garnier"]
+
+
+def srivc(plant: Plant, **options: int) -> SRIVC:
+    model = TransferFunction(len(plant.a) - 1, len(plant.b) - 1, **options)
+    return SRIVC(model, ENCODER, plant.dt, plant.cutoff)
+
+
+def noisy(plant: Plant, seed: int, ratio: float = 0.1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return plant.y + ratio * np.std(plant.y) * rng.standard_normal(plant.samples)
+
+
+def assessed(estimator: SRIVC, experiments: list[Experiment]) -> Assessment:
+    fit = estimator.fit_experiments(experiments)
+    problem = make_problem(estimator, experiments)
+    return assess(problem, fit.theta / problem.structure.scale(problem.rate))
+
+
+@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
+def test_exact_without_noise(plant):
+    fit = srivc(plant).fit_experiments([Experiment(plant.u, plant.y, dt=plant.dt)])
+    np.testing.assert_allclose(fit.theta, plant.theta, rtol=1e-6)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_exact_with_uneven_steps_gaps_delay_and_any_start(hold):
+    """Three stretches: the input unknown for a while, the clock jumps; the record starts in the middle."""
+    rng = np.random.default_rng(1)
+    n = 1500
+    steps = SECOND.dt * rng.uniform(0.6, 1.4, n - 1)
+    u = np.repeat(rng.choice([-1.0, 1.0], n // 3), 3)
+    y = simulate_process(SECOND.b, SECOND.a, u, steps, hold=hold)
+    t = np.r_[0.0, np.cumsum(steps)]
+    t[1000:] += 7.0
+    y[rng.uniform(size=n) < 0.1] = np.nan
+    y[999] = np.nan  # its step is the gap
+    u[500:503] = np.nan
+    part = slice(40, None)
+    experiment = Experiment(u[part], y[part], t=t[part], hold=hold)
+    fit = srivc(SECOND).fit_experiments([experiment])
+    np.testing.assert_allclose(fit.theta, SECOND.theta, rtol=1e-6)
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_delay_of_whole_samples(even):
+    rng = np.random.default_rng(2)
+    n, delay = 800, 3
+    u = np.repeat(rng.choice([-1.0, 1.0], n // 4), 4)
+    dt = 0.05
+    fine = np.repeat(u, 10)
+    late = np.r_[np.zeros(10 * delay), fine][: fine.size]
+    y = simulate_process(SECOND.b, SECOND.a, late, dt / 10)
+    # uneven: the output is read at other instants than the input changes, all on the fine grid
+    rows = np.arange(n) * 10
+    kept = np.unique(np.r_[rows, rng.integers(0, fine.size, 0 if even else 300)])
+    experiment = Experiment(fine[kept], y[kept], t=kept * dt / 10)
+    delayed = delay if even else round(delay * dt / experiment.period)
+    fit = srivc(SECOND, delay=delayed).fit_experiments([experiment])
+    if even:
+        np.testing.assert_allclose(fit.theta, SECOND.theta, rtol=1e-6)
+    else:
+        assert experiment.period == pytest.approx(dt, rel=0.01)
+        np.testing.assert_allclose(fit.theta, SECOND.theta, rtol=1e-3)
+
+
+def test_offset_and_several_records():
+    y = SECOND.y + 0.5
+    parts = [Experiment(SECOND.u[s], y[s], dt=SECOND.dt) for s in (slice(0, 1000), slice(1500, 3000))]
+    fit = srivc(SECOND, offset=True).fit_experiments(parts)
+    np.testing.assert_allclose(fit.theta, [*SECOND.theta, 0.5 * SECOND.theta[0]], rtol=1e-6)
+
+
+def test_error_bars_are_those_of_many_runs():
+    fits = [
+        srivc(SECOND).fit_experiments([Experiment(SECOND.u, noisy(SECOND, s, 0.3), dt=SECOND.dt)]) for s in range(40)
+    ]
+    theta = np.array([fit.theta for fit in fits])
+    z = (theta - SECOND.theta) / np.array([fit.theta_std for fit in fits])
+    assert np.all(np.abs(z.mean(axis=0)) < 0.6), z.mean(axis=0)
+    assert np.all((z.std(axis=0) > 0.7) & (z.std(axis=0) < 1.4)), z.std(axis=0)
+    poles = np.array([fit.process.poles.real for fit in fits])
+    stated = np.mean([fit.process.poles_std[:, 0] for fit in fits], axis=0)
+    np.testing.assert_allclose(stated, poles.std(axis=0), rtol=0.35)
+    gains = np.std([fit.process.gain for fit in fits])
+    assert np.mean([fit.process.gain_std for fit in fits]) == pytest.approx(gains, rel=0.35)
+
+
+def test_output_error_settles_where_srivc_does():
+    u, counts = HARD.u, np.round(noisy(HARD, 3) * 1e6).astype(int)
+    model, encoder = TransferFunction(4, 1), Encoder(1e-6)
+    first, second = (cls(model, encoder, HARD.dt, HARD.cutoff).fit(u, counts) for cls in (SRIVC, OE))
+    np.testing.assert_allclose(second.theta, first.theta, rtol=1e-4)
+
+
+def test_instrumental_variables_without_the_bias_of_least_squares():
+    experiment = np.round(noisy(SECOND, 4, 0.3) * 1e6).astype(int)
+    fit = IV(TransferFunction(2, 0), Encoder(1e-6), SECOND.dt, SECOND.cutoff).fit(SECOND.u, experiment)
+    assert np.all(np.abs(fit.theta - SECOND.theta) < 4 * fit.theta_std)
+
+
+def closed_loop(seed: int, samples: int = 4000, dt: float = 0.05) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """r, u, y: the second plant of Ljung's kind, 2 / (s^2 + s + 2), behind a gain of 3, coloured noise in the loop."""
+    from scipy.linalg import expm
+
+    rng = np.random.default_rng(seed)
+    block = np.zeros((3, 3))
+    block[:2] = [[0, 1, 0], [-2, -1, 2]]
+    move = expm(block * dt)
+    r = np.repeat(rng.choice([-1.0, 1.0], samples // 20), 20)
+    u, y, x, v = np.zeros(samples), np.zeros(samples), np.zeros(2), 0.0
+    for k in range(samples):
+        v = 0.95 * v + 0.6 * np.sqrt(1 - 0.95**2) * rng.standard_normal()
+        y[k] = x[0] + v
+        u[k] = 3 * (r[k] - y[k])
+        x = move[:2, :2] @ x + move[:2, 2] * u[k]
+    return r, u, y
+
+
+def test_closed_loop_needs_the_reference():
+    estimator = SRIVC(TransferFunction(2, 0), ENCODER, 0.05, 2.0)
+    without, given = [], []
+    for seed in range(6):
+        r, u, y = closed_loop(seed)
+        plain = Experiment(u, y, dt=0.05)
+        without.append(estimator.fit_experiments([plain]).theta)
+        given.append(estimator.fit_experiments([replace(plain, reference=r)]).theta)
+        assert assessed(estimator, [plain]).feedback
+    bias, left = (np.mean(found, axis=0) / [2, 1, 2] - 1 for found in (without, given))
+    assert np.max(np.abs(left)) < 0.05 < np.max(np.abs(bias)), (bias, left)
+
+
+def test_residual_tests():
+    right = assessed(srivc(SECOND), [Experiment(SECOND.u, noisy(SECOND, 5), dt=SECOND.dt)])
+    assert (right.white, right.independent, right.feedback) == (True, True, False)
+    assert right.fit == pytest.approx(90.0, abs=0.5)
+    small = replace(SECOND, a=(1.0, 1.0), b=(1.0,))
+    wrong = assessed(srivc(small), [Experiment(SECOND.u, noisy(SECOND, 5), dt=SECOND.dt)])
+    assert (wrong.white, wrong.independent) == (False, False)
+
+
+def test_process_agrees_with_scipy_and_control():
+    process = Process(np.array([2.0, 1.0]), np.array([-2.0, 3.0]), 1e-4 * np.eye(4), delay=0.1)
+    pytest.importorskip("control")
+    system, other = process.to_scipy(), process.to_control()
+    w = np.array([0.1, 1.0, 10.0])
+    G, size, _ = process.frequency_response(w)
+    np.testing.assert_allclose(G, system.freqresp(w)[1] * np.exp(-0.1j * w), rtol=1e-9)
+    np.testing.assert_allclose(other(1j * w) * np.exp(-0.1j * w), G, rtol=1e-9)
+    t = np.linspace(0, 5, 501)
+    y, std = process.step_response(t)
+    np.testing.assert_allclose(y[10:], system.step(T=t)[1][:-10], atol=1e-9)
+    rng = np.random.default_rng(0)
+    drawn = []
+    for change in rng.multivariate_normal(np.zeros(4), process.cov, 400):
+        other = replace(process, a=process.a + change[:2], b=process.b + change[2:])
+        drawn.append((np.abs(other.frequency_response(w)[0] / G), other.step_response(t)[0][100]))
+    np.testing.assert_allclose(np.std([size for size, _ in drawn], axis=0), size, rtol=0.15)
+    assert np.std([value for _, value in drawn]) == pytest.approx(std[100], rel=0.15)
+    assert process.gain == -1.0
+    assert process.zeros == pytest.approx([2 / 3])
+    assert "3 s - 2" in str(process)
+    assert "time constant" in repr(process)
+    assert process._repr_latex_().startswith("$G(s)")
+
+
+def test_unstable_intermediate_models_are_no_obstacle():
+    """A lightly damped plant at 0 dB and a filter ten times too fast: least squares starts in the right half-plane."""
+    plant = replace(SECOND, a=(1.0, 0.2, 4.0), b=(4.0,))
+    y = simulate_process(plant.b, plant.a, plant.u, plant.dt)
+    y = y + np.std(y) * np.random.default_rng(6).standard_normal(y.size)
+    fit = SRIVC(TransferFunction(2, 0), ENCODER, plant.dt, 20.0).fit_experiments([Experiment(plant.u, y, dt=plant.dt)])
+    assert np.all(np.abs(fit.theta - plant.theta) < 4 * fit.theta_std)
+
+
+def test_order_of_the_second_plant():
+    record = Experiment(SECOND.u, noisy(SECOND, 7), dt=SECOND.dt)
+    found = search_structure([record], SECOND.cutoff, orders=(1, 2, 3), delays=(0, 1))
+    assert (found.best.n, found.best.m, found.best.delay) == (2, 0, 0)
+    assert found.skipped + len(found.candidates) == 12
+
+
+@pytest.mark.parametrize(
+    ("u", "y", "options", "text"),
+    [
+        (np.zeros(5), np.zeros(4), {"dt": 1.0}, "same length"),
+        (np.zeros(5), np.zeros(5), {}, "dt in s, or the instants"),
+        (np.zeros(5), np.zeros(5), {"t": np.array([0, 1, 1, 2, 3.0])}, "does not rise"),
+        (np.zeros(5), np.zeros(5), {"dt": -1.0}, "positive"),
+        (np.zeros(5), np.zeros(5), {"dt": 1.0, "hold": "none"}, "hold must be"),
+        (np.zeros(5), np.full(5, np.inf), {"dt": 1.0}, "infinite"),
+    ],
+)
+def test_bad_experiments(u, y, options, text):
+    with pytest.raises(UsageError, match=text):
+        Experiment(u, y, **options)
+
+
+def test_what_cannot_be_identified_says_so():
+    n = 500
+    estimator = srivc(SECOND)
+    for u, y, text in (
+        (np.ones(n), np.zeros(n), "does not move"),
+        (np.zeros(n), np.sin(np.arange(n)), "input is zero"),
+    ):
+        with pytest.raises(NotIdentifiableError, match=text):
+            estimator.fit_experiments([Experiment(u, y, dt=SECOND.dt)])
+    with pytest.raises(UsageError, match="record longer"):
+        estimator.fit_experiments([Experiment(np.ones(3), np.ones(3), dt=SECOND.dt)])
+    with pytest.raises(UsageError, match="is for a transfer function"):
+        SRIVC(Drive(2.0), ENCODER, 0.01, 50.0)
+
+
+def test_detrended_and_decimated():
+    whole = Experiment(SECOND.u + 2.0, SECOND.y + 2.0, dt=SECOND.dt)  # the gain is 1
+    fit = srivc(SECOND).fit_experiments([whole.detrended()])
+    np.testing.assert_allclose(fit.theta, SECOND.theta, rtol=0.01)
+    thinned = whole.decimated(3)
+    assert thinned.dt == pytest.approx(3 * SECOND.dt)
+    np.testing.assert_allclose(srivc(SECOND).fit_experiments([thinned]).theta, SECOND.theta, rtol=1e-6)
+    with pytest.raises(UsageError, match="input changes"):
+        whole.decimated(2)
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory) -> list[str]:
+    folder = tmp_path_factory.mktemp("records")
+    for seed in (0, 1):
+        write(folder / f"{seed}.csv", seed)
+    return [str(folder / f"{seed}.csv") for seed in (0, 1)]
+
+
+def run(*arguments: str, code: int = 0) -> str:
+    result = CliRunner().invoke(main, list(arguments))
+    assert result.exit_code == code, result.output
+    return result.stdout if code == 0 else result.stderr
+
+
+@pytest.mark.parametrize("method", ["auto", "srivc", "bcls", "rls", "output-error"])
+def test_identify_json(records, method):
+    found = json.loads(run("identify", records[0], "--config", str(CONFIG), "--json", "--method", method))
+    assert [found["a0"], found["a1"], found["b0"]] == pytest.approx([3, 4, 3], rel=0.05)
+    assert sorted(pole for pole, _ in found["poles"]) == pytest.approx([-3, -1], rel=0.08)
+    assert found["fit"] == pytest.approx(90, abs=1)
+
+
+def test_identify_several_records_and_report(records, tmp_path):
+    printed = run("identify", *records, "--config", str(CONFIG), "--out", str(tmp_path))
+    assert "G(s) =" in printed
+    page = (tmp_path / "report.html").read_text()
+    assert all(word in page for word in ("Frequency response", "Step response", "time constant"))
+    assert json.loads((tmp_path / "result.json").read_text())["samples"] == 2 * SECOND.samples
+
+
+def test_options_of_the_structure(records):
+    found = json.loads(run("identify", records[0], "--config", str(CONFIG), "--json", "--n", "1", "--delay", "2"))
+    assert found["delay"] == 2
+    assert "a1" not in found
+    assert found["notes"]
+
+
+def test_order_command(records, tmp_path, monkeypatch):
+    monkeypatch.setattr("pmfid.session.process.ORDERS", (1, 2, 3))
+    monkeypatch.setattr("pmfid.session.process.DELAYS", (0, 1))
+    found = json.loads(run("order", records[0], "--config", str(CONFIG), "--json", "--out", str(tmp_path)))
+    assert found["best"] == {"n": 2, "m": 0, "delay": 0}
+    assert "Criterion" in (tmp_path / "order.html").read_text()
+    assert "best: --n 2 --m 0 --delay 0" in run("order", records[0], "--config", str(CONFIG))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("--method", "interval"), "not for a transfer function"),
+        (("--method", "known-step"), "give \\[encoder\\] resolution"),
+        (("--m", "2"), "m must be a whole number"),
+        (("--n", "9"), "n must be a whole number"),
+        (("--quantize", "0.1"), "quantize is for a drive"),
+    ],
+)
+def test_wrong_use(records, arguments, text):
+    import re
+
+    assert re.search(text, run("identify", records[0], "--config", str(CONFIG), *arguments, code=2))
+
+
+def test_methods_of_the_kernel_take_one_even_record(records):
+    text = run("identify", *records, "--config", str(CONFIG), "--method", "ls", code=2)
+    assert "one evenly spaced record" in text
