@@ -31,7 +31,7 @@ FILES = {
     "Makefile.j2": "Makefile",
     "CMakeLists.txt.j2": "CMakeLists.txt",
 }
-COPIED = ("*.c", "pmf.h", "LICENSE")
+COPIED = ("*.c", "*.h", "LICENSE")
 
 
 def export_firmware(

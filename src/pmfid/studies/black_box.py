@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from pmfid.errors import UsageError
-from pmfid.studies import discretizations, processes, published, structures, uneven, varying
+from pmfid.studies import discretizations, efficiency, processes, published, structures, uneven, varying
 from pmfid.studies.truth import Study, Task
 
 STUDIES: dict[str, Study] = {
     study.name: study
     for study in (
         processes.STUDY,
+        efficiency.STUDY,
         published.STUDY,
         discretizations.STUDY,
         uneven.STUDY,
@@ -26,8 +27,8 @@ STUDIES: dict[str, Study] = {
     )
 }
 SEEDS = 100
-#: Parts of the seeds for sections that need fewer.
-PARTS = {"discretizations": 0.05, "varying": 0.05}
+#: Parts of the seeds for sections that need fewer or more.
+PARTS = {"efficiency": 10.0, "discretizations": 0.05, "varying": 0.05}
 INTRODUCTION = """\
 Transfer functions from input and output alone, no parameter known. The records are simulated exactly for a held input
 and start at rest; the methods do not know that. Each table states how many runs it has."""

@@ -1,0 +1,154 @@
+/* Small symmetric matrices: factors, triangular systems, projections. For pmf_recursion.c alone, which see.
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef PMF_ALGEBRA_H
+#define PMF_ALGEBRA_H
+
+#include "pmf.h"
+
+/* The loops unroll only where the number of parameters arrives as a constant. */
+#if defined(PMF_PARAMETERS)
+#define PMF_INLINE static
+#elif defined(__GNUC__)
+#define PMF_INLINE static inline __attribute__((always_inline))
+#else
+#define PMF_INLINE static inline
+#endif
+
+/* What runs seldom is compiled for size. */
+#if defined(__GNUC__)
+#define PMF_SELDOM __attribute__((cold, noinline)) static
+#else
+#define PMF_SELDOM static
+#endif
+
+#define N PMF_MAX_PARAMETERS
+#ifdef PMF_FLOAT32
+#define PIVOT_FLOOR PMF_R(1e-6)
+#define TINY PMF_R(1e-30)
+#else
+#define PIVOT_FLOOR PMF_R(1e-14)
+#define TINY PMF_R(1e-200)
+#endif
+
+/* Lower half of a symmetric matrix = L D L^T. */
+PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], real_t inverse[N])
+{
+    real_t scaled[N];
+    uint32_t i, j, k;
+    for (i = 0; i < p; ++i) {
+        real_t pivot = matrix[i][i], floor = PIVOT_FLOOR * matrix[i][i] + TINY;
+        for (j = 0; j < i; ++j) {
+            real_t sum = matrix[i][j];
+            for (k = 0; k < j; ++k) {
+                sum -= scaled[k] * lower[j][k];
+            }
+            scaled[j] = sum;
+            lower[i][j] = sum * inverse[j];
+            pivot -= sum * lower[i][j];
+        }
+        inverse[i] = PMF_R(1.0) / PMF_IF(pivot > floor, pivot, floor); /* floor > 0: P is positive whatever comes */
+    }
+}
+
+/* The smallest pivot relative to its diagonal entry. */
+PMF_SELDOM real_t smallest_pivot(uint32_t p, real_t matrix[N][N], const real_t inverse[N])
+{
+    real_t smallest = PMF_R(1.0), relative;
+    uint32_t i;
+    for (i = 0; i < p; ++i) {
+        relative = PMF_IF(matrix[i][i] > TINY, PMF_R(1.0) / (inverse[i] * matrix[i][i]), PMF_R(0.0));
+        smallest = PMF_IF(relative < smallest, relative, smallest);
+    }
+    return smallest;
+}
+
+PMF_INLINE void forward(uint32_t p, real_t lower[N][N], real_t x[N])
+{
+    uint32_t i, j;
+    for (i = 1; i < p; ++i) {
+        for (j = 0; j < i; ++j) {
+            x[i] -= lower[i][j] * x[j];
+        }
+    }
+}
+
+PMF_INLINE void backward(uint32_t p, real_t lower[N][N], real_t x[N])
+{
+    uint32_t i, j;
+    for (i = p; i-- > 1U;) {
+        for (j = 0; j < i; ++j) {
+            x[j] -= lower[i][j] * x[i];
+        }
+    }
+}
+
+/* Row i of half = L^-1 W, with the rows above it. */
+PMF_INLINE void forward_row(uint32_t p, uint32_t i, real_t cross[N][N], real_t lower[N][N], real_t half[N][N])
+{
+    uint32_t j, k;
+    for (j = 0; j < p; ++j) {
+        real_t sum = cross[i][j];
+        for (k = 0; k < i; ++k) {
+            sum -= lower[i][k] * half[k][j];
+        }
+        half[i][j] = sum;
+    }
+}
+
+/* Z = L D L^T, and half = L^-1 W. */
+typedef struct {
+    real_t lower[N][N], inverse[N], half[N][N];
+} projection_t;
+
+/* information = W^T Z^-1 W (lower half), move = W^T Z^-1 move; keeps what `project_more` needs. */
+PMF_INLINE void project(pmf_recursion_state_t *state, uint32_t p, projection_t *projection, real_t information[N][N],
+                        real_t move[N])
+{
+    real_t projected[N];
+    uint32_t i, j, k;
+    factorise(p, state->sums.square, projection->lower, projection->inverse);
+    forward(p, projection->lower, move);
+    for (i = 0; i < p; ++i) {
+        projected[i] = PMF_R(0.0);
+        for (j = 0; j <= i; ++j) {
+            information[i][j] = PMF_R(0.0);
+        }
+    }
+    for (k = 0; k < p; ++k) {
+        real_t scaled = move[k] * projection->inverse[k];
+        forward_row(p, k, state->sums.cross, projection->lower, projection->half);
+        for (i = 0; i < p; ++i) {
+            real_t weighted = projection->half[k][i] * projection->inverse[k];
+            projected[i] += projection->half[k][i] * scaled;
+            for (j = 0; j <= i; ++j) {
+                information[i][j] += weighted * projection->half[k][j];
+            }
+        }
+    }
+    for (i = 0; i < p; ++i) {
+        move[i] = projected[i];
+    }
+}
+
+/* The same projection of another vector. */
+PMF_INLINE void project_more(uint32_t p, projection_t *projection, real_t move[N])
+{
+    real_t projected[N];
+    uint32_t i, k;
+    forward(p, projection->lower, move);
+    for (i = 0; i < p; ++i) {
+        move[i] *= projection->inverse[i];
+    }
+    for (i = 0; i < p; ++i) {
+        projected[i] = PMF_R(0.0);
+        for (k = 0; k < p; ++k) {
+            projected[i] += projection->half[k][i] * move[k];
+        }
+    }
+    for (i = 0; i < p; ++i) {
+        move[i] = projected[i];
+    }
+}
+
+#endif

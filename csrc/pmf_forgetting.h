@@ -1,0 +1,187 @@
+/* What the sums of a recursion forget, and when. For pmf_recursion.c alone, which see.
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef PMF_FORGETTING_H
+#define PMF_FORGETTING_H
+
+#include "pmf_algebra.h"
+
+#define SATURATED 0xffffffffU
+#ifdef PMF_PARAMETERS
+#define PARAMETERS(config) PMF_PARAMETERS
+#define INSTRUMENTAL(config) PMF_INSTRUMENTAL
+#else
+#define PARAMETERS(config) ((config)->n_parameters)
+#define INSTRUMENTAL(config) ((config)->instrumental)
+#endif
+/* An export has one scheme of forgetting: the code of the others is left out. */
+#ifdef PMF_SCHEME
+#define SCHEME(config) PMF_SCHEME
+#else
+#define SCHEME(config) ((config)->scheme)
+#endif
+
+/* Directional forgetting (Cao and Schwartz 2000): W - (1 - f) W phi phi^T W / (phi^T W phi). What phi says nothing of is
+ * not forgotten, so that there is nothing to wind up and no regularisation is needed. */
+PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *phi,
+                                 uint32_t p)
+{
+    real_t along[N], size = PMF_R(0.0);
+    truth_t where;
+    uint32_t i, j;
+    for (i = 0; i < p; ++i) {
+        along[i] = PMF_R(0.0);
+        for (j = 0; j < p; ++j) {
+            along[i] += (j > i ? state->sums.cross[j][i] : state->sums.cross[i][j]) * phi[j];
+        }
+        size += along[i] * phi[i];
+    }
+    where = (state->started != 0U) & (size > TINY);
+    for (i = 0; i < p && PMF_ANY(where); ++i) {
+        real_t part = (PMF_R(1.0) - config->forgetting) * along[i] / size;
+        for (j = 0; j <= i; ++j) {
+            real_t less = state->sums.cross[i][j] - part * along[j];
+            state->sums.cross[i][j] = PMF_IF(where, less, state->sums.cross[i][j]);
+        }
+    }
+}
+
+#if PMF_WITH_SEPARATE
+/* Forgetting by parameter (Saelid and Foss 1983): P = D^-1 P D^-1, that is D R D for the information, and so for the sums
+ * that it is made of. Returns the weight of the past that is left to apply. */
+PMF_INLINE real_t forget_separately(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t f,
+                                    uint32_t p, uint32_t instrumental)
+{
+    truth_t where = (state->started != 0U) & (state->frozen == 0U);
+    uint32_t i, j;
+    for (i = 0; i < p; ++i) {
+        for (j = 0; j < (instrumental != 0U ? p : i + 1U); ++j) {
+            real_t factor = PMF_IF(where, PMF_ALIKE(config->keep[i] * config->keep[j]), PMF_R(1.0));
+            state->sums.cross[i][j] *= factor;
+            if (instrumental != 0U) {
+                state->sums.square[i][j] *= factor;
+            }
+        }
+    }
+    state->sums.weight *= PMF_IF(where, PMF_ALIKE(config->forgetting), PMF_R(1.0));
+    return PMF_IF(where, PMF_R(1.0), f);
+}
+#endif
+
+/* Weight of the past at the next sample. With constant trace the part of P by which the last one had lowered it, but
+ * never less than forgetting twice as fast. */
+PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
+{
+    real_t least = PMF_ALIKE(config->forgetting * config->forgetting), weight = PMF_ALIKE(config->forgetting);
+    if (SCHEME(config) == PMF_DIRECTIONAL || SCHEME(config) == PMF_WINDOW) {
+        return PMF_R(1.0);
+    }
+    if (SCHEME(config) == PMF_CONSTANT_TRACE) {
+        truth_t below = (state->trace > PMF_R(0.0)) & PMF_NOT(state->trace > PMF_R(1.0));
+        weight = PMF_IF(below, PMF_IF(state->trace > least, state->trace, least), PMF_R(1.0));
+    }
+    return PMF_IF(state->frozen != 0U, PMF_R(1.0), weight);
+}
+
+PMF_INLINE void add_sample(pmf_sums_t *sums, real_t f, const real_t *column, uint32_t p, uint32_t instrumental,
+                           truth_t with_right)
+{
+    const real_t *zeta = instrumental != 0U ? &column[p + 1U] : column;
+    uint32_t i, j;
+    for (i = 0; i < p; ++i) {
+        for (j = 0; j < (instrumental != 0U ? p : i + 1U); ++j) {
+            sums->cross[i][j] = f * sums->cross[i][j] + zeta[i] * column[j];
+        }
+        if (instrumental != 0U) {
+            for (j = 0; j <= i; ++j) {
+                sums->square[i][j] = f * sums->square[i][j] + zeta[i] * zeta[j];
+            }
+        }
+        if (PMF_ANY(with_right)) {
+            sums->right[i] = PMF_IF(with_right, f * sums->right[i] + zeta[i] * column[p], sums->right[i]);
+        }
+    }
+    sums->weight = f * sums->weight + PMF_R(1.0);
+}
+
+#if PMF_WINDOW_BLOCKS > 0
+static void sum_window(pmf_recursion_state_t *state, uint32_t p)
+{
+    uint32_t i, j, block;
+    pmf_clear(&state->sums, (uint32_t)sizeof state->sums);
+    for (block = 0; block < PMF_WINDOW_BLOCKS; ++block) {
+        const pmf_sums_t *part = &state->window[block];
+        for (i = 0; i < p; ++i) {
+            for (j = 0; j < p; ++j) {
+                state->sums.cross[i][j] += part->cross[i][j];
+                state->sums.square[i][j] += part->square[i][j];
+            }
+            state->sums.right[i] += part->right[i];
+        }
+        state->sums.weight += part->weight;
+    }
+}
+
+/* The oldest block goes at once and the sums are made anew: no rounding stays. */
+static void slide_window(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
+{
+    add_sample(&state->window[state->window_block], PMF_R(1.0), column, config->n_parameters, config->instrumental, 1);
+    state->window_updates += 1U;
+    if (state->window_updates >= config->window_block && state->frozen == 0U) {
+        state->window_updates = 0U;
+        state->window_block = state->window_block + 1U < PMF_WINDOW_BLOCKS ? state->window_block + 1U : 0U;
+        pmf_clear(&state->window[state->window_block], (uint32_t)sizeof state->window[0]);
+        sum_window(state, config->n_parameters);
+    }
+}
+#endif
+
+PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
+                              const real_t *column, uint32_t p, uint32_t instrumental)
+{
+    real_t f = weight_of_past(config, state), fade = f;
+    if (SCHEME(config) != PMF_EXPONENTIAL && SCHEME(config) != PMF_SEPARATE) {
+        fade = PMF_ALIKE(config->forgetting);
+    }
+#if PMF_WITH_SEPARATE
+    if (SCHEME(config) == PMF_SEPARATE) {
+        f = forget_separately(config, state, f, p, instrumental);
+    }
+#endif
+    if (SCHEME(config) == PMF_DIRECTIONAL) {
+        fade = PMF_R(1.0);
+        if (PMF_ANY(state->started != 0U)) {
+            forget_direction(config, state, column, p);
+        }
+    }
+    add_sample(&state->sums, f, column, p, instrumental, state->started <= config->residual_updates); /* later nobody reads it */
+#if PMF_WINDOW_BLOCKS > 0
+    if (SCHEME(config) == PMF_WINDOW) {
+        slide_window(config, state, column);
+    }
+#endif
+    state->mass = fade * state->mass + (PMF_R(1.0) - fade);
+    state->updates += PMF_BIT(state->updates < SATURATED, 1U);
+}
+
+/* Constant trace (Goodwin and Sin 1984, section 3.3) keeps that of P at the end of the first memory, each parameter in
+ * its own units. */
+static void note_trace(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                       whole_t status)
+{
+    const real_t *factor = state->estimate.variance_factor;
+    real_t sum = PMF_R(0.0), memories = PMF_TO_REAL(state->updates) * (PMF_R(1.0) - config->forgetting);
+    truth_t first = PMF_NOT(state->trace > PMF_R(0.0));
+    uint32_t i;
+    where = where & PMF_NOT(first & ((memories < PMF_R(1.0)) | (status != 0U)));
+    if (!PMF_ANY(where)) {
+        return;
+    }
+    for (i = 0; i < PARAMETERS(config); ++i) {
+        state->reference[i] = PMF_IF(where & first, factor[i], state->reference[i]);
+        sum += factor[i] / (state->reference[i] + TINY);
+    }
+    state->trace = PMF_IF(where, sum / (scalar_t)PARAMETERS(config), state->trace);
+}
+
+#endif
