@@ -103,7 +103,7 @@ def print_process(result: ProcessResult, out: Path | None) -> None:
     console = Console()
     console.print(str(result.process), highlight=False, markup=False, soft_wrap=True)
     samples = sum(part.size for part in result.assessment.samples)
-    table = Table(title=f"{result.estimator.method}, {samples} samples, fit {result.assessment.fit:.2f} %")
+    table = Table(title=f"{result.estimator.method}, {samples} samples, {result.fit_text}")
     for heading in ("", "value", "std", "unit"):
         table.add_column(heading, justify="right" if heading in ("value", "std") else "left")
     rows = zip(result.estimator.names, result.theta, result.theta_std, result.estimator.units, strict=True)
@@ -126,6 +126,7 @@ def print_search(search: Search, name: str, out: Path | None) -> None:
     from rich.table import Table
 
     from pmfid.report.process import search_header, search_rows
+    from pmfid.session.process import search_notes
 
     table = Table(title=escape(f"{name}: poles n, zeros m, dead time in samples"))
     for heading in search_header():
@@ -136,6 +137,8 @@ def print_search(search: Search, name: str, out: Path | None) -> None:
     console.print(table)
     best = search.best
     console.print(f"best: --n {best.n} --m {best.m} --delay {best.delay}", highlight=False, markup=False)
+    for note in search_notes(search):
+        console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
     if out is not None:
         console.print(f"report: {out / 'order.html'}", highlight=False, markup=False, soft_wrap=True)
 

@@ -35,7 +35,7 @@ def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]
     for method, result in comparison.results.items():
         values = dict(zip(result.estimator.names, zip(result.theta, result.theta_std, strict=True), strict=True))
         cells = [f"{values[n][0]:.5g} ± {values[n][1]:.2g}" if n in values else "-" for n in first.names]
-        fit = [f"{result.assessment.fit:.2f}"] if isinstance(result, ProcessResult) else []
+        fit = ["–" if result.fit is None else f"{result.fit:.2f}"] if isinstance(result, ProcessResult) else []
         rows.append([method, *cells, *fit, ", ".join(result.status)])
     return header, rows
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri
 
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -31,8 +32,16 @@ FREE: dict[str, Callable[[Problem], Solution]] = {"srivc": solve, "iv": fixed_fi
 #: The input must not be correlated with the noise by more than chance for these to be consistent without reference.
 FEEDBACK = (
     "the residual is correlated with later inputs, so the input has the noise in it, as a controller feeds it back: "
-    "the estimate is biased; give the reference of the controller ([record] reference)"
+    "the estimate is biased; give the reference of the controller ([record] reference) to srivc, iv or output-error"
 )
+IGNORED = "{method} does not use the reference of the controller; srivc, iv and output-error do"
+#: A record of noise alone is refused but for so many. Poles can be tuned to any of its frequencies: for each sample the
+#: chance is a part of that.
+CHANCE = 1e-2
+#: Less of the output explained [%] is worth a sentence.
+POOR_FIT = 10.0
+#: An output so many robust standard deviations off, in so small a part of the samples, is an outlier.
+FAR, FEW = 10.0, 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +63,15 @@ class ProcessResult:
         model = self.estimator.model
         return model.delay if isinstance(model, TransferFunction) else 0
 
+    @property
+    def fit(self) -> float | None:
+        """Of the assessment [%]; None for an unstable process, whose simulation says nothing."""
+        return None if np.any(self.process.poles.real > 0) else self.assessment.fit
+
+    @property
+    def fit_text(self) -> str:
+        return "fit unknown, unstable" if self.fit is None else f"fit {self.fit:.2f} %"
+
     def to_json(self) -> dict[str, Any]:
         """The object that `--json` prints; poles and zeros as [real, imaginary], fit in percent."""
         names, process, checks = self.estimator.names, self.process, self.assessment
@@ -74,7 +92,7 @@ class ProcessResult:
             "zeros": [[zero.real, zero.imag] for zero in process.zeros.tolist()],
             "gain": process.gain if np.isfinite(process.gain) else None,
             "time_constants": process.time_constants.tolist(),
-            "fit": checks.fit,
+            "fit": self.fit,
             "residual": {"white": checks.white, "independent": checks.independent, "feedback": checks.feedback},
             "status": list(self.status),
             "notes": list(self.notes),
@@ -96,14 +114,16 @@ def identify_process(experiments: Sequence[Experiment], axis: Axis) -> ProcessRe
         theta, cov, bits = _from_counts(estimator, experiments)
     problem = make_problem(estimator, experiments)
     n_parameters = problem.structure.size
-    checks = assess(problem, theta[:n_parameters] / problem.structure.scale(problem.rate))
-    model = estimator.model
-    delay = model.delay * estimator.dt if isinstance(model, TransferFunction) else 0.0
-    process = Process.of(problem.structure, theta, cov, delay)
+    delay = estimator.model.delay if isinstance(estimator.model, TransferFunction) else 0
+    checks = assess(problem, theta[:n_parameters] / problem.structure.scale(problem.rate), delay)
+    process = Process.of(problem.structure, theta, cov, delay * estimator.dt)
+    _check_known(estimator, theta, cov, sum(part.size for part in checks.samples))
     std = np.sqrt(np.diagonal(cov))
-    _check_known(estimator, theta, std)
-    notes = [*_notes(experiments, checks, process), *Status(bits).advice]
-    flags = ["feedback"] if checks.feedback and not problem.referenced else []
+    referenced = problem.referenced and method in FREE
+    notes = [*_notes(experiments, checks, process, referenced), *_doubts(estimator, theta, std, checks)]
+    notes += [IGNORED.format(method=method)] if problem.referenced and not referenced else []
+    notes += Status(bits).advice
+    flags = ["feedback"] if checks.feedback and not referenced else []
     status = (*status_names(bits), *flags)
     return ProcessResult(estimator, tuple(experiments), theta, std, process, checks, status, tuple(notes))
 
@@ -164,25 +184,62 @@ def _from_counts(estimator: Estimator, experiments: Sequence[Experiment]) -> tup
     return track.theta[-1], np.diag(track.theta_std[-1] ** 2), occurred | (last & ~int(Status.SETTLING))
 
 
-def _check_known(estimator: Estimator, theta: np.ndarray, std: np.ndarray) -> None:
-    """An estimate of nothing but noise is none."""
-    if not np.all(np.isfinite(theta)) or np.all(std > np.abs(theta)):
+def _check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, samples: int) -> None:
+    """An estimate of nothing but noise is none, whatever its error bars."""
+    variance = np.diagonal(cov)
+    if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(cov)) and np.all(variance > 0)):
+        raise NotIdentifiableError(
+            f"the uncertainty of the transfer function is beyond numbers ({estimator.method}): the records do not "
+            "identify it; excite the process more, or use fewer poles and zeros"
+        )
+    if np.all(variance > theta**2):
         raise NotIdentifiableError(
             f"no parameter of the transfer function is known to its own size ({estimator.method}): the records do not "
             "identify it; excite the process more, or use fewer poles and zeros"
         )
+    top = np.array([name.startswith("b") for name in estimator.names]).nonzero()[0]
+    scale = np.sqrt(variance[top])
+    correlation, scaled = cov[np.ix_(top, top)] / np.outer(scale, scale), theta[top] / scale
+    if scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled < chdtri(top.size, CHANCE / samples):
+        offset = "" if "offset" in estimator.names else "give offset = true in [model] where it has a constant, "
+        raise NotIdentifiableError(
+            f"the output hardly depends on the input ({estimator.method}): chance alone gives such a numerator; "
+            f"check the columns, the dead time and for outliers, {offset}excite the process more, or use fewer poles "
+            "and zeros"
+        )
 
 
-def _notes(experiments: Sequence[Experiment], checks: Assessment, process: Process) -> list[str]:
+def _doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Assessment) -> list[str]:
+    """What there is to doubt in numbers that are there."""
+    residual = np.concatenate(checks.residual)
+    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+    far = int(np.sum(np.abs(residual - np.median(residual)) > FAR * spread)) if spread > 0 else 0
+    doubts = []
+    unknown = [name for name, value, s in zip(estimator.names, theta, std, strict=True) if s > abs(value)]
+    if unknown:
+        doubts.append(f"not known to its own size: {', '.join(unknown)}; fewer poles or zeros may do")
+    if 0 < far <= FEW * residual.size:
+        doubts.append(
+            f"{far} samples of the output are far off the others, and may decide everything: leave them empty"
+        )
+    if 0 <= checks.fit < POOR_FIT:
+        doubts.append(f"the model explains {checks.fit:.2g} % of the output, no more")
+    if "offset" not in estimator.names and abs(np.mean(residual)) > 0.5 * np.std(residual):
+        doubts.append("the residual has a mean: give offset = true in [model]")
+    return doubts
+
+
+def _notes(experiments: Sequence[Experiment], checks: Assessment, process: Process, referenced: bool) -> list[str]:
     notes = []
-    if checks.feedback and all(experiment.reference is None for experiment in experiments):
+    if checks.feedback and not referenced:
         notes.append(FEEDBACK)
     if not checks.independent:
         notes.append(
-            "the residual is correlated with the input: more poles or zeros, or another delay, may explain more"
+            "the residual is correlated with the input: another dead time, more poles or zeros, or another hold may "
+            "explain more"
         )
     if np.any(process.poles.real > 0):
-        notes.append("the transfer function is unstable")
+        notes.append("the transfer function is unstable: what it simulates, and so the fit, says nothing")
     missing = sum(int(np.sum(~np.isfinite(experiment.y))) for experiment in experiments)
     if missing:
         notes.append(f"{missing} samples of the output are missing")
@@ -207,8 +264,29 @@ def search_json(search: Search) -> dict[str, Any]:
             "fit": row.fit,
             "condition": row.condition,
             "settled": row.settled,
+            "white": row.white,
         }
         for row in search.candidates
     ]
     best = rows[0]
-    return {"best": {key: best[key] for key in ("n", "m", "delay")}, "candidates": rows, "skipped": search.skipped}
+    return {
+        "best": {key: best[key] for key in ("n", "m", "delay")},
+        "candidates": rows,
+        "skipped": search.skipped,
+        "notes": search_notes(search),
+    }
+
+
+def search_notes(search: Search) -> list[str]:
+    """What to mind before the best structure is taken."""
+    best, notes = search.best, []
+    if not best.settled:
+        notes.append("no structure settled: the order is that of unfinished fits")
+    if not best.white:
+        notes.append(
+            "what the best structure leaves is not white noise, but the criterion takes it for that and then prefers "
+            "too many poles and zeros: take the smallest structure that fits nearly as well"
+        )
+    if best.fit < POOR_FIT:
+        notes.append(f"the best structure explains {max(best.fit, 0.0):.2g} % of the output, no more: it may be chance")
+    return notes
