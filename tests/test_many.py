@@ -304,6 +304,29 @@ def test_a_fleet_of_anything_else_is_refused():
         pmfid.Fleet(pmfid.SRIVC(pmfid.TransferFunction(2, 1), ENCODER, DT, CUTOFF), 5)
 
 
+def test_tables_that_are_no_numbers_are_refused():
+    estimator, fleet = make(pmfid.BCRLS), pmfid.Fleet(make(pmfid.BCRLS), 2)
+    for wrong in (None, [[1, 2], [3]], "a", [["a", "b"], ["c", "d"]], [[1j, 2], [3, 4]]):
+        with pytest.raises(pmfid.UsageError, match="counts must be an array of real numbers"):
+            estimator.run_many(np.zeros((2, 2)), wrong)
+        with pytest.raises(pmfid.UsageError, match="u must be an array of real numbers"):
+            fleet.run(wrong, np.zeros((2, 2), int))
+        with pytest.raises(pmfid.UsageError, match="u must be an array of real numbers"):
+            estimator.run(wrong, np.zeros(2, int))
+    for state in (None, "a", 3):
+        for target in (estimator, fleet):
+            with pytest.raises(pmfid.UsageError, match="a state is the bytes that get_state gave"):
+                target.set_state(state)
+
+
+def test_a_missing_count_is_named():
+    estimator = make(pmfid.BCRLS)
+    with pytest.raises(pmfid.UsageError, match="NaN or infinite in 1 places, the first at index 2: repeat the count"):
+        estimator.run(np.zeros(4), [0.0, 1.0, np.nan, 2.0])
+    with pytest.raises(pmfid.UsageError, match="the first at index 1, 0: repeat"):
+        estimator.run_many(np.zeros((2, 2)), [[0.0, 1.0], [np.nan, np.inf]])
+
+
 def test_a_fleet_says_what_it_is():
     text = repr(pmfid.Fleet(make(pmfid.BCRLS), 3, workers=1))
     assert text.startswith("Fleet(BCRLS(")

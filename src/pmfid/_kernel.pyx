@@ -202,6 +202,7 @@ cdef class Kernel:
     cdef pmf_state_t state
 
     dtype = np.dtype(np.float32 if sizeof(real_t) == 4 else np.float64)
+    max_parameters = PMF_MAX_PARAMETERS
 
     def __init__(self, stages, columns, encoder, direct, settle_samples, instrument=None, auxiliary=None, first_samples=None, linear=None):
         cdef pmf_network_config_t *net = &self.config.network

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, whole_number
-from pmfid.estimators.base import integer_counts
+from pmfid.estimators.base import integer_counts, numbers
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 
 #: Axes that a thread takes at a time are a multiple of this: no vector of the kernel holds more.
@@ -113,13 +113,15 @@ class Fleet:
 
     def set_state(self, state: bytes) -> None:
         """Continues from saved states. Raises UsageError for those of another configuration or number of axes."""
+        if not isinstance(state, bytes):
+            raise UsageError(f"a state is the bytes that get_state gave, got {type(state).__name__}")
         try:
             self._kernel.set_state(state)
         except ValueError as error:
             raise UsageError(str(error)) from None
 
     def _check(self, u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
-        u_table, counts_table = np.asarray(u), integer_counts(counts)
+        u_table, counts_table = numbers("u", u), integer_counts(counts)
         u_table = _in_place(u_table, (np.float32, np.float64), np.float64)
         counts_table = _in_place(counts_table, (np.int32, np.int64), np.int64)
         fits = counts_table.ndim == 2 and counts_table.shape[0] == self.axes

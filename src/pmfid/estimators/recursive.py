@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
-from pmfid.estimators.base import Estimator, check_arrays
+from pmfid.estimators.base import Estimator, check_arrays, integer_counts
 from pmfid.status import Status
 
 if TYPE_CHECKING:
@@ -97,6 +97,7 @@ class RecursiveEstimator(Estimator):
                 f"forgetting must be in (0, 1], got {self.forgetting}; for a memory of T seconds use 1 - dt/T"
             )
         self._check_scheme()
+        self._check_room()
         try:
             object.__setattr__(self, "_kernel", self.make_kernel(self.forgetting))
         except ValueError as error:  # more than it holds
@@ -121,6 +122,16 @@ class RecursiveEstimator(Estimator):
                 )
         if self.forgetting_of and scheme != "exponential":
             raise UsageError(f"forgetting_of is for the exponential scheme, not for {scheme}")
+
+    def _check_room(self) -> None:
+        most, model = self.kernel_class.max_parameters, self.model
+        if len(self.names) > most:
+            cure = "poles (n), zeros (m) or extras" if self.equation.process else "unknown terms"
+            other = ", or srivc on whole records" if self.equation.process else ""
+            raise UsageError(
+                f"{self.method} estimates at most {most} parameters, this {model.kind} has {len(self.names)}: "
+                f"{', '.join(self.names)}; use fewer {cure}{other}"
+            )
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
@@ -165,7 +176,8 @@ class RecursiveEstimator(Estimator):
         """
         from pmfid.estimators.fleet import Fleet
 
-        return Fleet(self, np.shape(counts)[0] if np.ndim(counts) else 1).run(u, counts, every=every)
+        table = integer_counts(counts)
+        return Fleet(self, max(1, table.shape[0]) if table.ndim else 1).run(u, table, every=every)
 
     @property
     def estimate(self) -> Any:
