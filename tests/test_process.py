@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from pmfid import IV, OE, SRIVC, Drive, Encoder, Experiment, NotIdentifiableError, TransferFunction, UsageError
 from pmfid.cli.main import main
-from pmfid.estimators.srivc import make_problem
+from pmfid.estimators.srivc import check_experiments, make_problem
 from pmfid.estimators.structure import search_structure
 from pmfid.linear.assess import Assessment, assess
 from pmfid.linear.process import Process
@@ -249,6 +249,11 @@ def test_the_sample_period_is_that_of_the_records():
     other = replace(srivc(SECOND, delay=3), dt=2 * SECOND.dt)
     with pytest.raises(UsageError, match=r"but record has a sample every .* the delay counts in it"):
         other.fit_experiments([record])
+    times = np.arange(SECOND.u.size) * SECOND.dt
+    uneven = times + np.random.default_rng(0).uniform(-0.3, 0.3, times.size) * SECOND.dt
+    with_gap = np.where(np.arange(times.size) > 1000, times + 50.0, times)
+    for t in (uneven, with_gap):
+        check_experiments(srivc(SECOND), [Experiment(SECOND.u, SECOND.y, t=t)])
     close = replace(srivc(SECOND), dt=1.009 * SECOND.dt)
     assert close.fit_experiments([record]).theta == pytest.approx(SECOND.theta)
 
