@@ -12,6 +12,9 @@ from pmfid.report.html import Section, svg, write_report
 from pmfid.session.compare import Comparison
 from pmfid.session.process import ProcessResult
 
+#: Panels beside each other; more leave their numbers no room.
+PANELS = 4
+
 
 def write_comparison(out: Path, comparison: Comparison) -> None:
     """Writes compare.html and compare.json into the folder `out`."""
@@ -41,20 +44,24 @@ def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]
 
 
 def comparison_dots(comparison: Comparison) -> Figure:
-    """One panel for each parameter: estimates by method with bars of two standard deviations."""
+    """One panel for each parameter, PANELS in a row: estimates by method with bars of two standard deviations."""
     first = next(iter(comparison.results.values())).estimator
     methods = list(comparison.results)
+    lines, columns = -(-len(first.names) // PANELS), min(PANELS, len(first.names))
     with figure_style():
-        figure = Figure(figsize=(10, 1.2 + 0.34 * len(methods)), layout="constrained")
-        panels = figure.subplots(1, len(first.names), sharey=True, squeeze=False)[0]
-        for panel, name, unit in zip(panels, first.names, first.units, strict=True):
+        figure = Figure(figsize=(10, lines * (1.2 + 0.34 * len(methods))), layout="constrained")
+        grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
+        panels = grid.ravel()
+        for panel, name, unit in zip(panels, first.names, first.units, strict=False):
             for row, result in enumerate(comparison.results.values()):
                 if name not in result.estimator.names:
                     continue
                 i = result.estimator.names.index(name)
                 panel.errorbar(result.theta[i], row, xerr=2 * result.theta_std[i], fmt="o", color="#0072B2", capsize=3)
-            panel.set_xlabel(f"{name.replace('_', ' ')} in {unit}")
+            panel.set_xlabel(f"{name.replace('_', ' ')} in {unit}" if unit else name.replace("_", " "))
             panel.locator_params(axis="x", nbins=4)
+        for panel in panels[len(first.names) :]:
+            panel.set_visible(False)
         panels[0].set_yticks(range(len(methods)), methods)
         panels[0].invert_yaxis()
     return figure
