@@ -12,6 +12,7 @@ from click.testing import CliRunner
 import pmfid
 from pmfid.cli.main import main
 from pmfid.estimators.registry import methods_for
+from pmfid.report.comparison import _fit
 from pmfid.simulation import CART, make_scenario, write_csv
 from pmfid.studies.second_order import write
 
@@ -101,3 +102,7 @@ def _cells(page: Path) -> list[list[str]]:
     """Header and rows of the first table of a report."""
     table = page.read_text().split("<table", 1)[1].split("</table>", 1)[0]
     return [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL) for row in table.split("<tr")[1:]]
+
+
+def test_a_huge_misfit_has_few_digits():
+    assert [_fit(90.123), _fit(-4.3e87)] == ["90.12", "-4.3e+87"]

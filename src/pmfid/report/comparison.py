@@ -14,6 +14,8 @@ from pmfid.session.process import ProcessResult
 
 #: Panels beside each other; more leave their numbers no room.
 PANELS = 4
+#: A fit beyond this [percent] is shown by its size alone.
+HUGE = 1e5
 
 
 def write_comparison(out: Path, comparison: Comparison) -> None:
@@ -38,9 +40,14 @@ def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]
     for method, result in comparison.results.items():
         values = dict(zip(result.estimator.names, zip(result.theta, result.theta_std, strict=True), strict=True))
         cells = [f"{values[n][0]:.5g} ± {values[n][1]:.2g}" if n in values else "-" for n in first.names]
-        fit = [f"{result.assessment.fit:.2f}"] if isinstance(result, ProcessResult) else []
+        fit = [_fit(result.assessment.fit)] if isinstance(result, ProcessResult) else []
         rows.append([method, *cells, *fit, ", ".join(result.status)])
     return header, rows
+
+
+def _fit(percent: float) -> str:
+    """An unstable estimate's fit may have any number of digits."""
+    return f"{percent:.2f}" if abs(percent) < HUGE else f"{percent:.2g}"
 
 
 def comparison_dots(comparison: Comparison) -> Figure:
