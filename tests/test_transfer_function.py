@@ -368,3 +368,17 @@ def test_orders_are_integers(arguments):
 def test_a_wrong_kind_of_argument_is_refused(arguments, text):
     with pytest.raises(pmfid.UsageError, match=text):
         pmfid.SRIVC(*arguments)
+
+
+def test_text_is_no_number():
+    drive, encoder = pmfid.Drive(2.0), pmfid.Encoder(1e-5)
+    for make, text in (
+        (lambda: pmfid.Drive("a"), "input_gain must be finite"),
+        (lambda: pmfid.Encoder("a"), "resolution must be positive"),
+        (lambda: pmfid.Encoder(1.0, bits="a"), "bits must be a whole number"),
+        (lambda: pmfid.Encoder(1.0, bits=2.5), "bits must be a whole number"),
+        (lambda: pmfid.RLS(drive, encoder, 0.01, 50.0, forgetting="a"), "forgetting must be in"),
+        (lambda: pmfid.RLS(drive, encoder, 0.01, 50.0).open_memory("a"), "keep must be in"),
+    ):
+        with pytest.raises(pmfid.UsageError, match=text):
+            make()

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -92,9 +93,9 @@ class RecursiveEstimator(Estimator):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 < self.forgetting <= 1:
+        if not isinstance(self.forgetting, Real) or not 0 < self.forgetting <= 1:
             raise UsageError(
-                f"forgetting must be in (0, 1], got {self.forgetting}; for a memory of T seconds use 1 - dt/T"
+                f"forgetting must be in (0, 1], got {self.forgetting!r}; for a memory of T seconds use 1 - dt/T"
             )
         self._check_scheme()
         self._check_room()
@@ -191,8 +192,8 @@ class RecursiveEstimator(Estimator):
         stays where it is and its variance grows (covariance reset, Goodwin and Sin 1984, in information form); filters
         and auxiliary model go on. Raises UsageError for another keep or an unknown parameter.
         """
-        if not 0 < keep <= 1:
-            raise UsageError(f"keep must be in (0, 1], got {keep}; 0.001 lets new samples prevail at once")
+        if not isinstance(keep, Real) or not 0 < keep <= 1:
+            raise UsageError(f"keep must be in (0, 1], got {keep!r}; 0.001 lets new samples prevail at once")
         if parameter is not None and parameter not in self.names:
             raise UsageError(f"parameter must be one of {list(self.names)} or None, got {parameter!r}")
         self._kernel.open(keep, -1 if parameter is None else self.names.index(parameter))
