@@ -21,7 +21,7 @@ from pmfid.models.transfer_function import TransferFunction
 #: Time constants of the slowest pole over which scores are taken to be correlated, and samples at most.
 MEMORY = 3.0
 #: Relative difference of two sample periods that are taken for one.
-SAME_PERIOD = 0.01
+SAME_PERIOD = 0.05
 #: Part of a sensitivity that must not follow from the others.
 APART = 1e-6
 

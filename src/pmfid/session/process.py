@@ -15,7 +15,7 @@ from pmfid.estimators.base import Estimator, status_names
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
-from pmfid.estimators.srivc import by_descent, fit_process, fixed_filters, make_problem
+from pmfid.estimators.srivc import SAME_PERIOD, by_descent, fit_process, fixed_filters, make_problem
 from pmfid.estimators.structure import DELAYS, ORDERS, Search, search_structure
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.linear.assess import Assessment, assess
@@ -132,7 +132,7 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
     """The estimator that a configuration asks for, at the period of the first record."""
     model, config, dt = axis.model.make(), axis.estimator, experiments[0].period
     check_sampling(axis, dt)
-    if any(abs(experiment.period / dt - 1) > 0.01 for experiment in experiments):
+    if any(abs(experiment.period / dt - 1) > SAME_PERIOD for experiment in experiments):
         raise UsageError("the records differ in their sample period; decimate them to one, or identify them one by one")
     method = AUTOMATIC if config.method == "auto" else config.method
     if method not in methods_for(model):
