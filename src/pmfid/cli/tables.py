@@ -157,7 +157,7 @@ def print_search(search: Search, name: str, out: Path | None) -> None:
     from rich.table import Table
 
     from pmfid.report.process import search_header, search_rows
-    from pmfid.session.process import search_notes
+    from pmfid.session.doubts import search_notes
 
     table = Table(title=escape(f"{name}: poles n, zeros m, dead time in samples"))
     for heading in search_header():

@@ -13,7 +13,8 @@ from pmfid.estimators.structure import Search
 from pmfid.linear.process import Process
 from pmfid.report.figures import COLOURS, GREY, WIDTH, decimation, figure_style
 from pmfid.report.html import Section, svg, write_report
-from pmfid.session.process import ProcessResult, search_json, search_notes
+from pmfid.session.doubts import search_notes
+from pmfid.session.process import ProcessResult, search_json
 
 #: Frequencies from a tenth of the slowest to ten times the fastest corner, and time constants of a step response.
 DECADES, SETTLING = 1.0, 8.0

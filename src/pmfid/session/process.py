@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
 
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -24,24 +23,12 @@ from pmfid.linear.process import Process
 from pmfid.linear.solve import Problem, Solution, solve
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import NO_ENCODER, Axis, check_sampling
+from pmfid.session.doubts import IGNORED, check_known, doubts, notes_on, search_notes
 from pmfid.status import Status
 
 AUTOMATIC = "srivc"
 #: Methods that take several records, gaps, missing samples and uneven spacing.
 FREE: dict[str, Callable[[Problem], Solution]] = {"srivc": solve, "iv": fixed_filters, "output-error": by_descent}
-#: The input must not be correlated with the noise by more than chance for these to be consistent without reference.
-FEEDBACK = (
-    "the residual is correlated with later inputs, so the input has the noise in it, as a controller feeds it back: "
-    "the estimate is biased; give the reference of the controller ([record] reference) to srivc, iv or output-error"
-)
-IGNORED = "{method} does not use the reference of the controller; srivc, iv and output-error do"
-#: A record of noise alone is refused but for so many. Poles can be tuned to any of its frequencies: for each sample the
-#: chance is a part of that.
-CHANCE = 1e-2
-#: Less of the output explained [%] is worth a sentence.
-POOR_FIT = 10.0
-#: An output so many robust standard deviations off, in so small a part of the samples, is an outlier.
-FAR, FEW = 10.0, 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,10 +104,10 @@ def identify_process(experiments: Sequence[Experiment], axis: Axis) -> ProcessRe
     delay = estimator.model.delay if isinstance(estimator.model, TransferFunction) else 0
     checks = assess(problem, theta[:n_parameters] / problem.structure.scale(problem.rate), delay)
     process = Process.of(problem.structure, theta, cov, delay * estimator.dt)
-    _check_known(estimator, theta, cov, sum(part.size for part in checks.samples))
+    check_known(estimator, theta, cov, sum(part.size for part in checks.samples))
     std = np.sqrt(np.diagonal(cov))
     referenced = problem.referenced and method in FREE
-    notes = [*_notes(experiments, checks, process, referenced), *_doubts(estimator, theta, std, checks)]
+    notes = [*notes_on(experiments, checks, process, referenced), *doubts(estimator, theta, std, checks)]
     notes += [IGNORED.format(method=method)] if problem.referenced and not referenced else []
     notes += Status(bits).advice
     flags = ["feedback"] if checks.feedback and not referenced else []
@@ -184,68 +171,6 @@ def _from_counts(estimator: Estimator, experiments: Sequence[Experiment]) -> tup
     return track.theta[-1], np.diag(track.theta_std[-1] ** 2), occurred | (last & ~int(Status.SETTLING))
 
 
-def _check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, samples: int) -> None:
-    """An estimate of nothing but noise is none, whatever its error bars."""
-    variance = np.diagonal(cov)
-    if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(cov)) and np.all(variance > 0)):
-        raise NotIdentifiableError(
-            f"the uncertainty of the transfer function is beyond numbers ({estimator.method}): the records do not "
-            "identify it; excite the process more, or use fewer poles and zeros"
-        )
-    if np.all(variance > theta**2):
-        raise NotIdentifiableError(
-            f"no parameter of the transfer function is known to its own size ({estimator.method}): the records do not "
-            "identify it; excite the process more, or use fewer poles and zeros"
-        )
-    top = np.array([name.startswith("b") for name in estimator.names]).nonzero()[0]
-    scale = np.sqrt(variance[top])
-    correlation, scaled = cov[np.ix_(top, top)] / np.outer(scale, scale), theta[top] / scale
-    if scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled < chdtri(top.size, CHANCE / samples):
-        offset = "" if "offset" in estimator.names else "give offset = true in [model] where it has a constant, "
-        raise NotIdentifiableError(
-            f"the output hardly depends on the input ({estimator.method}): chance alone gives such a numerator; "
-            f"check the columns, the dead time and for outliers, {offset}excite the process more, or use fewer poles "
-            "and zeros"
-        )
-
-
-def _doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Assessment) -> list[str]:
-    """What there is to doubt in numbers that are there."""
-    residual = np.concatenate(checks.residual)
-    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
-    far = int(np.sum(np.abs(residual - np.median(residual)) > FAR * spread)) if spread > 0 else 0
-    doubts = []
-    unknown = [name for name, value, s in zip(estimator.names, theta, std, strict=True) if s > abs(value)]
-    if unknown:
-        doubts.append(f"not known to its own size: {', '.join(unknown)}; fewer poles or zeros may do")
-    if 0 < far <= FEW * residual.size:
-        doubts.append(
-            f"{far} samples of the output are far off the others, and may decide everything: leave them empty"
-        )
-    if 0 <= checks.fit < POOR_FIT:
-        doubts.append(f"the model explains {checks.fit:.2g} % of the output, no more")
-    if "offset" not in estimator.names and abs(np.mean(residual)) > 0.5 * np.std(residual):
-        doubts.append("the residual has a mean: give offset = true in [model]")
-    return doubts
-
-
-def _notes(experiments: Sequence[Experiment], checks: Assessment, process: Process, referenced: bool) -> list[str]:
-    notes = []
-    if checks.feedback and not referenced:
-        notes.append(FEEDBACK)
-    if not checks.independent:
-        notes.append(
-            "the residual is correlated with the input: another dead time, more poles or zeros, or another hold may "
-            "explain more"
-        )
-    if np.any(process.poles.real > 0):
-        notes.append("the transfer function is unstable: what it simulates, and so the fit, says nothing")
-    missing = sum(int(np.sum(~np.isfinite(experiment.y))) for experiment in experiments)
-    if missing:
-        notes.append(f"{missing} samples of the output are missing")
-    return notes
-
-
 def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[float], None] | None = None) -> Search:
     """The structures with 1 to 5 poles, any number of zeros and dead times up to 5 samples, best first."""
     cutoff, offset = axis.estimator.cutoff, axis.model.offset
@@ -275,18 +200,3 @@ def search_json(search: Search) -> dict[str, Any]:
         "skipped": search.skipped,
         "notes": search_notes(search),
     }
-
-
-def search_notes(search: Search) -> list[str]:
-    """What to mind before the best structure is taken."""
-    best, notes = search.best, []
-    if not best.settled:
-        notes.append("no structure settled: the order is that of unfinished fits")
-    if not best.white:
-        notes.append(
-            "what the best structure leaves is not white noise, but the criterion takes it for that and then prefers "
-            "too many poles and zeros: take the smallest structure that fits nearly as well"
-        )
-    if best.fit < POOR_FIT:
-        notes.append(f"the best structure explains {max(best.fit, 0.0):.2g} % of the output, no more: it may be chance")
-    return notes
