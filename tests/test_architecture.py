@@ -66,6 +66,7 @@ PUBLIC = [
     "NotIdentifiableError",
     "OE",
     "PmfidError",
+    "Process",
     "RIV",
     "RKnownStep",
     "RLS",

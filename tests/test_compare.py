@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from click.testing import CliRunner
 import pmfid
 from pmfid.cli.main import main
 from pmfid.estimators.registry import methods_for
+from pmfid.report.comparison import _fit
 from pmfid.simulation import CART, make_scenario, write_csv
 from pmfid.studies.second_order import write
 
@@ -70,3 +72,37 @@ def test_a_transfer_function_by_every_method(tmp_path):
     assert "fit" in printed
     assert "ls has no answer: ls takes one evenly spaced record" in printed
     assert "a0 in s^-2" in (tmp_path / "compare.html").read_text()
+
+
+@pytest.mark.parametrize("width", ["80", "60", "20"])
+def test_no_number_of_many_parameters_is_cut(tmp_path, monkeypatch, width):
+    record, config = tmp_path / "second_order.csv", tmp_path / "axis.toml"
+    write(record)
+    example = CONFIG.with_name("second_order.toml").read_text()
+    config.write_text(
+        example.replace("n = 2 ", "n = 3 ").replace("m = 0 ", "m = 2 ").replace("delay", "offset = true\ndelay")
+    )
+    monkeypatch.setenv("COLUMNS", width)
+    printed = run(str(record), "--config", str(config), "--out", str(tmp_path))
+    assert "\u2026" not in printed
+    header, *rows = _cells(tmp_path / "compare.html")
+    assert len(header) == 10
+    for row in rows:
+        assert all(cell in printed for cell in row[1:9])
+    if width == "80":
+        assert max(len(line) for line in printed.splitlines() if line[:1] in "\u2502\u2503") <= 80
+
+
+def test_a_drive_keeps_its_single_table(record):
+    printed = run(str(record), "--config", str(CONFIG))
+    assert printed.count("method") == 2, "in the title and in one header"
+
+
+def _cells(page: Path) -> list[list[str]]:
+    """Header and rows of the first table of a report."""
+    table = page.read_text().split("<table", 1)[1].split("</table>", 1)[0]
+    return [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL) for row in table.split("<tr")[1:]]
+
+
+def test_a_huge_misfit_has_few_digits():
+    assert [_fit(90.123), _fit(-4.3e87)] == ["90.12", "-4.3e+87"]

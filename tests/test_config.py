@@ -230,3 +230,16 @@ def test_the_examples_load() -> None:
         22.75e-6,
         0.995,
     )
+
+
+def test_an_unknown_kind_is_the_only_problem(tmp_path: Path) -> None:
+    """Whether there must be an encoder depends on it."""
+    text = (Path(__file__).parents[1] / "examples" / "second_order.toml").read_text()
+    path = tmp_path / "axis.toml"
+    path.write_text(text.replace('"transfer_function"', '"transferfunction"'))
+    with pytest.raises(UsageError) as caught:
+        load_axis(path)
+    assert str(caught.value).startswith(
+        f"{path}: [model] kind = 'transferfunction': it should be 'drive', 'equation' or "
+    )
+    assert "\n" not in str(caught.value)

@@ -149,6 +149,10 @@ def test_the_command_exports_a_transfer_function_that_has_counts(tmp_path: Path)
     result = CliRunner().invoke(main, ["export", str(axis), "--out", str(tmp_path / "x"), "--dt", "0.05"])
     assert result.exit_code == 2
     assert "[encoder] resolution" in result.stderr
+    record = tmp_path / "record.csv"
+    record.write_text("t,u,y\n" + "".join(f"{0.05 * k},1,{1 - 0.5**k}\n" for k in range(50)))
+    again = CliRunner().invoke(main, ["export", str(axis), "--out", str(tmp_path / "x"), "--record", str(record)])
+    assert again.stderr == result.stderr, "before the record is read in steps of no encoder"
     text = axis.read_text() + "\n[encoder]\nresolution = 1e-3\n"
     (tmp_path / "axis.toml").write_text(text)
     arguments = ["export", str(tmp_path / "axis.toml"), "--out", str(tmp_path / "x"), "--dt", "0.05"]
@@ -157,6 +161,9 @@ def test_the_command_exports_a_transfer_function_that_has_counts(tmp_path: Path)
     result = CliRunner().invoke(main, [*arguments, "--method", "rsrivc"])
     assert (result.exit_code, result.stderr) == (0, "")
     assert result.stdout.startswith("rsrivc, ")
+    (tmp_path / "axis.toml").write_text(text.replace("[record]", '[record]\nhold = "foh"'))
+    result = CliRunner().invoke(main, [*arguments, "--method", "rsrivc"])
+    assert (result.exit_code, "takes a held input" in result.stderr) == (2, True)
 
 
 @needs(GCC)
@@ -392,7 +399,7 @@ def test_numbers_are_exact(number: float, text: str) -> None:
 
 @pytest.mark.parametrize("prefix", ["", "1st", "Axis", "a-b", "pmf", "pmf_x"])
 def test_a_prefix_must_be_a_name(prefix: str, tmp_path: Path) -> None:
-    with pytest.raises(pmfid.UsageError, match="prefix"):
+    with pytest.raises(pmfid.UsageError, match=r"prefix must be .* begin with a letter"):
         pmfid.export_firmware(make(pmfid.RLS), tmp_path, prefix=prefix)
 
 

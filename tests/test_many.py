@@ -266,10 +266,95 @@ def test_what_does_not_fit_is_refused():
         fleet.run(u, counts + 0.5)
     with pytest.raises(pmfid.UsageError, match="every must be"):
         fleet.run(u, counts, every=0)
-    with pytest.raises(pmfid.UsageError, match="at least one axis"):
+    with pytest.raises(pmfid.UsageError, match="axes must be a whole number of at least 1"):
         pmfid.Fleet(make(pmfid.BCRLS), 0)
     with pytest.raises(pmfid.UsageError, match="there are 21 axes"):
         fleet.axis(21)
+
+
+@pytest.mark.parametrize("every", [2.7, 3.0000000000000004, "a", np.nan, np.inf, 0, -1, True, [2], 1j])
+def test_every_must_be_whole(every):
+    u, counts = fleet_record()
+    with pytest.raises(pmfid.UsageError, match="every must be a whole number of at least 1"):
+        make(pmfid.BCRLS).run_many(u, counts, every=every)
+
+
+@pytest.mark.parametrize("every", [np.int64(300), 300.0, np.float32(300)])
+def test_whole_numbers_of_any_type_are_taken(every):
+    u, counts = fleet_record()
+    assert make(pmfid.BCRLS).run_many(u, counts, every=every).samples.tolist() == [299, 599, 699]
+
+
+def test_every_may_be_more_than_there_is():
+    u, counts = fleet_record()
+    assert make(pmfid.BCRLS).run_many(u, counts, every=10**30).samples.tolist() == [699]
+
+
+def test_a_fleet_of_anything_else_is_refused():
+    for axes in (2.5, "a", np.nan, None, True, 10**30):
+        with pytest.raises(pmfid.UsageError, match="axes"):
+            pmfid.Fleet(make(pmfid.BCRLS), axes)
+    for workers in (2.5, "a", np.nan, 0):
+        with pytest.raises(pmfid.UsageError, match="workers must be a whole number"):
+            pmfid.Fleet(make(pmfid.BCRLS), 2, workers=workers)
+    for index in ("a", 0.5, None):
+        with pytest.raises(pmfid.UsageError, match="index must be a whole number"):
+            pmfid.Fleet(make(pmfid.BCRLS), 2).axis(index)
+    with pytest.raises(pmfid.UsageError, match="which srivc does not"):
+        pmfid.Fleet(pmfid.SRIVC(pmfid.TransferFunction(2, 1), ENCODER, DT, CUTOFF), 5)
+
+
+def test_tables_that_are_no_numbers_are_refused():
+    estimator, fleet = make(pmfid.BCRLS), pmfid.Fleet(make(pmfid.BCRLS), 2)
+    for wrong in (None, [[1, 2], [3]], "a", [["a", "b"], ["c", "d"]], [[1j, 2], [3, 4]]):
+        with pytest.raises(pmfid.UsageError, match="counts must be an array of real numbers"):
+            estimator.run_many(np.zeros((2, 2)), wrong)
+        with pytest.raises(pmfid.UsageError, match="u must be an array of real numbers"):
+            fleet.run(wrong, np.zeros((2, 2), int))
+        with pytest.raises(pmfid.UsageError, match="u must be an array of real numbers"):
+            estimator.run(wrong, np.zeros(2, int))
+    for state in (None, "a", 3):
+        for target in (estimator, fleet):
+            with pytest.raises(pmfid.UsageError, match="a state is the bytes that get_state gave"):
+                target.set_state(state)
+
+
+def test_a_missing_count_is_named():
+    estimator = make(pmfid.BCRLS)
+    with pytest.raises(pmfid.UsageError, match="NaN or infinite in 1 places, the first at index 2: repeat the count"):
+        estimator.run(np.zeros(4), [0.0, 1.0, np.nan, 2.0])
+    with pytest.raises(pmfid.UsageError, match="the first at index 1, 0: repeat"):
+        estimator.run_many(np.zeros((2, 2)), [[0.0, 1.0], [np.nan, np.inf]])
+
+
+def test_a_fleet_says_what_it_is():
+    text = repr(pmfid.Fleet(make(pmfid.BCRLS), 3, workers=1))
+    assert text.startswith("Fleet(BCRLS(")
+    assert text.endswith("3, workers=1)")
+
+
+def test_the_kernel_writes_only_where_there_is_room():
+    axes, samples, p = 3, 10, 3
+    kernel = make(pmfid.BCRLS)._kernel.many(axes)
+    u, counts = np.zeros((axes, samples)), np.zeros((axes, samples), np.int64)
+
+    def results(rows: int = axes, kept: int = 4, parameters: int = p) -> list[np.ndarray]:
+        wide = [np.empty((rows, kept, parameters)) for _ in range(3)]
+        return [*wide, np.empty((rows, kept)), np.empty((rows, kept)), np.empty((rows, kept), np.uint32)]
+
+    kernel.run(u, counts, 0, axes, 3, results(), 0)  # 2, 5, 8 and the last
+    short = [*results()[:5], np.empty((axes, 3), np.uint32)]
+    for wrong in (results(kept=3), results(kept=5), results(rows=2), results(parameters=2), short):
+        with pytest.raises(ValueError, match="must have shapes"):
+            kernel.run(u, counts, 0, axes, 3, wrong, 0)
+    for wrong_u, wrong_counts in ((u[:2], counts[:2]), (u[:, :9], counts)):
+        with pytest.raises(ValueError, match=r"must be \(3, n\)"):
+            kernel.run(wrong_u, wrong_counts, 0, axes, 3, results(), 0)
+    with pytest.raises(ValueError, match="float32 or float64"):
+        kernel.run(u.astype(np.float16), counts, 0, axes, 3, results(), 0)
+    for first, end in ((-1, 2), (0, 4), (2, 1)):
+        with pytest.raises(ValueError, match="there are 3 axes"):
+            kernel.run(u, counts, first, end, 3, results(), 0)
 
 
 def test_only_the_words_in_use_are_kept():

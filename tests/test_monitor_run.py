@@ -145,6 +145,14 @@ def test_a_wrong_configuration_is_one_line(folder: Path, tmp_path: Path, change:
     assert len(text.splitlines()) == 1
 
 
+def test_a_transfer_function_is_refused_before_its_record_is_read(tmp_path: Path) -> None:
+    config = Path(__file__).parents[1] / "examples" / "second_order.toml"
+    (tmp_path / "run.csv").write_text("t,u,y\n" + "".join(f"{0.05 * k},1,{1 - 0.5**k}\n" for k in range(50)))
+    result = CliRunner().invoke(main, ["monitor", str(tmp_path / "run.csv"), "--config", str(config)])
+    assert result.exit_code == 2
+    assert result.stderr.startswith("pmfid: the monitor is for a machine with friction")
+
+
 def test_without_a_reference_the_nominal_values_do(folder: Path, tmp_path: Path) -> None:
     nominal = "nominal = { mass = 1.07, viscous_friction = 12.8, coulomb_friction = 0.8 }"
     (tmp_path / "run.csv").write_text((folder / "run.csv").read_text())

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from pmfid import IV, OE, SRIVC, Drive, Encoder, Experiment, NotIdentifiableError, TransferFunction, UsageError
 from pmfid.cli.main import main
-from pmfid.estimators.srivc import make_problem
+from pmfid.estimators.srivc import check_experiments, make_problem
 from pmfid.estimators.structure import search_structure
 from pmfid.linear.assess import Assessment, assess
 from pmfid.linear.process import Process
@@ -212,6 +212,16 @@ def test_order_of_the_second_plant():
         (np.zeros(5), np.zeros(5), {"dt": -1.0}, "positive"),
         (np.zeros(5), np.zeros(5), {"dt": 1.0, "hold": "none"}, "hold must be"),
         (np.zeros(5), np.full(5, np.inf), {"dt": 1.0}, "infinite"),
+        (np.zeros(5), np.zeros(5), {"t": np.array([0, 1, 1, 2, 3.0])}, r"row 3 \(1\) follows 1: a duplicate"),
+        (np.zeros(5), np.zeros(5), {"t": np.array([0, 1, 0.5, 2, 3])}, r"row 3 \(0.5\) follows 1: sort"),
+        (np.zeros(5), np.zeros(5), {"t": np.array([0, 1, np.nan, 3, 4])}, "in 1 row, the first is row 3"),
+        (np.zeros(5), np.zeros(5), {"t": ["a"] * 5}, "t must be an array of numbers"),
+        (np.zeros(5), np.zeros(5), {"dt": "a"}, "dt must be positive and finite, got 'a'"),
+        (np.zeros(5), np.zeros(5), {"dt": 1.0, "gap": -1}, "gap must be a positive time"),
+        (np.zeros(5), np.zeros(5), {"dt": 1.0, "gap": np.nan}, "gap must be a positive time"),
+        (np.zeros(5), ["a"] * 5, {"dt": 1.0}, "y must be an array of numbers"),
+        ([[1.0], [1.0, 2.0]], np.zeros(2), {"dt": 1.0}, "u must be an array of numbers"),
+        (None, np.zeros(2), {"dt": 1.0}, "u must be an array of numbers"),
     ],
 )
 def test_bad_experiments(u, y, options, text):
@@ -234,13 +244,53 @@ def test_what_cannot_be_identified_says_so():
         SRIVC(Drive(2.0), ENCODER, 0.01, 50.0)
 
 
+def test_the_sample_period_is_that_of_the_records():
+    record = Experiment(SECOND.u, SECOND.y, dt=SECOND.dt)
+    other = replace(srivc(SECOND, delay=3), dt=2 * SECOND.dt)
+    with pytest.raises(UsageError, match=r"but record has a sample every .* the delay counts in it"):
+        other.fit_experiments([record])
+    times = np.arange(SECOND.u.size) * SECOND.dt
+    uneven = times + np.random.default_rng(0).uniform(-0.3, 0.3, times.size) * SECOND.dt
+    with_gap = np.where(np.arange(times.size) > 1000, times + 50.0, times)
+    for t in (uneven, with_gap):
+        check_experiments(srivc(SECOND), [Experiment(SECOND.u, SECOND.y, t=t)])
+    close = replace(srivc(SECOND), dt=1.009 * SECOND.dt)
+    assert close.fit_experiments([record]).theta == pytest.approx(SECOND.theta)
+
+
+def test_experiments_are_a_list():
+    record = Experiment(SECOND.u, SECOND.y, dt=SECOND.dt)
+    for wrong in (record, [], None, [SECOND.u]):
+        with pytest.raises(UsageError, match="a list of one Experiment or more"):
+            srivc(SECOND).fit_experiments(wrong)
+
+
+def test_an_empty_signal_is_called_so():
+    nothing = np.full(100, np.nan)
+    for u, y, name in ((np.ones(100), nothing, "output"), (nothing, np.ones(100), "input")):
+        with pytest.raises(UsageError, match=f"the {name} is empty"):
+            srivc(SECOND).fit_experiments([Experiment(u, y, dt=SECOND.dt)])
+
+
+def test_responses_take_one_frequency_and_refuse_one_time():
+    process = srivc(SECOND).fit_experiments([Experiment(SECOND.u, SECOND.y, dt=SECOND.dt)]).process
+    one, many = process.frequency_response(1.0), process.frequency_response([1.0])
+    assert all(np.array_equal(a, b) for a, b in zip(one, many, strict=True))
+    for wrong in (5, [0.0], [0.0, 0.0], [1.0, 2.0], "a"):
+        with pytest.raises(UsageError, match=r"^t "):
+            process.step_response(wrong)
+    with pytest.raises(UsageError, match="frequencies must be real numbers"):
+        process.frequency_response("a")
+
+
 def test_detrended_and_decimated():
     whole = Experiment(SECOND.u + 2.0, SECOND.y + 2.0, dt=SECOND.dt)  # the gain is 1
     fit = srivc(SECOND).fit_experiments([whole.detrended()])
     np.testing.assert_allclose(fit.theta, SECOND.theta, rtol=0.01)
     thinned = whole.decimated(3)
     assert thinned.dt == pytest.approx(3 * SECOND.dt)
-    np.testing.assert_allclose(srivc(SECOND).fit_experiments([thinned]).theta, SECOND.theta, rtol=1e-6)
+    slower = replace(srivc(SECOND), dt=thinned.dt)
+    np.testing.assert_allclose(slower.fit_experiments([thinned]).theta, SECOND.theta, rtol=1e-6)
     with pytest.raises(UsageError, match="input changes"):
         whole.decimated(2)
 

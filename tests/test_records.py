@@ -436,6 +436,13 @@ def test_empty_cells_are_missing_values(tmp_path: Path, empty: str) -> None:
 def test_time_must_increase(tmp_path: Path, value: float) -> None:
     text = message(csv(tmp_path, t=edited(columns()["t"], 7, value)))
     assert text.startswith(f"time does not increase strictly: row 7 ({value}) follows 0.05;")
+    assert ("duplicate" in text) == (value == 0.05)
+
+
+def test_an_empty_column_is_called_so(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,u,y\n" + "".join(f"{k},1,\n" for k in range(20)))
+    assert "output column 'y' is empty" in message(path)
 
 
 def test_time_gaps(tmp_path: Path) -> None:

@@ -347,3 +347,38 @@ def test_estimators_say_what_they_need():
         pmfid.RIV(TransferFunction(2, 0), encoder, 0.01, 10.0)
     with pytest.raises(UsageError, match="start"):
         pmfid.RSRIVC(TransferFunction(2, 0, initial_conditions=True), encoder, 0.01, 10.0)
+
+
+@pytest.mark.parametrize("arguments", [("2", 1), (2.0, 1), (2, 1.0), (2, "1"), (2, 1, 3.0), (None, 1), (True, 0)])
+def test_orders_are_integers(arguments):
+    with pytest.raises(pmfid.UsageError, match="must be a whole number from"):
+        pmfid.TransferFunction(*arguments)
+    assert pmfid.TransferFunction(np.int64(2), np.int32(1)).n == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ((pmfid.TransferFunction(2, 1), 1.0, 0.1, 5.0), "encoder must be an Encoder, got 1.0"),
+        (("drive", pmfid.Encoder(1.0), 0.1, 5.0), "model must be a Drive"),
+        ((pmfid.TransferFunction(2, 1), pmfid.Encoder(1.0), "a", 5.0), "dt must be positive and finite, got 'a'"),
+        ((pmfid.TransferFunction(2, 1), pmfid.Encoder(1.0), 0.1, None), "cutoff must be positive and finite"),
+    ],
+)
+def test_a_wrong_kind_of_argument_is_refused(arguments, text):
+    with pytest.raises(pmfid.UsageError, match=text):
+        pmfid.SRIVC(*arguments)
+
+
+def test_text_is_no_number():
+    drive, encoder = pmfid.Drive(2.0), pmfid.Encoder(1e-5)
+    for make, text in (
+        (lambda: pmfid.Drive("a"), "input_gain must be finite"),
+        (lambda: pmfid.Encoder("a"), "resolution must be positive"),
+        (lambda: pmfid.Encoder(1.0, bits="a"), "bits must be a whole number"),
+        (lambda: pmfid.Encoder(1.0, bits=2.5), "bits must be a whole number"),
+        (lambda: pmfid.RLS(drive, encoder, 0.01, 50.0, forgetting="a"), "forgetting must be in"),
+        (lambda: pmfid.RLS(drive, encoder, 0.01, 50.0).open_memory("a"), "keep must be in"),
+    ):
+        with pytest.raises(pmfid.UsageError, match=text):
+            make()

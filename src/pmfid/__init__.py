@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pmfid.estimators.srivc import SRIVC as SRIVC
     from pmfid.export.firmware import export_firmware as export_firmware
     from pmfid.linear.experiment import Experiment as Experiment
+    from pmfid.linear.process import Process as Process
     from pmfid.models.drive import Drive as Drive
     from pmfid.models.drive import EquationModel as EquationModel
     from pmfid.models.equation import Equation as Equation
@@ -62,6 +63,7 @@ _PUBLIC = {
     "RLS": "pmfid.estimators.rls",
     "SRIVC": "pmfid.estimators.srivc",
     "Experiment": "pmfid.linear.experiment",
+    "Process": "pmfid.linear.process",
     "Status": "pmfid.status",
     "TransferFunction": "pmfid.models.transfer_function",
     "Track": "pmfid.estimators.recursive",

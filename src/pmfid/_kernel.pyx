@@ -202,6 +202,7 @@ cdef class Kernel:
     cdef pmf_state_t state
 
     dtype = np.dtype(np.float32 if sizeof(real_t) == 4 else np.float64)
+    max_parameters = PMF_MAX_PARAMETERS
 
     def __init__(self, stages, columns, encoder, direct, settle_samples, instrument=None, auxiliary=None, first_samples=None, linear=None):
         cdef pmf_network_config_t *net = &self.config.network
@@ -352,6 +353,19 @@ cdef _set_rows(pmf_rows_t *rows, cnp.ndarray table):
     rows.axis, rows.sample, rows.size = table.strides[0], table.strides[1], table.itemsize
 
 
+cdef _check_tables(u, counts, results, axes, parameters, every):
+    """Raises ValueError unless the tables are (axes, n) and the results have room for just the estimates to keep."""
+    if u.ndim != 2 or u.shape != counts.shape or u.shape[0] != axes:
+        raise ValueError(f"u and counts must be ({axes}, n), got {u.shape} and {counts.shape}")
+    if u.dtype not in (np.float32, np.float64) or counts.dtype not in (np.int32, np.int64):
+        raise ValueError(f"u must be float32 or float64 and counts int32 or int64, got {u.dtype} and {counts.dtype}")
+    samples = u.shape[1]
+    kept = -(-samples // every) if every else min(samples, 1)
+    shapes = [(axes, kept, parameters)] * 3 + [(axes, kept)] * 3
+    if [np.shape(result) for result in results] != shapes:
+        raise ValueError(f"the results must have shapes {shapes}, got {[np.shape(result) for result in results]}")
+
+
 cdef class ManyKernel:
     """Many axes with the configuration of one `Kernel`, each from its present state.
 
@@ -405,12 +419,18 @@ cdef class ManyKernel:
     def run(self, cnp.ndarray u, cnp.ndarray counts, Py_ssize_t first, Py_ssize_t end, uint64_t every, results, uint32_t way):
         """Axes `first` to `end` through u (float32 or float64) and counts (int32 or int64), both (axes, n) with any
         strides. results: theta, variance_factor, inflation (axes, kept, p), innovation, innovation_variance, status
-        (axes, kept), to be filled with every so many estimates and the last. Releases the interpreter meanwhile."""
+        (axes, kept), to be filled with every so many estimates and the last. Releases the interpreter meanwhile.
+        Raises ValueError where an array has another shape or type than that: the C asks nothing."""
         cdef pmf_many_t many
         cdef double[:, :, ::1] theta = results[0], factor = results[1], inflation = results[2]
         cdef double[:, ::1] innovation = results[3], variance = results[4]
         cdef uint32_t[:, ::1] status = results[5]
         cdef unsigned char[:, ::1] states = self.states
+        _check_tables(u, counts, results, self.states.shape[0], pmf_parameters(&self.config), every)
+        if states.shape[1] != <Py_ssize_t> self.layout.packed_size or not 0 <= first <= end <= states.shape[0]:
+            raise ValueError(f"there are {states.shape[0]} axes, got {first} to {end}")
+        if u.shape[1] == 0 or first == end:
+            return
         _set_rows(&many.input, u)
         _set_rows(&many.counts, counts)
         many.way, many.samples, many.every, many.kept = way, u.shape[1], every, theta.shape[1]

@@ -19,6 +19,7 @@ class Estimate:
 
 class Kernel:
     dtype: np.dtype[np.floating]
+    max_parameters: int
     def __init__(
         self,
         stages: Sequence[tuple[int, float, float, float]],

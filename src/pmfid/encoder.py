@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
+from numbers import Integral, Real
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,8 +39,10 @@ class Encoder:
         _positive("standstill_time", self.standstill_time, "s")
         if self.max_speed is not None:
             _positive("max_speed", self.max_speed, "unit/s, or leave it out")
-        if not 1 <= self.bits <= 32:
-            raise UsageError(f"bits must be 1 to 32, got {self.bits}; it is the width of the counter")
+        if not isinstance(self.bits, Integral) or not 1 <= self.bits <= 32:
+            raise UsageError(
+                f"bits must be a whole number from 1 to 32, got {self.bits!r}; it is the width of the counter"
+            )
 
     def kernel_config(self, dt: float) -> dict[str, float]:
         """The encoder's part of the kernel configuration at sample period dt [s]."""
@@ -111,5 +114,5 @@ def tracker_gains(tracking_index: float) -> dict[str, float]:
 
 
 def _positive(name: str, value: float, remedy: str) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise UsageError(f"{name} must be positive and finite, got {value}: {remedy}")
+    if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
+        raise UsageError(f"{name} must be positive and finite, got {value!r}: {remedy}")

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from numbers import Integral, Real
 from typing import ClassVar
 
-__all__ = ["NotIdentifiableError", "PmfidError", "UsageError", "did_you_mean"]
+__all__ = ["NotIdentifiableError", "PmfidError", "UsageError", "did_you_mean", "whole_number"]
 
 
 class PmfidError(Exception):
@@ -31,3 +32,20 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str:
     by_folded = {choice.casefold(): choice for choice in choices}
     closest = get_close_matches(word.casefold(), by_folded, n=1, cutoff=0.5)
     return f"; did you mean {by_folded[closest[0]]!r}?" if closest else ""
+
+
+def whole_number(name: str, value: object, low: int | None, remedy: str) -> int:
+    """`value` as an int, also of a float that is whole, such as 2.0. Raises UsageError for anything else, and for what
+    is below `low`."""
+    number: int | None = None
+    try:
+        if isinstance(value, Real) and not isinstance(value, bool):
+            number = int(float(value)) if float(value).is_integer() else None
+        if isinstance(value, Integral) and not isinstance(value, bool):
+            number = int(value)
+    except OverflowError:
+        pass
+    if number is None or (low is not None and number < low):
+        least = "" if low is None else f" of at least {low}"
+        raise UsageError(f"{name} must be a whole number{least}, got {value!r}; {remedy}")
+    return number

@@ -45,10 +45,11 @@ def export(
     from pmfid.export.alarm import Alarm
     from pmfid.export.firmware import export_firmware
     from pmfid.session.config import load_axis
-    from pmfid.session.firmware import drive_estimator
+    from pmfid.session.firmware import check_exportable, drive_estimator
     from pmfid.session.records import read_record
 
     axis = load_axis(axis_file, {f"estimator.{key}": value for key, value in options.items()})
+    check_exportable(axis)
     data = None if record is None else read_record(record, axis)
     estimator = drive_estimator(axis, data, dt)
     name = prefix or re.sub(r"\W+", "_", axis_file.stem.lower())

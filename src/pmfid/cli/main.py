@@ -87,7 +87,7 @@ def main() -> None:
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Write report.html, result.json and track.parquet there.",
+    help="Write report.html and result.json there, and track.parquet of a recursive method on a drive.",
 )
 @click.option("--n", type=int, help="Poles of a transfer function.")
 @click.option("--m", type=int, help="Zeros of a transfer function.")

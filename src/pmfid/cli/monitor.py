@@ -42,12 +42,13 @@ def monitor(
     with everything written, at Ctrl-C or SIGTERM.
     """
     from pmfid.session.config import load_axis
-    from pmfid.session.monitoring import set_up
+    from pmfid.session.monitoring import check_monitored, set_up
     from pmfid.session.records import read_record
     from pmfid.session.stream import Stop
 
     _check_places(out, report)
     axis = load_axis(config, {f"monitor.{key}": value for key, value in options.items()})
+    check_monitored(axis)
     piped = str(record) == "-"
     data = None if piped else read_record(record, axis)
     tell = _Teller(as_json, to_stderr=str(out) == "-")

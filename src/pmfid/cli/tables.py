@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from pmfid.estimators.structure import Search
     from pmfid.session.compare import Comparison
     from pmfid.session.pipeline import Result
@@ -41,22 +43,19 @@ def print_result(result: Result, out: Path | None) -> None:
 
 
 def print_comparison(comparison: Comparison, out: Path | None) -> None:
-    """One row for each method, and why a method has no answer."""
+    """One row for each method, and why a method has no answer; in a narrow terminal in blocks of parameters."""
     from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
 
     from pmfid.report.comparison import comparison_rows
 
     header, rows = comparison_rows(comparison)
-    table = Table(title=escape(f"{comparison.name}: all methods"))
-    for heading in header[:-1]:
-        text = escape(heading.replace("_", "\n").replace(" [", "\n["))
-        table.add_column(text, justify="left" if heading == "method" else "right", no_wrap=True)
-    for row in rows:
-        table.add_row(*row[:-1])
     console = Console()
-    console.print(table)
+    title = f"{comparison.name}: all methods"
+    for columns in _blocks(header[:-1], rows, console.width):
+        table = _comparison_table(title, header, rows, columns)
+        # a number is never cut: what does not fit then runs over the edge
+        Console(width=max(console.width, _width(table))).print(table)
+        title = ""
     for row in rows:  # beside the numbers there is no room for them in a narrow terminal
         if row[-1]:
             console.print(f"{row[0]}: {row[-1]}", highlight=False, markup=False, soft_wrap=True)
@@ -64,6 +63,38 @@ def print_comparison(comparison: Comparison, out: Path | None) -> None:
         console.print(f"{name} has no answer: {reason}", highlight=False, markup=False, soft_wrap=True)
     if out is not None:
         console.print(f"report: {out / 'compare.html'}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _blocks(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> list[list[int]]:
+    """Numbers of the columns that stand beside each other, the method in front, in `width` characters."""
+    blocks = [[0]]
+    for column in range(1, len(header)):
+        longer = [*blocks[-1], column]
+        if len(longer) == 2 or _width(_comparison_table("", header, rows, longer)) <= width:
+            blocks[-1] = longer
+        else:
+            blocks.append([0, column])
+    return blocks
+
+
+def _comparison_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], columns: list[int]) -> Table:
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(title) or None)
+    for heading in (header[column] for column in columns):
+        text = escape(heading.replace("_", "\n").replace(" [", "\n["))
+        table.add_column(text, justify="left" if heading == "method" else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*(row[column] for column in columns))
+    return table
+
+
+def _width(table: Table) -> int:
+    """Characters that a table takes where there is room for all of it."""
+    from rich.console import Console
+
+    return Console(width=10_000).measure(table).maximum
 
 
 def print_merits(rows: Sequence[Merit], out: Path) -> None:
@@ -103,7 +134,7 @@ def print_process(result: ProcessResult, out: Path | None) -> None:
     console = Console()
     console.print(str(result.process), highlight=False, markup=False, soft_wrap=True)
     samples = sum(part.size for part in result.assessment.samples)
-    table = Table(title=f"{result.estimator.method}, {samples} samples, fit {result.assessment.fit:.2f} %")
+    table = Table(title=f"{result.estimator.method}, {samples} samples, {result.fit_text}")
     for heading in ("", "value", "std", "unit"):
         table.add_column(heading, justify="right" if heading in ("value", "std") else "left")
     rows = zip(result.estimator.names, result.theta, result.theta_std, result.estimator.units, strict=True)
@@ -126,6 +157,7 @@ def print_search(search: Search, name: str, out: Path | None) -> None:
     from rich.table import Table
 
     from pmfid.report.process import search_header, search_rows
+    from pmfid.session.doubts import search_notes
 
     table = Table(title=escape(f"{name}: poles n, zeros m, dead time in samples"))
     for heading in search_header():
@@ -136,6 +168,8 @@ def print_search(search: Search, name: str, out: Path | None) -> None:
     console.print(table)
     best = search.best
     console.print(f"best: --n {best.n} --m {best.m} --delay {best.delay}", highlight=False, markup=False)
+    for note in search_notes(search):
+        console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
     if out is not None:
         console.print(f"report: {out / 'order.html'}", highlight=False, markup=False, soft_wrap=True)
 

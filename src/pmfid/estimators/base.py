@@ -6,13 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from numbers import Real
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.encoder import Encoder
-from pmfid.errors import UsageError
+from pmfid.errors import UsageError, whole_number
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
 from pmfid.filters.network import Network, Taps, scaled
@@ -71,6 +72,7 @@ class Estimator:
     process_only: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
+        self._check_kinds()
         if self.equation.process and self.order == 2:
             object.__setattr__(self, "order", max(2, self.equation.order))
         if self.process_only and not self.equation.process:
@@ -100,6 +102,14 @@ class Estimator:
         if self.precision not in ("float64", "float32"):
             raise UsageError(f"precision must be 'float64' or 'float32', got {self.precision!r}")
         self._check_zeros()
+
+    def _check_kinds(self) -> None:
+        if not isinstance(getattr(self.model, "equation", None), Equation):
+            raise UsageError(f"model must be a Drive, a TransferFunction or an EquationModel, got {self.model!r}")
+        if not isinstance(self.encoder, Encoder):
+            raise UsageError(f"encoder must be an Encoder, got {self.encoder!r}; write Encoder(resolution)")
+        order = whole_number("order", self.order, 0, "it is the number of filter stages")
+        object.__setattr__(self, "order", order)
 
     def _check_zeros(self) -> None:
         zeros, needed = self.zeros, self._zeros_needed
@@ -252,13 +262,13 @@ def process_zeros(cutoff: float, n: int) -> tuple[float, ...]:
 
 def check_positive(name: str, value: float, what: str) -> None:
     """Raises UsageError unless value is positive and finite."""
-    if not (math.isfinite(value) and value > 0):
-        raise UsageError(f"{name} must be positive and finite, got {value}; {what}")
+    if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
+        raise UsageError(f"{name} must be positive and finite, got {value!r}; {what}")
 
 
 def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """u and counts as contiguous (n,) arrays; raises UsageError where they do not fit each other."""
-    u_array = np.ascontiguousarray(u, dtype=np.float64)
+    u_array = np.ascontiguousarray(numbers("u", u), dtype=np.float64)
     counts_array = np.ascontiguousarray(integer_counts(counts), dtype=np.int64)
     if u_array.ndim != 1 or u_array.shape != counts_array.shape:
         raise UsageError(
@@ -267,12 +277,31 @@ def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[np.float64], 
     return u_array, counts_array
 
 
+def numbers(name: str, values: ArrayLike) -> NDArray[Any]:
+    """An array of real numbers in their own type; raises UsageError where they are none, or rows differ in length."""
+    try:
+        array = np.asarray(values)
+        array = array if array.dtype.kind in "biufc" else array.astype(np.float64)
+    except (TypeError, ValueError, OverflowError):
+        array = np.empty(0, object)
+    if array.dtype.kind not in "biuf" or values is None:
+        raise UsageError(f"{name} must be an array of real numbers, with rows of one length")
+    return array
+
+
 def integer_counts(counts: ArrayLike) -> NDArray[Any]:
     """Counts of any shape as an array of whole numbers; raises UsageError where they are none."""
-    given = np.asarray(counts)
+    given = numbers("counts", counts)
     if given.dtype.kind in "iu":
         return given
-    if not (np.all(np.isfinite(given)) and np.array_equal(given, np.round(given))):
+    missing = np.argwhere(~np.isfinite(given))
+    if missing.size:
+        where = ", ".join(str(index) for index in missing[0])
+        raise UsageError(
+            f"counts are NaN or infinite in {len(missing)} places, the first at index {where}: repeat the count before "
+            "where a sample is missing; of a transfer function, NaN in the output of an Experiment leaves it out"
+        )
+    if not np.array_equal(given, np.round(given)):
         raise UsageError("counts must be integers; use pmfid.quantize(position, resolution) for a position")
     return np.round(given).astype(np.int64)
 

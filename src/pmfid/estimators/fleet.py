@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmfid.errors import UsageError
-from pmfid.estimators.base import integer_counts
+from pmfid.errors import UsageError, whole_number
+from pmfid.estimators.base import integer_counts, numbers
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 
 #: Axes that a thread takes at a time are a multiple of this: no vector of the kernel holds more.
@@ -52,17 +52,26 @@ class Fleet:
 
     Every axis gets the bits that the estimator alone would give; they are computed side by side, in vectors and on all
     processors. All start from the present state of `estimator`, which itself does not change. axes: number, >= 1;
-    workers: threads, >= 1; None: as many as there are processors. Raises UsageError for other numbers.
+    workers: threads, >= 1; None: as many as there are processors. Raises UsageError for other numbers, for an estimator
+    that is not recursive, and for more axes than the memory holds.
     """
 
     def __init__(self, estimator: RecursiveEstimator, axes: int, *, workers: int | None = None) -> None:
-        if axes < 1 or (workers is not None and workers < 1):
-            raise UsageError(f"a fleet needs at least one axis and one worker, got {axes} and {workers}")
+        if not isinstance(estimator, RecursiveEstimator):
+            what = getattr(estimator, "method", type(estimator).__name__)
+            raise UsageError(f"a fleet runs sample by sample, which {what} does not; use rls, bcrls, riv or rsrivc")
         self.estimator = estimator
-        self.axes = axes
-        self.workers = _processors() if workers is None else workers
-        self._kernel = estimator._kernel.many(axes)
+        self.axes = whole_number("axes", axes, 1, "it is the number of machines")
+        remedy = "it is the number of threads; None: as many as there are processors"
+        self.workers = _processors() if workers is None else whole_number("workers", workers, 1, remedy)
+        try:
+            self._kernel = estimator._kernel.many(self.axes)
+        except (MemoryError, OverflowError, ValueError):
+            raise UsageError(f"the states of {axes} axes do not fit the memory; take fewer at a time") from None
         self._way = self._kernel.fastest_way
+
+    def __repr__(self) -> str:
+        return f"Fleet({self.estimator!r}, {self.axes}, workers={self.workers})"
 
     def run(self, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
         """The next n samples of every axis, from its present state.
@@ -73,8 +82,9 @@ class Fleet:
         the memory does not hold what shall be kept.
         """
         u_table, counts_table = self._check(u, counts)
-        if every is not None and every < 1:
-            raise UsageError(f"every must be at least 1, got {every}; None keeps the last estimate alone")
+        if every is not None:
+            every = whole_number("every", every, 1, "None keeps the last estimate alone")
+            every = min(every, max(1, counts_table.shape[1]))
         samples = _kept(counts_table.shape[1], every)
         results = self._results(samples.size)
         if samples.size:
@@ -85,6 +95,7 @@ class Fleet:
 
     def axis(self, index: int) -> RecursiveEstimator:
         """A new estimator of the same configuration in the state of one axis."""
+        index = whole_number("index", index, None, "it is the number of an axis")
         if not -self.axes <= index < self.axes:
             raise UsageError(f"there are {self.axes} axes, from 0 on; got {index}")
         single = replace(self.estimator)
@@ -102,13 +113,15 @@ class Fleet:
 
     def set_state(self, state: bytes) -> None:
         """Continues from saved states. Raises UsageError for those of another configuration or number of axes."""
+        if not isinstance(state, bytes):
+            raise UsageError(f"a state is the bytes that get_state gave, got {type(state).__name__}")
         try:
             self._kernel.set_state(state)
         except ValueError as error:
             raise UsageError(str(error)) from None
 
     def _check(self, u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
-        u_table, counts_table = np.asarray(u), integer_counts(counts)
+        u_table, counts_table = numbers("u", u), integer_counts(counts)
         u_table = _in_place(u_table, (np.float32, np.float64), np.float64)
         counts_table = _in_place(counts_table, (np.int32, np.int64), np.int64)
         fits = counts_table.ndim == 2 and counts_table.shape[0] == self.axes

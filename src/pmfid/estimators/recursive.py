@@ -6,13 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
-from pmfid.estimators.base import Estimator, check_arrays
+from pmfid.estimators.base import Estimator, check_arrays, integer_counts
 from pmfid.status import Status
 
 if TYPE_CHECKING:
@@ -92,11 +93,12 @@ class RecursiveEstimator(Estimator):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 < self.forgetting <= 1:
+        if not isinstance(self.forgetting, Real) or not 0 < self.forgetting <= 1:
             raise UsageError(
-                f"forgetting must be in (0, 1], got {self.forgetting}; for a memory of T seconds use 1 - dt/T"
+                f"forgetting must be in (0, 1], got {self.forgetting!r}; for a memory of T seconds use 1 - dt/T"
             )
         self._check_scheme()
+        self._check_room()
         try:
             object.__setattr__(self, "_kernel", self.make_kernel(self.forgetting))
         except ValueError as error:  # more than it holds
@@ -121,6 +123,16 @@ class RecursiveEstimator(Estimator):
                 )
         if self.forgetting_of and scheme != "exponential":
             raise UsageError(f"forgetting_of is for the exponential scheme, not for {scheme}")
+
+    def _check_room(self) -> None:
+        most, model = self.kernel_class.max_parameters, self.model
+        if len(self.names) > most:
+            cure = "poles (n), zeros (m) or extras" if self.equation.process else "unknown terms"
+            other = ", or srivc on whole records" if self.equation.process else ""
+            raise UsageError(
+                f"{self.method} estimates at most {most} parameters, this {model.kind} has {len(self.names)}: "
+                f"{', '.join(self.names)}; use fewer {cure}{other}"
+            )
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
@@ -165,7 +177,8 @@ class RecursiveEstimator(Estimator):
         """
         from pmfid.estimators.fleet import Fleet
 
-        return Fleet(self, np.shape(counts)[0] if np.ndim(counts) else 1).run(u, counts, every=every)
+        table = integer_counts(counts)
+        return Fleet(self, max(1, table.shape[0]) if table.ndim else 1).run(u, table, every=every)
 
     @property
     def estimate(self) -> Any:
@@ -179,8 +192,8 @@ class RecursiveEstimator(Estimator):
         stays where it is and its variance grows (covariance reset, Goodwin and Sin 1984, in information form); filters
         and auxiliary model go on. Raises UsageError for another keep or an unknown parameter.
         """
-        if not 0 < keep <= 1:
-            raise UsageError(f"keep must be in (0, 1], got {keep}; 0.001 lets new samples prevail at once")
+        if not isinstance(keep, Real) or not 0 < keep <= 1:
+            raise UsageError(f"keep must be in (0, 1], got {keep!r}; 0.001 lets new samples prevail at once")
         if parameter is not None and parameter not in self.names:
             raise UsageError(f"parameter must be one of {list(self.names)} or None, got {parameter!r}")
         self._kernel.open(keep, -1 if parameter is None else self.names.index(parameter))

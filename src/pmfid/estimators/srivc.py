@@ -20,6 +20,8 @@ from pmfid.models.transfer_function import TransferFunction
 
 #: Time constants of the slowest pole over which scores are taken to be correlated, and samples at most.
 MEMORY = 3.0
+#: Relative difference of two sample periods that are taken for one.
+SAME_PERIOD = 0.05
 #: Part of a sensitivity that must not follow from the others.
 APART = 1e-6
 
@@ -85,9 +87,24 @@ def fit_process(
     estimator: Estimator, experiments: Sequence[Experiment], solver: Callable[[Problem], Solution] = solve
 ) -> ProcessFit:
     """The estimate from all records, by refined instrumental variables or another solver."""
+    check_experiments(estimator, experiments)
     problem = make_problem(estimator, experiments)
     check_signals(problem, estimator.names)
     return result(estimator, problem, solver(problem))
+
+
+def check_experiments(estimator: Estimator, experiments: Sequence[Experiment]) -> None:
+    """Raises UsageError without experiments, or where the estimator has another sample period than they."""
+    listed = isinstance(experiments, Sequence) and all(isinstance(part, Experiment) for part in experiments)
+    if not listed or not experiments:
+        raise UsageError("experiments must be a list of one Experiment or more; write [experiment] for a single one")
+    for part in experiments:
+        mean = float(part.times[-1] - part.times[0]) / (part.times.size - 1)  # jitter moves the median, gaps the mean
+        if min(abs(step / estimator.dt - 1) for step in (part.period, mean)) > SAME_PERIOD:
+            raise UsageError(
+                f"dt of the estimator is {estimator.dt:.9g} s, but {part.name} has a sample every {part.period:.9g} s; "
+                "give the estimator this dt: the delay counts in it"
+            )
 
 
 def fixed_filters(problem: Problem) -> Solution:
@@ -109,6 +126,9 @@ def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> Pro
     stretches = [replace(stretch, record=i) for i, some in enumerate(parts) for stretch in some]
     # what the initial conditions take up, a stretch must have more of
     usable = [stretch.scaled(estimator.cutoff) for stretch in stretches if stretch.rows.size > model.n + 1]
+    for name, signals in (("output", [part.y for part in experiments]), ("input", [part.u for part in experiments])):
+        if not any(np.any(np.isfinite(signal)) for signal in signals):
+            raise UsageError(f"the {name} is empty: every sample is missing (NaN); check the column or the array")
     if not usable:
         raise UsageError("no record has a stretch with enough samples of input and output; record longer")
     return Problem(Structure(model.n, model.m, model.offset), tuple(usable), estimator.cutoff)

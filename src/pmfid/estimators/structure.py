@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.linear.assess import is_white
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.sensitivity import Structure
-from pmfid.linear.solve import Problem, Solution, first_guess, refine
+from pmfid.linear.solve import REFINEMENTS, Problem, Solution, descend, first_guess, refine
 
 #: A model is judged once a step would lower its sum of squares by less than this part.
 SETTLED = 1e-6
 PASSES = 10
+#: So many of those that did not settle, but look best, are given more passes.
+RETRIED = 8
 #: A model counts as follows the record no closer than this part of the output: two such models are equally good.
 EXACT = 1e-7
 #: Delays in whole samples, and orders, that are searched where nothing else is said.
@@ -30,7 +33,7 @@ class Candidate:
 
     n, m, delay [samples]; bic: Schwarz's criterion N log(error power) + p log(N), less is better; fit: percent of the
     output's standard deviation that the simulation explains; condition: of the scaled sensitivities, large where poles
-    and zeros nearly cancel; settled: whether the iteration did; theta (p,).
+    and zeros nearly cancel; settled: whether the iteration did; white: whether what is left is white noise; theta (p,).
     """
 
     n: int
@@ -40,13 +43,14 @@ class Candidate:
     fit: float
     condition: float
     settled: bool
+    white: bool
     theta: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Search:
-    """The candidates, best first; skipped: structures that cannot be better than the best, by models that contain them;
-    samples: N, the same for all delays."""
+    """The candidates, best first, those that did not settle last; skipped: structures that cannot be better than the
+    best, by models that contain them; samples: N, the same for all delays."""
 
     candidates: tuple[Candidate, ...]
     skipped: int
@@ -98,8 +102,17 @@ def search_structure(
         if least(place) <= best and (candidate := _try(trimmed, *place, cutoff, offset)) is not None:
             found.append(candidate)
         _report(done, 0.5, count, len(rest))
-    ranked = sorted(found, key=lambda candidate: candidate.bic)
+    found = _finish(found, lambda n, m, delay: _try(trimmed, n, m, delay, cutoff, offset, thorough=True))
+    ranked = sorted(found, key=lambda candidate: (not candidate.settled, candidate.bic))
     return Search(tuple(ranked), len(places) + len(rest) - len(found), samples)
+
+
+def _finish(found: list[Candidate], again: Callable[[int, int, int], Candidate | None]) -> list[Candidate]:
+    """Those that did not settle and may win once more, with all the patience that an estimate has."""
+    best = min((candidate.bic for candidate in found if candidate.settled), default=math.inf)
+    contenders = sorted((c for c in found if not c.settled and c.bic < best), key=lambda c: c.bic)[:RETRIED]
+    better = {id(c): again(c.n, c.m, c.delay) or c for c in contenders}
+    return [better.get(id(candidate), candidate) for candidate in found]
 
 
 def _report(done: Callable[[float], None] | None, start: float, count: int, total: int) -> None:
@@ -119,7 +132,13 @@ def _samples(experiments: Sequence[Experiment], delay: int) -> int:
 
 
 def _try(
-    experiments: Sequence[Experiment], n: int, m: int, delay: int, cutoff: float, offset: bool
+    experiments: Sequence[Experiment],
+    n: int,
+    m: int,
+    delay: int,
+    cutoff: float,
+    offset: bool,
+    thorough: bool = False,
 ) -> Candidate | None:
     structure = Structure(n, m, offset)
     stretches = [stretch for experiment in experiments for stretch in experiment.stretches(delay)]
@@ -129,7 +148,9 @@ def _try(
     problem = Problem(structure, usable, cutoff)
     with np.errstate(all="ignore"):
         try:
-            solution = refine(problem, first_guess(problem, 1.0), SETTLED, PASSES)
+            solution = refine(problem, first_guess(problem, 1.0), SETTLED, REFINEMENTS if thorough else PASSES)
+            if thorough and not solution.settled and not problem.referenced:
+                solution = descend(problem, solution.point, SETTLED)
         except (np.linalg.LinAlgError, ValueError):
             return None
     return _judged(problem, solution, delay) if np.isfinite(solution.point.cost) else None
@@ -150,5 +171,6 @@ def _judged(problem: Problem, solution: Solution, delay: int) -> Candidate:
         100 * (1 - math.sqrt(point.cost / max(spread, 1e-300))),
         float(values[0] / max(values[-1], 1e-300)),
         solution.settled,
+        is_white(point.error),
         point.theta * structure.scale(problem.rate),
     )

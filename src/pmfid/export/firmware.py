@@ -53,7 +53,10 @@ def export_firmware(
     if not isinstance(estimator, RecursiveEstimator):
         raise UsageError(f"{estimator.method} works on whole records; export rls, bcrls, rknown-step or riv")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix) or prefix.startswith("pmf"):
-        raise UsageError(f"prefix must be lower-case letters, digits and _, and not begin with pmf, got {prefix!r}")
+        raise UsageError(
+            "prefix must be lower-case letters, digits and _, begin with a letter, but not with pmf, as all names in "
+            f"the C begin with it; got {prefix!r}, give another (--prefix)"
+        )
     folder = Path(folder)
     names = {template: file.replace("NAME", prefix) for template, file in FILES.items()}
     copied = sorted({path for pattern in COPIED for path in source_files(pattern)} - {source_folder() / "pmf_sizes.h"})

@@ -86,6 +86,8 @@ def save_state(kernel: Any, precision: str) -> bytes:
 
 def load_state(kernel: Any, precision: str, data: bytes) -> None:
     """Sets the kernel's state to what `save_state` or firmware wrote. Raises UsageError for anything else."""
+    if not isinstance(data, bytes | bytearray | memoryview):
+        raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
     config = configuration(kernel, precision)
     shape = shape_of(config)
     types = structures(shape, precision)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,36 +49,35 @@ class Experiment:
     name: str = "record"
 
     def __post_init__(self) -> None:
-        u, y = (np.array(signal, float) for signal in (self.u, self.y))
+        u, y = _numbers("u", self.u), _numbers("y", self.y)
         if u.ndim != 1 or u.shape != y.shape or u.size < 2:
             raise UsageError(f"u and y must be two arrays of the same length, got {u.shape} and {y.shape}")
         if np.any(np.isinf(u)) or np.any(np.isinf(y)):
             raise UsageError("u or y is infinite somewhere; write NaN where a sample is missing")
         if self.hold not in HOLDS:
             raise UsageError(f"hold must be one of {HOLDS}, got {self.hold!r}")
+        if self.gap is not None and not (isinstance(self.gap, Real) and self.gap > 0):
+            raise UsageError(f"gap must be a positive time in s, or None for 1.75 median steps, got {self.gap!r}")
         if (self.dt is None) == (self.t is None):
             raise UsageError("give the sample period dt in s, or the instants t, and not both")
         object.__setattr__(self, "u", u)
         object.__setattr__(self, "y", y)
         self._check_time(u.size)
         if self.reference is not None:
-            reference = np.array(self.reference, float)
+            reference = _numbers("reference", self.reference)
             if reference.shape != u.shape or not np.all(np.isfinite(reference)):
                 raise UsageError(f"reference must be finite and as long as u, got shape {reference.shape}")
             object.__setattr__(self, "reference", reference)
 
     def _check_time(self, size: int) -> None:
         if self.t is None:
-            if not (math.isfinite(self.dt or 0.0) and (self.dt or 0.0) > 0):
-                raise UsageError(f"dt must be positive and finite, got {self.dt}; it is the sample period in s")
+            if not (isinstance(self.dt, Real) and math.isfinite(self.dt) and self.dt > 0):
+                raise UsageError(f"dt must be positive and finite, got {self.dt!r}; it is the sample period in s")
             return
-        t = np.array(self.t, float)
-        if t.shape != (size,) or not np.all(np.isfinite(t)):
-            raise UsageError(f"t must be finite and as long as u, got shape {t.shape}")
-        back = np.flatnonzero(np.diff(t) <= 0)
-        if back.size:
-            k = int(back[0])
-            raise UsageError(f"t does not rise: {t[k + 1]:.9g} follows {t[k]:.9g} after sample {k}; sort the record")
+        t = _numbers("t", self.t)
+        if t.shape != (size,):
+            raise UsageError(f"t must be as long as u, got shape {t.shape}")
+        _check_rising(t)
         object.__setattr__(self, "t", t)
 
     @cached_property
@@ -193,6 +193,31 @@ class Experiment:
         else:
             inputs = [np.interp(grid_t, late, signal) for signal in signals]
         return Stretch(Grid(np.diff(grid_t), grid_t.size), np.array(inputs), filled, rows_of[rows], part[rows], held)
+
+
+def _numbers(name: str, values: object) -> Floats:
+    """A copy as numbers of float64."""
+    try:
+        if values is not None and np.asarray(values).dtype.kind in "biufO":
+            return np.array(values, float)
+    except (TypeError, ValueError):
+        pass
+    raise UsageError(f"{name} must be an array of numbers, NaN where one is missing")
+
+
+def _check_rising(t: Floats) -> None:
+    """Raises UsageError for instants (N,) that are missing, repeated or out of order, with the row, counted from 1."""
+    missing = np.flatnonzero(~np.isfinite(t))
+    if missing.size:
+        rows = f"{missing.size} row{'s' * (missing.size > 1)}"
+        raise UsageError(
+            f"t is missing, NaN or infinite in {rows}, the first is row {missing[0] + 1}; leave that row out"
+        )
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if back.size:
+        k = int(back[0])
+        what = "a duplicate; drop one of the two rows, or write t with more digits" if t[k + 1] == t[k] else "sort them"
+        raise UsageError(f"t does not rise: row {k + 2} ({t[k + 1]:.9g}) follows {t[k]:.9g}: {what}")
 
 
 @dataclass(frozen=True, eq=False)

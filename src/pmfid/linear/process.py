@@ -88,9 +88,9 @@ class Process:
         return np.asarray(-self.poles.real / np.abs(self.poles))
 
     def frequency_response(self, frequencies: ArrayLike) -> tuple[Complex, Floats, Floats]:
-        """G (f,) at frequencies (f,) [rad/s], and the standard deviations of its magnitude, relative to it, and of its
-        phase [rad]."""
-        s = 1j * np.asarray(frequencies, float)
+        """G (f,) at frequencies (f,), or at a single one, [rad/s], and the standard deviations of its magnitude,
+        relative to it, and of its phase [rad]."""
+        s = 1j * np.atleast_1d(_real("frequencies", frequencies))
         A = np.polyval(np.r_[1.0, self.a[::-1]], s)
         G = np.polyval(self.b[::-1], s) / A
         slopes = [-(s**i) * G / A for i in range(self.a.size)] + [s**j / A for j in range(self.b.size)]
@@ -100,10 +100,10 @@ class Process:
 
     def step_response(self, t: ArrayLike) -> tuple[Floats, Floats]:
         """Response (k,) to a unit step at evenly spaced t (k,) [s] from 0 on, and its standard deviation."""
-        t = np.asarray(t, float)
-        steps = np.diff(t)
-        if t.ndim != 1 or t.size < 2 or t[0] != 0 or not np.allclose(steps, steps[0]):
-            raise UsageError("t of a step response must be evenly spaced and start at 0")
+        t = _real("t", t)
+        steps = np.diff(t) if t.ndim == 1 else t
+        if t.ndim != 1 or t.size < 2 or t[0] != 0 or not (steps[0] > 0 and np.allclose(steps, steps[0])):
+            raise UsageError("t of a step response must be an array, evenly spaced, from 0 on: np.arange(100) * 0.1")
         structure = Structure(self.a.size, self.b.size - 1)
         late = int(np.sum(t < self.delay - 1e-9 * steps[0]))
         grid = Grid(float(steps[0]), t.size - late) if t.size - late > 1 else Grid(float(steps[0]), 2)
@@ -171,6 +171,13 @@ class Process:
             if np.all(np.isfinite(slope)):
                 row[:] = [max(0.0, float(g @ cov @ g)) ** 0.5 for g in (slope.real, slope.imag)]
         return found
+
+
+def _real(name: str, values: ArrayLike) -> Floats:
+    try:
+        return np.asarray(values, float)
+    except (TypeError, ValueError):
+        raise UsageError(f"{name} must be real numbers, got {values!r}") from None
 
 
 def polynomial(coefficients: Floats, power: str = "^%d") -> str:

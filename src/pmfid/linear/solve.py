@@ -153,14 +153,14 @@ def refine(problem: Problem, start: Point, settled: float = SETTLED, most: int =
     return Solution(best, False, most)
 
 
-def descend(problem: Problem, start: Point) -> Solution:
+def descend(problem: Problem, start: Point, settled: float = SETTLED) -> Solution:
     """Damped Gauss-Newton steps (Levenberg and Marquardt) on the sum of squares of the output error."""
     point, damping = start, 1e-3
     for passes in range(1, DESCENTS + 1):
         size = np.maximum(np.linalg.norm(point.zeta, axis=0), 1e-300)
         scaled = point.zeta / size
         normal, slope = scaled.T @ scaled, scaled.T @ point.error
-        if _small(point, last := step_from(point, point.zeta)):
+        if _small(point, last := step_from(point, point.zeta), settled):
             return Solution(replace(point, theta=point.theta + last), True, passes)
         while damping < 1e12:
             step = np.linalg.solve(normal + damping * np.eye(size.size), slope) / size
@@ -218,7 +218,20 @@ def solve(problem: Problem) -> Solution:
         if solution.settled:
             break
     if best is None or not best.settled:
-        raise NotIdentifiableError(
-            "the iteration does not settle: the model does not follow the record; try another structure or cutoff"
-        )
+        raise NotIdentifiableError(f"the iteration does not settle: {_reason(problem)}")
     return best
+
+
+def _reason(problem: Problem) -> str:
+    """Why it does not settle, as far as least squares can say."""
+    n = problem.structure.n
+    raw = filtered(problem, 1.0)
+    theta = raw.theta + step_from(replace(raw, zeta=raw.phi), raw.phi)
+    poles = np.roots(np.r_[1.0, theta[:n][::-1]]) if np.all(np.isfinite(theta)) else np.zeros(0)
+    if np.any(poles.real * problem.duration > 1.0):
+        return (
+            f"least squares finds a pole at {np.max(poles.real) * problem.rate:+.3g} rad/s, and the output of an "
+            "unstable process cannot be simulated; use ls or bcls, or another structure"
+        )
+    offset = "" if problem.structure.offset else "offset = true in [model] where the output has a constant, "
+    return f"the model does not follow the record; try {offset}another structure, dead time or cutoff"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Real
 from typing import ClassVar, Protocol
 
 from pmfid.errors import UsageError
@@ -68,9 +69,9 @@ class Drive:
     spring: bool = False
 
     def __post_init__(self) -> None:
-        if not 1e-30 < abs(self.input_gain) < 1e30:
+        if not isinstance(self.input_gain, Real) or not 1e-30 < abs(self.input_gain) < 1e30:
             raise UsageError(
-                f"input_gain must be finite and not 0, got {self.input_gain}; "
+                f"input_gain must be finite and not 0, got {self.input_gain!r}; "
                 "it is the force per unit of input, 1 where the input is the force itself"
             )
         if self.friction not in FRICTIONS:

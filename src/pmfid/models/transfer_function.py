@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral
 from typing import ClassVar
 
 import numpy as np
@@ -37,13 +38,10 @@ class TransferFunction:
     initial_conditions: bool = False
 
     def __post_init__(self) -> None:
-        for name, value, low, high, what in (
-            ("n", self.n, 1, MAX_ORDER, "the order of the denominator"),
-            ("m", self.m, 0, self.n - 1, "the order of the numerator, less than that of the denominator"),
-            ("delay", self.delay, 0, MAX_DELAY, "the dead time in whole samples; for a longer one shift the input"),
-        ):
-            if isinstance(value, bool) or value != int(value) or not low <= value <= high:
-                raise UsageError(f"{name} must be a whole number from {low} to {high}, got {value}: it is {what}")
+        _check_whole("n", self.n, 1, MAX_ORDER, "the order of the denominator")
+        _check_whole("m", self.m, 0, self.n - 1, "the order of the numerator, less than that of the denominator")
+        late = "the dead time in whole samples; for a longer one shift the input"
+        _check_whole("delay", self.delay, 0, MAX_DELAY, late)
 
     @property
     def equation(self) -> Equation:
@@ -64,6 +62,11 @@ class TransferFunction:
         theta = np.asarray(theta, float)
         a, b = theta[: self.n], theta[self.n : self.n + self.m + 1]
         return b[::-1].copy(), np.r_[1.0, a[::-1]]
+
+
+def _check_whole(name: str, value: object, low: int, high: int, what: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, Integral) or not low <= value <= high:  # type: ignore[operator]
+        raise UsageError(f"{name} must be a whole number from {low} to {high}, got {value!r}: it is {what}")
 
 
 def power_unit(power: int) -> str:

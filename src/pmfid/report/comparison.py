@@ -12,6 +12,11 @@ from pmfid.report.html import Section, svg, write_report
 from pmfid.session.compare import Comparison
 from pmfid.session.process import ProcessResult
 
+#: Panels beside each other; more leave their numbers no room.
+PANELS = 4
+#: A fit beyond this [percent] is shown by its size alone.
+HUGE = 1e5
+
 
 def write_comparison(out: Path, comparison: Comparison) -> None:
     """Writes compare.html and compare.json into the folder `out`."""
@@ -35,26 +40,37 @@ def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]
     for method, result in comparison.results.items():
         values = dict(zip(result.estimator.names, zip(result.theta, result.theta_std, strict=True), strict=True))
         cells = [f"{values[n][0]:.5g} ± {values[n][1]:.2g}" if n in values else "-" for n in first.names]
-        fit = [f"{result.assessment.fit:.2f}"] if isinstance(result, ProcessResult) else []
+        fit = [_fit(result.fit)] if isinstance(result, ProcessResult) else []
         rows.append([method, *cells, *fit, ", ".join(result.status)])
     return header, rows
 
 
+def _fit(percent: float | None) -> str:
+    """A useless estimate's fit may have any number of digits; an unstable one has none."""
+    if percent is None:
+        return "–"
+    return f"{percent:.2f}" if abs(percent) < HUGE else f"{percent:.2g}"
+
+
 def comparison_dots(comparison: Comparison) -> Figure:
-    """One panel for each parameter: estimates by method with bars of two standard deviations."""
+    """One panel for each parameter, PANELS in a row: estimates by method with bars of two standard deviations."""
     first = next(iter(comparison.results.values())).estimator
     methods = list(comparison.results)
+    lines, columns = -(-len(first.names) // PANELS), min(PANELS, len(first.names))
     with figure_style():
-        figure = Figure(figsize=(10, 1.2 + 0.34 * len(methods)), layout="constrained")
-        panels = figure.subplots(1, len(first.names), sharey=True, squeeze=False)[0]
-        for panel, name, unit in zip(panels, first.names, first.units, strict=True):
+        figure = Figure(figsize=(10, lines * (1.2 + 0.34 * len(methods))), layout="constrained")
+        grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
+        panels = grid.ravel()
+        for panel, name, unit in zip(panels, first.names, first.units, strict=False):
             for row, result in enumerate(comparison.results.values()):
                 if name not in result.estimator.names:
                     continue
                 i = result.estimator.names.index(name)
                 panel.errorbar(result.theta[i], row, xerr=2 * result.theta_std[i], fmt="o", color="#0072B2", capsize=3)
-            panel.set_xlabel(f"{name.replace('_', ' ')} in {unit}")
+            panel.set_xlabel(f"{name.replace('_', ' ')} in {unit}" if unit else name.replace("_", " "))
             panel.locator_params(axis="x", nbins=4)
+        for panel in panels[len(first.names) :]:
+            panel.set_visible(False)
         panels[0].set_yticks(range(len(methods)), methods)
         panels[0].invert_yaxis()
     return figure

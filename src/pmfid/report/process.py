@@ -13,6 +13,7 @@ from pmfid.estimators.structure import Search
 from pmfid.linear.process import Process
 from pmfid.report.figures import COLOURS, GREY, WIDTH, decimation, figure_style
 from pmfid.report.html import Section, svg, write_report
+from pmfid.session.doubts import search_notes
 from pmfid.session.process import ProcessResult, search_json
 
 #: Frequencies from a tenth of the slowest to ten times the fastest corner, and time constants of a step response.
@@ -29,7 +30,7 @@ def write_process(out: Path, result: ProcessResult) -> None:
     sections = [
         _parameters(result),
         _dynamics(result.process),
-        Section("Measured and simulated output", svg=svg(output_figure(result))),
+        *([Section("Measured and simulated output", svg=svg(output_figure(result)))] if result.fit is not None else []),
         Section("Frequency response", BAND, svg=svg(bode_figure(result))),
         Section("Step response", BAND, svg=svg(step_figure(result.process))),
         Section("Residual", _residual_text(result), svg=svg(correlation_figure(result))),
@@ -48,7 +49,7 @@ def _parameters(result: ProcessResult) -> Section:
     ]
     records = ", ".join(experiment.name for experiment in result.experiments)
     samples = sum(part.size for part in result.assessment.samples)
-    text = f"{records}: {samples} samples. Fit {result.assessment.fit:.2f} %."
+    text = f"{records}: {samples} samples. {result.fit_text.capitalize()}."
     notes = [f"Note: {note}." for note in result.notes]
     return Section("Parameters", "\n\n".join([text, *notes]), (("parameter", "value", "std", "unit"), rows))
 
@@ -154,7 +155,14 @@ def correlation_figure(result: ProcessResult) -> Figure:
         figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
         panels = (
             (np.arange(checks.autocorrelation.size), checks.autocorrelation, checks.autocorrelation_bound, "residual"),
-            (checks.lags, checks.cross, checks.cross_bound, "residual and input"),
+            (
+                checks.lags,
+                checks.cross,
+                checks.cross_bound,
+                "residual and reference"
+                if any(e.reference is not None for e in result.experiments)
+                else "residual and input",
+            ),
         )
         for row, (lags, values, bound, label) in enumerate(panels):
             axes = figure.add_subplot(2, 1, row + 1)
@@ -204,7 +212,8 @@ def search_figure(search: Search) -> Figure:
         for size, value in zip(sizes, values, strict=True):
             row = search.candidates[best[size]]
             place = f"{row.n}, {row.m}, {row.delay}"
-            axes.annotate(place, (size, value), (0, 7), textcoords="offset points", ha="center")
+            halo = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.8}
+            axes.annotate(place, (size, value), (0, 7), textcoords="offset points", ha="center", bbox=halo)
         axes.set_yscale("symlog", linthresh=10)
         axes.margins(y=0.25)
         axes.set_xlabel("parameters; beside the point: n, m, delay of the best such structure")
@@ -221,6 +230,7 @@ def write_search(out: Path, search: Search, name: str) -> None:
         "Criterion: Schwarz (1978), above that of the best; less is better, and less than about 10 apart is not sure. "
         "Condition: of the scaled sensitivities; large where poles and zeros nearly cancel."
     )
+    text = "\n\n".join([text, *(f"Note: {note}." for note in search_notes(search))])
     table = (search_header(), search_rows(search))
     sections = [Section("Structures", text, table), Section("Criterion", svg=svg(search_figure(search)))]
     write_report(out / "order.html", f"{name}: poles, zeros and dead time", sections)

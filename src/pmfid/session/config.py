@@ -236,9 +236,10 @@ def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis
 
 
 def _without_encoder(raw: dict[str, Any]) -> None:
-    """A transfer function needs no encoder: its output is a number, or in counts."""
+    """A transfer function needs no encoder: its output is a number, or in counts. Of an unknown kind only that is
+    said."""
     model = raw.get("model")
-    if isinstance(model, dict) and model.get("kind") == "transfer_function":
+    if isinstance(model, dict) and model.get("kind", "drive") not in ("drive", "equation"):
         raw.setdefault("encoder", {"resolution": NO_ENCODER})
 
 

@@ -11,7 +11,7 @@ from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import default_zeros
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
-from pmfid.session.config import NO_ENCODER, Axis
+from pmfid.session.config import NO_ENCODER, Axis, EstimatorConfig
 from pmfid.session.pipeline import make_estimator
 from pmfid.session.records import Record
 
@@ -27,19 +27,7 @@ def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None =
     [record] dt does, and the zeros are the method's default. Raises UsageError for an off-line method or without a
     sample period.
     """
-    config, model = axis.estimator, axis.model.make()
-    if axis.encoder.resolution == NO_ENCODER:
-        raise UsageError("firmware reads counts: give [encoder] resolution, that of the encoder or converter")
-    if config.method == AUTO:
-        config = config.model_copy(
-            update={"method": DEFAULT_PROCESS_METHOD if model.equation.process else DEFAULT_METHOD}
-        )
-    usable = [name for name in methods_for(model) if issubclass(ESTIMATORS[name], RecursiveEstimator)]
-    if config.method not in usable:
-        names = ", ".join(usable)
-        raise UsageError(
-            f"{config.method} works on whole records or other models; a drive runs one of {names}: give one as --method"
-        )
+    config, model = check_exportable(axis), axis.model.make()
     if record is None:
         record = _no_record(axis, dt)
         if ESTIMATORS[config.method].instrumental and config.prefilter_zeros is None and not model.equation.process:
@@ -48,6 +36,29 @@ def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None =
     estimator = make_estimator(axis.model_copy(update={"estimator": config}), record)
     encoder = replace(estimator.encoder, bits=axis.encoder.bits or 32)
     return replace(estimator, encoder=encoder)  # type: ignore[return-value]
+
+
+def check_exportable(axis: Axis) -> EstimatorConfig:
+    """[estimator] with the method that a drive runs in place of "auto". Raises UsageError, before a record is read, for
+    a method or data that no drive has."""
+    config, model = axis.estimator, axis.model.make()
+    if axis.encoder.resolution == NO_ENCODER:
+        raise UsageError("firmware reads counts: give [encoder] resolution, that of the encoder or converter")
+    if config.method == AUTO:
+        method = DEFAULT_PROCESS_METHOD if model.equation.process else DEFAULT_METHOD
+        config = config.model_copy(update={"method": method})
+    usable = [name for name in methods_for(model) if issubclass(ESTIMATORS[name], RecursiveEstimator)]
+    if config.method not in usable:
+        names = ", ".join(usable)
+        raise UsageError(
+            f"{config.method} works on whole records or other models; a drive runs one of {names}: give one as --method"
+        )
+    if model.equation.process and axis.record.hold != "zoh":
+        raise UsageError(
+            f'{config.method} takes a held input, [record] hold = "zoh", got {axis.record.hold!r}: sample by sample '
+            "the next value of a line is not known"
+        )
+    return config
 
 
 def _no_record(axis: Axis, dt: float | None) -> Record:

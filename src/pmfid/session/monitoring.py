@@ -49,8 +49,7 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
     there is neither, or no nominal values, and NotIdentifiableError where the reference cannot identify them.
     """
     config, notes = axis.monitor, []
-    if axis.model.make().equation.process:
-        raise UsageError("the monitor is for a machine with friction; to follow a transfer function use RSRIVC")
+    check_monitored(axis)
     normal = None if config.reference is None else read_record(folder / config.reference, axis)
     source = normal or record
     if source is None or (normal is None and config.nominal is None):
@@ -78,6 +77,15 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
         )
     watch = Watch(config.detector, config.mtbf_hours, config.tolerance)
     return Setup(Monitor(estimator, calibration, watch), nominal, calibration, path, cached, tuple(notes))
+
+
+def check_monitored(axis: Axis) -> None:
+    """Raises UsageError for a model that the monitor cannot watch; for use before a record is read."""
+    if axis.model.make().equation.process:
+        raise UsageError(
+            "the monitor is for a machine with friction; to follow a transfer function use RSRIVC, or "
+            "pmfid identify with method rsrivc and forgetting < 1"
+        )
 
 
 def _estimator(axis: Axis, source: Record, wraps: bool) -> RecursiveEstimator:

@@ -14,7 +14,7 @@ from pmfid.estimators.base import Estimator, status_names
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
-from pmfid.estimators.srivc import by_descent, fit_process, fixed_filters, make_problem
+from pmfid.estimators.srivc import SAME_PERIOD, by_descent, fit_process, fixed_filters, make_problem
 from pmfid.estimators.structure import DELAYS, ORDERS, Search, search_structure
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.linear.assess import Assessment, assess
@@ -23,16 +23,12 @@ from pmfid.linear.process import Process
 from pmfid.linear.solve import Problem, Solution, solve
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import NO_ENCODER, Axis, check_sampling
+from pmfid.session.doubts import IGNORED, check_known, doubts, notes_on, search_notes
 from pmfid.status import Status
 
 AUTOMATIC = "srivc"
 #: Methods that take several records, gaps, missing samples and uneven spacing.
 FREE: dict[str, Callable[[Problem], Solution]] = {"srivc": solve, "iv": fixed_filters, "output-error": by_descent}
-#: The input must not be correlated with the noise by more than chance for these to be consistent without reference.
-FEEDBACK = (
-    "the residual is correlated with later inputs, so the input has the noise in it, as a controller feeds it back: "
-    "the estimate is biased; give the reference of the controller ([record] reference)"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +50,15 @@ class ProcessResult:
         model = self.estimator.model
         return model.delay if isinstance(model, TransferFunction) else 0
 
+    @property
+    def fit(self) -> float | None:
+        """Of the assessment [%]; None for an unstable process, whose simulation says nothing."""
+        return None if np.any(self.process.poles.real > 0) else self.assessment.fit
+
+    @property
+    def fit_text(self) -> str:
+        return "fit unknown, unstable" if self.fit is None else f"fit {self.fit:.2f} %"
+
     def to_json(self) -> dict[str, Any]:
         """The object that `--json` prints; poles and zeros as [real, imaginary], fit in percent."""
         names, process, checks = self.estimator.names, self.process, self.assessment
@@ -74,7 +79,7 @@ class ProcessResult:
             "zeros": [[zero.real, zero.imag] for zero in process.zeros.tolist()],
             "gain": process.gain if np.isfinite(process.gain) else None,
             "time_constants": process.time_constants.tolist(),
-            "fit": checks.fit,
+            "fit": self.fit,
             "residual": {"white": checks.white, "independent": checks.independent, "feedback": checks.feedback},
             "status": list(self.status),
             "notes": list(self.notes),
@@ -96,14 +101,16 @@ def identify_process(experiments: Sequence[Experiment], axis: Axis) -> ProcessRe
         theta, cov, bits = _from_counts(estimator, experiments)
     problem = make_problem(estimator, experiments)
     n_parameters = problem.structure.size
-    checks = assess(problem, theta[:n_parameters] / problem.structure.scale(problem.rate))
-    model = estimator.model
-    delay = model.delay * estimator.dt if isinstance(model, TransferFunction) else 0.0
-    process = Process.of(problem.structure, theta, cov, delay)
+    delay = estimator.model.delay if isinstance(estimator.model, TransferFunction) else 0
+    checks = assess(problem, theta[:n_parameters] / problem.structure.scale(problem.rate), delay)
+    process = Process.of(problem.structure, theta, cov, delay * estimator.dt)
+    check_known(estimator, theta, cov, sum(part.size for part in checks.samples))
     std = np.sqrt(np.diagonal(cov))
-    _check_known(estimator, theta, std)
-    notes = [*_notes(experiments, checks, process), *Status(bits).advice]
-    flags = ["feedback"] if checks.feedback and not problem.referenced else []
+    referenced = problem.referenced and method in FREE
+    notes = [*notes_on(experiments, checks, process, referenced), *doubts(estimator, theta, std, checks)]
+    notes += [IGNORED.format(method=method)] if problem.referenced and not referenced else []
+    notes += Status(bits).advice
+    flags = ["feedback"] if checks.feedback and not referenced else []
     status = (*status_names(bits), *flags)
     return ProcessResult(estimator, tuple(experiments), theta, std, process, checks, status, tuple(notes))
 
@@ -112,7 +119,7 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
     """The estimator that a configuration asks for, at the period of the first record."""
     model, config, dt = axis.model.make(), axis.estimator, experiments[0].period
     check_sampling(axis, dt)
-    if any(abs(experiment.period / dt - 1) > 0.01 for experiment in experiments):
+    if any(abs(experiment.period / dt - 1) > SAME_PERIOD for experiment in experiments):
         raise UsageError("the records differ in their sample period; decimate them to one, or identify them one by one")
     method = AUTOMATIC if config.method == "auto" else config.method
     if method not in methods_for(model):
@@ -164,31 +171,6 @@ def _from_counts(estimator: Estimator, experiments: Sequence[Experiment]) -> tup
     return track.theta[-1], np.diag(track.theta_std[-1] ** 2), occurred | (last & ~int(Status.SETTLING))
 
 
-def _check_known(estimator: Estimator, theta: np.ndarray, std: np.ndarray) -> None:
-    """An estimate of nothing but noise is none."""
-    if not np.all(np.isfinite(theta)) or np.all(std > np.abs(theta)):
-        raise NotIdentifiableError(
-            f"no parameter of the transfer function is known to its own size ({estimator.method}): the records do not "
-            "identify it; excite the process more, or use fewer poles and zeros"
-        )
-
-
-def _notes(experiments: Sequence[Experiment], checks: Assessment, process: Process) -> list[str]:
-    notes = []
-    if checks.feedback and all(experiment.reference is None for experiment in experiments):
-        notes.append(FEEDBACK)
-    if not checks.independent:
-        notes.append(
-            "the residual is correlated with the input: more poles or zeros, or another delay, may explain more"
-        )
-    if np.any(process.poles.real > 0):
-        notes.append("the transfer function is unstable")
-    missing = sum(int(np.sum(~np.isfinite(experiment.y))) for experiment in experiments)
-    if missing:
-        notes.append(f"{missing} samples of the output are missing")
-    return notes
-
-
 def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[float], None] | None = None) -> Search:
     """The structures with 1 to 5 poles, any number of zeros and dead times up to 5 samples, best first."""
     cutoff, offset = axis.estimator.cutoff, axis.model.offset
@@ -207,8 +189,14 @@ def search_json(search: Search) -> dict[str, Any]:
             "fit": row.fit,
             "condition": row.condition,
             "settled": row.settled,
+            "white": row.white,
         }
         for row in search.candidates
     ]
     best = rows[0]
-    return {"best": {key: best[key] for key in ("n", "m", "delay")}, "candidates": rows, "skipped": search.skipped}
+    return {
+        "best": {key: best[key] for key in ("n", "m", "delay")},
+        "candidates": rows,
+        "skipped": search.skipped,
+        "notes": search_notes(search),
+    }

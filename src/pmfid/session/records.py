@@ -129,6 +129,8 @@ def _check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None]
 
 def _check_finite(label: str, values: Floats) -> None:
     bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad) == len(values):
+        raise UsageError(f"{label} is empty: missing, NaN or infinite in every row; name another column, or record it")
     if len(bad):
         rows = f"{len(bad)} row{'s' * (len(bad) > 1)}"
         raise UsageError(
@@ -174,9 +176,10 @@ def _check_steps(time: Floats, steps: Floats, median: float) -> None:
     back = np.flatnonzero(steps <= 0)
     if len(back):
         k = back[0]
+        duplicate = "it is a duplicate: drop one of the two rows, or write time with more digits"
         raise UsageError(
             f"time does not increase strictly: row {k + 2} ({time[k + 1]:.9g}) follows {time[k]:.9g}; "
-            f"sort or cut the record, and write time with more digits if it repeats"
+            f"{duplicate if steps[k] == 0 else 'sort or cut the record'}"
         )
     gaps = np.flatnonzero(steps > 1.5 * median)
     if len(gaps):

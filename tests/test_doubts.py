@@ -1,0 +1,99 @@
+"""Transfer functions: what is refused or said where the numbers of an estimate do not mean what they seem to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid import Experiment
+from pmfid.session.config import load_axis
+from pmfid.session.doubts import search_notes
+from pmfid.session.process import ProcessResult, identify_process, search_order
+from pmfid.simulation.process import PLANTS, simulate_process
+from tests.test_process import CONFIG, closed_loop, noisy
+
+PLANT = PLANTS["second-order"]
+
+
+def identified(experiment: Experiment, **options: object) -> ProcessResult:
+    settings = {key.replace("__", "."): value for key, value in options.items()}
+    return identify_process([experiment], load_axis(Path(CONFIG), settings))
+
+
+def plain(y: np.ndarray) -> Experiment:
+    return Experiment(PLANT.u, y, dt=PLANT.dt)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_alone_is_no_process(n, seed):
+    y = np.random.default_rng(seed).standard_normal(PLANT.samples)
+    with pytest.raises(pmfid.NotIdentifiableError):
+        identified(plain(y), model__n=n)
+
+
+def test_a_wrong_structure_is_no_feedback():
+    y = simulate_process(PLANT.b, PLANT.a, np.r_[np.zeros(3), PLANT.u[:-3]], PLANT.dt)
+    rng = np.random.default_rng(1)
+    for delay in (0, 2, 3, 5):
+        found = identified(plain(y + 0.05 * rng.standard_normal(y.size)), model__delay=delay)
+        assert "feedback" not in found.status
+        assert found.assessment.independent == (delay == 3)
+
+
+def test_feedback_is_seen_by_every_method_and_a_reference_helps_those_that_use_it():
+    r, u, y = closed_loop(1)
+    record = Experiment(u, y, dt=0.05)
+    for method in ("srivc", "rls", "ls"):
+        assert "feedback" in identified(record, estimator__method=method).status
+    given = replace(record, reference=r)
+    used, ignored = identified(given), identified(given, estimator__method="rls")
+    assert "feedback" not in used.status
+    assert "feedback" in ignored.status
+    assert any("does not use the reference" in note for note in ignored.notes)
+
+
+def test_an_unstable_process_is_named():
+    """1/(s - 1) under proportional control."""
+    rng, n, dt = np.random.default_rng(2), 2000, 0.02
+    r = np.repeat(rng.choice([-1.0, 1.0], n // 20), 20)
+    u, y = np.zeros(n), np.zeros(n + 1)
+    for k in range(n):
+        u[k] = 4 * (r[k] - y[k])
+        y[k + 1] = np.exp(dt) * y[k] + (np.exp(dt) - 1) * u[k]
+    record = Experiment(u, y[:-1] + 1e-3 * rng.standard_normal(n), dt=dt, reference=r)
+    with pytest.raises(pmfid.NotIdentifiableError, match=r"pole at \+.* use ls or bcls"):
+        identified(record, model__n=1)
+    found = identified(record, model__n=1, estimator__method="ls")
+    assert found.process.poles.real == pytest.approx([1.0], rel=0.02)
+    assert found.fit is None
+    assert found.to_json()["fit"] is None
+
+
+def test_what_can_be_doubted_is_said():
+    far = noisy(PLANT, 1)
+    far[[500, 900]] += 8.0
+    assert any("2 samples of the output are far off" in note for note in identified(plain(far)).notes)
+    with pytest.raises(pmfid.NotIdentifiableError, match="offset = true"):
+        identified(plain(noisy(PLANT, 1) + 5.0))
+    weak = identified(plain(noisy(PLANT, 1, ratio=2.5)))
+    assert any("of the output, no more" in note for note in weak.notes)
+
+
+def test_a_search_says_where_its_criterion_does_not_hold():
+    rng = np.random.default_rng(3)
+    noise = np.zeros(1500)
+    for k in range(1, noise.size):
+        noise[k] = 0.95 * noise[k - 1] + 0.1 * rng.standard_normal()
+    part = slice(0, noise.size)
+    axis = load_axis(Path(CONFIG), {})
+    coloured = Experiment(PLANT.u[part], PLANT.y[part] + noise, dt=PLANT.dt)
+    white = Experiment(PLANT.u[part], noisy(PLANT, 3)[part], dt=PLANT.dt)
+    assert any("not white" in note for note in search_notes(search_order([coloured], axis)))
+    found = search_order([white], axis)
+    assert search_notes(found) == []
+    assert found.best.settled
