@@ -119,9 +119,7 @@ def identify(
 
         write_result(out, result)
     if as_json:
-        import json
-
-        click.echo(json.dumps(result.to_json(), allow_nan=False))
+        _print_json(result.to_json())
     else:
         from pmfid.cli.tables import print_result
 
@@ -139,9 +137,7 @@ def _identify_process(
 
         write_process(out, result)
     if as_json:
-        import json
-
-        click.echo(json.dumps(result.to_json(), allow_nan=False))
+        _print_json(result.to_json())
     else:
         from pmfid.cli.tables import print_process
 
@@ -185,9 +181,7 @@ def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Pa
 
         write_search(out, search, records[0].name)
     if as_json:
-        import json
-
-        click.echo(json.dumps(search_json(search), allow_nan=False))
+        _print_json(search_json(search))
     else:
         from pmfid.cli.tables import print_search
 
@@ -230,9 +224,7 @@ def compare(
 
         write_comparison(out, comparison)
     if as_json:
-        import json
-
-        click.echo(json.dumps(comparison.to_json(), allow_nan=False))
+        _print_json(comparison.to_json())
     else:
         from pmfid.cli.tables import print_comparison
 
@@ -280,3 +272,9 @@ def _progress(samples: int, quiet: bool) -> Any:
     from pmfid.cli.tables import progress_bar
 
     return progress_bar(samples, quiet or not sys.stderr.isatty())
+
+
+def _print_json(content: dict[str, Any]) -> None:
+    import json
+
+    click.echo(json.dumps(content, allow_nan=False))
