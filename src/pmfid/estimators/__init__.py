@@ -1,7 +1,9 @@
 """Estimators: one file per method, one protocol for all."""
 
+from typing import Literal, get_args
+
 #: Names of the methods, for those who must not import them yet; `registry.ESTIMATORS` has the classes.
-METHODS = (
+Method = Literal[
     "auto",
     "ls",
     "bcls",
@@ -15,4 +17,5 @@ METHODS = (
     "rknown-step",
     "riv",
     "rsrivc",
-)
+]
+METHODS: tuple[Method, ...] = get_args(Method)

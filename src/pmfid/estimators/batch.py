@@ -196,6 +196,19 @@ def long_run_covariance(scores: NDArray[np.float64], lags: int) -> NDArray[np.fl
     return np.asarray((covariance + covariance.T) / 2)
 
 
+def parts_of_their_own(
+    sensitivity: NDArray[np.float64], rcond: float | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Which part of each column of sensitivity (n, p), 0 to 1, is no combination of the others, (p,), 0 for a column of
+    zeros; and the pseudo-inverse (p, n) of the columns scaled to unit length. rcond: as for `numpy.linalg.pinv`."""
+    size = np.linalg.norm(sensitivity, axis=0)
+    scaled = sensitivity / np.where(size > 0, size, 1.0)
+    inverse = np.linalg.pinv(scaled) if rcond is None else np.linalg.pinv(scaled, rcond=rcond)
+    parts = 1 / np.maximum(np.linalg.norm(inverse, axis=1), 1.0)
+    parts[size == 0] = 0.0
+    return np.asarray(parts), np.asarray(inverse)
+
+
 def check_identifiable(columns: Columns, names: tuple[str, ...], least_part: float = START_PIVOT) -> None:
     """Raises NotIdentifiableError where a column is zero or a combination of the others, naming the parameter."""
     if columns.z.size <= 2 * len(names) and columns.status & Status.COUNT_JUMP:

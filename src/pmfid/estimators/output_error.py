@@ -13,7 +13,14 @@ from scipy.signal import lfilter
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import check_arrays, held, like
-from pmfid.estimators.batch import BCLS, BatchEstimator, Fit, check_identifiable, long_run_covariance
+from pmfid.estimators.batch import (
+    BCLS,
+    BatchEstimator,
+    Fit,
+    check_identifiable,
+    long_run_covariance,
+    parts_of_their_own,
+)
 from pmfid.estimators.iv import IV
 from pmfid.estimators.srivc import by_descent, counted, fit_process, without_start
 from pmfid.models.equation import Equation
@@ -248,16 +255,14 @@ def without_nuisance(jacobian: Floats, parameters: int) -> Floats:
 def inverted(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
     """(S^T S)^-1 (p, p) of the sensitivities S (n, p). Raises NotIdentifiableError where one of them is zero or a
     combination of the others, naming the parameter."""
-    size = np.linalg.norm(sensitivity, axis=0)
-    inverse = np.linalg.pinv(sensitivity / np.where(size > 0, size, 1.0))
-    apart = 1 / np.maximum(np.linalg.norm(inverse, axis=1), 1.0)
-    apart[size == 0] = 0.0
-    worst = int(np.argmin(apart))
-    if not apart[worst] > APART:
+    parts, inverse = parts_of_their_own(sensitivity)
+    worst = int(np.argmin(parts))
+    if not parts[worst] > APART:
         raise NotIdentifiableError(
             f"the position depends on {names[worst]} hardly, or just as on the others: too little excitation; record "
             "reversals, and speeds and accelerations that vary"
         )
+    size = np.linalg.norm(sensitivity, axis=0)
     return np.asarray(inverse @ inverse.T / np.outer(size, size))
 
 

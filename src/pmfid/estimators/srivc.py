@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator, check_arrays, check_size, held
-from pmfid.estimators.batch import BatchEstimator, Fit, long_run_covariance
+from pmfid.estimators.batch import BatchEstimator, Fit, long_run_covariance, parts_of_their_own
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
 from pmfid.linear.sensitivity import Structure
@@ -173,12 +173,9 @@ def result(estimator: Estimator, problem: Problem, solution: Solution) -> Proces
 
 def check_apart(point: Point, names: tuple[str, ...]) -> None:
     """Raises NotIdentifiableError where a sensitivity is zero or a combination of the others, naming the parameter."""
-    size = np.linalg.norm(point.zeta, axis=0)
-    inverse = np.linalg.pinv(point.zeta / np.where(size > 0, size, 1.0), rcond=1e-13)
-    apart = 1 / np.maximum(np.linalg.norm(inverse, axis=1), 1.0)
-    apart[size == 0] = 0.0
-    worst = int(np.argmin(apart))
-    if not apart[worst] > APART:
+    parts, _ = parts_of_their_own(point.zeta, rcond=1e-13)
+    worst = int(np.argmin(parts))
+    if not parts[worst] > APART:
         raise NotIdentifiableError(
             f"the output depends on {names[worst]} hardly, or just as on the others: too little excitation, or a model "
             "of too high an order; use fewer poles or zeros, or a richer input"

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from pmfid.errors import UsageError
+from pmfid.estimators import Method
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation, Signal, Term
 from pmfid.models.transfer_function import TransferFunction
@@ -161,21 +162,7 @@ class ModelConfig(FileSection):
 class EstimatorConfig(FileSection):
     """[estimator]: method, filter chain (`cutoff` in rad/s, `order` stages) and memory."""
 
-    method: Literal[
-        "auto",
-        "ls",
-        "bcls",
-        "known-step",
-        "iv",
-        "output-error",
-        "interval",
-        "srivc",
-        "rls",
-        "bcrls",
-        "rknown-step",
-        "riv",
-        "rsrivc",
-    ] = Field("auto", description="the estimation method")
+    method: Method = Field("auto", description="the estimation method")
     cutoff: Positive = Field(description="the pole of the filter chain in rad/s, for example 50.0")
     order: int = Field(2, ge=2, le=6, description="the number of filter stages, 2 to 6")
     forgetting: float = Field(
