@@ -59,9 +59,9 @@ def dynamics_rows(process: Process) -> list[list[str]]:
     rows = [["gain", f"{process.gain:.5g}", f"{process.gain_std:.2g}", ""]]
     taus = zip(process.time_constants, process.time_constants_std, strict=True)
     for (pole, std), (tau, tau_std) in zip(zip(process.poles, process.poles_std, strict=True), taus, strict=True):
-        rows.append(["pole", _number(pole), _number(complex(*std)), f"time constant {tau:.4g} ± {tau_std:.2g} s"])
+        rows.append(["pole", _number(pole), _spread(*std), f"time constant {tau:.4g} ± {tau_std:.2g} s"])
     for zero, std in zip(process.zeros, process.zeros_std, strict=True):
-        rows.append(["zero", _number(zero), _number(complex(*std)), ""])
+        rows.append(["zero", _number(zero), _spread(*std), ""])
     if process.delay:
         rows.append(["dead time", f"{process.delay:.4g} s", "", ""])
     return rows
@@ -73,9 +73,15 @@ def _number(value: complex) -> str:
     return f"{value.real:.4g} {'+' if value.imag > 0 else '-'} {abs(value.imag):.4g} j"
 
 
+def _spread(real: float, imaginary: float) -> str:
+    """Standard deviations of real and imaginary part."""
+    return f"{real:.2g}" if imaginary == 0 else f"{real:.2g}, {imaginary:.2g} j"
+
+
 def _dynamics(process: Process) -> Section:
-    header = ("", "value [rad/s]", "std", "")
-    return Section("Poles, zeros, gain", "Time constant: 1 / |pole|.", (header, dynamics_rows(process)))
+    header = ("", "value", "std", "")
+    text = "Poles and zeros in rad/s, their standard deviations of real and imaginary part. Time constant: 1 / |pole|."
+    return Section("Poles, zeros, gain", text, (header, dynamics_rows(process)))
 
 
 def _residual_text(result: ProcessResult) -> str:
