@@ -383,7 +383,7 @@ cdef class ManyKernel:
     def __init__(self, Kernel kernel, Py_ssize_t axes):
         self.config = kernel.config
         if pmf_layout(&self.config, &self.layout) == 0:
-            raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/pmf_many.h")
+            raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/many/pmf_many.h")
         cdef cnp.ndarray own = np.zeros(self.layout.packed_size, np.uint8)
         pmf_pack(&self.layout, &kernel.state, <unsigned char *> cnp.PyArray_DATA(own))
         self._fingerprint, self._start = sha256(kernel.raw_config()).digest(), own

@@ -132,6 +132,7 @@ def resized(source: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def copy_fields(source: NDArray[Any], target: NDArray[Any]) -> None:
+    """Copies what two records of structures have in common: fields of the same name, of arrays the first elements."""
     for name in set(source.dtype.names or ()) & set(target.dtype.names or ()):
         one, other = source[name], target[name]
         if one.dtype.names and one.ndim == 0:

@@ -186,6 +186,7 @@ def _banded(axes: Axes, x: np.ndarray, y: np.ndarray, half: np.ndarray) -> None:
 
 
 def search_header() -> tuple[str, ...]:
+    """Headings of the columns of `search_rows`."""
     return ("n", "m", "delay", "criterion", "fit [%]", "condition")
 
 

@@ -73,6 +73,7 @@ def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Ass
 
 
 def notes_on(experiments: Sequence[Experiment], checks: Assessment, process: Process, referenced: bool) -> list[str]:
+    """What the residual tests, the poles and the records give to mind; referenced: the method uses a reference."""
     found = []
     if checks.feedback and not referenced:
         found.append(FEEDBACK)

@@ -61,10 +61,6 @@ def model_of(plant: Plant, noise: str = NOISES[0]) -> TransferFunction:
     return TransferFunction(len(plant.a) - 1, len(plant.b) - 1, offset=noise == "quantiser")
 
 
-def available() -> tuple[str, ...]:
-    return tuple(method for method in METHODS if method in ESTIMATORS)
-
-
 def tasks(seeds: int) -> list[Task]:
     return [(name, noise, seed) for name in PLANTS for noise in NOISES for seed in range(seeds)]
 
@@ -73,7 +69,7 @@ def work(name: str, noise: str, seed: int) -> dict[str, Floats]:
     """theta of every method, nan where it has none; "bound": least variances of an unbiased estimate."""
     plant = PLANTS[name]
     record = noisy_record(plant, noise, seed)
-    found = {method: last_estimate(method, model_of(plant, noise), plant, record) for method in available()}
+    found = {method: last_estimate(method, model_of(plant, noise), plant, record) for method in METHODS}
     return found | ({"bound": cramer_rao(plant, record)} if noise == "white" else {})
 
 
@@ -130,10 +126,10 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         for noise in NOISES:
             runs = [results[name, noise, seed] for seed in range(seeds)]
             lines += [f"{noise} noise", ""]
-            lines += table(["method", *names, "runs with an answer"], [_row(m, runs, plant) for m in available()])
+            lines += table(["method", *names, "runs with an answer"], [_row(m, runs, plant) for m in METHODS])
         runs = [results[name, "white", seed] for seed in range(seeds)]
         lines += ["Efficiency with white noise:", ""]
-        lines += table(["method", *names], [_efficiency(m, runs, plant) for m in available()])
+        lines += table(["method", *names], [_efficiency(m, runs, plant) for m in METHODS])
     return lines + _checks(seeds, results)
 
 
