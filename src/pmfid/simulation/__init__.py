@@ -5,6 +5,7 @@ from pmfid.simulation.control import position_control
 from pmfid.simulation.drive import DriveParameters, Motion, Schedule, simulate_drive
 from pmfid.simulation.encoder import NO_FAULTS, Faults, quantize
 from pmfid.simulation.files import axis_toml, write_csv
+from pmfid.simulation.machine import Machine, control_machine, drive_machine
 from pmfid.simulation.scenarios import (
     CART,
     CART_CONTROL,
@@ -30,10 +31,13 @@ __all__ = [
     "SCENARIOS",
     "DriveParameters",
     "Faults",
+    "Machine",
     "Motion",
     "Scenario",
     "Schedule",
     "axis_toml",
+    "control_machine",
+    "drive_machine",
     "friction_growth",
     "make_scenario",
     "mass_ramp",

@@ -1,0 +1,112 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""A drive whose friction is not Coulomb and viscous, by Runge-Kutta of fourth order with fixed steps.
+
+    m v' = input_gain u(t - dead_time) + noise - offset - stiffness x - sign(v) friction(|v|, sign(v))
+
+The values are checked by machine.py, the lengths here. A step on whose way the velocity changes its sign is cut where
+a straight line through both velocities is zero, and goes on from rest.
+"""
+
+import numpy as np
+
+from libc.math cimport exp, fabs, floor
+from libc.stdint cimport int64_t
+
+
+cdef struct Body:
+    double mass, viscous, coulomb, gain, offset
+    double stribeck, stribeck_speed, quadratic, asymmetry, stiffness
+
+
+cdef struct State:
+    double x, v
+
+
+cdef inline double friction(const Body *body, double speed, double side) noexcept nogil:
+    """Friction [N] at a speed >= 0 in the direction `side`."""
+    cdef double total = body.coulomb + (body.viscous + body.quadratic * speed) * speed
+    if body.stribeck != 0.0:
+        total += body.stribeck * exp(-(speed / body.stribeck_speed) ** 2)
+    return total * (1.0 + side * body.asymmetry)
+
+
+cdef inline double acceleration(const Body *body, double force, double x, double v, double side) noexcept nogil:
+    cdef double speed = side * v
+    return (force - body.stiffness * x - side * friction(body, speed if speed > 0.0 else 0.0, side)) / body.mass
+
+
+cdef void step(const Body *body, State *state, double force, double h) noexcept nogil:
+    """h seconds under a constant force."""
+    cdef double side, drive, a1, a2, a3, a4, x, v, end, part
+    cdef int turn
+    for turn in range(2):
+        x, v = state.x, state.v
+        drive = force - body.stiffness * x
+        side = 1.0 if v > 0.0 or (v == 0.0 and drive > 0.0) else -1.0
+        if v == 0.0 and fabs(drive) <= friction(body, 0.0, side):
+            return
+        a1 = acceleration(body, force, x, v, side)
+        a2 = acceleration(body, force, x + 0.5 * h * v, v + 0.5 * h * a1, side)
+        a3 = acceleration(body, force, x + 0.5 * h * v + 0.25 * h * h * a1, v + 0.5 * h * a2, side)
+        a4 = acceleration(body, force, x + h * v + 0.5 * h * h * a2, v + h * a3, side)
+        end = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+        if side * end > 0.0:
+            state.x = x + h * v + h * h / 6.0 * (a1 + a2 + a3)
+            state.v = end
+            return
+        if v == 0.0:
+            return
+        part = v / (v - end)
+        state.x = x + 0.5 * part * h * v
+        state.v = 0.0
+        h = (1.0 - part) * h
+
+
+cdef void advance(const Body *body, State *state, double force, double time, int steps) noexcept nogil:
+    cdef int i
+    for i in range(steps):
+        step(body, state, force, time / steps)
+
+
+def simulate(const double[::1] command, double dt, dict parameters, double dead_time, const double[::1] noise,
+             int steps, double kp, double kd, double u_max, double resolution, double phase, double x0, double v0):
+    """Motion under the command (n,): x, v, u (n,), counts (n,) int64. kp = 0: the command is the input u [V]; else the
+    reference [m] of u_k = clip(kp (reference_k - y_k) - kd (y_k - y_{k-1}) / dt, -u_max, u_max), y = resolution counts.
+
+    noise (n,) [N], held over each interval; steps: Runge-Kutta steps for each of the (at most two) parts of an
+    interval that the switch of a delayed input makes.
+    """
+    cdef Py_ssize_t n = command.shape[0], k
+    if noise.shape[0] != n:
+        raise ValueError(f"noise must have the length of the command, {n}, got {noise.shape[0]}")
+    cdef Body body = parameters
+    cdef State state = State(x0, v0)
+    cdef Py_ssize_t whole = <Py_ssize_t>floor(dead_time / dt)
+    cdef double late = dead_time - whole * dt, place, y, previous = 0.0, older, newer
+    cdef bint in_range = True
+    out = np.empty(n), np.empty(n), np.empty(n), np.empty(n, dtype=np.int64)
+    cdef double[::1] x = out[0], v = out[1], u = out[2]
+    cdef int64_t[::1] counts = out[3]
+    with nogil:
+        for k in range(n):
+            x[k], v[k] = state.x, state.v
+            place = floor((state.x + phase) / resolution)
+            in_range = fabs(place) <= 9007199254740992.0
+            if not in_range:
+                break
+            counts[k] = <int64_t>place
+            u[k] = command[k]
+            if kp != 0.0:
+                y = resolution * counts[k]
+                if k == 0:
+                    previous = y
+                u[k] = max(-u_max, min(u_max, kp * (command[k] - y) - kd * (y - previous) / dt))
+                previous = y
+            older = u[k - whole - 1] if k > whole else 0.0
+            newer = u[k - whole] if k >= whole else 0.0
+            if late > 0.0:
+                advance(&body, &state, body.gain * older + noise[k] - body.offset, late, steps)
+            advance(&body, &state, body.gain * newer + noise[k] - body.offset, dt - late, steps)
+    if not in_range:
+        raise ValueError("the motion leaves 2**53 counts; check the units of parameters, input and resolution")
+    return out

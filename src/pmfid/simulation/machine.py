@@ -1,0 +1,129 @@
+"""Machines that the drive's equation does not describe: richer friction, dead time, force noise."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid.simulation._machine import simulate
+from pmfid.simulation.checks import Floats, as_signal, check_number, check_whole
+from pmfid.simulation.drive import DriveParameters
+from pmfid.simulation.encoder import Counts
+
+#: Runge-Kutta steps per sample, on each side of the input's switch.
+STEPS = 10
+#: What the integration knows of a machine as constants.
+_BODY = ("mass", "viscous", "coulomb", "gain", "offset", "stribeck", "stribeck_speed", "quadratic", "asymmetry",
+         "stiffness")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A drive and what the model m x'' + d x' + F_c sign(x') [+ offset] = input_gain u lacks; SI units.
+
+    drive: what the model has. stribeck: friction [N] at rest beyond Coulomb's, which falls with
+    exp(-(v / stribeck_speed)^2), stribeck_speed [m/s] > 0; quadratic: [N s^2/m^2], v |v|; asymmetry: friction is
+    1 + asymmetry times as large forward and 1 - asymmetry backward, within (-1, 1); stiffness: of a spring at rest at
+    x = 0 [N/m]; dead_time: of the input [s] >= 0, any part of a sample; force_noise: standard deviation [N] >= 0 of a
+    force that is drawn anew every sample. A rotary axis: rad, kg m2, N m. Raises ValueError for a value out of range.
+    """
+
+    drive: DriveParameters
+    stribeck: float = 0.0
+    stribeck_speed: float = 0.02
+    quadratic: float = 0.0
+    asymmetry: float = 0.0
+    stiffness: float = 0.0
+    dead_time: float = 0.0
+    force_noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_number("stribeck_speed", self.stribeck_speed, above=0.0, remedy="give the speed in m/s")
+        for name in ("stribeck", "quadratic", "stiffness", "dead_time", "force_noise"):
+            value = getattr(self, name)
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{name} must be finite and >= 0, got {value}; 0 is none")
+        if not -1.0 < self.asymmetry < 1.0:
+            raise ValueError(f"asymmetry must be in (-1, 1), got {self.asymmetry}; 0 is none")
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a machine did: u [V], counts, and the true x [m], v [m/s] at the samples, each (n,)."""
+
+    u: Floats
+    counts: Counts
+    x: Floats
+    v: Floats
+
+
+def drive_machine(
+    machine: Machine,
+    u: ArrayLike,
+    dt: float,
+    resolution: float,
+    *,
+    phase: float = 0.0,
+    rng: np.random.Generator | None = None,
+    steps: int = STEPS,
+) -> Run:
+    """The motion under the input u (n,) [V], held over each dt [s], and the counts floor((x + phase) / resolution).
+
+    rng: draws the force noise; steps: of the integration in each sample. Starts at rest at x = 0. Raises ValueError for
+    wrong arguments.
+    """
+    return _run(machine, as_signal("u", u), dt, resolution, phase, rng, steps, kp=0.0, kd=0.0, u_max=0.0)
+
+
+def control_machine(
+    machine: Machine,
+    reference: ArrayLike,
+    dt: float,
+    resolution: float,
+    *,
+    kp: float,
+    kd: float,
+    u_max: float,
+    phase: float = 0.0,
+    rng: np.random.Generator | None = None,
+    steps: int = STEPS,
+) -> Run:
+    """The same under position control through the encoder along a reference (n,) [m]; see `position_control`."""
+    check_number("kp", kp, above=0.0, remedy="give the gain in V/m")
+    check_number("kd", kd, above=-1e-300, remedy="give the gain in V s/m, 0 for none")
+    check_number("u_max", u_max, above=0.0, remedy="give the largest input in V")
+    target = as_signal("reference", reference)
+    return _run(machine, target, dt, resolution, phase, rng, steps, kp=kp, kd=kd, u_max=u_max)
+
+
+def _run(
+    machine: Machine,
+    command: Floats,
+    dt: float,
+    resolution: float,
+    phase: float,
+    rng: np.random.Generator | None,
+    steps: int,
+    **control: float,
+) -> Run:
+    check_number("dt", dt, above=0.0, remedy="give the sample period in seconds")
+    check_number("resolution", resolution, above=0.0, remedy="give the travel per count in m")
+    check_number("phase", phase, remedy="give the start position on the encoder lattice in m")
+    check_whole("steps", steps, 1, np.inf, "give the steps of the integration per sample")
+    if machine.force_noise and rng is None:
+        raise ValueError("a machine with force noise needs rng=np.random.default_rng(seed)")
+    noise = np.zeros(command.size) if rng is None else machine.force_noise * rng.standard_normal(command.size)
+    x, v, u, counts = simulate(
+        command, dt, _body(machine), machine.dead_time, noise, steps, **control, resolution=resolution, phase=phase,
+        x0=0.0, v0=0.0,
+    )  # fmt: skip
+    if not (np.isfinite(x).all() and np.isfinite(v).all()):
+        raise ValueError("the motion leaves the range of floating point; check the units of parameters and input")
+    return Run(u, counts, x, v)
+
+
+def _body(machine: Machine) -> dict[str, float]:
+    drive = machine.drive
+    values = asdict(machine) | {"mass": drive.mass, "viscous": drive.viscous_friction, "gain": drive.input_gain}
+    values |= {"coulomb": drive.coulomb_friction, "offset": drive.offset}
+    return {name: values[name] for name in _BODY}
