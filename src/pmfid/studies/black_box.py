@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from pmfid.studies import discretizations, efficiency, processes, published, structures, uneven, varying
+from pmfid.studies import discretizations, efficiency, processes, published, real_processes, structures, uneven, varying
 from pmfid.studies.sections import Page, by_name
 
 STUDIES = by_name(
@@ -14,6 +14,7 @@ STUDIES = by_name(
     published.STUDY,
     discretizations.STUDY,
     uneven.STUDY,
+    real_processes.STUDY,
     structures.STUDY,
     varying.STUDY,
 )
