@@ -140,7 +140,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         "",
         f"`srivc` on {SAMPLES} samples every {DT:g} s with white noise at {10 * np.log10(SNR):g} dB, {seeds} runs of "
         f"each case; every run has a plant of its own, with each pole and zero up to {SPREAD:.0%} off the nominal one. "
-        "Random steps as input, or as the reference of a controller, which is given then; integrators in open loop with "
+        "Random steps as input, or as the reference of a controller, which is given; integrators in open loop with "
         "an input that brings them back. error: median of the error over that of a normal one with the standard "
         "deviation of the Cramér-Rao bound, largest of any parameter; covered: share of the truth within two of the "
         "error bars, over all parameters; dead time: share of the runs within a tenth of a sample, and the largest "
