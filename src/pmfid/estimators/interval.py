@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.special import log_ndtr
 
 from pmfid.estimators.batch import Fit
-from pmfid.estimators.output_error import OE, Difference, Floats, inverted, rms, without_nuisance
+from pmfid.estimators.output_error import OE, Difference, Floats, inverted, rms
 from pmfid.status import Status
 
 #: Least standard deviation of the position's own noise, in counts: below, the likelihood is a box without slopes.
@@ -33,8 +33,10 @@ class IntervalML(OE):
 
     log L = sum log(Phi((b - x)/s) - Phi((a - x)/s)): x(k) the simulated position, a = resolution * counts and
     b = a + resolution the edges of the count, s the standard deviation of what else is in the position, estimated
-    too, of at least 0.02 counts. Starts from `OE`. theta_cov is the inverse of the expected information, not of the
-    observed: far from the edges a count shows no curvature, whatever it says.
+    too, of at least 0.02 counts. Starts from `OE`. theta_cov is that of the expected information, not of the observed
+    (far from the edges a count shows no curvature, whatever it says), or what the scores scatter where that is more:
+    in blocks on every scale, as where the model is not quite right, and over the places that the encoder's lattice may
+    have under this very motion.
 
     Where y - x is more than the encoder explains, and wherever `OE` has a high-pass, the edges of the counts say
     nothing on x: the result is then that of `OE`, with `Status.FALLBACK`. drift_cutoff, initial: as for `OE`.
@@ -49,10 +51,16 @@ class IntervalML(OE):
         difference, q, status = self.followed(u, counts)
         if difference.pole > 0 or rms(difference(q)) > difference.explained:
             return self.by_squares(difference, q, status | int(Status.FALLBACK))
+        from pmfid.estimators.phases import score_covariance
+
         q, noise = likeliest(difference, q)
-        root = np.sqrt(expected_information(difference(q), noise))
-        sensitivity = without_nuisance(difference.jacobian(q) * root[:, None], len(self.names))
-        return self.result(difference, q, inverted(sensitivity, self.names), status)
+        error = difference(q)
+        root = np.sqrt(expected_information(error, noise))
+        own = self.own_sensitivity(difference, q, root)
+        weighted = own * root[:, None]
+        inverse, slope = inverted(weighted, self.names), cost(error, noise)[1]
+        spread = score_covariance(difference, q, own, noise, weighted.T @ weighted, own * slope[:, None])
+        return self.result(difference, q, inverse @ spread @ inverse, status)
 
 
 def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:

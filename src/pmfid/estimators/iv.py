@@ -12,9 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel, role_values
 from pmfid.estimators.base import check_arrays, check_size, like
-from pmfid.estimators.batch import BCLS, TINY, BatchEstimator, Columns, Fit, check_identifiable, solve_with_instruments
+from pmfid.estimators.batch import (
+    BCLS,
+    TINY,
+    BatchEstimator,
+    Columns,
+    Fit,
+    check_identifiable,
+    long_run_covariance,
+    solve_with_instruments,
+)
 from pmfid.estimators.known_step import impulse_products
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.scatter import block_scatter, raised
 from pmfid.estimators.srivc import counted, fit_process, fixed_filters, without_start
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, Equation
 from pmfid.status import Status
@@ -80,6 +90,15 @@ class IV(BatchEstimator):
             f"the iteration does not settle (last {dict(zip(self.names, theta.round(4).tolist(), strict=True))}): the "
             "simulated motion does not follow the measured one; check input_gain and the model, or give `initial`"
         )
+
+    def _covariance(
+        self, columns: Columns, theta: NDArray[np.float64], gain: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """As for every off-line method, but with what the scores scatter in blocks on every scale, where that is more:
+        friction that the model lacks lasts longer than the filters."""
+        scores = self._scores(columns, theta)
+        spread = raised(long_run_covariance(scores, self.settle_samples), block_scatter(scores, self.settle_samples))
+        return np.asarray(gain @ spread @ gain.T)
 
     def _gain(
         self, columns: Columns, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike

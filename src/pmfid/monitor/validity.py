@@ -8,16 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.adequacy import examine, force_moves
 from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.batch import BCLS, TINY
 from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.output_error import OE
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.status import Status
 
 #: A correlation this many standard deviations from zero is taken for real.
 SIGNIFICANT = 4.5
-#: Root mean square of the equation's error, over that of a white encoder error, beyond which the model is wrong.
-UNEXPLAINED = 1.4
+#: What is said where the model is wrong.
+UNMODELLED = "the counts show what the model lacks, or a parameter that changes"
 #: Counts per sample below which the encoder's error is no white noise.
 COARSE = 1.0
 #: A change of the counts so much larger than the usual ones is no motion.
@@ -38,12 +40,13 @@ def judge(
     """Flags and sentences on an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,).
 
     implausible: a negative mass or friction; uncertain: not known to half its value; biased: the method's own error
-    is larger than its error bar and 2 %; std_too_small: larger than its error bar; unmodelled: the equation is off by
-    more than the encoder explains; feedback: what is unexplained comes back through the input; count_jump: one change
-    of the counts is no motion; coarse_motion: too few counts per sample for a method that takes the encoder's error
-    for white noise.
+    is larger than its error bar and 2 %; std_too_small: larger than its error bar; unmodelled: the counts show that
+    the model lacks something; model_spread: they would not show it, and it would move a parameter beyond its error bar;
+    feedback: what is unexplained comes back through the input; count_jump: one change of the counts is no motion;
+    coarse_motion: too few counts per sample for a method that takes the encoder's error for white noise.
+    With a memory the last three of it are judged.
     """
-    residual = list(_residual(estimator, u, counts, theta))
+    residual = [*_model(estimator, u, counts, theta, std), *_feedback(estimator, u, counts, theta)]
     # where the model is wrong, methods differ because they weigh its error differently: only large differences count
     limit = 10 * BIASED if any(flag == "unmodelled" for flag, _ in residual) else 2 * BIASED
     found = [
@@ -162,28 +165,61 @@ def _jump(counts: NDArray[np.int64]) -> Iterator[Finding]:
         )
 
 
-def _residual(
+def recent(estimator: Estimator, samples: int) -> slice:
+    """The part of a record of so many samples that an estimate is of: its last three memories."""
+    return slice(-round(min(samples, 3 / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None)
+
+
+def _model(
+    estimator: Estimator,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    theta: NDArray[np.float64],
+    std: NDArray[np.float64],
+) -> Iterator[Finding]:
+    """Does the motion that the model simulates explain the counts, and what could it lack that they do not show?"""
+    if estimator.equation.without_simulation:
+        return
+    part = recent(estimator, u.size)
+    u, counts = u[part], counts[part]
+    try:
+        found = examine(estimator, u, counts)
+    except NotIdentifiableError as error:
+        yield "unmodelled", f"{UNMODELLED}: no motion of the model follows the counts ({error})"
+        return
+    if not found.adequate:
+        yield "unmodelled", f"{UNMODELLED}: {found.says}; the error bars do not cover it"
+        return
+    if isinstance(estimator, OE):
+        spread = found.spread()
+    else:
+        twin = like(IV, estimator, prefilter_zeros=None)
+        at = np.where(twin.equation.positive, np.maximum(theta, 0.0), theta)
+        spread = found.spread(force_moves(found, twin, twin.columns_at(at, u, counts)))
+    for name, value, own, bar in zip(estimator.names, theta, spread, std, strict=True):
+        if own > bar:
+            yield (
+                "model_spread",
+                f"friction or a dead time that the model lacks, and that this record would not show, may move {name} "
+                f"by {100 * own / max(abs(value), TINY):.2g} %, more than its error bar: a finer encoder or a richer "
+                "motion would show it",
+            )
+            return
+
+
+def _feedback(
     estimator: Estimator, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]
 ) -> Iterator[Finding]:
-    """The error of the equation at theta with the simulated direction: its size, and does the input follow it?"""
+    """Does the input follow what the equation leaves at theta, with the simulated direction?"""
     equation = estimator.equation
     theta = theta[: len(equation.names)].copy()
     if equation.without_simulation or not theta[equation.leading] > 0:
         return
     theta = np.where(equation.positive, np.maximum(theta, 0.0), theta)
-    twin = like(IV, estimator, prefilter_zeros=None)
-    columns = twin.columns_at(theta, u, counts)
+    columns = like(IV, estimator, prefilter_zeros=None).columns_at(theta, u, counts)
     error = columns.z - columns.phi @ theta
-    change = np.diff(u, prepend=u[0])
-    recent = slice(-round(min(error.size, 3 / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None)
-    times = np.sqrt(np.mean(error[recent] ** 2) / max(float(theta @ twin.noise() @ theta), TINY))
-    if times > UNEXPLAINED:
-        yield (
-            "unmodelled",
-            f"the equation is off by {times:.2g} times what the encoder's step explains: friction, load or delay that "
-            "the model lacks, or a parameter that changes; the error bars do not cover it",
-        )
-    if correlation_score(error[recent], change[columns.used][recent]) > SIGNIFICANT:
+    change, last = np.diff(u, prepend=u[0])[columns.used], recent(estimator, error.size)
+    if correlation_score(error[last], change[last]) > SIGNIFICANT:
         yield (
             "feedback",
             "the input follows what the model leaves unexplained, the encoder's error or unmodelled friction, as under "
