@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.estimators.base import Estimator, like
-from pmfid.estimators.batch import Columns, solve_with_instruments
+from pmfid.estimators.batch import Columns, Fit, solve_with_instruments
 from pmfid.estimators.interval import IntervalML, cost, expected_information, likeliest
 from pmfid.estimators.lacks import Lack, lacks
 from pmfid.estimators.output_error import Difference, rms, without_nuisance
@@ -26,6 +26,8 @@ Floats = NDArray[np.float64]
 
 #: A force is missed where its score is so many of its standard deviations: chance alone once in a thousand records.
 MISSED = 4.0
+#: Two estimates contradict each other from so many standard deviations of their difference on.
+CONTRADICTED = 2.5
 #: Part of a force's effect that is no combination of the parameters', below which nothing can be said of it.
 APART = 1e-4
 #: A force moves the simulation by this part of what is plausible, or of the motor's force, for its derivative.
@@ -147,6 +149,12 @@ def _effect(difference: Difference, q: Floats, lack: Lack) -> Floats:
     size = STEP * lack.plausible or STEP_OF_FORCE * abs(difference.equation.input_gain) * rms(difference.u) / usual
     more, less = (difference.motion(q, -side * size * lack.force)[0] for side in (1.0, -1.0))
     return difference.filtered(more - less) / (2 * size * difference.resolution)
+
+
+def contradicted(fit: Fit, best: Fit, spread: Floats) -> bool:
+    """Is an estimate further from that of an adequate model than both error bars and what the model may lack allow?"""
+    allowed = np.sqrt(fit.theta_std**2 + best.theta_std**2 + spread**2)
+    return bool(np.any(np.abs(fit.theta - best.theta) > CONTRADICTED * allowed))
 
 
 def force_moves(found: Adequacy, estimator: Estimator, columns: Columns) -> Floats:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.adequacy import examine
+from pmfid.estimators.adequacy import contradicted, examine
 from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.batch import BCLS, LS, BatchEstimator, Fit
 from pmfid.estimators.bcrls import BCRLS
@@ -43,9 +45,12 @@ def first_fit(configured: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[E
     Raises NotIdentifiableError where none of them can identify every parameter.
     """
     refused: list[str] = []
-    without, why = configured.equation.without_simulation, ""
+    sharp = None if configured.equation.without_simulation else _sharp(configured, u, counts, refused)
+    if sharp is not None and not sharp.doubt:
+        return sharp.method, "interval: the model explains every count", sharp.fit
+    doubt = sharp.doubt if sharp else ""
     for cls, reason in _CANDIDATES:
-        if cls.simulates and without:
+        if cls.simulates and configured.equation.without_simulation:
             continue
         candidate = _candidate(cls, configured, u, counts)
         try:
@@ -53,13 +58,40 @@ def first_fit(configured: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[E
         except NotIdentifiableError as error:
             refused.append(f"{cls.method}: {error}")
             continue
-        if isinstance(candidate, IntervalML):
-            why = _against_interval(candidate, fit, u, counts)
-            if why:
-                continue
+        if sharp is not None and sharp.adequate and (cls is not IV or contradicted(fit, sharp.fit, sharp.spread)):
+            return sharp.method, f"interval: the model explains every count, and {cls.method} contradicts it", sharp.fit
         if fit.theta[candidate.equation.leading] > 0:
-            return candidate, f"{cls.method}: {reason}{why}", fit
+            return candidate, f"{cls.method}: {reason}{doubt}", fit
     raise NotIdentifiableError(refused[0].partition(": ")[2])
+
+
+@dataclass(frozen=True)
+class _Sharp:
+    """The interval likelihood on a record, whether its model is enough, by how much (p,) what it may lack unseen would
+    move it, and why that is not the estimate to believe."""
+
+    method: IntervalML
+    fit: Fit
+    adequate: bool
+    spread: NDArray[np.float64]
+    doubt: str
+
+
+def _sharp(configured: Estimator, u: ArrayLike, counts: ArrayLike, refused: list[str]) -> _Sharp | None:
+    method = like(IntervalML, configured, prefilter_zeros=None)
+    try:
+        fit, found = method.fit(u, counts), examine(method, u, counts)
+    except NotIdentifiableError as error:
+        refused.append(f"{method.method}: {error}")
+        return None
+    spread, doubt = found.spread(), ""
+    if fit.status & Status.FALLBACK or not found.follows:
+        doubt = ", and the model does not explain every count"
+    elif not found.adequate:
+        doubt = f", and {found.says}"
+    elif np.any(spread > fit.theta_std):
+        doubt = "; interval would be sharper than what the model may lack unseen"
+    return _Sharp(method, fit, found.adequate and not fit.status & Status.FALLBACK, spread, doubt)
 
 
 def _candidate(cls: type[BatchEstimator], configured: Estimator, u: ArrayLike, counts: ArrayLike) -> BatchEstimator:
@@ -69,20 +101,7 @@ def _candidate(cls: type[BatchEstimator], configured: Estimator, u: ArrayLike, c
     return like(cls, configured, prefilter_zeros=None)
 
 
-def _against_interval(interval: IntervalML, fit: Fit, u: ArrayLike, counts: ArrayLike) -> str:
-    """Why the most accurate method is not the one to believe here; empty: it is."""
-    found = examine(interval, u, counts)
-    if fit.status & Status.FALLBACK or not found.follows:
-        return ", and the model does not explain every count"
-    if not found.adequate:
-        return f", and {found.says}"
-    if np.any(found.spread() > fit.theta_std):
-        return "; interval would be sharper than what the model may lack unseen"
-    return ""
-
-
 _CANDIDATES: tuple[tuple[type[BatchEstimator], str], ...] = (
-    (IntervalML, "the model explains every count"),
     (IV, "it asks least of the model"),
     (OE, "instrumental variables do not settle on this record"),
     (BCLS, "no simulated motion follows this record; the input carries enough to take out the encoder's bias"),

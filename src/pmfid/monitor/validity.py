@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.adequacy import examine, force_moves
+from pmfid.estimators.adequacy import CONTRADICTED, examine, force_moves
 from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.batch import BCLS, TINY
 from pmfid.estimators.iv import IV, RIV
@@ -196,6 +196,16 @@ def _model(
         twin = like(IV, estimator, prefilter_zeros=None)
         at = np.where(twin.equation.positive, np.maximum(theta, 0.0), theta)
         spread = found.spread(force_moves(found, twin, twin.columns_at(at, u, counts)))
+    best = found.q[: theta.size] * found.difference.scale[: theta.size]
+    apart = np.abs(theta - best) / np.sqrt(std**2 + found.spread() ** 2)
+    worst = int(np.argmax(apart))
+    if estimator.simulates and apart[worst] > CONTRADICTED:
+        yield (
+            "biased",
+            f"{estimator.names[worst]} = {theta[worst]:.4g} has an error of its own: the motion that explains every "
+            f"count has {best[worst]:.4g}; under control through a coarse encoder its error comes back through the "
+            "input, and interval or output-error are the ones to use",
+        )
     for name, value, own, bar in zip(estimator.names, theta, spread, std, strict=True):
         if own > bar:
             yield (
