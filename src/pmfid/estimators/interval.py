@@ -18,6 +18,11 @@ from pmfid.status import Status
 NOISE_FLOOR = 0.02
 #: Relative accuracy of that noise: the likelihood is flat around its top.
 NOISE_TOLERANCE = 1e-3
+#: Noise beyond the floor by this factor may be that of a local maximum,
+GIVEN_AWAY = 1.5
+#: which is left by starts this many standard deviations around, with this noise [counts] on the way.
+AROUND = 1.5
+SHRINKING = (0.3, 0.1, 0.04)
 MAX_ITERATIONS = 100
 TOLERANCE = 1e-6
 MAX_DAMPING = 1e8
@@ -64,10 +69,39 @@ class IntervalML(OE):
 
 
 def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
-    """q (q,) and noise [counts] of the largest likelihood from q: damped Newton steps, each with the best noise."""
+    """q (q,) and noise [counts] of the largest likelihood, from the least squares q.
+
+    With few counts there are local maxima, and a noise beyond the floor gives them away: then the search starts again
+    from around q, with a noise that shrinks step by step, and the best counts.
+    """
+    best = climb(difference, q, None)
+    if best[2] <= GIVEN_AWAY * NOISE_FLOOR:
+        return best[1], best[2]
+    for start in (q, *_around(difference, q)):
+        place = start
+        for noise in SHRINKING:
+            place = climb(difference, place, noise)[1]
+        best = min(best, climb(difference, place, None), key=lambda found: found[0])
+        if best[2] <= GIVEN_AWAY * NOISE_FLOOR:
+            break
+    return best[1], best[2]
+
+
+def _around(difference: Difference, q: Floats) -> list[Floats]:
+    """Starts (q,) one and a half standard deviations of least squares to either side of q, along its main axes."""
+    jacobian = difference.jacobian(q)
+    _, size, axes = np.linalg.svd(jacobian, full_matrices=False)
+    spread = np.sqrt(np.mean(difference(q) ** 2)) / np.maximum(size, 1e-6 * size[0])
+    steps = [AROUND * side * length * axis for length, axis in zip(spread, axes, strict=True) for side in (1.0, -1.0)]
+    return [np.maximum(q + step, difference.lower) for step in steps]
+
+
+def climb(difference: Difference, q: Floats, fixed: float | None) -> tuple[float, Floats, float]:
+    """Negative log-likelihood, q (q,) and noise [counts] at a maximum near q: damped Newton steps, with the best noise
+    after each or a fixed one."""
     damping, step = 1e-3, np.inf
     e, jacobian = difference(q), difference.jacobian(q)
-    noise = likeliest_noise(e)
+    noise = fixed or likeliest_noise(e)
     for _ in range(MAX_ITERATIONS):
         now, slope, curvature = cost(e, noise)
         hessian = jacobian.T @ (curvature[:, None] * jacobian)
@@ -77,12 +111,12 @@ def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
         e_trial = difference(trial)
         if cost(e_trial, noise)[0] < now:
             step, q, e, damping = float(np.max(np.abs(trial - q))), trial, e_trial, damping / 10
-            noise, jacobian = likeliest_noise(e), difference.jacobian(q)
+            noise, jacobian = fixed or likeliest_noise(e), difference.jacobian(q)
         else:
             damping *= 10
         if step < TOLERANCE or damping > MAX_DAMPING:
             break
-    return q, noise
+    return cost(e, noise)[0], q, noise
 
 
 def likeliest_noise(e: Floats) -> float:

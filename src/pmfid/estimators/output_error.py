@@ -38,6 +38,8 @@ ENCODER_ALONE = 0.5
 SIMULATION_ERROR = 1e-5
 #: A larger part of the motion left unexplained is no fit.
 WORST_FIT = 0.5
+#: High-passes on the way to none, as parts of the first.
+SLOWER = (1 / 4, 1 / 16, 1 / 64, 0.0)
 #: Counts within a filter time constant by which the start velocity may be off.
 START_COUNTS = 3.0
 #: Square root of the information [1/counts] of a sample with a white encoder error.
@@ -175,9 +177,21 @@ class OE(BatchEstimator):
             return difference, q, status
         direct = replace(difference, pole=0.0)
         closer = least(direct, q)
+        if rms(direct(closer)) > direct.explained:
+            closer = min(closer, self._slowly(difference, q), key=lambda found: rms(direct(found)))
         if self.drift_cutoff == 0 or rms(direct(closer)) <= direct.explained:
             return direct, closer, status
         return difference, q, status
+
+    def _slowly(self, difference: Difference, q: Floats) -> Floats:
+        """Least squares of the position itself by way of ever slower high-passes: around local minima, or q itself
+        where that does not settle."""
+        try:
+            for part in SLOWER:
+                q = least(replace(difference, pole=part * difference.pole), q)
+        except NotIdentifiableError:
+            pass
+        return q
 
     def by_squares(self, difference: Difference, q: Floats, status: int) -> Fit:
         """The result at the least squares q."""
@@ -275,7 +289,7 @@ def least(difference: Difference, q: Floats) -> Floats:
                 max_nfev=MAX_EVALUATIONS,
             )
         q = np.maximum(found.x, difference.lower)
-        if found.status > 0:
+        if found.status > 0 or rms(difference(q)) <= difference.explained:
             return np.asarray(q)
     raise NotIdentifiableError(
         f"the iteration did not settle within {MAX_EVALUATIONS} simulations: the simulated position does not "
