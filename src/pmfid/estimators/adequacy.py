@@ -90,14 +90,14 @@ class Adequacy:
         return np.asarray(np.sqrt(np.sum((moves * self.tolerated) ** 2, axis=1)))
 
 
-def examine(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Adequacy:
+def examine(estimator: Estimator, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> Adequacy:
     """The model of an estimator on a record u, counts: (n,); nothing else of the estimator counts but the cutoff, for
-    records that drift away from the simulation.
+    records that drift away from the simulation. start: parameters (p,) to start from, None: those of `IV`.
 
     Raises NotIdentifiableError where no fit can be found at all.
     """
     method = like(IntervalML, estimator, prefilter_zeros=None, precision="float64")
-    difference, q, _ = method.followed(u, counts)
+    difference, q, _ = method.followed(u, counts, start)
     return weigh(difference, q)
 
 

@@ -80,7 +80,8 @@ class _Sharp:
 def _sharp(configured: Estimator, u: ArrayLike, counts: ArrayLike, refused: list[str]) -> _Sharp | None:
     method = like(IntervalML, configured, prefilter_zeros=None)
     try:
-        fit, found = method.fit(u, counts), examine(method, u, counts)
+        fit = method.fit(u, counts)
+        found = examine(method, u, counts, fit.theta)
     except NotIdentifiableError as error:
         refused.append(f"{method.method}: {error}")
         return None

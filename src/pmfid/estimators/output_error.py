@@ -38,6 +38,10 @@ ENCODER_ALONE = 0.5
 SIMULATION_ERROR = 1e-5
 #: A larger part of the motion left unexplained is no fit.
 WORST_FIT = 0.5
+#: The high-pass lets white noise grow by less than this: where more is left behind it, the counts are not explained.
+HOPELESS = 2.5
+#: A difference so many times what the encoder explains is no matter of local minima.
+FAR = 10.0
 #: High-passes on the way to none, as parts of the first.
 SLOWER = (1 / 4, 1 / 16, 1 / 64, 0.0)
 #: Counts within a filter time constant by which the start velocity may be off.
@@ -164,20 +168,23 @@ class OE(BatchEstimator):
             return fit_process(self, [counted(self, u, counts)], by_descent)
         return self.by_squares(*self.followed(u, counts))
 
-    def followed(self, u: ArrayLike, counts: ArrayLike) -> tuple[Difference, Floats, int]:
+    def followed(self, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> tuple[Difference, Floats, int]:
         """The difference as it is to be judged, its least squares q, and the status bits of the record.
 
         The first pass is always behind the high-pass: the position itself has local minima where friction drifts.
+        start: parameters (p,) to start from, None: those of `IV`.
         """
         u, counts = check_arrays(u, counts)
-        theta, status = self._start(u, counts)
+        theta, status = self._start(u, counts) if start is None else (start, 0)
         difference, q = self._prepared(theta, held(u), self.position(counts))
         q = least(difference, q)
         if self.drift_cutoff:
             return difference, q, status
         direct = replace(difference, pole=0.0)
+        if self.drift_cutoff is None and rms(difference(q)) > HOPELESS * direct.explained:
+            return difference, q, status
         closer = least(direct, q)
-        if rms(direct(closer)) > direct.explained:
+        if 1 < rms(direct(closer)) / direct.explained < FAR:
             closer = min(closer, self._slowly(difference, q), key=lambda found: rms(direct(found)))
         if self.drift_cutoff == 0 or rms(direct(closer)) <= direct.explained:
             return direct, closer, status

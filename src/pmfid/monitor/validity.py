@@ -182,8 +182,10 @@ def _model(
         return
     part = recent(estimator, u.size)
     u, counts = u[part], counts[part]
+    theta, std = theta[: len(estimator.equation.names)], std[: len(estimator.equation.names)]
+    at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
     try:
-        found = examine(estimator, u, counts)
+        found = examine(estimator, u, counts, at if at[estimator.equation.leading] > 0 else None)
     except NotIdentifiableError as error:
         yield "unmodelled", f"{UNMODELLED}: no motion of the model follows the counts ({error})"
         return
@@ -194,7 +196,6 @@ def _model(
         spread = found.spread()
     else:
         twin = like(IV, estimator, prefilter_zeros=None)
-        at = np.where(twin.equation.positive, np.maximum(theta, 0.0), theta)
         spread = found.spread(force_moves(found, twin, twin.columns_at(at, u, counts)))
     best = found.q[: theta.size] * found.difference.scale[: theta.size]
     apart = np.abs(theta - best) / np.sqrt(std**2 + found.spread() ** 2)
