@@ -209,3 +209,33 @@ def test_the_lattice_repeats_its_error_in_every_stroke():
     own = method.own_sensitivity(difference, q)
     white = np.sum(own**2, axis=0) / 12
     assert np.all(phase_scatter(difference, q, own, None) > 3 * white)
+
+
+@pytest.mark.parametrize("rest", [0.06, 0.3])
+def test_a_record_that_begins_at_rest_keeps_its_first_motion(rest):
+    from pmfid.simulation import position_control
+
+    part = np.clip(np.arange(60) / 50, 0, 1)
+    there, back = 0.2 * part**2 * (3 - 2 * part), 0.2 - 0.2 * np.clip(np.arange(80) / 60, 0, 1)
+    reference = np.r_[np.zeros(round(rest / 0.01)), there, np.full(20, 0.2), back]
+    control = {"kp": 200.0, "kd": 5.0, "u_max": 6.0, "resolution": 91e-6}
+    motion, counts = position_control(CART, reference, 0.01, **control)
+    fit = pmfid.IV(pmfid.Drive(CART.input_gain), pmfid.Encoder(91e-6), 0.01, 10.0).fit(motion.u, counts)
+    truth = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+    assert np.all(np.abs(fit.theta / truth - 1) < [0.002, 0.002, 0.01])  # 10 times as far off without the first motion
+
+
+def test_a_record_of_another_machine_is_no_estimate(tmp_path):
+    from pmfid.errors import NotIdentifiableError
+    from pmfid.session.config import load_axis
+    from pmfid.session.pipeline import identify
+    from pmfid.session.records import Record
+
+    text = '[record]\ninput = "u"\noutput = "c"\noutput_kind = "counts"\ndt = 0.01\n[encoder]\nresolution = 1e-4\n'
+    (tmp_path / "axis.toml").write_text(text + "[model]\ninput_gain = 2.0\n[estimator]\ncutoff = 30.0\n")
+    u, counts, _ = record(AXES["cart"], "right", "prbs", 2000.0)
+    shuffled = np.roll(u, 1000)  # an input of another time: nothing follows it
+    for method in ("auto", "iv", "ls", "bcls", "output-error", "interval"):
+        axis = load_axis(tmp_path / "axis.toml", {"estimator.method": method})
+        with pytest.raises(NotIdentifiableError):
+            identify(Record(shuffled, counts, 0.01, 1e-4, (), "cart"), axis)

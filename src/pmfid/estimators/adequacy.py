@@ -67,6 +67,13 @@ class Adequacy:
         return tuple(int(k) for k in order if abs(self.z[k]) > MISSED)
 
     @property
+    def left(self) -> float:
+        """Part of the motion, 0 to about 1, that neither the model nor the encoder explains."""
+        found, motion = self.difference, self.difference.filtered(self.difference.y - np.mean(self.difference.y))
+        excess = max(float(np.mean(found(self.q) ** 2)) - found.explained**2, 0.0)
+        return float(np.sqrt(excess)) * found.resolution / max(rms(motion), TINY)
+
+    @property
     def says(self) -> str:
         """What is wrong with the model, for people; empty where nothing is."""
         if self.missed:
@@ -158,7 +165,10 @@ def contradicted(fit: Fit, best: Fit, spread: Floats) -> bool:
 
 
 def force_moves(found: Adequacy, estimator: Estimator, columns: Columns) -> Floats:
-    """(p, k) by how much an estimate with instruments, at its columns, moves for a unit of each force."""
+    """(p, k) by how much an estimate with instruments, at its columns, moves for a unit of each force; where these
+    instruments say nothing on a parameter, by how much the best fit moves."""
+    if not np.all(np.any(columns.zeta != 0, axis=0)):
+        return found.moves
     forces = np.column_stack([lack.force for lack in found.lacks] or [np.zeros((columns.used.size, 0))])
     gain = solve_with_instruments(columns)[1]
     return np.asarray(-gain @ (columns.zeta.T @ filtered(forces, estimator)[columns.used]))

@@ -26,7 +26,7 @@ from pmfid.estimators.known_step import impulse_products
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.scatter import block_scatter, raised
 from pmfid.estimators.srivc import counted, fit_process, fixed_filters, without_start
-from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, Equation
+from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, STIFFNESS, Equation
 from pmfid.status import Status
 
 MAX_ITERATIONS = 40
@@ -39,6 +39,8 @@ ACCEPTED = 2e-3
 SMALL = 1e-2
 #: The first part of a record, in which the model's velocity forgets that its start was not known.
 START_PART = 0.05
+#: A record whose first counts are the same for so many samples may begin at rest.
+REST_SAMPLES = 5
 #: Relative step of the differences for the covariance.
 JACOBIAN_STEP = 1e-3
 
@@ -125,16 +127,34 @@ class IV(BatchEstimator):
         return spread(role_values(batch, list(batch.fit(u, counts).theta)), self.equation)
 
     def columns_at(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> Columns:
-        """Regressors, target and instruments with the auxiliary model at theta (p,)."""
+        """Regressors, target and instruments with the auxiliary model at theta (p,).
+
+        A record that begins at rest, which the model says as well, has been at rest before: its first motion counts.
+        """
         u, counts = check_arrays(u, counts)
         check_size(u)
         kernel, first = make_auxiliary_kernel(self, 1.0, list(theta), adapt=False)
+        before = 2 * self.settle_samples + 1 if self._rests(u, counts, theta) else 0
+        u, counts = np.r_[np.zeros(before), u], np.r_[np.full(before, counts[:1]), counts]
         columns, status = kernel.filter(u, counts)
+        columns, status = columns[before:], status[before:]
         used = (status & Status.SETTLING) == 0
-        used[: int(START_PART * used.size)] = False
+        used[: 0 if before else int(START_PART * used.size)] = False
         columns, p = columns[used, first:], len(self.names)
         occurred = int(np.bitwise_or.reduce(status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP)
         return Columns(columns[:, :p], columns[:, p], columns[:, p + 1 : 2 * p + 1], used, occurred)
+
+    def _rests(self, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]) -> bool:
+        """Does the axis rest at first, by the counts and by the friction of theta (p,)?"""
+        begin = slice(0, REST_SAMPLES)
+        friction = min(
+            (theta[i] for i in (self.equation.roles[r] for r in (COULOMB_FORWARD, COULOMB_BACKWARD)) if i is not None),
+            default=0.0,
+        )
+        index = self.equation.roles[OFFSET]
+        force = self.equation.input_gain * u[begin] - (0.0 if index is None else theta[index])
+        still = bool(np.all(counts[begin] == counts[0])) and counts.size > REST_SAMPLES
+        return still and bool(np.all(np.abs(force) <= friction)) and self.equation.roles[STIFFNESS] is None
 
     def noise(self) -> NDArray[np.float64]:
         """(p, p) covariance that a white encoder error of the step's variance has in the regressors of one sample."""

@@ -12,7 +12,7 @@ from pmfid.estimators.adequacy import CONTRADICTED, examine, force_moves
 from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.batch import BCLS, TINY
 from pmfid.estimators.iv import IV, RIV
-from pmfid.estimators.output_error import OE
+from pmfid.estimators.output_error import OE, WORST_FIT
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.status import Status
 
@@ -41,10 +41,10 @@ def judge(
 
     implausible: a negative mass or friction; uncertain: not known to half its value; biased: the method's own error
     is larger than its error bar and 2 %; std_too_small: larger than its error bar; unmodelled: the counts show that
-    the model lacks something; model_spread: they would not show it, and it would move a parameter beyond its error bar;
-    feedback: what is unexplained comes back through the input; count_jump: one change of the counts is no motion;
-    coarse_motion: too few counts per sample for a method that takes the encoder's error for white noise.
-    With a memory the last three of it are judged.
+    the model lacks something; not_followed: they are nothing like what it simulates; model_spread: they would not show
+    what it may lack, and that would move a parameter beyond its error bar; feedback: what is unexplained comes back
+    through the input; count_jump: one change of the counts is no motion; coarse_motion: too few counts per sample for
+    a method that takes the encoder's error for white noise. With a memory the last three of it are judged.
     """
     residual = [*_model(estimator, u, counts, theta, std), *_feedback(estimator, u, counts, theta)]
     # where the model is wrong, methods differ because they weigh its error differently: only large differences count
@@ -189,6 +189,12 @@ def _model(
     except NotIdentifiableError as error:
         yield "unmodelled", f"{UNMODELLED}: no motion of the model follows the counts ({error})"
         return
+    if found.left > WORST_FIT:
+        yield (
+            "not_followed",
+            f"no motion of the model follows the measured one, {found.left:.0%} of it is left: check input_gain, the "
+            "sign and scale of input and output, and bits of [encoder]",
+        )
     if not found.adequate:
         yield "unmodelled", f"{UNMODELLED}: {found.says}; the error bars do not cover it"
         return
@@ -198,7 +204,7 @@ def _model(
         twin = like(IV, estimator, prefilter_zeros=None)
         spread = found.spread(force_moves(found, twin, twin.columns_at(at, u, counts)))
     best = found.q[: theta.size] * found.difference.scale[: theta.size]
-    apart = np.abs(theta - best) / np.sqrt(std**2 + found.spread() ** 2)
+    apart = np.abs(theta - best) / np.maximum(np.sqrt(std**2 + found.spread() ** 2), TINY)
     worst = int(np.argmax(apart))
     if estimator.simulates and apart[worst] > CONTRADICTED:
         yield (

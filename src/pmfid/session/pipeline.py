@@ -96,15 +96,18 @@ def identify(record: Record, axis: Axis, progress: Progress | None = None) -> Re
 
 
 def _check_known(result: Result) -> None:
-    """A mass that is not known to its own size is no estimate."""
+    """A mass that is not known to its own size, or is negative, is no estimate, nor is one of a model that simulates
+    another motion."""
     leading = result.estimator.equation.leading
     mass, std = result.theta[leading], result.theta_std[leading]
-    if not std < abs(mass):
-        advice = "; ".join(result.notes) or "record a motion with reversals and varying speed"
+    advice = "; ".join(result.notes) or "record a motion with reversals and varying speed"
+    if not std < mass:
         raise NotIdentifiableError(
             f"{result.estimator.names[leading]} comes out as {mass:.3g} with a standard deviation of {std:.2g}: this "
             f"record cannot identify it ({advice})"
         )
+    if "not_followed" in result.status:
+        raise NotIdentifiableError(f"this record does not fit the model: {advice}")
 
 
 def _identify(estimator: Estimator, record: Record, axis: Axis, progress: Progress | None) -> Result:
