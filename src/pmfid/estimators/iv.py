@@ -147,14 +147,15 @@ class IV(BatchEstimator):
     def _rests(self, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]) -> bool:
         """Does the axis rest at first, by the counts and by the friction of theta (p,)?"""
         begin = slice(0, REST_SAMPLES)
+        if counts.size <= REST_SAMPLES or np.any(counts[begin] != counts[0]):
+            return False
         friction = min(
             (theta[i] for i in (self.equation.roles[r] for r in (COULOMB_FORWARD, COULOMB_BACKWARD)) if i is not None),
             default=0.0,
         )
         index = self.equation.roles[OFFSET]
         force = self.equation.input_gain * u[begin] - (0.0 if index is None else theta[index])
-        still = bool(np.all(counts[begin] == counts[0])) and counts.size > REST_SAMPLES
-        return still and bool(np.all(np.abs(force) <= friction)) and self.equation.roles[STIFFNESS] is None
+        return bool(np.all(np.abs(force) <= friction)) and self.equation.roles[STIFFNESS] is None
 
     def noise(self) -> NDArray[np.float64]:
         """(p, p) covariance that a white encoder error of the step's variance has in the regressors of one sample."""
