@@ -1,9 +1,8 @@
-"""What the terminal shows: the table of a result, and progress."""
+"""What the terminal shows: the tables of results."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,9 +14,6 @@ if TYPE_CHECKING:
     from pmfid.session.pipeline import Result
     from pmfid.session.process import ProcessResult
     from pmfid.studies.reproduce.merit import Merit
-
-#: Shorter runs are over before a bar could be read.
-PROGRESS_FROM = 1_000_000
 
 
 def print_result(result: Result, out: Path | None) -> None:
@@ -172,17 +168,3 @@ def print_search(search: Search, name: str, out: Path | None) -> None:
         console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
     if out is not None:
         console.print(f"report: {out / 'order.html'}", highlight=False, markup=False, soft_wrap=True)
-
-
-@contextmanager
-def progress_bar(samples: int, quiet: bool, what: str = "") -> Iterator[Callable[[float], None] | None]:
-    """A progress bar on standard error for long runs, or nothing."""
-    if quiet or samples < PROGRESS_FROM:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task(what or f"{samples} samples", total=1.0)
-        yield lambda done: progress.update(task, completed=done)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.encoder import fine_counts
-from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.errors import NotIdentifiableError, UsageError, place_of
 from pmfid.estimators.base import EXACT, START_PIVOT, Estimator, check_arrays, check_size
 from pmfid.status import Status
 
@@ -45,8 +45,8 @@ class Fit:
         return np.asarray(np.sqrt(np.diagonal(self.theta_cov)))
 
     def __getitem__(self, name: str) -> float:
-        """One parameter."""
-        return float(self.theta[self.names.index(name)])
+        """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        return float(self.theta[place_of(name, self.names)])
 
 
 @dataclass(frozen=True)

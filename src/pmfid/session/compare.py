@@ -31,31 +31,37 @@ class Comparison:
         return {"record": self.name, "samples": self.samples, "methods": methods}
 
 
-def compare(record: Record, axis: Axis, done: Callable[[str], None] | None = None) -> Comparison:
-    """Runs every method with the settings of `axis`; `done` is called with each name. Raises UsageError as `identify`
-    does, and NotIdentifiableError where no method has an answer."""
+def compare(record: Record, axis: Axis, done: Callable[[float], None] | None = None) -> Comparison:
+    """Runs every method with the settings of `axis`; `done` is called with the part that has run. Raises UsageError as
+    `identify` does, and NotIdentifiableError where no method has an answer."""
     results: dict[str, Result] = {}
     refused: dict[str, Exception] = {}
-    for method in methods_for(axis.model.make()):
+    methods = methods_for(axis.model.make())
+    for count, method in enumerate(methods, 1):
         try:
             results[method] = identify(record, _with_method(axis, method))
         except NotIdentifiableError as error:
             refused[method] = error
         if done is not None:
-            done(method)
+            done(count / len(methods))
     return Comparison(record.name, int(record.u.size), results, _reasons(results, refused))
 
 
-def compare_processes(experiments: Sequence[Experiment], axis: Axis) -> Comparison:
+def compare_processes(
+    experiments: Sequence[Experiment], axis: Axis, done: Callable[[float], None] | None = None
+) -> Comparison:
     """The same for a transfer function, where some methods do not take every record. Raises what the first method
     raised where none has an answer."""
     results: dict[str, ProcessResult] = {}
     refused: dict[str, Exception] = {}
-    for method in methods_for(axis.model.make()):
+    methods = methods_for(axis.model.make())
+    for count, method in enumerate(methods, 1):
         try:
             results[method] = identify_process(experiments, _with_method(axis, method))
         except (NotIdentifiableError, UsageError) as error:
             refused[method] = error
+        if done is not None:
+            done(count / len(methods))
     name = ", ".join(experiment.name for experiment in experiments)
     return Comparison(name, sum(part.u.size for part in experiments), results, _reasons(results, refused))
 

@@ -52,6 +52,8 @@ def load_sections(
             table[key] = value
     try:
         return whole.model_validate(raw)
+    except UsageError as error:  # of sections that do not fit each other
+        raise UsageError(f"{path}: {error}") from None
     except ValidationError as error:
         # A misspelt key is also a missing one: the misspelling comes first, as it explains the other.
         details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
