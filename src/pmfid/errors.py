@@ -14,6 +14,7 @@ __all__ = [
     "UsageError",
     "did_you_mean",
     "place_of",
+    "printable",
     "whole_number",
 ]
 
@@ -40,6 +41,11 @@ class UnknownParameterError(UsageError, KeyError):
 
     def __str__(self) -> str:
         return str(self.args[0])  # that of a KeyError would quote the sentence
+
+
+def printable(text: str) -> str:
+    """`text` with its control characters, but for line feeds, as escapes: a name must not steer a terminal."""
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
 
 
 def place_of(name: str, names: Sequence[str]) -> int:

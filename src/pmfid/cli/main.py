@@ -16,7 +16,7 @@ from pmfid.cli.monitor import monitor
 from pmfid.cli.progress import progress
 from pmfid.cli.reproduce import reproduce
 from pmfid.cli.simulate import simulate
-from pmfid.errors import PmfidError, UsageError
+from pmfid.errors import PmfidError, UsageError, printable
 from pmfid.estimators import METHODS
 
 if TYPE_CHECKING:
@@ -48,14 +48,14 @@ class Group(click.Group):
         try:
             return super().invoke(ctx)
         except PmfidError as error:
-            click.echo(f"pmfid: {error}", err=True)
+            click.echo(f"pmfid: {printable(str(error))}", err=True)
             ctx.exit(error.exit_code)
         except BrokenPipeError:  # the reader went away: what it has read is all that it wanted
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             ctx.exit(0)
         except OSError as error:
             reason = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-            click.echo(f"pmfid: {reason}; choose another place", err=True)
+            click.echo(f"pmfid: {printable(reason)}; choose another place", err=True)
             ctx.exit(EXIT_USAGE)
         except KeyboardInterrupt:
             click.echo("pmfid: interrupted", err=True)

@@ -155,7 +155,7 @@ class Estimator:
     @property
     def _extra(self) -> int:
         """Unknown coefficients of f(s): in the extended model without compensation (paper eq. 19, 21)."""
-        return 0 if self.instrumental else len(self.zeros)
+        return 0 if self.instrumental or self.simulates else len(self.zeros)
 
     @property
     def spec(self) -> FilterSpec:

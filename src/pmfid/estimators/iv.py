@@ -12,7 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel, role_values
 from pmfid.estimators.base import check_arrays, check_size, like
-from pmfid.estimators.batch import BCLS, TINY, BatchEstimator, Columns, Fit, check_identifiable, solve_with_instruments
+from pmfid.estimators.batch import (
+    BCLS,
+    TINY,
+    BatchEstimator,
+    Columns,
+    Fit,
+    check_identifiable,
+    inverse_of,
+    solve_with_instruments,
+)
 from pmfid.estimators.known_step import impulse_products
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.srivc import counted, fit_process, fixed_filters, without_start
@@ -67,7 +76,7 @@ class IV(BatchEstimator):
         theta = self.start(u, counts)
         for turn in range(MAX_ITERATIONS):
             columns = self.columns_at(theta, u, counts)
-            check_identifiable(columns, self.names)
+            check_identifiable(columns, self.names, simulated=True)
             before, theta = theta, self._plausible(theta, self._solve(columns)[0])
             if turn >= DAMPED_FROM:
                 theta = (theta + before) / 2
@@ -78,7 +87,8 @@ class IV(BatchEstimator):
                 return columns, theta
         raise NotIdentifiableError(
             f"the iteration does not settle (last {dict(zip(self.names, theta.round(4).tolist(), strict=True))}): the "
-            "simulated motion does not follow the measured one; check input_gain and the model, or give `initial`"
+            "simulated motion does not follow the measured one; check input_gain and the model, or in Python give "
+            "`initial`"
         )
 
     def _gain(
@@ -96,7 +106,7 @@ class IV(BatchEstimator):
                 beside = self.columns_at(moved, u, counts)
                 error.append(beside.z - beside.phi @ moved)
             jacobian[:, i] = columns.zeta.T @ (error[1] - error[0]) / (2 * step)
-        return np.asarray(np.linalg.inv(jacobian))
+        return inverse_of(jacobian)
 
     def start(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
         """Parameters to simulate with first: the given ones, or from the counts alone; (p,)."""
@@ -152,8 +162,8 @@ def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
             theta[index] = value
     if not values[MASS] > 0:
         raise NotIdentifiableError(
-            f"no start for the iteration: from the counts alone the mass comes out as {values[MASS]:.3g}; "
-            "give `initial`, or use a lower cutoff"
+            f"no start for the iteration: from the counts alone the mass comes out as {values[MASS]:.3g}; check the "
+            "signs of input and output, use a lower cutoff, record a livelier motion, or in Python give `initial`"
         )
     return np.where(equation.positive, np.maximum(theta, 0.0), theta)
 

@@ -241,7 +241,7 @@ def least(difference: Difference, q: Floats) -> Floats:
     if found.status <= 0:
         raise NotIdentifiableError(
             f"the iteration did not settle within {MAX_EVALUATIONS} simulations: the simulated position does not "
-            "follow the record closely; use iv, or give `initial`"
+            "follow the record closely; use iv, or in Python give `initial`"
         )
     return np.asarray(found.x)
 

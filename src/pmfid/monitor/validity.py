@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator, like
-from pmfid.estimators.batch import BCLS, TINY
+from pmfid.estimators.batch import BCLS, BEYOND, TINY
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.status import Status
@@ -174,6 +174,11 @@ def _residual(
     twin = like(IV, estimator, prefilter_zeros=None)
     columns = twin.columns_at(theta, u, counts)
     error = columns.z - columns.phi @ theta
+    if error.size == 0:
+        return
+    if not np.max(np.abs(error)) < BEYOND:
+        yield "unmodelled", "the motion simulated with this estimate leaves the range of numbers: do not believe it"
+        return
     change = np.diff(u, prepend=u[0])
     recent = slice(-round(min(error.size, 3 / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None)
     times = np.sqrt(np.mean(error[recent] ** 2) / max(float(theta @ twin.noise() @ theta), TINY))

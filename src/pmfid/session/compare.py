@@ -10,7 +10,8 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.registry import methods_for
 from pmfid.linear.experiment import Experiment
 from pmfid.session.config import Axis
-from pmfid.session.pipeline import Result, identify
+from pmfid.session.diagnosis import check_direction, diagnose
+from pmfid.session.pipeline import Result, estimate, explained
 from pmfid.session.process import ProcessResult, identify_process
 from pmfid.session.records import Record
 
@@ -35,16 +36,21 @@ def compare(record: Record, axis: Axis, done: Callable[[float], None] | None = N
     """Runs every method with the settings of `axis`; `done` is called with the part that has run. Raises UsageError as
     `identify` does, and NotIdentifiableError where no method has an answer."""
     results: dict[str, Result] = {}
-    refused: dict[str, Exception] = {}
+    refused: dict[str, NotIdentifiableError] = {}
+    mistake = check_direction(record, axis)
+    if mistake:
+        raise UsageError(mistake)
     methods = methods_for(axis.model.make())
     for count, method in enumerate(methods, 1):
         try:
-            results[method] = identify(record, _with_method(axis, method))
+            results[method] = estimate(record, _with_method(axis, method))
         except NotIdentifiableError as error:
             refused[method] = error
         if done is not None:
             done(count / len(methods))
-    return Comparison(record.name, int(record.u.size), results, _reasons(results, refused))
+    mistake = diagnose(record, axis) if refused else ""
+    reasons = _reasons(results, {method: explained(error, mistake) for method, error in refused.items()})
+    return Comparison(record.name, int(record.u.size), results, reasons)
 
 
 def compare_processes(
@@ -70,7 +76,7 @@ def _with_method(axis: Axis, method: str) -> Axis:
     return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"method": method})})
 
 
-def _reasons(results: dict[str, Any], refused: dict[str, Exception]) -> dict[str, str]:
+def _reasons(results: Mapping[str, Any], refused: Mapping[str, Exception]) -> dict[str, str]:
     if not results:
         raise next(iter(refused.values()))
     return {method: str(error) for method, error in refused.items()}
