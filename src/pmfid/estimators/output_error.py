@@ -226,18 +226,24 @@ def least(difference: Difference, q: Floats) -> Floats:
     """Least squares from q (q,). Raises NotIdentifiableError where the iteration does not settle."""
     from scipy.optimize import least_squares  # slow to import, and only this needs it
 
-    with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
-        found = least_squares(
-            difference,
-            q,
-            difference.jacobian,
-            bounds=(difference.lower, np.inf),
-            x_scale="jac",
-            ftol=TOLERANCE,
-            xtol=TOLERANCE,
-            gtol=TOLERANCE,
-            max_nfev=MAX_EVALUATIONS,
-        )
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
+            found = least_squares(
+                difference,
+                q,
+                difference.jacobian,
+                bounds=(difference.lower, np.inf),
+                x_scale="jac",
+                ftol=TOLERANCE,
+                xtol=TOLERANCE,
+                gtol=TOLERANCE,
+                max_nfev=MAX_EVALUATIONS,
+            )
+    except ValueError:  # sensitivities that are not finite
+        raise NotIdentifiableError(
+            "the simulated position leaves the range of numbers: it does not follow the record; use iv, or in Python "
+            "give `initial`"
+        ) from None
     if found.status <= 0:
         raise NotIdentifiableError(
             f"the iteration did not settle within {MAX_EVALUATIONS} simulations: the simulated position does not "

@@ -183,8 +183,9 @@ def _relative_error(columns: Columns, track: Track) -> float:
     known = columns.used & ((track.status & (Status.SETTLING | Status.STARTING)) == 0)
     rows = known[columns.used]
     z = columns.z[rows]
-    residual = z - np.sum(columns.phi[rows] * track.theta[known], axis=1)
-    return float(np.linalg.norm(residual) / np.linalg.norm(z))
+    with np.errstate(over="ignore"):  # of a track that has diverged: infinite is right, and no result
+        residual = z - np.sum(columns.phi[rows] * track.theta[known], axis=1)
+        return float(np.linalg.norm(residual) / np.linalg.norm(z))
 
 
 def _run(estimator: RecursiveEstimator, record: Record, progress: Progress | None) -> Track:
