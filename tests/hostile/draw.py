@@ -284,7 +284,7 @@ def _typed(rng: Rng, columns: Columns) -> Columns:
     ways: list[Callable[[], Any]] = [
         lambda: [f"{value:.6g} V" for value in values.tolist()],
         lambda: [str(value).replace(".", ",") for value in values.tolist()],
-        lambda: values > np.median(values) if values.size else values,
+        lambda: _numbers(values) > 0.1,
         lambda: ["" for _ in values],
         lambda: [f" {value!r} " for value in values.tolist()],
     ]

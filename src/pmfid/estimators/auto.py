@@ -52,6 +52,8 @@ def first_fit(configured: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[E
             continue
         if fit.theta[candidate.equation.leading] > 0 and not fit.status & Status.FALLBACK:
             return candidate, f"{cls.method}: {reason}", fit
+    if not refused:
+        raise NotIdentifiableError("the mass comes out negative: check sign and scale of the input and the encoder")
     raise NotIdentifiableError(refused[0].partition(": ")[2])
 
 

@@ -43,8 +43,9 @@ class Fit:
 
     @property
     def theta_std(self) -> NDArray[np.float64]:
-        """(p,) standard deviations."""
-        return np.asarray(np.sqrt(np.diagonal(self.theta_cov)))
+        """(p,) standard deviations; NaN where rounding leaves no variance."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.sqrt(np.diagonal(self.theta_cov)))
 
     def __getitem__(self, name: str) -> float:
         """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""

@@ -183,7 +183,7 @@ def _relative_error(columns: Columns, track: Track) -> float:
     known = columns.used & ((track.status & (Status.SETTLING | Status.STARTING)) == 0)
     rows = known[columns.used]
     z = columns.z[rows]
-    with np.errstate(over="ignore"):  # of a track that has diverged: infinite is right, and no result
+    with np.errstate(over="ignore", invalid="ignore"):  # of a track that has diverged: infinite is right, and no result
         residual = z - np.sum(columns.phi[rows] * track.theta[known], axis=1)
         return float(np.linalg.norm(residual) / np.linalg.norm(z))
 

@@ -174,6 +174,11 @@ def _counts(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
         # a bare floor would lose a whole count: hence the tiny tolerance.
         counts = _floor_counts(output, axis.encoder.resolution, 1e-6)
         return counts, ("bits is ignored, the output is a position",) if bits is not None else ()
+    counts = _whole(output)
+    return (counts, ()) if bits is None else _unwrap(counts, bits)
+
+
+def _whole(output: Floats) -> Counts:
     rounded = np.rint(output)
     bad = np.flatnonzero((np.abs(output - rounded) > 1e-6) | (np.abs(output) >= _MAX_COUNT))
     if len(bad):
@@ -181,8 +186,7 @@ def _counts(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
             f"counts must be integers below 2**53, got {output[bad[0]]:.9g} in row {bad[0] + 1}; "
             f'set output_kind = "position" if the column is a position'
         )
-    counts = rounded.astype(np.int64)
-    return (counts, ()) if bits is None else _unwrap(counts, bits)
+    return rounded.astype(np.int64)
 
 
 def _floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
@@ -202,7 +206,8 @@ def _unwrapped(output: Floats, bits: int | None) -> Floats:
     if bits is None:
         return output
     unwrapped, there = output.copy(), np.isfinite(output)
-    unwrapped[there] = _unwrap(np.rint(output[there]).astype(np.int64), bits)[0] if np.any(there) else output[there]
+    if np.any(there):
+        unwrapped[there] = _unwrap(_whole(np.where(there, output, 0.0))[there], bits)[0]
     return unwrapped
 
 

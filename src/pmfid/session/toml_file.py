@@ -69,7 +69,7 @@ def _read_toml(path: Path, kind: str) -> dict[str, Any]:
         raise UsageError(f"{path}: cannot read the configuration: {error.strerror}; give {kind}") from None
     except UnicodeDecodeError:
         raise UsageError(f"{path}: the configuration is not UTF-8 text; give {kind}") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits
         raise UsageError(f"{path}: not valid TOML: {error}; correct that line") from None
 
 
