@@ -84,7 +84,8 @@ def test_markup_in_a_unit_is_printed_as_it_stands(tmp_path: Path) -> None:
     lines = CART.replace(
         "input_gain = 2.0",
         'kind = "equation"\nunknown = [{ signal = "output", derivative = 2, name = "m", '
-        'unit = "[bold]$\\\\frac$[/x]" }, { signal = "output", derivative = 1, name = "d" }, { signal = "direction", name = "c" }]\n'
+        'unit = "[bold]$\\\\frac$[/x]" }, '
+        '{ signal = "output", derivative = 1, name = "d" }, { signal = "direction", name = "c" }]\n'
         'known = [{ signal = "input", coefficient = 2.0 }]',
     )
     demo = CliRunner().invoke(main, ["simulate", "prbs", "--out", str(tmp_path / "run.csv"), "--duration", "10"])

@@ -16,6 +16,10 @@ from pmfid.status import Status
 #: A target closer than this to one regressor alone, relative to its size, identifies nothing else.
 TARGET_APART = 1e-6
 TINY = 1e-300
+NO_SOLUTION = (
+    "the equations for the parameters have no one solution: too little excitation; record reversals, and speeds and "
+    "accelerations that vary"
+)
 #: The square of a number must not leave the format.
 BEYOND = 1e120
 #: Of the power of a column that must not follow from the others, of a linear process: its derivatives nearly do, around
@@ -184,7 +188,11 @@ def solve_with_instruments(columns: Columns) -> tuple[NDArray[np.float64], NDArr
     scale = np.linalg.norm(columns.zeta, axis=0)
     Q, R = np.linalg.qr(columns.zeta / scale)
     inverse = inverse_of(Q.T @ columns.phi)
-    return inverse @ (Q.T @ columns.z), inverse @ inverse_of(R.T) / scale
+    with np.errstate(all="ignore"):  # what comes of it is looked at
+        theta, gain = inverse @ (Q.T @ columns.z), inverse @ inverse_of(R.T) / scale
+    if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(gain))):
+        raise NotIdentifiableError(NO_SOLUTION)
+    return theta, gain
 
 
 def inverse_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -195,10 +203,7 @@ def inverse_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     except np.linalg.LinAlgError:
         inverse = np.full_like(matrix, np.nan)
     if not np.all(np.isfinite(inverse)):
-        raise NotIdentifiableError(
-            "the equations for the parameters have no one solution: too little excitation; record reversals, and "
-            "speeds and accelerations that vary"
-        )
+        raise NotIdentifiableError(NO_SOLUTION)
     return np.asarray(inverse)
 
 

@@ -6,6 +6,7 @@ import io
 import warnings
 import zlib
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -46,17 +47,22 @@ def read_table(path: Path) -> Table:
         raise UsageError(f"file type {path.suffix!r} is not known; use one of {', '.join(parsers)}")
     if not data.strip():
         raise UsageError("the file is empty; export the record again")
-    try:
+    with _readable(path.suffix.lower()):
         return parse(data)
+
+
+@contextmanager
+def _readable(kind: str) -> Iterator[None]:
+    """Turns whatever a reader stumbles over into a UsageError: OSError, ValueError, zlib.error, and polars' Rust core a
+    PanicException that is no Exception. Only what ends the program passes through."""
+    try:
+        yield
     except UsageError:
         raise
     except BaseException as error:
-        # The readers raise whatever they stumble over: OSError, ValueError, zlib.error, and polars' Rust core
-        # a PanicException that is no Exception. Only what ends the program passes through.
         if isinstance(error, (KeyboardInterrupt, SystemExit, GeneratorExit)):
             raise
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        kind = path.suffix.lower()
         raise UsageError(f"not a readable {kind} file, truncated or corrupt ({reason}); export it again") from None
 
 
@@ -134,7 +140,8 @@ class _ParquetTable(Mapping[str, Any]):
 
         if name not in self._names:
             raise KeyError(name)
-        return pl.read_parquet(io.BytesIO(self._data), columns=[name])[name]
+        with _readable(".parquet"):
+            return pl.read_parquet(io.BytesIO(self._data), columns=[name])[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._names)
