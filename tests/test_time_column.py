@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from pmfid.session.clock import named_unit
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.pipeline import identify
 from pmfid.session.records import read_experiment, read_record
+from pmfid.session.stream import Stop, line_samples
 from tests.conftest import cart_run
 
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -102,6 +104,13 @@ def test_a_cutoff_too_high_asks_for_the_unit_first(tmp_path: Path) -> None:
     axis = axis_of(tmp_path, "t", cutoff=500.0)
     with pytest.raises(UsageError, match=r"give \[record\] time_unit if .* else use at most 2/dt = 200"):
         identify(read_record(logged(tmp_path, "t", 0.01), axis), axis)
+
+
+def test_a_pipe_has_the_unit_of_the_record(tmp_path: Path) -> None:
+    lines = BytesIO(b"t_ms,u,counts\n0,1.0,5\n10,1.0,6\n30,1.0,7\n")
+    samples = list(line_samples(lines, axis_of(tmp_path, "t_ms"), 0.01, Stop()))
+    assert [sample.time for sample in samples] == pytest.approx([0.0, 0.01, 0.03])
+    assert [sample.missing for sample in samples] == [0, 0, 1]
 
 
 def test_a_unit_without_a_column_is_refused(tmp_path: Path) -> None:
