@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 
-@click.command()
+@click.command(short_help="Watch a record or a pipe and tell what changes.")
 @click.argument("record", type=click.Path(path_type=Path, allow_dash=True))
 @click.option(
     "--config",
@@ -126,10 +126,6 @@ class _Teller:
 
 
 def _progress(quiet: bool) -> Any:
-    from contextlib import nullcontext
+    from pmfid.cli.progress import progress
 
-    if quiet or not sys.stderr.isatty():
-        return nullcontext(None)
-    from pmfid.cli.tables import progress_bar
-
-    return progress_bar(10**9, False, "calibration")
+    return progress("calibration", quiet)

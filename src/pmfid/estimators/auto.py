@@ -62,6 +62,8 @@ def first_fit(configured: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[E
             return sharp.method, f"interval: the model explains every count, and {cls.method} contradicts it", sharp.fit
         if fit.theta[candidate.equation.leading] > 0:
             return candidate, f"{cls.method}: {reason}{doubt}", fit
+    if not refused:
+        raise NotIdentifiableError("the mass comes out negative: check sign and scale of the input and the encoder")
     raise NotIdentifiableError(refused[0].partition(": ")[2])
 
 

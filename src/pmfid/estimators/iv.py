@@ -19,6 +19,7 @@ from pmfid.estimators.batch import (
     Columns,
     Fit,
     check_identifiable,
+    inverse_of,
     long_run_covariance,
     solve_with_instruments,
 )
@@ -79,7 +80,7 @@ class IV(BatchEstimator):
         theta = self.start(u, counts)
         for turn in range(MAX_ITERATIONS):
             columns = self.columns_at(theta, u, counts)
-            check_identifiable(columns, self.names)
+            check_identifiable(columns, self.names, simulated=True)
             before, theta = theta, self._plausible(theta, self._solve(columns)[0])
             if turn >= DAMPED_FROM:
                 theta = (theta + before) / 2
@@ -90,7 +91,8 @@ class IV(BatchEstimator):
                 return columns, theta
         raise NotIdentifiableError(
             f"the iteration does not settle (last {dict(zip(self.names, theta.round(4).tolist(), strict=True))}): the "
-            "simulated motion does not follow the measured one; check input_gain and the model, or give `initial`"
+            "simulated motion does not follow the measured one; check input_gain and the model, or in Python give "
+            "`initial`"
         )
 
     def _covariance(
@@ -117,7 +119,7 @@ class IV(BatchEstimator):
                 beside = self.columns_at(moved, u, counts)
                 error.append(beside.z - beside.phi @ moved)
             jacobian[:, i] = columns.zeta.T @ (error[1] - error[0]) / (2 * step)
-        return np.asarray(np.linalg.inv(jacobian))
+        return inverse_of(jacobian)
 
     def start(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
         """Parameters to simulate with first: the given ones, or from the counts alone; (p,)."""
@@ -192,8 +194,8 @@ def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
             theta[index] = value
     if not values[MASS] > 0:
         raise NotIdentifiableError(
-            f"no start for the iteration: from the counts alone the mass comes out as {values[MASS]:.3g}; "
-            "give `initial`, or use a lower cutoff"
+            f"no start for the iteration: from the counts alone the mass comes out as {values[MASS]:.3g}; check the "
+            "signs of input and output, use a lower cutoff, record a livelier motion, or in Python give `initial`"
         )
     return np.where(equation.positive, np.maximum(theta, 0.0), theta)
 

@@ -283,24 +283,30 @@ def least(difference: Difference, q: Floats) -> Floats:
     from scipy.optimize import least_squares  # slow to import, and only this needs it
 
     for tolerance in (TOLERANCE, ROUGH_TOLERANCE):
-        with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
-            found = least_squares(
-                difference,
-                q,
-                difference.jacobian,
-                bounds=(difference.lower, np.inf),
-                x_scale="jac",
-                ftol=tolerance,
-                xtol=tolerance,
-                gtol=tolerance,
-                max_nfev=MAX_EVALUATIONS,
-            )
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
+                found = least_squares(
+                    difference,
+                    q,
+                    difference.jacobian,
+                    bounds=(difference.lower, np.inf),
+                    x_scale="jac",
+                    ftol=tolerance,
+                    xtol=tolerance,
+                    gtol=tolerance,
+                    max_nfev=MAX_EVALUATIONS,
+                )
+        except ValueError:  # sensitivities that are not finite
+            raise NotIdentifiableError(
+                "the simulated position leaves the range of numbers: it does not follow the record; use iv, or in "
+                "Python give `initial`"
+            ) from None
         q = np.maximum(found.x, difference.lower)
         if found.status > 0 or rms(difference(q)) <= difference.explained:
             return np.asarray(q)
     raise NotIdentifiableError(
         f"the iteration did not settle within {MAX_EVALUATIONS} simulations: the simulated position does not "
-        "follow the record closely; use iv"
+        "follow the record closely; use iv, or in Python give `initial`"
     )
 
 

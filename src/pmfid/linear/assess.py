@@ -10,6 +10,7 @@ from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 from scipy.special import chdtri
 
+from pmfid.errors import NotIdentifiableError
 from pmfid.linear.experiment import Stretch
 from pmfid.linear.sensitivity import simulate
 from pmfid.linear.solve import Problem, visit
@@ -17,6 +18,8 @@ from pmfid.linear.solve import Problem, visit
 Floats = NDArray[np.float64]
 
 LAGS = 25
+#: The square of a number must not leave the format.
+BEYOND = 1e120
 #: Normal deviate of the bounds: 99 % of independent residuals lie within.
 DEVIATE = 2.576
 #: Lags of the predictions of residual and input from their own past, and of the test for feedback.
@@ -78,7 +81,8 @@ def _few_beyond(correlations: Floats, bound: float) -> bool:
 
 
 def assess(problem: Problem, theta: Floats, delay: int = 0) -> Assessment:
-    """theta (p,) in the problem's units; delay: by so many samples its inputs are late."""
+    """theta (p,) in the problem's units; delay: by so many samples its inputs are late. Raises NotIdentifiableError
+    where the simulated output leaves the range of numbers."""
     count = len(problem.stretches)
     point = visit(problem, theta, np.zeros((count, problem.structure.n)))
     pairs = zip(problem.stretches, point.initial, strict=True)
@@ -87,6 +91,11 @@ def assess(problem: Problem, theta: Floats, delay: int = 0) -> Assessment:
     ]
     measured = [stretch.y[stretch.rows] for stretch in problem.stretches]
     residual = [y - x for y, x in zip(measured, simulated, strict=True)]
+    if not max(float(np.max(np.abs(e), initial=0.0)) for e in residual) < BEYOND:
+        raise NotIdentifiableError(
+            "the simulated output leaves the range of numbers: the records do not identify the transfer function; "
+            "excite the process more, or use fewer poles and zeros"
+        )
     left = sum(float(e @ e) for e in residual)
     whole = sum(float(np.sum((y - np.mean(y)) ** 2)) for y in measured)
     grids = [_on_grid(e, stretch, -1) for e, stretch in zip(residual, problem.stretches, strict=True)]

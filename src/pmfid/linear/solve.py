@@ -74,6 +74,7 @@ class Solution:
     passes: int
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a process that is far off: its loss is not finite, and no better
 def visit(problem: Problem, theta: Floats, initial: Floats) -> Point:
     """Linearises at theta (p,); initial (stretches, n) is moved to where it fits best."""
     errors, phis, zetas, found = [], [], [], []
@@ -164,6 +165,8 @@ def descend(problem: Problem, start: Point, settled: float = SETTLED) -> Solutio
             return Solution(replace(point, theta=point.theta + last), True, passes)
         while damping < 1e12:
             step = np.linalg.solve(normal + damping * np.eye(size.size), slope) / size
+            if not np.all(np.isfinite(step)):
+                return Solution(point, False, passes)
             trial = _at(problem, point.theta + step, point.initial)
             if np.isfinite(trial.cost) and trial.cost <= point.cost:
                 point, damping = trial, damping / 5

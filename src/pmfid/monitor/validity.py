@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import CONTRADICTED, examine, force_moves
 from pmfid.estimators.base import Estimator, like
-from pmfid.estimators.batch import BCLS, TINY
+from pmfid.estimators.batch import BCLS, BEYOND, TINY
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.output_error import OE, WORST_FIT
 from pmfid.estimators.zeros import choose_prefilter_zeros
@@ -235,6 +235,11 @@ def _feedback(
     theta = np.where(equation.positive, np.maximum(theta, 0.0), theta)
     columns = like(IV, estimator, prefilter_zeros=None).columns_at(theta, u, counts)
     error = columns.z - columns.phi @ theta
+    if error.size == 0:
+        return
+    if not np.max(np.abs(error)) < BEYOND:
+        yield "unmodelled", "the motion simulated with this estimate leaves the range of numbers: do not believe it"
+        return
     change, last = np.diff(u, prepend=u[0])[columns.used], recent(estimator, error.size)
     if correlation_score(error[last], change[last]) > SIGNIFICANT:
         yield (

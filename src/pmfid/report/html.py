@@ -65,7 +65,8 @@ def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:
     )
     parts = [_part(section, f"s{number}-") for number, section in enumerate(sections, 1)]
     page = environment.from_string(source).render(title=title, sections=parts)
-    path.write_text(page + "\n", "utf-8", newline="\n")
+    # a file name need not be text: what has no letters is shown as a question mark
+    path.write_bytes((page + "\n").encode("utf-8", "replace"))
 
 
 def _part(section: Section, prefix: str) -> dict[str, object]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, BinaryIO
 
 from pmfid.errors import UsageError, did_you_mean
+from pmfid.session.clock import time_factor
 from pmfid.session.config import Axis
 from pmfid.session.records import Record
 
@@ -106,12 +107,14 @@ class _Parser:
                 raise UsageError(f"standard input has no column {name!r}; it has {known}{did_you_mean(name, names)}")
         self._columns, self._width = [names.index(name) for name in wanted], len(names)
         self._scale, self._dt = config.input_scale, dt
+        self._unit = time_factor(config)
         self._step = axis.encoder.resolution if config.output_kind == "position" else None
         self._time, self._counts, self._first = -dt, 0, True
 
     def __call__(self, line: bytes) -> Sample:
         try:
             values = [float(cell) for cell in self._cells(line)]
+            values[2:] = [self._unit * time for time in values[2:]]
             counts = self._count(values[1])
             if not all(math.isfinite(value) for value in values):
                 raise ValueError("a value that is not finite")
