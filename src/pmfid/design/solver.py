@@ -17,7 +17,7 @@ from pmfid.design.fisher import check_identifiable
 from pmfid.design.oracle import Oracle
 from pmfid.design.problem import Float, Problem
 from pmfid.design.result import Design
-from pmfid.errors import UsageError
+from pmfid.errors import NotIdentifiableError, UsageError
 
 __all__ = ["evaluate", "price_of_robustness", "solve"]
 
@@ -54,6 +54,11 @@ def solve(
     check_identifiable(problem, ready.maps[0])
     results = _all_starts(ready, np.random.SeedSequence(seed).spawn(starts), workers, progress)
     design = ready.design(_refined(ready, max(results, key=lambda found: found[0])[1]))
+    if not design.value > 0:
+        raise NotIdentifiableError(
+            f"no input within the limits tells {', '.join(problem.names)} in one run; give the motion more time or "
+            "intervals, take a parameter out of unknown, or give prior information"
+        )
     least = np.log(design.value) + np.log1p(-REACHED)
     reached = float(np.mean([np.log(ready.value(u)) >= least for _, u in results]))
     bound = None
