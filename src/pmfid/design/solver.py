@@ -43,7 +43,7 @@ def solve(
     """The best input that `starts` random starts find; the same for the same seed and number of workers.
 
     criterion: a key of `CRITERIA`; combination: {parameter: weight} for "c". workers: threads. progress: called after
-    every start. certify: seconds to spend on a proved upper bound, None for none; gap: where to stop with it.
+    every start. certify: seconds of the processor for a proved upper bound, None for none; gap: where to stop with it.
     Raises UsageError, NotIdentifiableError (a parameter that no input tells), InfeasibleError (with what to relax),
     SolverError.
     """
