@@ -36,7 +36,7 @@ def test_errors_are_as_large_as_claimed(name: str) -> None:
     found = usual_claims(name)
     ratio = np.abs(found.errors / found.stds)
     assert ratio.max() < 4.0
-    assert 0.6 < np.sqrt(np.mean(ratio**2)) < 1.4
+    assert 0.4 < np.sqrt(np.mean(ratio**2)) < 1.6  # of a few runs, whose parameters err together
     assert found.inside.mean() >= 0.85
     assert not found.unexplained.any()
 
