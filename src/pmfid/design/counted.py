@@ -30,6 +30,10 @@ LEAST_ROOM = 0.25
 #: Steps towards the middle, and the part of it by which the last one still narrows the range.
 STEPS, SETTLED = 20, 1e-4
 WALKERS = 48
+#: Of so many walkers one is checked.
+CHECKED = 4
+#: Counts that the map may be wrong by.
+LOST = 0.05
 #: Rounds of the walk, each on a map around the last one's middle: steps to spread, steps that count.
 ROUNDS = ((100, 60), (60, 60), (60, 240))
 #: Quantiles of the interval that holds 95 %.
@@ -40,7 +44,8 @@ WITHIN = (0.025, 0.975)
 class Open:
     """The parameters that are left: mean (p,), covariance (p, p), interval (p, 2) with 95 % of each.
 
-    unexplained: by how much the best motion misses a count, in counts, 0 where all are explained.
+    unexplained: by how much the best motion misses a count, or the typical one of the set its widened counts, in
+    counts; 0 where all are explained.
     """
 
     mean: Float
@@ -83,6 +88,10 @@ def what_is_open(
         covariance = np.atleast_2d(np.cov(flat.T))
         steps = np.asarray(np.linalg.cholesky(covariance), float)
         middle = flat[np.argmax(density(flat))]
+    # the map is smooth; a motion that comes to rest is not: what it promises is held against some motions themselves
+    true = float(np.median([_widest(distances(q)) for q in samples[::CHECKED]])) / 2.0
+    if true - wide > LOST:
+        unexplained = max(unexplained, true - wide)
     return Open(flat.mean(axis=0), covariance, np.quantile(flat, WITHIN, axis=0).T, unexplained)
 
 
