@@ -105,8 +105,7 @@ counts, with no parameter worse than by the trapezoid. Where no motion of the mo
 is wrong: a line says so, the deviations grow by what is missing, and beyond half a count nothing counts as reached.
 
 Without a record it writes the first one; with `--truth mass=1.8` it plays all rounds on a simulated axis. The limits
-cannot be met: exit code 3, and one line says which limit to relax and by how much. How true its deviations are is
-measured in [commissioning.md](commissioning.md).
+cannot be met: exit code 3, and one line says which limit to relax and by how much.
 """
 PYTHON = """
 The same in Python:
