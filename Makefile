@@ -61,6 +61,7 @@ study: .venv/installed
 	.venv/bin/python -m pmfid.studies.automatic --out docs/automatic.md
 	.venv/bin/python -m pmfid.studies.confidence --out docs/confidence.md
 	.venv/bin/python -m pmfid.studies.design --out docs/design.md
+	.venv/bin/python -m pmfid.studies.design_machines --out docs/commissioning.md
 	.venv/bin/python -m pmfid.studies.monitoring --out docs/monitoring.md
 	.venv/bin/python -m pmfid.studies.laboratory --out docs/laboratory.md --images docs/images
 	.venv/bin/python -m pmfid.studies.black_box --out docs/black_box.md

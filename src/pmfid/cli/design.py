@@ -41,7 +41,7 @@ KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": 
     default=5.0,
     show_default=True,
     metavar="S",
-    help="Seconds at most for a proof of how near the optimum is; 0 for none.",
+    help="Seconds of the processor at most for a proof of how near the optimum is; 0 for none.",
 )
 @click.option(
     "--motions",
