@@ -63,6 +63,10 @@ def monitor(
 
         write_monitored(report, "standard input" if piped else record.name, setup, run, history)
         tell.line(f"report: {report}")
+    if run.problem:
+        from pmfid.errors import UsageError
+
+        raise UsageError(run.problem)
 
 
 def _check_places(*paths: Path | None) -> None:
@@ -120,9 +124,13 @@ class _Teller:
         self(start_object(setup))
 
     def end(self, run: Any) -> None:
-        """The totals."""
-        names = ("samples", "bad_lines", "gaps", "missing")
-        self({"event": "end", **{name: getattr(run, name) for name in names}, "alarms": len(run.alarms)})
+        """The totals; what was skipped also on standard error, where it is seen."""
+        from pmfid.cli.monitor_lines import skipped
+
+        totals = run.totals()
+        self({"event": "end", **totals, **({"problem": run.problem} if run.problem else {})})
+        if parts := skipped(totals):
+            click.echo(f"skipped: {', '.join(parts)}", err=True)
 
 
 def _progress(quiet: bool) -> Any:

@@ -45,20 +45,34 @@ def _state(event: dict[str, Any]) -> str:
 
 
 def _bad_line(event: dict[str, Any]) -> str:
-    return f"{event['time']:.2f} s  bad line: {event['problem']}"
+    return f"{event['time']:.2f} s  {event['event']}: {event['problem']}"
 
 
 def _gap(event: dict[str, Any]) -> str:
     return f"{event['time']:.2f} s  {event['missing']} samples are missing before this one"
 
 
+def _clock(event: dict[str, Any]) -> str:
+    return f"{event['time']:.2f} s  the clock was set by {event['jump']:+.6g} s, or the logger started again"
+
+
 def _end(event: dict[str, Any]) -> str:
-    parts = [f"{event['samples']} samples", f"{event['alarms']} alarm{'s' * (event['alarms'] != 1)}"]
-    if event["bad_lines"]:
-        parts.append(f"{event['bad_lines']} bad lines")
+    found = [f"{event['samples']} samples", f"{event['alarms']} alarm{'s' * (event['alarms'] != 1)}"]
+    return ", ".join(found + skipped(event))
+
+
+def skipped(event: dict[str, Any]) -> list[str]:
+    """What was no sample, from the totals."""
+    parts = [
+        f"{event[name]} {word}{'s' * (event[name] != 1)}"
+        for name, word in (("bad_lines", "bad line"), ("repeated_lines", "repeated line"), ("comments", "comment"))
+        if event[name]
+    ]
     if event["missing"]:
         parts.append(f"{event['missing']} samples missing in {event['gaps']} gaps")
-    return ", ".join(parts)
+    if event["clock_jumps"]:
+        parts.append(f"clock set {event['clock_jumps']} times")
+    return parts
 
 
 _SENTENCES = {
@@ -67,6 +81,8 @@ _SENTENCES = {
     "settled": _settled,
     "state": _state,
     "bad line": _bad_line,
+    "repeated line": _bad_line,
     "gap": _gap,
+    "clock": _clock,
     "end": _end,
 }

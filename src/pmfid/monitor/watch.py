@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -69,7 +70,7 @@ class Monitor:
         self._scale = self.calibration.scale
         self._refer(self.calibration.theta)
         self._sum = Blocks(np.zeros((1, p)), np.zeros((1, p, p)), np.zeros((1, p, p)))
-        self._counts = 0
+        self._counts, self._zero, self._lost = 0, 0, False
         self._silent_blocks = max(SILENT_BLOCKS, round(SILENT_TIME / self._block_time))
 
     @property
@@ -82,9 +83,17 @@ class Monitor:
         return self._front.settle_samples * self._front.dt
 
     def step(self, u: float, counts: int) -> tuple[Any, list[Event]]:
-        """One sample as in `RecursiveEstimator.step`: the estimate, and what there is to tell."""
+        """One sample as in `RecursiveEstimator.step`: the estimate, and what there is to tell.
+
+        After a sample that was lost, u not finite, the counts go on from the last: whatever the counter did meanwhile,
+        no speed explains it.
+        """
+        lost = not math.isfinite(u)
+        if self._lost and not lost:
+            self._zero = self._counts - counts
+        counts = self._counts if lost else counts + self._zero
+        self._lost, self._counts = lost, counts
         estimate = self.estimator.step(u, counts)
-        self._counts = counts
         self.samples += 1
         block = self._filter.step(u, counts)
         return estimate, [] if block is None else self._on_block(block, estimate)

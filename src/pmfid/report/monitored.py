@@ -37,7 +37,7 @@ def run_data(setup: Setup, run: Run, history: History) -> RunData:
         estimator.units,
         t,
         np.array(u),
-        np.gradient(position, t),
+        _velocity(position, t),
         np.array(theta),
         np.array(std),
         np.array(innovation),
@@ -46,6 +46,12 @@ def run_data(setup: Setup, run: Run, history: History) -> RunData:
         setup.nominal,
         run.alarms,
     )
+
+
+def _velocity(position: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """(n,); a clock that was set may give two samples the same time."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.gradient(position, t))
 
 
 def _headline(run: Run) -> str:
@@ -58,8 +64,12 @@ def _headline(run: Run) -> str:
 
 def _verdict(setup: Setup, run: Run) -> Section:
     lines = [f"{run.samples} samples, {run.samples * setup.monitor.estimator.dt:.1f} s."]
-    if run.bad_lines:
-        lines.append(f"{run.bad_lines} lines could not be used.")
+    if run.bad_lines or run.repeated_lines:
+        lines.append(f"{run.bad_lines} lines could not be used, {run.repeated_lines} came again or too late.")
+    if run.clock_jumps:
+        lines.append(f"The clock was set {run.clock_jumps} times.")
+    if run.problem:
+        lines.append(f"The run ended: {run.problem}.")
     if run.missing:
         lines.append(f"{run.missing} samples are missing, in {run.gaps} gaps.")
     text = "\n\n".join([" ".join(lines), *(f"Note: {note}." for note in setup.notes)])
