@@ -77,7 +77,8 @@ def test_a_record_with_a_heavier_load(folder: Path) -> None:
     assert CHANGE < alarm["time"] < CHANGE + 3
     (settled,) = events(text, "settled")
     assert settled["parameters"]["mass"]["change"] == pytest.approx(0.2, abs=0.01)
-    assert events(text, "end") == [{"event": "end", "samples": 4000, "alarms": 1, **dict.fromkeys(SKIPPED, 0)}]
+    nothing = dict.fromkeys(SKIPPED, 0) | {"rows_lost": 0, "problem": ""}
+    assert events(text, "end") == [{"event": "end", "samples": 4000, "alarms": 1, **nothing}]
     table = pl.read_parquet(folder / "out.parquet")
     assert table.height == 4000
     assert table["mass"][-1] == pytest.approx(1.2 * CART.mass, rel=0.01)
@@ -271,9 +272,11 @@ def test_estimates_come_out_one_by_one(folder: Path) -> None:
     assert process.returncode == 0
 
 
-@pytest.mark.parametrize(("kind", "number"), [("csv", signal.SIGINT), ("parquet", signal.SIGTERM)])
+@pytest.mark.parametrize(
+    ("kind", "number"), [("csv", signal.SIGINT), ("parquet", signal.SIGTERM), ("parquet", signal.SIGHUP)]
+)
 def test_a_signal_ends_with_a_whole_file(folder: Path, kind: str, number: signal.Signals) -> None:
-    out, n = folder / f"killed.{kind}", 1500
+    out, n = folder / f"killed-{number}.{kind}", 1500
     process = subprocess.Popen(
         [*command(folder / "axis.toml", "--out", str(out), "--json")], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
@@ -293,31 +296,30 @@ def test_a_signal_ends_with_a_whole_file(folder: Path, kind: str, number: signal
     assert table.height == end["samples"]
     assert 100 < table.height <= n
     assert table["t"].to_numpy() == pytest.approx(np.arange(table.height) * CART_DT)
-    assert not list(folder.glob("*.part*"))
+    assert not list(folder.glob("*.parquet.csv"))
 
 
 # --- parts ------------------------------------------------------------------------------------------------------------
 
 
-def test_parquet_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pmfid.session.sinks.PART", 7)
-    sink = ParquetSink(tmp_path / "a.parquet", ["t", "status", "state"])
+def test_parquet_is_made_of_rows_at_the_end(tmp_path: Path) -> None:
+    sink = ParquetSink(tmp_path / "a.parquet", ["t", "status", "state"], print)
     for k in range(24):
-        sink.write((float(k), k, "watching"))
-    assert len(list(tmp_path.glob("*.part*"))) == 3
+        sink.write((k / 3, k, "watching"))
+    assert pl.read_csv(tmp_path / "a.parquet.csv")["t"].to_list() == [k / 3 for k in range(24)]
     sink.close()
     table = pl.read_parquet(tmp_path / "a.parquet")
-    assert table["t"].to_list() == [float(k) for k in range(24)]
+    assert table["t"].to_list() == [k / 3 for k in range(24)]
     assert table.schema == {"t": pl.Float64, "status": pl.UInt32, "state": pl.String}
     assert os.listdir(tmp_path) == ["a.parquet"]
-    empty = ParquetSink(tmp_path / "b.parquet", ["t", "state"])
+    empty = ParquetSink(tmp_path / "b.parquet", ["t", "state"], print)
     empty.close()
     assert pl.read_parquet(tmp_path / "b.parquet").height == 0
 
 
 def test_csv_is_there_after_every_row(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    sink = CsvSink(path.open("w"), ["t", "state"])
+    sink = CsvSink(path, ["t", "state"], print)
     sink.write((0.1, "watching"))
     assert path.read_text() == "t,state\n0.1,watching\n"
     sink.close()

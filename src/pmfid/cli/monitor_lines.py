@@ -19,6 +19,7 @@ def _start(event: dict[str, Any]) -> str:
         f"alarm in {event['mtbf_hours']:g} h on average ({event['hours']:.3g} h of normal work simulated, {source}: "
         f"{event['calibration']})",
         *(f"note: {note}" for note in event["notes"]),
+        *([f"estimates: {event['out']}"] if event["out"] else []),
     ]
     return "\n".join(lines)
 
@@ -56,6 +57,14 @@ def _clock(event: dict[str, Any]) -> str:
     return f"{event['time']:.2f} s  the clock was set by {event['jump']:+.6g} s, or the logger started again"
 
 
+def _write_error(event: dict[str, Any]) -> str:
+    return f"{event['file']} cannot be written: {event['problem']}; the watch goes on"
+
+
+def _written_again(event: dict[str, Any]) -> str:
+    return f"{event['file']} is written again, {event['lost']} rows were lost"
+
+
 def _end(event: dict[str, Any]) -> str:
     found = [f"{event['samples']} samples", f"{event['alarms']} alarm{'s' * (event['alarms'] != 1)}"]
     return ", ".join(found + skipped(event))
@@ -84,5 +93,7 @@ _SENTENCES = {
     "repeated line": _bad_line,
     "gap": _gap,
     "clock": _clock,
+    "write error": _write_error,
+    "written again": _written_again,
     "end": _end,
 }

@@ -29,7 +29,9 @@ class _InterruptedError(Exception):
 
 @dataclass
 class Stop:
-    """Ends a run after the sample in hand at SIGINT and SIGTERM, or at once where it waits for the next one."""
+    """Ends a run after the sample in hand at SIGINT, SIGTERM and SIGHUP, or at once where it waits for the next one.
+
+    A SIGHUP that is ignored, as under nohup, stays ignored."""
 
     requested: bool = field(default=False, init=False)
     _waiting: bool = field(default=False, init=False)
@@ -42,7 +44,11 @@ class Stop:
     @contextmanager
     def handling(self) -> Iterator[Stop]:
         """Signals are handled here inside of the block."""
-        before = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        hangup = getattr(signal, "SIGHUP", None)
+        if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
+            numbers.append(hangup)
+        before = {number: signal.signal(number, self._handle) for number in numbers}
         try:
             yield self
         finally:
