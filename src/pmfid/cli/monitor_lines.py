@@ -13,10 +13,11 @@ def sentence(event: dict[str, Any]) -> str:
 def _start(event: dict[str, Any]) -> str:
     normal = ", ".join(f"{name} {value:.4g} {event['units'][name]}" for name, value in event["nominal"].items())
     source = "from the cache" if event["cached"] else "now in the cache"
+    made = "drawn from the reference" if event["record_hours"] else "simulated"
     lines = [
         f"normal: {normal}",
         f"{event['detector']}, tolerance {100 * event['tolerance']:g} %, threshold {event['threshold']:.4g}: a false "
-        f"alarm in {event['mtbf_hours']:g} h on average ({event['hours']:.3g} h of normal work simulated, {source}: "
+        f"alarm in {event['mtbf_hours']:g} h on average ({event['hours']:.3g} h of normal work {made}, {source}: "
         f"{event['calibration']})",
         *(f"note: {note}" for note in event["notes"]),
         *([f"estimates: {event['out']}"] if event["out"] else []),
