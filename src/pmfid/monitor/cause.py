@@ -81,16 +81,17 @@ def _size(blocks: Blocks, scale: Scale, direction: Floats, start: int) -> tuple[
     """The change along a direction (p,), and its standard deviation.
 
     Blocks in which the change comes, and its filters settle, show less than all of it: they are left out where enough
-    remains. By how much the last of them moves the size is what is uncertain of the moment of the change.
+    remains. By how much the next ones would move the size, or the last one did, is what the moment of the change
+    leaves open.
     """
     told = scale.standardise(blocks)[1][:, direction != 0].mean(axis=1)  # of the parameters that it moves
     information = np.cumsum(told[::-1])[::-1]
     possible = range(start, min(start + TRANSITION + 1, len(information)))
-    enough = [k for k in possible if k == start or information[k] > LEAST_INFORMATION]
-    found = [_fit(blocks[k:], scale, direction) for k in enough]
-    size, std = found[-1]
-    shift = size - found[-2][0] if len(found) > 1 else std
-    return size, float(np.hypot(std, shift))
+    found = [_fit(blocks[k:], scale, direction) for k in possible if k == start or information[k] > 0]
+    chosen = sum(information[k] > LEAST_INFORMATION for k in possible[1 : len(found)])
+    size, std = found[chosen]
+    others = [abs(other - size) for other, _ in found[max(0, chosen - 1) :]] if len(found) > 1 else [std]
+    return size, float(np.hypot(std, min(max(others), abs(size))))
 
 
 def _fit(blocks: Blocks, scale: Scale, direction: Floats) -> tuple[float, float]:
