@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from pmfid.estimators.structure import Search
 from pmfid.linear.process import Process
 from pmfid.report.figures import COLOURS, GREY, WIDTH, decimation, figure_style
+from pmfid.report.files import replace_file
 from pmfid.report.html import Section, svg, write_report
 from pmfid.session.doubts import search_notes
 from pmfid.session.process import ProcessResult, search_json
@@ -26,7 +27,7 @@ ROWS = 15
 def write_process(out: Path, result: ProcessResult) -> None:
     """Writes report.html and result.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / "result.json").write_text(json.dumps(result.to_json(), indent=2, allow_nan=False) + "\n")
+    replace_file(out / "result.json", (json.dumps(result.to_json(), indent=2, allow_nan=False) + "\n").encode())
     sections = [
         _parameters(result),
         _dynamics(result.process),
