@@ -15,7 +15,7 @@ from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.estimators.srivc import SAME_PERIOD, by_descent, fit_process, fixed_filters, make_problem
-from pmfid.estimators.structure import DELAYS, ORDERS, Search, search_structure
+from pmfid.estimators.structure import DELAYS, ORDERS, Candidate, Search, search_structure
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.linear.assess import Assessment, assess
 from pmfid.linear.experiment import Experiment
@@ -23,10 +23,12 @@ from pmfid.linear.process import Process
 from pmfid.linear.solve import Problem, Solution, solve
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import NO_ENCODER, Axis, check_sampling
-from pmfid.session.doubts import IGNORED, check_known, doubts, notes_on, search_notes
+from pmfid.session.doubts import IGNORED, check_known, doubts, flags_on, notes_on, search_notes
 from pmfid.status import Status
 
 AUTOMATIC = "srivc"
+#: So many structures are tried before none is recommended; why an estimate that is there is not.
+TRIED, UNSTABLE = 8, "the estimate is unstable"
 #: Methods that take several records, gaps, missing samples and uneven spacing.
 FREE: dict[str, Callable[[Problem], Solution]] = {"srivc": solve, "iv": fixed_filters, "output-error": by_descent}
 
@@ -104,14 +106,13 @@ def identify_process(experiments: Sequence[Experiment], axis: Axis) -> ProcessRe
     delay = estimator.model.delay if isinstance(estimator.model, TransferFunction) else 0
     checks = assess(problem, theta[:n_parameters] / problem.structure.scale(problem.rate), delay)
     process = Process.of(problem.structure, theta, cov, delay * estimator.dt)
-    check_known(estimator, theta, cov, sum(part.size for part in checks.samples))
+    check_known(estimator, theta, cov, checks)
     std = np.sqrt(np.diagonal(cov))
     referenced = problem.referenced and method in FREE
     notes = [*notes_on(experiments, checks, process, referenced), *doubts(estimator, theta, std, checks)]
     notes += [IGNORED.format(method=method)] if problem.referenced and not referenced else []
     notes += Status(bits).advice
-    flags = ["feedback"] if checks.feedback and not referenced else []
-    status = (*status_names(bits), *flags)
+    status = (*status_names(bits), *flags_on(checks, process, referenced))
     return ProcessResult(estimator, tuple(experiments), theta, std, process, checks, status, tuple(notes))
 
 
@@ -175,7 +176,34 @@ def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[
     """The structures with 1 to 5 poles, any number of zeros and dead times up to 5 samples, best first."""
     cutoff, offset = axis.estimator.cutoff, axis.model.offset
     check_sampling(axis, experiments[0].period)
-    return search_structure(experiments, cutoff, orders=ORDERS, delays=DELAYS, offset=offset, done=done)
+    found = search_structure(experiments, cutoff, orders=ORDERS, delays=DELAYS, offset=offset, done=done)
+    return _accepted_first(experiments, axis, found)
+
+
+def _accepted_first(experiments: Sequence[Experiment], axis: Axis, search: Search) -> Search:
+    """The first structure of which there is an estimate without a doubt in the model itself goes to the front; those
+    that are tried before say why not."""
+    refused: list[Candidate] = []
+    rest = list(search.candidates)
+    while rest and len(refused) < TRIED:
+        reason = refusal(experiments, axis, rest[0])
+        if not reason:
+            return replace(search, candidates=(rest[0], *refused, *rest[1:]))
+        refused.append(replace(rest.pop(0), refused=reason))
+    # better an estimate with a doubt than none
+    refused.sort(key=lambda candidate: candidate.refused != UNSTABLE)
+    return replace(search, candidates=(*refused, *rest))
+
+
+def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: Candidate) -> str:
+    """Why there is no estimate of a structure, or none to recommend; "" where there is one."""
+    places = {"n": candidate.n, "m": candidate.m, "delay": candidate.delay}
+    model = axis.model.model_copy(update={"kind": "transfer_function", **places})
+    try:
+        result = identify_process(experiments, axis.model_copy(update={"model": model}))
+    except NotIdentifiableError as error:
+        return str(error)
+    return UNSTABLE if "unstable" in result.status else ""
 
 
 def search_json(search: Search) -> dict[str, Any]:
@@ -190,6 +218,7 @@ def search_json(search: Search) -> dict[str, Any]:
             "condition": row.condition,
             "settled": row.settled,
             "white": row.white,
+            "refused": row.refused or None,
         }
         for row in search.candidates
     ]
