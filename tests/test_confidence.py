@@ -9,12 +9,18 @@ import pytest
 from scipy.linalg import expm, toeplitz
 from scipy.signal import lfilter
 
-from pmfid import SRIVC, Encoder, Experiment, TransferFunction
+from pmfid import OE, SRIVC, Encoder, Experiment, NotIdentifiableError, TransferFunction
+from pmfid.estimators.srivc import by_descent, fit_process, make_problem
+from pmfid.estimators.structure import UNSTABLE, Candidate, Search, accepted_first
+from pmfid.linear.assess import assess
 from pmfid.linear.causality import Signals, fed_back, unexplained
 from pmfid.linear.confidence import score_covariance
 from pmfid.linear.noise import Noise, fit_noise
 from pmfid.linear.process import Process
+from pmfid.linear.solve import Solution
 from pmfid.simulation.process import simulate_process
+from pmfid.studies.process_confidence import estimator_of, identified
+from pmfid.studies.process_records import INPUTS, NOISES, open_record, random_plant
 
 DT = 0.1
 LAG = ((2.0,), (1.0, 1.5))
@@ -154,3 +160,71 @@ def test_a_loop_is_found_however_small_the_noise(reference, noise):
     record = looped(3, noise, reference)
     fit = SRIVC(TransferFunction(1, 0), Encoder(1.0), DT, 2.0).fit_experiments([record])
     assert fed_back(parts(record.u, fit.residual), none_known(1000)).chance < 1e-6
+
+
+# --- what the status and the search say -------------------------------------------------------------------------------
+
+
+def test_an_estimate_on_the_noise_is_uncertain():
+    """Four poles on 300 samples: a pair settles on what the noise rings with, a bar of a hundredth of where it is."""
+    rng = np.random.default_rng([4, INPUTS.index("sweep"), NOISES.index("resonance")])
+    plant, hold = random_plant(rng), ("zoh", "foh")[int(rng.integers(2))]
+    record = open_record(plant, "sweep", "resonance", 300, hold, rng)
+    process, _, status = identified(estimator_of(plant), record)
+    z = (process.poles - plant.poles) / process.poles_std[:, 0]
+    assert np.max(np.abs(z)) > 20
+    assert "uncertain" in status
+
+
+def test_a_pole_and_a_zero_that_cancel_are_named():
+    rng, u = np.random.default_rng(5), np.repeat(np.random.default_rng(6).choice([-1.0, 1.0], 120), 10)
+    y = simulate_process(*LAG, u, DT) + 0.05 * rng.standard_normal(u.size)
+    model = TransferFunction(2, 1)
+    status = identified(SRIVC(model, Encoder(1.0), DT, 2.0), Experiment(u, y, dt=DT))[2]
+    assert status == ("uncertain",)
+    assert identified(SRIVC(TransferFunction(1, 0), Encoder(1.0), DT, 2.0), Experiment(u, y, dt=DT))[2] == ()
+
+
+@pytest.mark.parametrize("made", ["zoh", "foh"])
+@pytest.mark.parametrize("kind", ["sweep", "multisine"])
+def test_a_wrong_hold_is_unmodelled_and_no_feedback(made, kind):
+    plant = random_plant(np.random.default_rng(1), 1)
+    record = open_record(plant, kind, "white", 1000, made, np.random.default_rng(2))
+    assert identified(estimator_of(plant), record)[2] == ()
+    other = replace(record, hold={"zoh": "foh", "foh": "zoh"}[made])
+    assert identified(estimator_of(plant), other)[2] == ("unmodelled",)
+
+
+def test_a_numerator_that_is_not_known_is_no_reason_to_refuse():
+    """Two zeros too many: each of the numerator's coefficients may be anything, the response is there to 99 %."""
+    rng, u = np.random.default_rng(3), sweep(400)
+    y = simulate_process(*LAG, u, DT) + 0.01 * coloured(rng, 400)
+    estimator, record = SRIVC(TransferFunction(2, 1), Encoder(1.0), DT, 2.0), Experiment(u, y, dt=DT)
+    checks = assess(make_problem(estimator, [record]), _scaled_theta(estimator, record))
+    assert checks.fit > 98
+    assert checks.depends
+    noise = replace(record, y=coloured(rng, 400))
+    assert not assess(make_problem(estimator, [noise]), _scaled_theta(estimator, noise)).depends
+
+
+def _scaled_theta(estimator: SRIVC, record: Experiment) -> np.ndarray:
+    problem = make_problem(estimator, [record])
+    return estimator.fit_experiments([record]).theta / problem.structure.scale(problem.rate)
+
+
+def test_an_iteration_that_has_not_settled_is_no_estimate(monkeypatch):
+    monkeypatch.setattr("pmfid.linear.solve.DESCENTS", 1)
+    monkeypatch.setattr("pmfid.estimators.srivc.refine", lambda problem, start: Solution(start, False, 1))
+    u = sweep(400)
+    y = simulate_process((1.0,), (1.0, 0.3, 4.0, 0.5), u, DT) + 0.05 * coloured(np.random.default_rng(1), 400)
+    with pytest.raises(NotIdentifiableError, match="output-error does not settle"):
+        fit_process(OE(TransferFunction(3, 0), Encoder(1.0), DT, 2.0), [Experiment(u, y, dt=DT)], by_descent)
+
+
+def test_the_search_puts_one_that_is_accepted_first():
+    rows = tuple(Candidate(n, 0, 0, float(n), 90.0, 1.0, True, True, np.ones(n + 1), 100) for n in (1, 2, 3))
+    found = accepted_first(Search(rows, 0, 100), lambda row: {1: UNSTABLE, 2: "does not settle"}.get(row.n, ""))
+    assert [row.n for row in found.candidates] == [3, 1, 2]
+    assert [row.refused for row in found.candidates] == ["", UNSTABLE, "does not settle"]
+    none = accepted_first(Search(rows, 0, 100), lambda row: UNSTABLE if row.n == 2 else "does not settle")
+    assert none.best.n == 2

@@ -43,6 +43,7 @@ def test_a_wrong_structure_is_no_feedback():
         found = identified(plain(y + 0.05 * rng.standard_normal(y.size)), model__delay=delay)
         assert "feedback" not in found.status
         assert found.assessment.independent == (delay == 3)
+        assert ("unmodelled" in found.status) == (delay != 3)
 
 
 def test_feedback_is_seen_by_every_method_and_a_reference_helps_those_that_use_it():
@@ -72,6 +73,7 @@ def test_an_unstable_process_is_named():
     assert found.process.poles.real == pytest.approx([1.0], rel=0.02)
     assert found.fit is None
     assert found.to_json()["fit"] is None
+    assert "unstable" in found.status
 
 
 def test_what_can_be_doubted_is_said():

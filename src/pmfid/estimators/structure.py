@@ -25,6 +25,8 @@ PASSES = 10
 MIDDLE = 3
 #: So many of those that did not settle, but look best, are given more passes.
 RETRIED = 8
+#: So many structures are tried before none is recommended; why an estimate that is there is not.
+TRIED, UNSTABLE = 8, "the estimate is unstable"
 #: A model counts as follows the record no closer than this part of the output: two such models are equally good.
 EXACT = 1e-7
 #: Delays in whole samples, and orders, that are searched where nothing else is said.
@@ -117,6 +119,21 @@ def search_structure(
     found = _finish(found, lambda n, m, delay: _try(trimmed, n, m, delay, cutoff, offset, colour, thorough=True))
     ranked = sorted(found, key=lambda candidate: (not candidate.settled, candidate.bic))
     return Search(tuple(ranked), len(places) + len(rest) - len(found), samples)
+
+
+def accepted_first(search: Search, refusal: Callable[[Candidate], str]) -> Search:
+    """The first structure that is not refused goes to the front; those tried before it say why not. refusal: why there
+    is no estimate of a structure, or UNSTABLE, or "" where there is one."""
+    refused: list[Candidate] = []
+    rest = list(search.candidates)
+    while rest and len(refused) < TRIED:
+        reason = refusal(rest[0])
+        if not reason:
+            return replace(search, candidates=(rest[0], *refused, *rest[1:]))
+        refused.append(replace(rest.pop(0), refused=reason))
+    # better an unstable estimate than none
+    refused.sort(key=lambda candidate: candidate.refused != UNSTABLE)
+    return replace(search, candidates=(*refused, *rest))
 
 
 def _finish(found: list[Candidate], again: Callable[[int, int, int], Candidate | None]) -> list[Candidate]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pmfid.linear.causality import Signals, fed_back, unexplained
 from pmfid.linear.experiment import Stretch
-from pmfid.linear.necessity import depends_on_input, surplus_pole
+from pmfid.linear.necessity import Second, depends_on_input, second_look
 from pmfid.linear.propagate import Grid, transition
 from pmfid.linear.sensitivity import companion, simulate
 from pmfid.linear.solve import Point, Problem, visit
@@ -23,7 +23,7 @@ DEVIATE = 2.576
 FALSE_ALARM = 1e-4
 #: An input that is a straight line where it was taken for held, or the reverse, puts at most so many times the
 #: difference of the two responses at their first sample into the residual.
-WRONG_HOLD = 1.5
+WRONG_HOLD = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,8 @@ class Assessment:
     reference where there is one; bounds of both: 99 % of an independent residual lie within.
     unmodelled: does the input of now and before explain some of the residual? feedback: do inputs yet to come? Then the
     input has the noise in it, as a controller feeds it back (`causality.py`). depends: does the output depend on the
-    input by more than chance? surplus: would a pole and a zero less do as well (`necessity.py`)?
+    input by more than chance? surplus: second: would a pole and a zero less do as well, and does the
+    colour of the noise move the estimate (`necessity.py`)?
     """
 
     fit: float
@@ -52,7 +53,7 @@ class Assessment:
     unmodelled: bool
     feedback: bool
     depends: bool
-    surplus: bool
+    second: Second
 
     @property
     def lags(self) -> NDArray[np.int64]:
@@ -109,8 +110,8 @@ def assess(problem: Problem, theta: Floats, delay: int = 0) -> Assessment:
     )
 
 
-def _doubts(problem: Problem, point: Point, residual: list[Floats], delay: int) -> tuple[bool, bool, bool, bool]:
-    """unmodelled, feedback, depends, surplus. The input is looked at when it comes, not `delay` samples later."""
+def _doubts(problem: Problem, point: Point, residual: list[Floats], delay: int) -> tuple[bool, bool, bool, Second]:
+    """unmodelled, feedback, depends, second. The input is looked at when it comes, not `delay` samples later."""
     parts, kept = [], []
     for stretch, error in zip(problem.stretches, residual, strict=True):
         inside = stretch.rows < stretch.grid.size - delay
@@ -121,7 +122,7 @@ def _doubts(problem: Problem, point: Point, residual: list[Floats], delay: int) 
         unexplained(parts, known).chance < FALSE_ALARM,
         fed_back(parts, known, _direct(problem, point)).chance < FALSE_ALARM,
         depends_on_input(problem, point),
-        surplus_pole(problem, point),
+        second_look(problem, point),
     )
 
 

@@ -28,8 +28,8 @@ Floats = NDArray[np.float64]
 #: Lags of the input: at least, at most, and one for each so many samples; of the future ones.
 LEAST, MOST, SAMPLES_PER_LAG, AHEAD = 8, 40, 15, 10
 #: Own past from which the input is predicted, in the end and at first; choices of samples for the first prediction;
-#: passes; samples that the prediction is made from; what is a jump, in robust standard deviations.
-OWN_PAST, SHORT_PAST, TRIALS, ROBUST_PASSES, ROBUST_SAMPLES, JUMP = 20, 5, 60, 4, 4000, 4.5
+#: passes; samples that a prediction holds for; what is a jump, in robust standard deviations.
+OWN_PAST, SHORT_PAST, TRIALS, ROBUST_PASSES, BLOCK, JUMP = 20, 5, 60, 4, 500, 4.5
 #: Passes of noise and regression.
 PASSES = 3
 #: Less of a column than this is left by the others: none, but rounding.
@@ -61,6 +61,14 @@ def unexplained(parts: Sequence[Signals], known: Floats, source: int = -1) -> Ev
     sensitivities of the fit."""
     past, kept, place = _columns(parts, source)
     return evidence(_residual(parts)[kept], known[kept], past[kept], place[kept])
+
+
+def noise_beside(parts: Sequence[Signals], known: Floats) -> Noise | None:
+    """The noise in the residual beside what the columns known (N, k) and the input of now and before explain of it;
+    None: there is none."""
+    past, kept, place = _columns(parts, 0)
+    columns = _basis(np.hstack([known, past])[kept])
+    return _noise_beside(np.column_stack([_residual(parts)[kept], columns]), place[kept])
 
 
 def fed_back(parts: Sequence[Signals], known: Floats, direct: tuple[float, float] = (0.0, 0.0)) -> Evidence:
@@ -163,17 +171,20 @@ def _ahead(part: Signals) -> Floats:
 
 def calm(u: Floats) -> Floats:
     """(M,) what a linear prediction from its own past leaves of u, jumps left out, of the prediction and of the result;
-    all of it where most of u is predicted exactly."""
+    all of it where most of u is predicted exactly. Block by block: a sweep needs a prediction for each frequency."""
     past = min(OWN_PAST, u.size // 10)
     if past < 1 or not np.std(u) > 0:
         return u - np.mean(u)
-    u = (u - np.mean(u)) / float(np.std(u))
-    windows = np.lib.stride_tricks.sliding_window_view(u, past + 1)
-    columns = np.c_[windows[:, :-1], np.ones(windows.shape[0])]
-    left = windows[:, -1] - columns @ _robust(columns[:ROBUST_SAMPLES], windows[:ROBUST_SAMPLES, -1])
+    windows = np.lib.stride_tricks.sliding_window_view((u - np.mean(u)) / np.std(u), past + 1)
+    blocks = np.array_split(windows, max(1, round(windows.shape[0] / BLOCK)))
+    return np.concatenate([np.zeros(past), *[_calm_block(block) for block in blocks]])
+
+
+def _calm_block(windows: Floats) -> Floats:
+    columns, target = np.c_[windows[:, :-1], np.ones(windows.shape[0])], windows[:, -1]
+    left = target - columns @ _robust(columns, target)
     limit = JUMP * 1.4826 * float(np.median(np.abs(left)))
-    found = left if limit < APART else np.where(np.abs(left) <= limit, left, 0.0)
-    return np.asarray(np.r_[np.zeros(past), found])
+    return np.asarray(left if limit < APART else np.where(np.abs(left) <= limit, left, 0.0))
 
 
 def _robust(columns: Floats, target: Floats) -> Floats:
@@ -181,12 +192,13 @@ def _robust(columns: Floats, target: Floats) -> Floats:
     with a short past (least median of squares, Rousseeuw 1984) to least squares without the jumps."""
     short = columns[:, -min(SHORT_PAST + 1, columns.shape[1]) :]
     chosen = [_chosen(short, target, trial) for trial in range(TRIALS)]
-    left = np.abs(min(chosen, key=lambda errors: float(np.median(np.abs(errors)))))
+    left: Floats = min(chosen, key=lambda errors: float(np.median(np.abs(errors))))
     found: Floats = np.zeros(columns.shape[1])
     for _ in range(ROBUST_PASSES):
-        kept = left <= max(JUMP * 1.4826 * float(np.median(left)), APART)
-        found = np.linalg.lstsq(columns[kept], target[kept], rcond=1e-9)[0]
-        left = np.abs(target - columns @ found)
+        size: Floats = np.abs(left)
+        kept = size <= max(JUMP * 1.4826 * float(np.median(size)), APART)
+        found = np.asarray(np.linalg.lstsq(columns[kept], target[kept], rcond=1e-9)[0])
+        left = np.asarray(target - columns @ found)
     return np.asarray(found)
 
 

@@ -17,6 +17,9 @@ Floats = NDArray[np.float64]
 
 #: Steps between the stretches on the line of all samples: more than what a noise usually remembers.
 APART = 100
+#: Degrees of freedom, at least: the power of the noise is known from so many independent samples only, and Student's t
+#: has a larger variance than a normal deviate.
+LEAST_FREE = 4.0
 
 
 def places(problem: Problem) -> Places:
@@ -33,7 +36,9 @@ def score_covariance(zeta: Floats, error: Floats, place: Places | None = None) -
     (N,); None: one after the other."""
     place = np.arange(error.size) if place is None else place
     Q, R = np.linalg.qr(zeta)
-    return np.asarray(R.T @ fit_noise(error, place, Q).covariance(Q, place) @ R)
+    noise = fit_noise(error, place, Q)
+    free = max(noise.effective(error.size) - zeta.shape[1], LEAST_FREE)
+    return np.asarray(free / (free - 2) * (R.T @ noise.covariance(Q, place) @ R))
 
 
 def covariance(point: Point, problem: Problem) -> Floats:

@@ -6,13 +6,14 @@ gives in a part of its cases that falls with the number of samples.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from pmfid.linear.confidence import places
+from pmfid.linear.causality import Signals, noise_beside
+from pmfid.linear.confidence import covariance, places
 from pmfid.linear.noise import Noise, fit_noise, whitened
 from pmfid.linear.prewhitening import prewhitened
 from pmfid.linear.sensitivity import Structure
@@ -24,6 +25,8 @@ Floats = NDArray[np.float64]
 CHANCE = 1e-2
 #: A model is judged once a step would lower its sum of squares by less than this part.
 SETTLED = 1e-6
+#: An estimate is moved that far by the colour of the noise in so small a part of the cases.
+ELSEWHERE = 1e-3
 
 
 def residual_noise(problem: Problem, point: Point) -> Noise:
@@ -50,26 +53,62 @@ def depends_on_input(problem: Problem, point: Point) -> bool:
     return _beyond(whole, left, point.error.size, problem.structure.size)
 
 
-def surplus_pole(problem: Problem, point: Point) -> bool:
-    """Would one pole and one zero less do as well? Then nothing tells where they are, whatever the bars."""
+@dataclass(frozen=True)
+class Second:
+    """A second look at an estimate. surplus: one pole and one zero less do as well, so nothing tells where they are;
+    moved: behind the whitening filter of the noise the estimate is elsewhere, by more than its error bars allow
+    (Hausman 1978), so it has taken noise for dynamics."""
+
+    surplus: bool
+    moved: bool
+
+
+def second_look(problem: Problem, point: Point) -> Second:
+    """At the estimate of a point, for noise of any colour.
+
+    A pole can settle on what the noise rings with, and what is left no longer rings: so the colour is that of what a
+    model with one pole less leaves and the input of just before does not explain."""
     structure = problem.structure
-    if structure.n < 2 or problem.referenced:
-        return False
-    noise = residual_noise(problem, point)
-    white = prewhitened(problem, noise)
-    theta = point.theta.copy()
-    if structure.offset and white is not problem:
-        theta[-1] *= np.sum(noise.whitener)
-    smaller = replace(white, structure=Structure(structure.n - 1, max(structure.m - 1, 0), structure.offset))
+    smaller = Structure(max(structure.n - 1, 1), max(structure.m - 1, 0), structure.offset)
+    if problem.referenced:
+        return Second(False, False)
     with np.errstate(all="ignore"):
         try:
-            full = descend(white, visit(white, theta, np.zeros((len(white.stretches), structure.n))), SETTLED)
-            less = refine(smaller, first_guess(smaller, 1.0), SETTLED)
-            if not less.settled:
-                less = descend(smaller, less.point, SETTLED)
+            rest = point if smaller == structure else _settled(replace(problem, structure=smaller))
+            noise = noise_beside(signals(problem, rest.error), rest.zeta)
+            if noise is None:
+                return Second(False, False)
+            white = prewhitened(problem, noise)
+            factor = float(np.sum(noise.whitener)) if structure.offset and white is not problem else 1.0
+            scale = np.r_[np.ones(structure.size - 1), factor]
+            start = visit(white, point.theta * scale, np.zeros((len(white.stretches), structure.n)))
+            full = descend(white, start, SETTLED).point
+            surplus = structure.n > 1 and not _beyond(
+                _settled(replace(white, structure=smaller)).cost, full.cost, point.error.size, 2
+            )
+            return Second(surplus, _apart(full.theta / scale - point.theta, covariance(point, problem)))
         except (np.linalg.LinAlgError, ValueError):
-            return False
-    return not _beyond(less.point.cost, full.point.cost, point.error.size, 2)
+            return Second(False, False)
+
+
+def _apart(difference: Floats, cov: Floats) -> bool:
+    """Is a difference (p,) too large for its covariance (p, p)?"""
+    size = np.sqrt(np.diagonal(cov))
+    scaled = difference / size
+    distance = scaled @ np.linalg.pinv(cov / np.outer(size, size), hermitian=True) @ scaled
+    return bool(distance > chdtri(difference.size, ELSEWHERE))
+
+
+def _settled(problem: Problem) -> Point:
+    found = refine(problem, first_guess(problem, 1.0), SETTLED)
+    return found.point if found.settled else descend(problem, found.point, SETTLED).point
+
+
+def signals(problem: Problem, error: Floats) -> list[Signals]:
+    """The residual (N,) of all stretches beside the inputs."""
+    ends = np.cumsum([stretch.rows.size for stretch in problem.stretches])
+    parts = zip(problem.stretches, np.split(error, ends[:-1]), strict=True)
+    return [Signals(stretch.inputs, part, stretch.rows) for stretch, part in parts]
 
 
 def _beyond(whole: float, left: float, samples: int, unknowns: int) -> bool:

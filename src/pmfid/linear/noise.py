@@ -70,14 +70,15 @@ def fit_noise(error: Floats, place: Places, taken: Floats | None = None) -> Nois
     most = min(MOST, max(1, error.size // PART))
     laid, there = _laid(error, place, _size(place)), _laid(np.ones(error.size), place, _size(place))
     pairs = np.maximum(_autocovariance(there, most), 1e-9)
-    raw = np.where(pairs > 0.5, _autocovariance(laid, most) / pairs, 0.0)
+    # over one number, not over that of the pairs: else it need not be the covariance of anything, and lines appear
+    raw = _autocovariance(laid, most) / pairs[0]
     if pairs[0] - pairs[1] > GAPS * error.size and np.any(np.abs(raw[1:SOON]) > 4 * raw[0] / np.sqrt(error.size)):
-        raw, pairs = _bridged(error, place, most), np.full(most + 1, pairs[0])
+        raw = _bridged(error, place, most)
     noise = _from_autocovariance(raw, error.size)
     if taken is None or taken.shape[1] == 0:
         return noise
     for _ in range(PASSES):
-        put_back = raw + _taken(noise, taken, place, most) / pairs
+        put_back = raw + _taken(noise, taken, place, most) / pairs[0]
         if not put_back[0] < LARGEST * raw[0]:
             break
         noise = _from_autocovariance(put_back, error.size)

@@ -19,8 +19,6 @@ FEEDBACK = (
     "the estimate is biased; give the reference of the controller ([record] reference) to srivc, iv or output-error"
 )
 IGNORED = "{method} does not use the reference of the controller; srivc, iv and output-error do"
-#: A pole with a standard deviation of more than this part of its size is not known.
-UNKNOWN = 0.5
 #: Less of the output explained [%] is worth a sentence.
 POOR_FIT = 10.0
 #: An output so many robust standard deviations off, in so small a part of the samples, is an outlier.
@@ -42,19 +40,6 @@ def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, checks
             f"check the columns, the dead time and for outliers, {offset}excite the process more, or use fewer poles "
             "and zeros"
         )
-
-
-def flags_on(checks: Assessment, process: Process, referenced: bool) -> list[str]:
-    """Names for the status. unmodelled: the residual has the input in it; feedback: the input has the noise in it;
-    unstable: a pole in the right half-plane; uncertain: a pole is not known to half its size, or not needed."""
-    unknown = np.any(np.hypot(*process.poles_std.T) > UNKNOWN * np.abs(process.poles))
-    found = {
-        "feedback": checks.feedback and not referenced,
-        "unmodelled": checks.unmodelled,
-        "unstable": bool(np.any(process.poles.real > 0)),
-        "uncertain": checks.surplus or bool(unknown),
-    }
-    return [name for name, holds in found.items() if holds]
 
 
 def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Assessment) -> list[str]:
@@ -85,10 +70,15 @@ def notes_on(experiments: Sequence[Experiment], checks: Assessment, process: Pro
             "the input explains some of the residual: another dead time, more poles or zeros, or another hold may "
             "explain more; the error bars leave out what this moves the estimate by"
         )
-    if checks.surplus:
+    if checks.second.surplus:
         found.append(
             "one pole and one zero less explain the record as well: it does not tell where they are, and their error "
             "bars mean nothing; use a smaller n and m"
+        )
+    if checks.second.moved:
+        found.append(
+            "with the colour of the noise in mind the estimate is elsewhere, by more than its error bars: it has taken "
+            "some of the noise for dynamics; record longer, or use a smaller n and m"
         )
     if np.any(process.poles.real > 0):
         found.append("the transfer function is unstable: what it simulates, and so the fit, says nothing")

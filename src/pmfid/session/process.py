@@ -15,20 +15,19 @@ from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.estimators.srivc import SAME_PERIOD, by_descent, fit_process, fixed_filters, make_problem
-from pmfid.estimators.structure import DELAYS, ORDERS, Candidate, Search, search_structure
+from pmfid.estimators.structure import DELAYS, ORDERS, UNSTABLE, Candidate, Search, accepted_first, search_structure
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.linear.assess import Assessment, assess
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
 from pmfid.linear.solve import Problem, Solution, solve
+from pmfid.linear.verdict import flags_on
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import NO_ENCODER, Axis, check_sampling
-from pmfid.session.doubts import IGNORED, check_known, doubts, flags_on, notes_on, search_notes
+from pmfid.session.doubts import IGNORED, check_known, doubts, notes_on, search_notes
 from pmfid.status import Status
 
 AUTOMATIC = "srivc"
-#: So many structures are tried before none is recommended; why an estimate that is there is not.
-TRIED, UNSTABLE = 8, "the estimate is unstable"
 #: Methods that take several records, gaps, missing samples and uneven spacing.
 FREE: dict[str, Callable[[Problem], Solution]] = {"srivc": solve, "iv": fixed_filters, "output-error": by_descent}
 
@@ -177,22 +176,7 @@ def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[
     cutoff, offset = axis.estimator.cutoff, axis.model.offset
     check_sampling(axis, experiments[0].period)
     found = search_structure(experiments, cutoff, orders=ORDERS, delays=DELAYS, offset=offset, done=done)
-    return _accepted_first(experiments, axis, found)
-
-
-def _accepted_first(experiments: Sequence[Experiment], axis: Axis, search: Search) -> Search:
-    """The first structure of which there is an estimate without a doubt in the model itself goes to the front; those
-    that are tried before say why not."""
-    refused: list[Candidate] = []
-    rest = list(search.candidates)
-    while rest and len(refused) < TRIED:
-        reason = refusal(experiments, axis, rest[0])
-        if not reason:
-            return replace(search, candidates=(rest[0], *refused, *rest[1:]))
-        refused.append(replace(rest.pop(0), refused=reason))
-    # better an estimate with a doubt than none
-    refused.sort(key=lambda candidate: candidate.refused != UNSTABLE)
-    return replace(search, candidates=(*refused, *rest))
+    return accepted_first(found, lambda candidate: refusal(experiments, axis, candidate))
 
 
 def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: Candidate) -> str:
