@@ -40,4 +40,4 @@ def test_what_is_said_has_numbers():
     assert "feedback" not in results[tasks[0]]["right"]
     assert "feedback" in results[tasks[1]]
     assert "| prbs |" in page
-    assert "nan" not in page
+    assert " nan " not in page
