@@ -25,6 +25,8 @@ DESCENTS = 60
 SETTLED = 1e-12
 #: ... or by less than this part of the output's sum of squares: what is left is rounding.
 ROUNDING = 1e-20
+#: A pole that would grow by more than this power of e within the record is at the bound of `stable`.
+EDGE = 0.9
 #: Part of a sensitivity that must not follow from the others.
 APART = 1e-7
 #: Further filter poles to start from, in parts of the first, where that does not settle.
@@ -173,8 +175,15 @@ def descend(problem: Problem, start: Point, settled: float = SETTLED) -> Solutio
                 break
             damping *= 4
         else:
-            return Solution(point, True, passes)  # no step is downhill: rounding
+            # no step is downhill: rounding, or the way down leads beyond the stable models
+            return Solution(point, not _at_the_edge(problem, point.theta), passes)
     return Solution(point, False, DESCENTS)
+
+
+def _at_the_edge(problem: Problem, theta: Floats) -> bool:
+    """Is a pole as far in the right half-plane as it may be?"""
+    poles = np.roots(np.r_[1.0, theta[: problem.structure.n][::-1]])
+    return bool(np.any(poles.real * problem.duration > EDGE))
 
 
 def with_fixed_filter(problem: Problem, pole: float) -> Solution:

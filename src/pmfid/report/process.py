@@ -200,7 +200,7 @@ def search_rows(search: Search) -> list[list[str]]:
             str(row.delay),
             f"{row.bic - search.best.bic:.1f}",
             f"{row.fit:.2f}",
-            f"{row.condition:.1e}" + ("" if row.settled else " (not settled)"),
+            f"{row.condition:.1e}" + ("" if row.settled else " (not settled)") + (" (refused)" if row.refused else ""),
         ]
         for row in search.candidates[:ROWS]
     ]
@@ -235,7 +235,9 @@ def write_search(out: Path, search: Search, name: str) -> None:
     (out / "order.json").write_text(json.dumps(search_json(search), indent=2, allow_nan=False) + "\n")
     text = (
         f"{search.samples} samples, {len(search.candidates)} structures fitted, {search.skipped} cannot be better. "
-        "Criterion: Schwarz (1978), above that of the best; less is better, and less than about 10 apart is not sure. "
+        "Criterion: Schwarz (1978), behind the whitening filter of the noise, above that of the best; less is better, "
+        "and less than about 10 apart is not sure. Refused: identify has no estimate, or one with a pole that nothing "
+        "tells. "
         "Condition: of the scaled sensitivities; large where poles and zeros nearly cancel."
     )
     text = "\n\n".join([text, *(f"Note: {note}." for note in search_notes(search))])

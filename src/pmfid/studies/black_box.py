@@ -5,7 +5,16 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from pmfid.studies import discretizations, efficiency, processes, published, structures, uneven, varying
+from pmfid.studies import (
+    discretizations,
+    efficiency,
+    process_confidence,
+    processes,
+    published,
+    structures,
+    uneven,
+    varying,
+)
 from pmfid.studies.sections import Page, by_name
 
 STUDIES = by_name(
@@ -16,9 +25,10 @@ STUDIES = by_name(
     uneven.STUDY,
     structures.STUDY,
     varying.STUDY,
+    process_confidence.STUDY,
 )
 SEEDS = 100
-PARTS = {"efficiency": 10.0, "discretizations": 0.05, "varying": 0.05}
+PARTS = {"efficiency": 10.0, "discretizations": 0.05, "varying": 0.05, "process-confidence": 0.1}
 INTRODUCTION = """\
 Transfer functions from input and output alone, no parameter known. The records are simulated exactly for a held input
 and start at rest; the methods do not know that. Each table states how many runs it has."""
