@@ -27,8 +27,10 @@ firmware-tools:
 	    $(FIRMWARE_TOOLS) >/dev/null 2>&1 || echo "no firmware tools: their tests will skip"; \
 	fi
 
+# A process for each core, a file of tests in one of them; benchmarks stay out, they want the machine for themselves.
+WORKERS ?= auto
 test: .venv/installed firmware-tools
-	.venv/bin/python -m pytest
+	.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark
 
 check: .venv/installed
 	.venv/bin/ruff format --check .
@@ -57,10 +59,13 @@ firmware: .venv/installed
 study: .venv/installed
 	.venv/bin/python -m pmfid.studies.accuracy --out docs/accuracy.md
 	.venv/bin/python -m pmfid.studies.automatic --out docs/automatic.md
+	.venv/bin/python -m pmfid.studies.confidence --out docs/confidence.md
 	.venv/bin/python -m pmfid.studies.design --out docs/design.md
+	.venv/bin/python -m pmfid.studies.design_machines --out docs/commissioning.md
 	.venv/bin/python -m pmfid.studies.monitoring --out docs/monitoring.md
 	.venv/bin/python -m pmfid.studies.laboratory --out docs/laboratory.md --images docs/images
 	.venv/bin/python -m pmfid.studies.black_box --out docs/black_box.md
+	.venv/bin/python -m tests.hostile.study --out docs/hostile.md
 
 images: .venv/installed
 	.venv/bin/python -m pmfid.studies.demo --images docs/images

@@ -28,9 +28,9 @@ SESSION = MONITOR | {"monitor"}
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
     "status": set(),
-    "_kernel": set(),
+    "_kernel": {"errors"},
     "_kernel32": {"_kernel64"},
-    "_kernel64": set(),
+    "_kernel64": {"errors"},
     "layout": {"errors", "pmfid"},
     "models": GROUND,
     "encoder": GROUND,

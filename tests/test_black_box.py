@@ -29,3 +29,15 @@ def test_the_page_says_how_it_was_made():
 def test_wrong_arguments_are_one_line(tmp_path, capsys):
     assert main(["--out", str(tmp_path / "page.md"), "--seeds", "0"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_what_is_said_has_numbers():
+    study = STUDIES["process-confidence"]
+    tasks = [task for task in study.tasks(1) if task[1:] == ("prbs", "white", 0) and task[0] != "order"]
+    assert [task[0] for task in tasks] == ["open", "closed"]
+    results = {task: study.work(*task) for task in tasks}
+    page = "\n".join(study.write(1, results))
+    assert "feedback" not in results[tasks[0]]["right"]
+    assert "feedback" in results[tasks[1]]
+    assert "| prbs |" in page
+    assert " nan " not in page

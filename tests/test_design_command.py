@@ -60,6 +60,7 @@ def test_json_is_the_object_that_was_promised() -> None:
     assert found["surviving"] > 0.99
     # the trace for one scaled parameter is (nominal / std)^2
     assert found["predicted_std"] == {"mass": pytest.approx(1.5 / np.sqrt(found["value"]))}
+    assert found["recommended"] in {"design", *found["standard"]}
     assert result.stderr == ""
 
 
@@ -206,6 +207,9 @@ def test_a_recorded_run_is_estimated_and_the_next_one_designed(tmp_path: Path) -
     mass = found["rounds"][-1]["parameters"]["mass"]
     assert mass["value"] == pytest.approx(1.6, rel=1e-4)
     assert abs(mass["value"] - 1.6) < 5 * mass["std"]
+    assert mass["interval"][0] < mass["value"] < mass["interval"][1]
+    assert set(found["next"]["expected_std"]) == {"mass", "viscous_friction", "coulomb_friction"}
+    assert found["doubts"] == []
     assert found["next"]["predicted_std"]["mass"] < mass["std"]
     assert pl.read_csv(tmp_path / "next" / "design.csv")["x"][-1] == pytest.approx(0.4, abs=1e-9)
     done = run("commission", EXAMPLE, path, path, "--want", "mass=0.01", "--json")

@@ -18,6 +18,8 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.studies.design_case import NOMINAL, case
 
 CASE = case("m, d, F_c")
+#: The same axis where the position has normal noise in place of counts.
+NOISY = replace(CASE, resolution=None, noise_variance=CASE.variance)
 TRUTH = {"mass": 1.2, "viscous_friction": 7.0, "coulomb_friction": 0.5}
 U = standard_inputs(CASE, names=("minimum_time",))["minimum_time"].u
 
@@ -29,20 +31,20 @@ def run(truth: dict[str, float], noise: float = 0.0, seed: int = 0) -> Run:
 
 
 def test_without_noise_the_truth_is_found_whatever_the_start_position() -> None:
-    found = calibrate(CASE, [run(TRUTH)])
+    found = calibrate(NOISY, [run(TRUTH)])
     assert found.parameters == pytest.approx(TRUTH, rel=1e-6)
     assert found.inflation < 1e-6
 
 
 def test_known_parameters_stay_as_they_are() -> None:
-    problem = case("m")
+    problem = replace(case("m"), resolution=None, noise_variance=CASE.variance)
     found = calibrate(problem, [run({"mass": 1.2})])
     assert found.parameters == pytest.approx({**NOMINAL, "mass": 1.2}, rel=1e-6)
     assert found.information.shape == (1, 1)
 
 
 def test_information_is_that_of_the_sensitivities_with_an_unknown_start() -> None:
-    found = calibrate(CASE, [run({}), run({})])
+    found = calibrate(NOISY, [run({}), run({})])
     claimed = 2 * start_free(affine(CASE).weighted(U)) / np.outer(CASE.scale, CASE.scale)
     assert found.information == pytest.approx(claimed, rel=1e-3)
 
@@ -51,7 +53,7 @@ def test_the_scatter_is_that_of_the_information() -> None:
     noise = np.sqrt(CASE.variance)
     errors = []
     for seed in range(60):
-        found = calibrate(CASE, [run({}, noise, seed)])
+        found = calibrate(NOISY, [run({}, noise, seed)])
         root = np.linalg.cholesky(found.information)
         errors.append(root.T @ [found.parameters[name] - NOMINAL[name] for name in CASE.names])
     # 180 squares of standard normal variables, less what the inflation takes off
@@ -59,12 +61,12 @@ def test_the_scatter_is_that_of_the_information() -> None:
 
 
 def test_two_runs_are_one_and_a_half_times_as_sure_as_one() -> None:
-    one, two = (calibrate(CASE, [run({})] * number).std(CASE.names)["mass"] for number in (1, 2))
+    one, two = (calibrate(NOISY, [run({})] * number).std(CASE.names)["mass"] for number in (1, 2))
     assert one / two == pytest.approx(np.sqrt(2), rel=1e-6)
 
 
 def test_a_prior_pulls_as_much_as_it_knows() -> None:
-    weak, strong = (replace(CASE, prior=np.diag([weight, 0.0, 0.0])) for weight in (1e-3, 1e18))
+    weak, strong = (replace(NOISY, prior=np.diag([weight, 0.0, 0.0])) for weight in (1e-3, 1e18))
     assert calibrate(weak, [run(TRUTH)]).parameters["mass"] == pytest.approx(1.2, rel=1e-6)
     assert calibrate(strong, [run({"mass": 1.5001})]).parameters["mass"] == pytest.approx(1.5, rel=1e-6)
 
@@ -74,7 +76,7 @@ def test_correlated_and_large_residuals_inflate() -> None:
     assert correlation_time([rng.standard_normal(400)]) == pytest.approx(1.0, abs=0.3)
     slow = np.repeat(rng.standard_normal(100), 8)
     assert 4 < correlation_time([slow, slow]) < 12
-    calm, wild = (calibrate(CASE, [run({}, factor * np.sqrt(CASE.variance))]) for factor in (1.0, 5.0))
+    calm, wild = (calibrate(NOISY, [run({}, factor * np.sqrt(CASE.variance))]) for factor in (1.0, 5.0))
     assert wild.inflation == pytest.approx(25 * calm.inflation, rel=0.05)
     ratio = wild.std(CASE.names)["mass"] / calm.std(CASE.names)["mass"]
     assert ratio == pytest.approx(np.sqrt(wild.inflation / max(1.0, calm.inflation)), rel=0.05)
@@ -120,25 +122,26 @@ def test_it_stops_when_the_wanted_deviation_is_reached() -> None:
 
 
 def test_a_later_design_is_for_what_is_known_by_then() -> None:
-    state = redesign(CASE, [run(TRUTH)], {}, starts=3)
+    state = redesign(NOISY, [run(TRUTH)], {}, starts=3)
     assert state.next is not None
     problem = state.next.problem
     assert problem.nominal == pytest.approx(TRUTH, rel=1e-6)
     assert problem.prior == pytest.approx(state.rounds[-1].known.information)
     before, after = (each["mass"] for each in (state.rounds[-1].known.std(CASE.names), state.next.predicted_std))
     assert after < before
-    assert redesign(CASE, [run(TRUTH)], {"mass": 1.0}).next is None
-    tight = replace(CASE, horizon=0.8)
+    assert redesign(NOISY, [run(TRUTH)], {"mass": 1.0}).next is None
+    tight = replace(NOISY, horizon=0.8)
     with pytest.raises(InfeasibleError, match=r"the runs say mass = 2\.2.*with that no input"):
         redesign(tight, [run({"mass": 2.2})], {})
-    first = redesign(CASE, [], {}, starts=3)
+    first = redesign(NOISY, [], {}, starts=3)
     assert first.next is not None
     assert first.rounds == ()
     assert not first.reached
 
 
 def test_scenarios_move_with_the_nominal_values() -> None:
-    problem = replace(case("m"), scenarios=({"mass": 1.2}, {"mass": 1.8}))
+    noise = {"resolution": None, "noise_variance": CASE.variance}
+    problem = replace(case("m"), scenarios=({"mass": 1.2}, {"mass": 1.8}), **noise)  # type: ignore[arg-type]
     moved = calibrate(problem, [run({"mass": 1.3})]).update(problem)
     assert [dict(each)["mass"] for each in moved.scenarios] == pytest.approx([0.8 * 1.3, 1.2 * 1.3], rel=1e-6)
 

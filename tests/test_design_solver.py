@@ -17,7 +17,6 @@ from pmfid.design.diagnosis import minimum_time, relaxations
 from pmfid.design.evaluation import setting
 from pmfid.design.fisher import information, motion
 from pmfid.design.oracle import Oracle, SolverError
-from pmfid.design.outer import free_end_time, search_directions
 from pmfid.design.problem import InfeasibleError, Limits, Problem
 from pmfid.design.solver import evaluate, price_of_robustness, solve
 
@@ -243,31 +242,3 @@ def test_a_given_input_that_breaks_limits_says_which() -> None:
     ]
     with pytest.raises(pmfid.UsageError, match="40 finite values"):
         evaluate(case(), np.ones(3))
-
-
-# --- searches around the solver ---------------------------------------------------------------------------------------
-
-
-def test_a_free_end_time_is_the_best_of_those_tried() -> None:
-    problem = case(1, 20)
-    found = free_end_time(problem, "trace", shortest=0.5, longest=2.0, tries=4, starts=2)
-    rates = []
-    for count in (10, 15, 20):
-        other = replace(problem, intervals=count, horizon=count * problem.dt)
-        rates.append(solve(other, "trace", starts=2).value / other.horizon)
-    assert found.value / found.problem.horizon == pytest.approx(max(rates))
-    with pytest.raises(InfeasibleError):
-        free_end_time(problem, "trace", shortest=0.2, longest=0.4, tries=2)
-    with pytest.raises(pmfid.UsageError, match="shortest < longest"):
-        free_end_time(problem, "trace", shortest=2.0, longest=1.0)
-
-
-def test_a_reversal_is_placed_at_least_as_well_as_in_the_middle() -> None:
-    problem = replace(case(2, 20), end=(0.1, 0.0))
-    found = search_directions(problem, "D", starts=2)
-    middle = solve(replace(problem, directions=(1,) * 10 + (0,) + (-1,) * 9), "D", starts=2)
-    assert found.value >= middle.value
-    assert found.feasible
-    assert set(found.problem.sense) == {-1, 0, 1}
-    with pytest.raises(pmfid.UsageError, match="do not fit"):
-        search_directions(problem, reversals=15)

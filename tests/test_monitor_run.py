@@ -26,12 +26,14 @@ from pmfid.session.calibrations import cache_dir
 from pmfid.session.config import load_axis
 from pmfid.session.monitor_run import MOST_ROWS, History
 from pmfid.session.sinks import CsvSink, ParquetSink
-from pmfid.session.stream import Sample, Stop, line_samples
+from pmfid.session.stream import Stop, line_samples
+from pmfid.session.timeline import Sample, Skipped
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.studies.monitoring.axis import INCREMENTS, changing
 from pmfid.studies.monitoring.pipe import command, lines, resident, write_axis
 
 CHANGE = 15.0
+SKIPPED = ("bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_jumps")
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +57,7 @@ def invoke(folder: Path, *arguments: str, stdin: bytes | None = None, code: int 
         main, ["monitor", record, "--config", str(folder / "axis.toml"), *arguments], input=stdin
     )
     assert result.exit_code == code, result.output
-    return result.output
+    return result.stdout if code == 0 else result.output
 
 
 def events(text: str, kind: str) -> list[dict[str, Any]]:
@@ -75,9 +77,8 @@ def test_a_record_with_a_heavier_load(folder: Path) -> None:
     assert CHANGE < alarm["time"] < CHANGE + 3
     (settled,) = events(text, "settled")
     assert settled["parameters"]["mass"]["change"] == pytest.approx(0.2, abs=0.01)
-    assert events(text, "end") == [
-        {"event": "end", "samples": 4000, "bad_lines": 0, "gaps": 0, "missing": 0, "alarms": 1}
-    ]
+    nothing = dict.fromkeys(SKIPPED, 0) | {"rows_lost": 0, "problem": ""}
+    assert events(text, "end") == [{"event": "end", "samples": 4000, "alarms": 1, **nothing}]
     table = pl.read_parquet(folder / "out.parquet")
     assert table.height == 4000
     assert table["mass"][-1] == pytest.approx(1.2 * CART.mass, rel=0.01)
@@ -219,7 +220,7 @@ def test_a_pipe_of_two_samples_says_so(folder: Path) -> None:
     assert invoke(folder, stdin=b"t,u,counts\n0,1,2\n0.01,1,2\n").endswith("2 samples, 0 alarms\n")
 
 
-def samples_of(text: bytes, axis: Any) -> list[Sample]:
+def samples_of(text: bytes, axis: Any) -> list[Any]:
     return list(line_samples(io.BytesIO(text), axis, 0.01, Stop()))
 
 
@@ -228,11 +229,18 @@ def test_lines_become_samples(folder: Path) -> None:
     head = b'\xef\xbb\xbf"t", u ,counts\n'
     good = samples_of(head + b"5.0,1.5,7\n5.01,2,8\n", axis)
     assert [(s.time, s.u, s.counts, s.missing) for s in good] == [(5.0, 1.5, 7, 0), (5.01, 2.0, 8, 0)]
-    late = samples_of(head + b"5.0,1,7\n5.05,1,8\n5.05,1,9\n5.06,1,1e99\n", axis)
-    assert [s.missing for s in late] == [0, 4, 0, 0]
-    assert [bool(s.problem) for s in late] == [False, False, True, True]
-    assert [s.counts for s in late] == [7, 8, 8, 8]
-    assert math.isnan(late[2].u)
+    late = samples_of(head + b"5.0,1,7\n5.05,1,8\n5.05,1,8\n5.06,1,9\n5.07,1,1e99\n", axis)
+    assert [(s.time, s.missing, s.counts) for s in late if isinstance(s, Sample)] == [
+        (5.0, 0, 7),
+        (5.05, 4, 8),
+        (5.06, 0, 9),
+        (5.07, 0, 9),
+    ]
+    assert math.isnan(late[-1].u)
+    assert [(s.kind, s.problem) for s in late if isinstance(s, Skipped)] == [
+        ("bad line", "its time 5.05 s is ahead of the expected 5.01 s"),
+        ("bad line", "counts must be whole numbers below 2**53, got 1e+99"),
+    ]
 
 
 def test_positions_and_scales_in_a_pipe(folder: Path) -> None:
@@ -264,9 +272,11 @@ def test_estimates_come_out_one_by_one(folder: Path) -> None:
     assert process.returncode == 0
 
 
-@pytest.mark.parametrize(("kind", "number"), [("csv", signal.SIGINT), ("parquet", signal.SIGTERM)])
+@pytest.mark.parametrize(
+    ("kind", "number"), [("csv", signal.SIGINT), ("parquet", signal.SIGTERM), ("parquet", signal.SIGHUP)]
+)
 def test_a_signal_ends_with_a_whole_file(folder: Path, kind: str, number: signal.Signals) -> None:
-    out, n = folder / f"killed.{kind}", 1500
+    out, n = folder / f"killed-{number}.{kind}", 1500
     process = subprocess.Popen(
         [*command(folder / "axis.toml", "--out", str(out), "--json")], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
@@ -286,31 +296,30 @@ def test_a_signal_ends_with_a_whole_file(folder: Path, kind: str, number: signal
     assert table.height == end["samples"]
     assert 100 < table.height <= n
     assert table["t"].to_numpy() == pytest.approx(np.arange(table.height) * CART_DT)
-    assert not list(folder.glob("*.part*"))
+    assert not list(folder.glob("*.parquet.csv"))
 
 
 # --- parts ------------------------------------------------------------------------------------------------------------
 
 
-def test_parquet_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pmfid.session.sinks.PART", 7)
-    sink = ParquetSink(tmp_path / "a.parquet", ["t", "status", "state"])
+def test_parquet_is_made_of_rows_at_the_end(tmp_path: Path) -> None:
+    sink = ParquetSink(tmp_path / "a.parquet", ["t", "status", "state"], print)
     for k in range(24):
-        sink.write((float(k), k, "watching"))
-    assert len(list(tmp_path.glob("*.part*"))) == 3
+        sink.write((k / 3, k, "watching"))
+    assert pl.read_csv(tmp_path / "a.parquet.csv")["t"].to_list() == [k / 3 for k in range(24)]
     sink.close()
     table = pl.read_parquet(tmp_path / "a.parquet")
-    assert table["t"].to_list() == [float(k) for k in range(24)]
+    assert table["t"].to_list() == [k / 3 for k in range(24)]
     assert table.schema == {"t": pl.Float64, "status": pl.UInt32, "state": pl.String}
     assert os.listdir(tmp_path) == ["a.parquet"]
-    empty = ParquetSink(tmp_path / "b.parquet", ["t", "state"])
+    empty = ParquetSink(tmp_path / "b.parquet", ["t", "state"], print)
     empty.close()
     assert pl.read_parquet(tmp_path / "b.parquet").height == 0
 
 
 def test_csv_is_there_after_every_row(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    sink = CsvSink(path.open("w"), ["t", "state"])
+    sink = CsvSink(path, ["t", "state"], print)
     sink.write((0.1, "watching"))
     assert path.read_text() == "t,state\n0.1,watching\n"
     sink.close()

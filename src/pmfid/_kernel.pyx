@@ -10,6 +10,8 @@ from libc.string cimport memcpy
 cimport numpy as cnp
 import numpy as np
 
+from pmfid.errors import place_of
+
 cnp.import_array()
 
 cdef extern from "pmf.h":
@@ -133,7 +135,7 @@ cdef inline object _vector(const real_t *source, Py_ssize_t n):
 cdef class Estimate:
     """What one sample left: a snapshot that later steps do not change.
 
-    theta: (p,) parameters; theta_cov: (p, p) covariance = innovation variance times P; theta_std: (p,) its
+    theta: (p,) parameters, also by name, estimate["mass"]; theta_cov: (p, p) covariance = innovation variance times P; theta_std: (p,) its
     diagonal's root; innovation: a priori error [unit of the target]; innovation_variance; status: `Status` bits.
     """
 
@@ -142,6 +144,7 @@ cdef class Estimate:
     cdef real_t _diagonal[PMF_MAX_PARAMETERS]
     cdef real_t _inflation[PMF_MAX_PARAMETERS]
     cdef Py_ssize_t _n
+    cdef tuple _names
     cdef readonly double innovation
     cdef readonly double innovation_variance
     cdef readonly unsigned int status
@@ -167,6 +170,10 @@ cdef class Estimate:
         if self.innovation_variance == 0.0:
             return np.full(self._n, np.inf)
         return np.sqrt(_vector(self._diagonal, self._n) * self.innovation_variance * self._scale())
+
+    def __getitem__(self, name):
+        """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        return float(self._theta[place_of(name, self._names)])
 
     def __repr__(self):
         return f"Estimate(theta={self.theta}, theta_std={self.theta_std}, status={self.status})"
@@ -195,17 +202,19 @@ cdef class Kernel:
 
     stages: rows (source, a, b0, b1); columns: per column a list of (node, weight);
     encoder, direct, instrument, auxiliary, linear: the fields of the C structures by name; without the last two there
-    is no model that is simulated. Raises ValueError where a size is exceeded.
+    is no model that is simulated. names: of the parameters, for the estimates. Raises ValueError where a size is exceeded.
     """
 
     cdef pmf_config_t config
     cdef pmf_state_t state
+    cdef public tuple names
 
     dtype = np.dtype(np.float32 if sizeof(real_t) == 4 else np.float64)
     max_parameters = PMF_MAX_PARAMETERS
 
     def __init__(self, stages, columns, encoder, direct, settle_samples, instrument=None, auxiliary=None, first_samples=None, linear=None):
         cdef pmf_network_config_t *net = &self.config.network
+        self.names = ()
         pmf_clear(&self.config, sizeof(self.config))
         n_taps = sum(len(column) for column in columns)
         if len(stages) > PMF_MAX_STAGES or n_taps > PMF_MAX_TAPS or len(columns) > PMF_MAX_COLUMNS \
@@ -274,7 +283,7 @@ cdef class Kernel:
         cdef Estimate estimate = Estimate.__new__(Estimate)
         cdef Py_ssize_t n = pmf_parameters(&self.config)
         cdef const pmf_estimate_t *last = pmf_estimate(&self.config, &self.state)
-        estimate._n = n
+        estimate._n, estimate._names = n, self.names
         memcpy(estimate._theta, last.theta, n * sizeof(real_t))
         memcpy(estimate._diagonal, last.variance_factor, n * sizeof(real_t))
         memcpy(estimate._inflation, last.inflation, n * sizeof(real_t))

@@ -16,10 +16,12 @@ class Estimate:
     def innovation_variance(self) -> float: ...
     @property
     def status(self) -> int: ...
+    def __getitem__(self, name: str) -> float: ...
 
 class Kernel:
     dtype: np.dtype[np.floating]
     max_parameters: int
+    names: tuple[str, ...]
     def __init__(
         self,
         stages: Sequence[tuple[int, float, float, float]],

@@ -52,14 +52,14 @@ class Encoder:
             "count_mask": 2**self.bits - 1,
             "max_change": self._max_change(dt),
             "process": 0,
-            "standstill_samples": min(max(1, round(self.standstill_time / dt)), 2**32 - 1),
+            "standstill_samples": max(1, round(min(self.standstill_time / dt, 2**32 - 1))),
             **tracker_gains(TRACKING_INDEX),
         }
 
     def _max_change(self, dt: float) -> int:
         if self.max_speed is None:
             return 0
-        return min(max(1, math.ceil(self.max_speed * dt / self.resolution)), 2**31 - 1)
+        return max(1, math.ceil(min(self.max_speed * dt / self.resolution, 2**31 - 1)))
 
     def position(self, counts: ArrayLike, zero: int = 0) -> NDArray[np.float64]:
         """Position of each count, in the middle of its step; a wrapping counter is unwrapped.

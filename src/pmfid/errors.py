@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from numbers import Integral, Real
 from typing import ClassVar
 
-__all__ = ["NotIdentifiableError", "PmfidError", "UsageError", "did_you_mean", "whole_number"]
+__all__ = [
+    "NotIdentifiableError",
+    "PmfidError",
+    "UnknownParameterError",
+    "UsageError",
+    "did_you_mean",
+    "place_of",
+    "printable",
+    "whole_number",
+]
 
 
 class PmfidError(Exception):
@@ -25,6 +34,26 @@ class NotIdentifiableError(PmfidError):
     """The data are in order, but cannot identify the parameters (exit code 3)."""
 
     exit_code: ClassVar[int] = 3
+
+
+class UnknownParameterError(UsageError, KeyError):
+    """A result was asked for a parameter that it does not have; a KeyError, as of any mapping."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])  # that of a KeyError would quote the sentence
+
+
+def printable(text: str) -> str:
+    """`text` with its control characters, but for line feeds, as escapes: a name must not steer a terminal."""
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
+def place_of(name: str, names: Sequence[str]) -> int:
+    """Place of a parameter among its names. Raises UnknownParameterError listing them."""
+    if name not in names:
+        listed = ", ".join(names)
+        raise UnknownParameterError(f"there is no parameter {name!r}; there are {listed}{did_you_mean(name, names)}")
+    return list(names).index(name)
 
 
 def did_you_mean(word: str, choices: Iterable[str]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,7 +28,7 @@ JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON obje
 KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": "search.seed"}
 
 
-@click.command()
+@click.command(short_help="Find the input that tells most within an axis' limits.")
 @SPEC
 @UNKNOWN
 @CRITERION
@@ -42,7 +41,7 @@ KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": 
     default=5.0,
     show_default=True,
     metavar="S",
-    help="Seconds at most for a proof of how near the optimum is; 0 for none.",
+    help="Seconds of the processor at most for a proof of how near the optimum is; 0 for none.",
 )
 @click.option(
     "--motions",
@@ -79,7 +78,7 @@ def design(
         print_appraisal(appraisal, together, out)
 
 
-@click.command()
+@click.command(short_help="Estimate from the runs so far and design the next one.")
 @SPEC
 @click.argument("records", nargs=-1, type=click.Path(path_type=Path), metavar="[RECORD]...")
 @click.option(
@@ -173,15 +172,8 @@ def _infeasible_as_json(as_json: bool) -> Iterator[None]:
 
 @contextmanager
 def _progress(starts: int, quiet: bool) -> Iterator[Callable[[int, int, float], None] | None]:
-    """A bar on standard error, where that is a terminal."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
+    """What the search calls after each of its starts."""
+    from pmfid.cli.progress import progress
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(f"{starts} starts", total=starts)
-        yield lambda done, total, best: bar.update(
-            task, completed=done, description=f"{starts} starts, best {best:.5g}"
-        )
+    with progress(f"{starts} starts", quiet) as tell:
+        yield None if tell is None else lambda done, total, best: tell(done / total)

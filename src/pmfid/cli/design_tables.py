@@ -18,7 +18,8 @@ def print_appraisal(appraisal: Appraisal, together: Campaign | None, out: Path |
     unknown = ", ".join(name.replace("_", " ") for name in appraisal.design.problem.unknown)
     _table(f"Input for {unknown}", criteria_table(appraisal))
     _table("Predicted standard deviation after one run", std_table(appraisal))
-    _lines(proof(appraisal.design), *(f"warning: {text}" for text in appraisal.warnings))
+    _lines(proof(appraisal.design), f"Recommended: {appraisal.recommended.replace('_', ' ')}.")
+    _lines(*(f"warning: {text}" for text in appraisal.warnings))
     if appraisal.price is not None:
         _lines(price_words(appraisal.price))
     if together is not None:
@@ -36,10 +37,11 @@ def print_commissioning(state: Commissioning, out: Path | None) -> None:
         _table("After each round: value ± standard deviation", rounds_table(state))
     if state.wanted and state.rounds:
         _lines("every wanted deviation is reached" if state.reached else "a wanted deviation is not yet reached")
-    if state.next is None:
+    _lines(*(f"doubt: {text}" for text in state.doubts))
+    if state.choice is None:
         return
-    predicted = ", ".join(f"{name.replace('_', ' ')} {std:.3g}" for name, std in state.next.predicted_std.items())
-    _lines(f"next design: standard deviations expected after it: {predicted}")
+    expected = ", ".join(f"{name.replace('_', ' ')} {std:.3g}" for name, std in state.choice.std.items())
+    _lines(f"next input ({state.choice.name}): standard deviations expected of one run: {expected}")
     if out is not None:
         _lines(f"report: {out / 'report.html'}", f"motion: {out / 'design.csv'}")
 

@@ -11,7 +11,7 @@ import click
 from pmfid.estimators import METHODS
 
 
-@click.command()
+@click.command(short_help="Write the estimator of AXIS.toml as C99 for a drive.")
 @click.argument("axis_file", metavar="AXIS.toml", type=click.Path(path_type=Path))
 @click.option(
     "--out", required=True, type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Where the C goes."

@@ -13,9 +13,10 @@ from pmfid import __version__
 from pmfid.cli.design import commission, design
 from pmfid.cli.export import export
 from pmfid.cli.monitor import monitor
+from pmfid.cli.progress import progress
 from pmfid.cli.reproduce import reproduce
 from pmfid.cli.simulate import simulate
-from pmfid.errors import PmfidError, UsageError
+from pmfid.errors import PmfidError, UsageError, printable
 from pmfid.estimators import METHODS
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from pmfid.session.config import Axis
 
 EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
+#: Runs over fewer samples are over before anybody asks how far they are.
+PROGRESS_FROM = 1_000_000
 
 
 RECORDS = click.argument("records", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RECORD...")
@@ -45,14 +48,14 @@ class Group(click.Group):
         try:
             return super().invoke(ctx)
         except PmfidError as error:
-            click.echo(f"pmfid: {error}", err=True)
+            click.echo(f"pmfid: {printable(str(error))}", err=True)
             ctx.exit(error.exit_code)
         except BrokenPipeError:  # the reader went away: what it has read is all that it wanted
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             ctx.exit(0)
         except OSError as error:
             reason = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-            click.echo(f"pmfid: {reason}; choose another place", err=True)
+            click.echo(f"pmfid: {printable(reason)}; choose another place", err=True)
             ctx.exit(EXIT_USAGE)
         except KeyboardInterrupt:
             click.echo("pmfid: interrupted", err=True)
@@ -65,13 +68,14 @@ def main() -> None:
     """Mass and friction of a drive, or a transfer function, from input and a coarse encoder."""
 
 
-@main.command()
+@main.command(short_help="Identify the parameters of a record.")
 @RECORDS
 @CONFIG
 @click.option(
     "--method",
     type=click.Choice(METHODS),
-    help="Least squares, bias-compensated, or instrumental variables; off-line (ls, bcls, iv) or recursive.",
+    help="auto: by the record. Off-line: ls, bcls, known-step, iv, output-error, interval, srivc; "
+    "recursive: rls, bcrls, rknown-step, riv, rsrivc. srivc and rsrivc are for a transfer function.",
 )
 @CUTOFF
 @click.option("--order", type=int, help="Stages of the filters.")
@@ -112,8 +116,8 @@ def identify(
         _identify_process(records, axis, quantize, out, as_json)
         return
     data = read_record(_only(records), axis, quantize)
-    with _progress(data.u.size, quiet=as_json) as progress:
-        result = run(data, axis, progress)
+    with progress(f"{data.u.size} samples", quiet=as_json or data.u.size < PROGRESS_FROM) as tell:
+        result = run(data, axis, tell)
     if out is not None:
         from pmfid.report.record import write_result
 
@@ -158,7 +162,7 @@ def _experiments(paths: tuple[Path, ...], axis: Axis, quantize: float | None) ->
     return [read_experiment(path, axis) for path in paths]
 
 
-@main.command()
+@main.command(short_help="Search the structure of a transfer function.")
 @RECORDS
 @CONFIG
 @CUTOFF
@@ -176,7 +180,8 @@ def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Pa
     structure = {"model.kind": "transfer_function", "model.n": 1, "model.m": 0, "model.delay": 0}
     structure |= {"model.integrators": 0, "model.dead_time": 0.0}
     axis = load_axis(config, {"estimator.cutoff": cutoff, **structure})
-    search = search_order([read_experiment(path, axis) for path in records], axis)
+    with progress("structures", quiet=as_json) as tell:
+        search = search_order([read_experiment(path, axis) for path in records], axis, tell)
     if out is not None:
         from pmfid.report.process import write_search
 
@@ -189,7 +194,7 @@ def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Pa
         print_search(search, records[0].name, out)
 
 
-@main.command()
+@main.command(short_help="Identify a record by every method, side by side.")
 @RECORDS
 @CONFIG
 @CUTOFF
@@ -216,10 +221,11 @@ def compare(
     from pmfid.session.records import read_record
 
     axis = load_axis(config, {"estimator.cutoff": cutoff})
-    if axis.model.kind == "transfer_function":
-        comparison = compare_processes(_experiments(records, axis, quantize), axis)
-    else:
-        comparison = run(read_record(_only(records), axis, quantize), axis)
+    with progress("methods", quiet=as_json) as tell:
+        if axis.model.kind == "transfer_function":
+            comparison = compare_processes(_experiments(records, axis, quantize), axis, tell)
+        else:
+            comparison = run(read_record(_only(records), axis, quantize), axis, tell)
     if out is not None:
         from pmfid.report.comparison import write_comparison
 
@@ -232,7 +238,7 @@ def compare(
         print_comparison(comparison, out)
 
 
-@main.command()
+@main.command(short_help="Watch a cart's mass step with four encoders.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -259,6 +265,7 @@ def demo(out: Path, seed: int) -> None:
     Console().print(demo_table(result))
     write_demo(out, result)
     click.echo(f"\nreport: {out / 'report.html'}\nrecord: {out / 'cart.csv'}")
+    click.echo(f"pmfid identify {out / 'cart.csv'} --config {out / 'cart.toml'}")
 
 
 main.add_command(design)
@@ -267,12 +274,6 @@ main.add_command(monitor)
 main.add_command(simulate)
 main.add_command(reproduce)
 main.add_command(export)
-
-
-def _progress(samples: int, quiet: bool) -> Any:
-    from pmfid.cli.tables import progress_bar
-
-    return progress_bar(samples, quiet or not sys.stderr.isatty())
 
 
 def _print_json(content: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 
-@click.command()
+@click.command(short_help="Watch a record or a pipe and tell what changes.")
 @click.argument("record", type=click.Path(path_type=Path, allow_dash=True))
 @click.option(
     "--config",
@@ -46,56 +46,78 @@ def monitor(
     from pmfid.session.records import read_record
     from pmfid.session.stream import Stop
 
-    _check_places(out, report)
     axis = load_axis(config, {f"monitor.{key}": value for key, value in options.items()})
     check_monitored(axis)
     piped = str(record) == "-"
+    inputs = [config, *([] if piped else [record])]
+    _check_places(out, report, [*inputs, config.parent / axis.monitor.reference] if axis.monitor.reference else inputs)
     data = None if piped else read_record(record, axis)
     tell = _Teller(as_json, to_stderr=str(out) == "-")
     with _progress(as_json) as progress:
         setup = set_up(axis, config.parent, data, progress)
-    tell.start(setup)
     with Stop().handling() as stop:
-        history, run = _run(setup, axis, data, out, stop, tell, report is not None)
-    tell.end(run)
+        run, history, sink = _run(setup, axis, data, out, stop, tell, report is not None)
     if report is not None and history is not None:
-        from pmfid.report.monitored import write_monitored
+        _write_report(report, "standard input" if piped else record.name, setup, run, history, tell)
+    tell.end(run, sink)
+    _complain(run, sink)
 
-        write_monitored(report, "standard input" if piped else record.name, setup, run, history)
-        tell.line(f"report: {report}")
 
-
-def _check_places(*paths: Path | None) -> None:
+def _check_places(out: Path | None, report: Path | None, inputs: list[Path]) -> None:
     """Before the calibration rather than after it."""
     from pmfid.errors import UsageError
 
-    for path in paths:
+    for path in (out, report):
         if path is not None and not path.parent.is_dir():
             raise UsageError(f"{path}: there is no folder {path.parent}; make it, or choose another place")
+    for path in inputs:
+        if report is not None and report.exists() and path.exists() and report.samefile(path):
+            raise UsageError(f"--report {report} would overwrite {path}; choose another name")
 
 
-def _run(setup: Any, axis: Any, data: Any, out: Path | None, stop: Any, tell: _Teller, keep: bool) -> tuple[Any, Any]:
+def _write_report(path: Path, name: str, setup: Any, run: Any, history: Any, tell: _Teller) -> None:
+    """What came from a pipe is nowhere else: its page replaces no other."""
+    from pmfid.report.monitored import write_monitored
+    from pmfid.session.row_file import fresh, is_stream
+
+    place = path if name != "standard input" or is_stream(path) else fresh(path)
+    write_monitored(place, name, setup, run, history)
+    tell.line(f"report: {place}")
+
+
+def _run(setup: Any, axis: Any, data: Any, out: Path | None, stop: Any, tell: _Teller, keep: bool) -> Any:
+    """The run, its history, and where the estimates went."""
     from pmfid.session.monitor_run import History, header, watch
     from pmfid.session.sinks import open_sink
     from pmfid.session.stream import line_samples, record_samples
 
-    estimator = setup.monitor.estimator
-    piped = line_samples(sys.stdin.buffer, axis, estimator.dt, stop)
-    samples = piped if data is None else record_samples(data, stop)
+    sink = open_sink(out, header(setup.monitor), tell)
     history = History() if keep else None
-    sink = open_sink(out, header(setup.monitor))
     try:
+        tell.start(setup, sink.path)
+        piped = line_samples(sys.stdin.buffer, axis, setup.monitor.estimator.dt, stop)
+        samples = piped if data is None else record_samples(data, stop)
         run = watch(samples, setup.monitor, sink, tell, [history] if history else [])
     finally:
         sink.close()
-    return history, run
+    return run, history, sink
+
+
+def _complain(run: Any, sink: Any) -> None:
+    """Raises UsageError for what ended the run before its time, or is missing in its file."""
+    from pmfid.errors import UsageError
+
+    if run.problem:
+        raise UsageError(run.problem)
+    if sink.lost:
+        raise UsageError(f"{sink.lost} rows could not be written to {sink.path}; make room there, or choose another")
 
 
 class _Teller:
     """Prints events, as JSON or for people."""
 
     def __init__(self, as_json: bool, to_stderr: bool) -> None:
-        self._json, self._stderr = as_json, to_stderr
+        self._json, self._stderr, self._failed = as_json, to_stderr, False
 
     def __call__(self, event: dict[str, Any]) -> None:
         if self._json:
@@ -108,28 +130,43 @@ class _Teller:
             self.line(sentence(event))
 
     def line(self, text: str, machine: bool = False) -> None:
-        """A line at once; with --json only machine readable ones."""
-        if text and (machine or not self._json):
+        """A line at once; with --json only machine readable ones. A full disk behind it does not end the watch."""
+        if not text or (self._json and not machine):
+            return
+        try:
             click.echo(text, err=self._stderr)
             (sys.stderr if self._stderr else sys.stdout).flush()
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            self._failed = self._failed or _report_failure(error)
 
-    def start(self, setup: Any) -> None:
-        """What is watched and how."""
+    def start(self, setup: Any, out: Path | None) -> None:
+        """What is watched and how, and where the estimates go."""
         from pmfid.session.monitoring import start_object
 
-        self(start_object(setup))
+        self({**start_object(setup), "out": None if out is None else str(out)})
 
-    def end(self, run: Any) -> None:
-        """The totals."""
-        names = ("samples", "bad_lines", "gaps", "missing")
-        self({"event": "end", **{name: getattr(run, name) for name in names}, "alarms": len(run.alarms)})
+    def end(self, run: Any, sink: Any) -> None:
+        """The totals; what was skipped also on standard error, where it is seen."""
+        from pmfid.cli.monitor_lines import skipped
+
+        totals = run.totals()
+        self({"event": "end", **totals, "rows_lost": sink.lost, "problem": run.problem})
+        if parts := skipped(totals):
+            click.echo(f"skipped: {', '.join(parts)}", err=True)
+
+
+def _report_failure(error: OSError) -> bool:
+    """Says once, where it can be said, that events cannot be written."""
+    from contextlib import suppress
+
+    with suppress(OSError):
+        click.echo(f"pmfid: events cannot be written: {error.strerror}; the watch goes on", err=True)
+    return True
 
 
 def _progress(quiet: bool) -> Any:
-    from contextlib import nullcontext
+    from pmfid.cli.progress import progress
 
-    if quiet or not sys.stderr.isatty():
-        return nullcontext(None)
-    from pmfid.cli.tables import progress_bar
-
-    return progress_bar(10**9, False, "calibration")
+    return progress("calibration", quiet)

@@ -13,12 +13,14 @@ def sentence(event: dict[str, Any]) -> str:
 def _start(event: dict[str, Any]) -> str:
     normal = ", ".join(f"{name} {value:.4g} {event['units'][name]}" for name, value in event["nominal"].items())
     source = "from the cache" if event["cached"] else "now in the cache"
+    made = "drawn from the reference" if event["record_hours"] else "simulated"
     lines = [
         f"normal: {normal}",
         f"{event['detector']}, tolerance {100 * event['tolerance']:g} %, threshold {event['threshold']:.4g}: a false "
-        f"alarm in {event['mtbf_hours']:g} h on average ({event['hours']:.3g} h of normal work simulated, {source}: "
+        f"alarm in {event['mtbf_hours']:g} h on average ({event['hours']:.3g} h of normal work {made}, {source}: "
         f"{event['calibration']})",
         *(f"note: {note}" for note in event["notes"]),
+        *([f"estimates: {event['out']}"] if event["out"] else []),
     ]
     return "\n".join(lines)
 
@@ -45,20 +47,42 @@ def _state(event: dict[str, Any]) -> str:
 
 
 def _bad_line(event: dict[str, Any]) -> str:
-    return f"{event['time']:.2f} s  bad line: {event['problem']}"
+    return f"{event['time']:.2f} s  {event['event']}: {event['problem']}"
 
 
 def _gap(event: dict[str, Any]) -> str:
     return f"{event['time']:.2f} s  {event['missing']} samples are missing before this one"
 
 
+def _clock(event: dict[str, Any]) -> str:
+    return f"{event['time']:.2f} s  the clock was set by {event['jump']:+.6g} s, or the logger started again"
+
+
+def _write_error(event: dict[str, Any]) -> str:
+    return f"{event['file']} cannot be written: {event['problem']}; the watch goes on"
+
+
+def _written_again(event: dict[str, Any]) -> str:
+    return f"{event['file']} is written again, {event['lost']} rows were lost"
+
+
 def _end(event: dict[str, Any]) -> str:
-    parts = [f"{event['samples']} samples", f"{event['alarms']} alarm{'s' * (event['alarms'] != 1)}"]
-    if event["bad_lines"]:
-        parts.append(f"{event['bad_lines']} bad lines")
+    found = [f"{event['samples']} samples", f"{event['alarms']} alarm{'s' * (event['alarms'] != 1)}"]
+    return ", ".join(found + skipped(event))
+
+
+def skipped(event: dict[str, Any]) -> list[str]:
+    """What was no sample, from the totals."""
+    parts = [
+        f"{event[name]} {word}{'s' * (event[name] != 1)}"
+        for name, word in (("bad_lines", "bad line"), ("repeated_lines", "repeated line"), ("comments", "comment"))
+        if event[name]
+    ]
     if event["missing"]:
         parts.append(f"{event['missing']} samples missing in {event['gaps']} gaps")
-    return ", ".join(parts)
+    if event["clock_jumps"]:
+        parts.append(f"clock set {event['clock_jumps']} times")
+    return parts
 
 
 _SENTENCES = {
@@ -67,6 +91,10 @@ _SENTENCES = {
     "settled": _settled,
     "state": _state,
     "bad line": _bad_line,
+    "repeated line": _bad_line,
     "gap": _gap,
+    "clock": _clock,
+    "write error": _write_error,
+    "written again": _written_again,
     "end": _end,
 }

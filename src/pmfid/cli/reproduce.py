@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 
-@click.command()
+@click.command(short_help="Reproduce the figures of the paper.")
 @click.argument("figures", nargs=-1, metavar="[FIG]...")
 @click.option(
     "--out",
@@ -25,7 +25,10 @@ def reproduce(figures: tuple[str, ...], out: Path, seeds: int, jobs: int | None)
     Writes a picture and a CSV of what is drawn for each figure, and table.csv with the figures of merit over many
     seeded runs of the simulated cart.
     """
+    from pmfid.cli.progress import progress
     from pmfid.cli.tables import print_merits
     from pmfid.studies.reproduce.run import reproduce as run
 
-    print_merits(run(figures, out, seeds, jobs), out)
+    with progress("runs") as tell:
+        rows = run(figures, out, seeds, jobs, tell)
+    print_merits(rows, out)

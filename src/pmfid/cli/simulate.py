@@ -9,7 +9,7 @@ import click
 from pmfid.errors import UsageError, did_you_mean
 
 
-@click.command()
+@click.command(short_help="Simulate a run of the laboratory cart as a record.")
 @click.argument("scenario", required=False)
 @click.option("--list", "listing", is_flag=True, help="Print the scenarios and stop.")
 @click.option(

@@ -1,11 +1,12 @@
-"""What the terminal shows: the table of a result, and progress."""
+"""What the terminal shows: the tables of results."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from pmfid.errors import printable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -16,28 +17,24 @@ if TYPE_CHECKING:
     from pmfid.session.process import ProcessResult
     from pmfid.studies.reproduce.merit import Merit
 
-#: Shorter runs are over before a bar could be read.
-PROGRESS_FROM = 1_000_000
-
 
 def print_result(result: Result, out: Path | None) -> None:
     """The parameters with their standard deviations, the fit, and what to mind."""
     from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
     title = f"{result.record.name}: {result.estimator.method}, {result.record.u.size} samples"
-    table = Table(title=escape(title))
+    table = Table(title=_safe(title))
     for heading in ("parameter", "value", "std", "unit"):
         table.add_column(heading, justify="right" if heading in ("value", "std") else "left")
     rows = zip(result.estimator.names, result.theta, result.theta_std, result.estimator.units, strict=True)
     for name, value, std, unit in rows:
-        table.add_row(name, f"{value:.6g}", f"{std:.2g}", unit)
+        table.add_row(name, f"{value:.6g}", f"{std:.2g}", _safe(unit))
     console = Console()
     console.print(table)
     console.print(f"relative error of the filtered equation: {100 * result.relative_error:.3g} %", highlight=False)
     for note in result.notes:
-        console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
+        console.print(printable(f"note: {note}"), highlight=False, markup=False, soft_wrap=True)
     if out is not None:
         console.print(f"report: {out / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
 
@@ -58,9 +55,9 @@ def print_comparison(comparison: Comparison, out: Path | None) -> None:
         title = ""
     for row in rows:  # beside the numbers there is no room for them in a narrow terminal
         if row[-1]:
-            console.print(f"{row[0]}: {row[-1]}", highlight=False, markup=False, soft_wrap=True)
+            console.print(printable(f"{row[0]}: {row[-1]}"), highlight=False, markup=False, soft_wrap=True)
     for name, reason in comparison.refused.items():
-        console.print(f"{name} has no answer: {reason}", highlight=False, markup=False, soft_wrap=True)
+        console.print(printable(f"{name} has no answer: {reason}"), highlight=False, markup=False, soft_wrap=True)
     if out is not None:
         console.print(f"report: {out / 'compare.html'}", highlight=False, markup=False, soft_wrap=True)
 
@@ -78,15 +75,14 @@ def _blocks(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) ->
 
 
 def _comparison_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], columns: list[int]) -> Table:
-    from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=escape(title) or None)
+    table = Table(title=_safe(title) or None)
     for heading in (header[column] for column in columns):
-        text = escape(heading.replace("_", "\n").replace(" [", "\n["))
+        text = _safe(heading.replace("_", "\n").replace(" [", "\n["))
         table.add_column(text, justify="left" if heading == "method" else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*(row[column] for column in columns))
+        table.add_row(*(_safe(row[column]) for column in columns))
     return table
 
 
@@ -119,7 +115,7 @@ def print_merits(rows: Sequence[Merit], out: Path) -> None:
                 heading = name.replace(" [", "\n\\[").replace("increments", "inc")
                 table.add_column(heading, justify="left" if name == "method" else "right", no_wrap=True)
         for row in zip(*(values for name, values in given if name == "method" or len(set(values)) > 1), strict=True):
-            table.add_row(*row)
+            table.add_row(*map(_safe, row))
         console.print(table)
     console.print(f"table, pictures and their data: {out}", highlight=False, markup=False, soft_wrap=True)
 
@@ -139,13 +135,13 @@ def print_process(result: ProcessResult, out: Path | None) -> None:
         table.add_column(heading, justify="right" if heading in ("value", "std") else "left")
     rows = zip(result.estimator.names, result.theta, result.theta_std, result.estimator.units, strict=True)
     for name, value, std, unit in rows:
-        table.add_row(name, f"{value:.6g}", f"{std:.2g}", unit)
+        table.add_row(name, f"{value:.6g}", f"{std:.2g}", _safe(unit))
     table.add_section()
     for row in dynamics_rows(result.process):
-        table.add_row(*row)
+        table.add_row(*map(_safe, row))
     console.print(table)
     for note in result.notes:
-        console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
+        console.print(printable(f"note: {note}"), highlight=False, markup=False, soft_wrap=True)
     if out is not None:
         console.print(f"report: {out / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
 
@@ -153,36 +149,28 @@ def print_process(result: ProcessResult, out: Path | None) -> None:
 def print_search(search: Search, name: str, out: Path | None) -> None:
     """The best structures."""
     from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
     from pmfid.report.process import search_header, search_rows
     from pmfid.session.doubts import search_notes
 
-    table = Table(title=escape(f"{name}: poles n, zeros m, dead time in samples"))
+    table = Table(title=_safe(f"{name}: poles n, zeros m, dead time in samples"))
     for heading in search_header():
-        table.add_column(escape(heading), justify="right")
+        table.add_column(_safe(heading), justify="right")
     for row in search_rows(search):
-        table.add_row(*row)
+        table.add_row(*map(_safe, row))
     console = Console()
     console.print(table)
     best = search.best
     console.print(f"best: --n {best.n} --m {best.m} --delay {best.delay}", highlight=False, markup=False)
     for note in search_notes(search):
-        console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
+        console.print(printable(f"note: {note}"), highlight=False, markup=False, soft_wrap=True)
     if out is not None:
         console.print(f"report: {out / 'order.html'}", highlight=False, markup=False, soft_wrap=True)
 
 
-@contextmanager
-def progress_bar(samples: int, quiet: bool, what: str = "") -> Iterator[Callable[[float], None] | None]:
-    """A progress bar on standard error for long runs, or nothing."""
-    if quiet or samples < PROGRESS_FROM:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
+def _safe(text: str) -> str:
+    """A text from outside for a cell or a title: neither control characters nor rich's markup act."""
+    from rich.markup import escape
 
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task(what or f"{samples} samples", total=1.0)
-        yield lambda done: progress.update(task, completed=done)
+    return escape(printable(text))

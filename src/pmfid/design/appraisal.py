@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pmfid.design.choice import USUAL, best_input, stds
 from pmfid.design.criteria import Criterion, eliminate
-from pmfid.design.encoder_error import encoder_covariance
+from pmfid.design.encoder_error import expected_covariance, is_counted
 from pmfid.design.evaluation import Setting, setting
 from pmfid.design.fisher import affine
 from pmfid.design.problem import Float, Problem
@@ -22,8 +23,6 @@ from pmfid.design.standard import StandardInput, standard_inputs
 
 __all__ = ["Appraisal", "Worth", "appraise", "gathered", "worth_of"]
 
-#: An encoder that makes a deviation so many times larger than predicted deserves a word.
-WORSE = 2.0
 #: Below this part of the claimed information the design is not what it says.
 SURVIVES = 0.95
 
@@ -37,8 +36,9 @@ class Worth:
     surviving: part of the claimed information that is there with true stiction, the least for parameters that are a
     little larger, smaller or both; None where that cannot be simulated.
     predicted_std: of each unknown parameter after one run; inf where the run and the prior leave it open.
-    std_encoder: that of least squares on the encoder's counts, start position unknown (`encoder_covariance`); inf as
-    above and where the noise is not that of an encoder.
+    std_encoder: that of `pmfid commission` from the encoder's counts, start position unknown (`encoder_covariance`);
+    inf as above and where the noise is not that of an encoder. covariance: (p, p) of the estimate after one run over
+    unknown + nuisance, in their units, by which inputs are chosen; None where it is open.
     """
 
     fisher: Float
@@ -46,6 +46,7 @@ class Worth:
     surviving: float | None
     predicted_std: Mapping[str, float]
     std_encoder: Mapping[str, float]
+    covariance: Float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +70,12 @@ class Appraisal:
         values = {name: self.worths[name].value for name in self.standard}
         return {name: own / value if value > 0 else math.inf for name, value in values.items()}
 
+    @property
+    def recommended(self) -> str:
+        """Name of the input that serves the estimate best, with no unknown parameter worse than by the trapezoid."""
+        covariances = {name: worth.covariance for name, worth in self.worths.items()}
+        return best_input(self.design.problem, self.rule, covariances)
+
     def to_json(self) -> dict[str, Any]:
         """The object that `--json` prints; null in place of what is infinite or not proved."""
         design, worth = self.design, self.worths["design"]
@@ -82,6 +89,7 @@ class Appraisal:
             "surviving": worth.surviving,
             "predicted_std": {name: _finite(std) for name, std in worth.predicted_std.items()},
             "predicted_std_encoder": {name: _finite(std) for name, std in worth.std_encoder.items()},
+            "recommended": self.recommended,
             "solve_seconds": design.solve_seconds,
             "starts": design.starts,
             "feasible": design.feasible,
@@ -98,20 +106,22 @@ def appraise(design: Design, combination: Mapping[str, float] | None = None, see
     inputs = {"design": design.u} | {name: found.u for name, found in standard.items()}
     worths = {name: worth_of(ready, u) for name, u in inputs.items()}
     price = price_of_robustness(design, combination) if problem.scenarios else None
-    warnings = (*design.warnings, *_warnings(design, worths["design"]))
-    return Appraisal(design, ready.rule, standard, worths, warnings, price)
+    found = Appraisal(design, ready.rule, standard, worths, design.warnings, price)
+    return replace(found, warnings=(*design.warnings, *_warnings(found)))
 
 
 def worth_of(ready: Setting, u: Float) -> Worth:
     """What one run of the input u (n,) tells."""
     problem, maps = ready.problem, ready.maps[0]
+    covariance = expected_covariance(problem, u)
     F = maps.information(u)
     return Worth(
         _on_unknown(problem, F),
         ready.value(u),
         _surviving(problem, ready.rule, u, F - maps.prior),
         _stds(problem, _on_unknown(problem, F)),
-        _encoder_stds(problem, u),
+        stds(problem, covariance if is_counted(problem) else None),
+        covariance,
     )
 
 
@@ -152,15 +162,9 @@ def _stds(problem: Problem, fisher: Float) -> dict[str, float]:
     return {name: float(std) for name, std in zip(problem.unknown, scale * np.sqrt(variance), strict=True)}
 
 
-def _encoder_stds(problem: Problem, u: ArrayLike) -> dict[str, float]:
-    covariance = encoder_covariance(problem, u)
-    if covariance is None:
-        return dict.fromkeys(problem.unknown, math.inf)
-    return {name: math.sqrt(value) for name, value in zip(problem.unknown, covariance.diagonal(), strict=False)}
-
-
-def _warnings(design: Design, worth: Worth) -> list[str]:
-    return [*_stiction_warnings(design, worth), *_encoder_warnings(worth)]
+def _warnings(found: Appraisal) -> list[str]:
+    stiction = _stiction_warnings(found.design, found.worths["design"])
+    return [*stiction, *_encoder_warnings(found.worths, found.recommended)]
 
 
 def _stiction_warnings(design: Design, worth: Worth) -> list[str]:
@@ -173,15 +177,18 @@ def _stiction_warnings(design: Design, worth: Worth) -> list[str]:
     return [f"{part}; raise min_speed" if careful else f"{part}; min_speed is 0: set it above"]
 
 
-def _encoder_warnings(worth: Worth) -> list[str]:
-    ratio = {name: worth.std_encoder[name] / std for name, std in worth.predicted_std.items() if std < math.inf}
-    bad = {name: value for name, value in ratio.items() if WORSE < value < math.inf}
-    if not bad:
+def _encoder_warnings(worths: Mapping[str, Worth], recommended: str) -> list[str]:
+    own, usual = worths["design"].std_encoder, worths[USUAL].std_encoder
+    if not all(map(math.isfinite, own.values())):
         return []
-    worst = max(bad, key=bad.__getitem__)
+    worse = {name: std / usual[name] for name, std in own.items() if std > usual[name] > 0}
+    if not worse:
+        return []
+    worst = max(worse, key=worse.__getitem__)
     return [
-        f"the encoder's error repeats along this motion, so that least squares gets {bad[worst]:.1f} times the "
-        f"predicted deviation of {worst}; another min_speed or sampling, apart from whole counts per sample, may help"
+        f"by the counts of this encoder the design leaves {worst} {worse[worst]:.1f} times as uncertain as a trapezoid "
+        f"does: its error repeats along the motion; run the input {recommended!r}, or design with another min_speed "
+        "or sampling, apart from whole counts per sample"
     ]
 
 

@@ -1,7 +1,8 @@
-"""Parameters from designed runs: least squares of the simulated position, with what was known before.
+"""Parameters from designed runs, from the simulated position, with what was known before.
 
 The general estimators find everything from one long record. A designed run is short, starts where the design says, and
-some parameters are taken as known: what is left is a small nonlinear least squares problem around a good guess.
+some parameters are taken as known: what is left is a small nonlinear problem around a good guess. Where the position
+has normal noise, least squares; where it is counts, what these leave open (`counted`).
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from pmfid.design.counted import what_is_open
+from pmfid.design.encoder_error import is_counted
 from pmfid.design.problem import Float, Problem
-from pmfid.design.simulated import both_ways, drive_of
+from pmfid.design.simulated import STEP, drive_of
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.simulation.drive import simulate_drive
 
@@ -22,6 +25,10 @@ __all__ = ["Calibration", "Run", "calibrate"]
 MAX_EVALUATIONS = 200
 #: Root mean square of the residual, as a part of that of the motion, from which on it is no fit.
 WORST_FIT = 0.2
+#: Deviations that hold 95 % of a normal distribution.
+NORMAL = 1.96
+#: Least values over the nominal ones; 0 for the others.
+LEAST = {"mass": 1e-3, "offset": -np.inf}
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +54,18 @@ class Calibration:
     """What the runs say.
 
     parameters: {name: value}, known ones included. information: (p, p) over unknown + nuisance, in their units, prior
-    included. inflation: variance of the residual over the encoder's, times the samples for which it is correlated; the
-    runs' information is divided by it where it is more than 1.
+    included: the inverse of their covariance. interval: {name: (lowest, highest)} that holds 95 %, for each of these.
+    inflation: for normal noise the variance of the residual over the noise's, times the samples for which it is
+    correlated; the runs' information is divided by it where it is more than 1. For counts 1.
+    unexplained: by how much the best motion misses a count, in counts; more than 0 is an error of the model, by twice
+    which all counts were taken to be wider.
     """
 
     parameters: Mapping[str, float]
     information: Float
-    inflation: float
+    interval: Mapping[str, tuple[float, float]]
+    inflation: float = 1.0
+    unexplained: float = 0.0
 
     def std(self, names: tuple[str, ...]) -> dict[str, float]:
         """Standard deviations of the parameters that the information is over, in its order."""
@@ -76,16 +88,36 @@ def calibrate(problem: Problem, runs: Sequence[Run]) -> Calibration:
     if not runs:
         raise UsageError("there is no run to estimate from; give at least one")
     objective = _Objective(problem, runs)
-    lower = [-np.inf if name == "offset" else 1e-3 if name == "mass" else 0.0 for name in problem.names]
     found = least_squares(
-        objective, objective.start, objective.jacobian, bounds=(lower, np.inf), max_nfev=MAX_EVALUATIONS
+        objective, objective.start, objective.jacobian, bounds=(objective.lower, np.inf), max_nfev=MAX_EVALUATIONS
     )
     J = objective.jacobian(found.x)
     _check(problem, objective, found.x, J)
-    inflation = objective.inflation(found.x)
+    by = _by_counts if is_counted(problem) else _by_squares
+    return by(problem, objective, found.x, J)
+
+
+def _by_squares(problem: Problem, objective: _Objective, q: Float, J: Float) -> Calibration:
+    inflation = objective.inflation(q)
     information = (J.T @ J - objective.prior) / max(1.0, inflation) + objective.prior
+    apart = NORMAL * np.sqrt(np.linalg.inv(information).diagonal())
+    interval = np.column_stack([q - apart, q + apart]) * objective.scale[:, None]
     scale = np.outer(objective.scale, objective.scale)
-    return Calibration(objective.parameters(found.x), information / scale, inflation)
+    return Calibration(objective.parameters(q), information / scale, _named(problem, interval), inflation)
+
+
+def _by_counts(problem: Problem, objective: _Objective, q: Float, J: Float) -> Calibration:
+    found = what_is_open(
+        objective.counts, q, np.asarray(np.linalg.inv(J.T @ J), float), objective.lower, objective.root
+    )
+    information = np.linalg.inv(found.covariance * np.outer(objective.scale, objective.scale))
+    interval = found.interval * objective.scale[:, None]
+    parameters = objective.parameters(found.mean)
+    return Calibration(parameters, information, _named(problem, interval), unexplained=found.unexplained)
+
+
+def _named(problem: Problem, interval: Float) -> dict[str, tuple[float, float]]:
+    return {name: (float(low), float(high)) for name, (low, high) in zip(problem.names, interval, strict=True)}
 
 
 class _Objective:
@@ -96,6 +128,7 @@ class _Objective:
         nominal = np.array([problem.nominal[name] for name in problem.names])
         self.scale = np.where(nominal != 0, np.abs(nominal), 1.0)
         self.start = nominal / self.scale
+        self.lower = np.array([LEAST.get(name, 0.0) for name in problem.names])
         prior = np.zeros((nominal.size, nominal.size)) if problem.prior is None else np.asarray(problem.prior)
         self.prior = prior * np.outer(self.scale, self.scale)
         values, vectors = np.linalg.eigh(self.prior)
@@ -113,14 +146,21 @@ class _Objective:
         pairs = zip(self.positions(self.parameters(q)), self.runs, strict=True)
         return np.asarray(np.concatenate([x - centred(run.y) for x, run in pairs]) / np.sqrt(self.problem.variance))
 
+    def counts(self, q: Float) -> list[Float]:
+        """For each run the simulated less the measured position, in counts."""
+        size = float(self.problem.resolution or 1.0)
+        pairs = zip(self.positions(self.parameters(q)), self.runs, strict=True)
+        return [(x - centred(run.y)) / size for x, run in pairs]
+
     def __call__(self, q: Float) -> Float:
         return np.asarray(np.r_[self.data(q), self.root @ (q - self.start)])
 
     def jacobian(self, q: Float) -> Float:
         columns = []
-        for i, name in enumerate(self.problem.names):
+        for i in range(q.size):
             low, high = (np.array(q, float) for _ in range(2))
-            low[i], high[i] = both_ways(name, float(q[i]))
+            # as a part of the nominal value: of an estimate at its bound, 0, a part would be nothing
+            low[i], high[i] = max(q[i] - STEP, self.lower[i]), q[i] + STEP
             columns.append((self.data(high) - self.data(low)) / (high[i] - low[i]))
         return np.vstack([np.column_stack(columns), self.root])
 

@@ -9,8 +9,9 @@ import highspy
 import numpy as np
 from scipy.sparse import csc_matrix, hstack
 
+from pmfid.design.highs import model
 from pmfid.design.nearest import input_set, nearest
-from pmfid.design.oracle import Oracle, model
+from pmfid.design.oracle import Oracle
 from pmfid.design.polytope import UNITS, Polytope, polytope
 from pmfid.design.problem import InfeasibleError, Problem, Relaxation
 

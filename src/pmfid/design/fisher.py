@@ -114,7 +114,7 @@ def _checked(problem: Problem, u: ArrayLike) -> Float:
 
 
 def check_identifiable(problem: Problem, maps: Affine) -> None:
-    """Raises NotIdentifiableError that names the parameters which no input can tell, or tell apart."""
+    """Raises NotIdentifiableError that names the parameters which no input tells, or tells apart, or no single run."""
     p = len(problem.names)
     every = np.hstack([maps.matrix, maps.offset[:, None]]).reshape(p, -1)
     gram = every @ every.T + maps.prior
@@ -126,6 +126,21 @@ def check_identifiable(problem: Problem, maps: Affine) -> None:
     if values[0] < 1e-10:
         alike = [name for name, part in zip(problem.names, vectors[:, 0], strict=True) if abs(part) > 1e-3]
         raise NotIdentifiableError(f"no input tells {' from '.join(alike)} in this motion; {_REMEDY}")
+    told = _rank_of_a_run(maps)
+    if told < p:
+        raise NotIdentifiableError(
+            f"one run of this motion has {maps.matrix.shape[0] // p} samples and tells {told} numbers, too few for "
+            f"{', '.join(problem.names)}; take more intervals or samples_per_interval, take {p - told} of them out of "
+            "unknown, or give prior information"
+        )
+
+
+def _rank_of_a_run(maps: Affine) -> int:
+    """How many combinations of the parameters one run tells, with the prior: all inputs together may tell more."""
+    run = maps.weighted(np.random.default_rng(0).standard_normal(maps.matrix.shape[1]))
+    both = np.hstack([run / max(float(np.abs(run).max()), 1e-300), maps.prior / max(np.abs(maps.prior).max(), 1e-300)])
+    size = np.linalg.norm(both, axis=1)
+    return int(np.linalg.matrix_rank(both / np.where(size > 0, size, 1.0)[:, None], tol=1e-10))
 
 
 _REMEDY = "take it out of unknown, give prior information, or allow motion in both directions"

@@ -9,6 +9,7 @@ from scipy.linalg import null_space
 from scipy.optimize import nnls
 from scipy.sparse.linalg import spsolve
 
+from pmfid.design.highs import least_norm
 from pmfid.design.polytope import Polytope
 from pmfid.design.problem import Float, InfeasibleError
 
@@ -16,6 +17,8 @@ __all__ = ["InputSet", "input_set", "nearest", "violation"]
 
 #: Bounds of a row that are closer than this make it an equation.
 EQUAL = 1e-9
+#: A row that is missed by less, relative to the largest shortfall, is met.
+MET = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,14 +98,26 @@ def _nearest(inputs: InputSet, wish: Float) -> Float:
 
 
 def _least_distance(G: Float, h: Float) -> Float:
-    """d of least norm with G d >= h."""
-    if not len(h):
+    """d of least norm with G d >= h, rows of G of unit length."""
+    size = float(h.max(initial=0.0))
+    if size <= 0.0:
         return np.zeros(G.shape[1])
+    # in units of the largest shortfall: "no such d" shows as a residual of 0 beside 1 / (1 + |d|^2)
+    return size * _least_distance_of_one(G, h / size)
+
+
+def _least_distance_of_one(G: Float, h: Float) -> Float:
+    """The same for a largest h of 1.
+
+    Where a limit of position says the same as one of velocity next to a standstill, the active set of `nnls` may become
+    singular; what it returns then is no minimum. So the answer is checked, and found another way where it fails.
+    """
     try:
         y, _ = nnls(np.vstack([G.T, h]), np.r_[np.zeros(G.shape[1]), 1.0])
     except RuntimeError:
-        raise InfeasibleError("the nearest input was not found; take fewer intervals") from None
+        return least_norm(G, h)
     residual = np.r_[G.T @ y, h @ y - 1.0]
     if abs(residual[-1]) < EQUAL:
         raise InfeasibleError("no input meets all limits; relax one of them")
-    return np.asarray(-residual[:-1] / residual[-1])
+    d = np.asarray(-residual[:-1] / residual[-1])
+    return d if (h - G @ d).max() <= MET else least_norm(G, h)

@@ -6,27 +6,20 @@ from dataclasses import replace
 
 import highspy
 import numpy as np
-from scipy.sparse import csc_matrix, csr_matrix, vstack
+from scipy.sparse import csr_matrix, vstack
 
+from pmfid.design.highs import model
 from pmfid.design.nearest import input_set, nearest
 from pmfid.design.polytope import Polytope
 from pmfid.design.problem import Float
 from pmfid.errors import PmfidError, UsageError
 
-__all__ = ["EmptyError", "Oracle", "SolverError", "model"]
+__all__ = ["EmptyError", "Oracle", "SolverError"]
 
 #: A point that misses the energy limit by less is taken to meet it.
 ENERGY_TOLERANCE = 1e-9
 #: Tangents that one answer may add, and that are kept in all.
 MAX_CUTS, KEPT = 5, 60
-
-#: The primal simplex goes on from the last vertex when the objective changes.
-OPTIONS: dict[str, bool | int | str] = {
-    "output_flag": False,
-    "threads": 1,
-    "presolve": "off",
-    "simplex_strategy": 4,
-}
 
 
 class SolverError(PmfidError):
@@ -173,20 +166,3 @@ def _summed(shape: Polytope) -> tuple[csr_matrix, Float, Float]:
     matrix.eliminate_zeros()
     total = shape.lower[chain].sum()
     return matrix, np.r_[shape.lower[others], total], np.r_[shape.upper[others], total]
-
-
-def model(matrix: csc_matrix, lower: Float, upper: Float, low: Float, high: Float) -> highspy.Highs:
-    """HiGHS with lower <= matrix z <= upper, low <= z <= high and no objective yet."""
-    lp = highspy.HighsLp()
-    lp.num_row_, lp.num_col_ = matrix.shape
-    lp.col_cost_ = np.zeros(lp.num_col_)
-    lp.col_lower_, lp.col_upper_ = low, high
-    lp.row_lower_, lp.row_upper_ = lower, upper
-    lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
-    lp.a_matrix_.start_, lp.a_matrix_.index_ = matrix.indptr, matrix.indices
-    lp.a_matrix_.value_ = matrix.data
-    highs = highspy.Highs()  # type: ignore[no-untyped-call]
-    for name, value in OPTIONS.items():
-        highs.setOptionValue(name, value)
-    highs.passModel(lp)
-    return highs

@@ -17,7 +17,7 @@ from pmfid.design.fisher import check_identifiable
 from pmfid.design.oracle import Oracle
 from pmfid.design.problem import Float, Problem
 from pmfid.design.result import Design
-from pmfid.errors import UsageError
+from pmfid.errors import NotIdentifiableError, UsageError
 
 __all__ = ["evaluate", "price_of_robustness", "solve"]
 
@@ -43,7 +43,7 @@ def solve(
     """The best input that `starts` random starts find; the same for the same seed and number of workers.
 
     criterion: a key of `CRITERIA`; combination: {parameter: weight} for "c". workers: threads. progress: called after
-    every start. certify: seconds to spend on a proved upper bound, None for none; gap: where to stop with it.
+    every start. certify: seconds of the processor for a proved upper bound, None for none; gap: where to stop with it.
     Raises UsageError, NotIdentifiableError (a parameter that no input tells), InfeasibleError (with what to relax),
     SolverError.
     """
@@ -54,6 +54,11 @@ def solve(
     check_identifiable(problem, ready.maps[0])
     results = _all_starts(ready, np.random.SeedSequence(seed).spawn(starts), workers, progress)
     design = ready.design(_refined(ready, max(results, key=lambda found: found[0])[1]))
+    if not design.value > 0:
+        raise NotIdentifiableError(
+            f"no input within the limits tells {', '.join(problem.names)} in one run; give the motion more time or "
+            "intervals, take a parameter out of unknown, or give prior information"
+        )
     least = np.log(design.value) + np.log1p(-REACHED)
     reached = float(np.mean([np.log(ready.value(u)) >= least for _, u in results]))
     bound = None

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.adequacy import contradicted, examine
 from pmfid.estimators.base import Estimator, like
-from pmfid.estimators.batch import BCLS, LS, Fit
+from pmfid.estimators.batch import BCLS, LS, BatchEstimator, Fit
 from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.output_error import OE
+from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.status import Status
 
 AUTO = "auto"
@@ -35,29 +39,74 @@ def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: f
 def first_fit(configured: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[Estimator, str, Fit]:
     """The best off-line method that a record carries, a line that says why, and its fit; u, counts: (n,).
 
-    The interval likelihood where the model explains the counts to half of one, else instrumental variables where the
-    simulated motion follows the measured one, else bias-compensated, else plain least squares.
+    The interval likelihood where the model explains every count, and what it may lack without showing stays within
+    the error bars; else instrumental variables, which ask less of the model, or where they do not settle output
+    error, bias-compensated, or plain least squares.
     Raises NotIdentifiableError where none of them can identify every parameter.
     """
     refused: list[str] = []
-    without = configured.equation.without_simulation
+    sharp = None if configured.equation.without_simulation else _sharp(configured, u, counts, refused)
+    if sharp is not None and not sharp.doubt:
+        return sharp.method, "interval: the model explains every count", sharp.fit
+    doubt = sharp.doubt if sharp else ""
     for cls, reason in _CANDIDATES:
-        if cls.simulates and without:
+        if cls.simulates and configured.equation.without_simulation:
             continue
-        candidate: Any = like(cls, configured, **({"model": configured.model.symmetric} if cls in (BCLS, LS) else {}))
+        candidate = _candidate(cls, configured, u, counts)
         try:
-            fit: Fit = candidate.fit(u, counts)
+            fit = candidate.fit(u, counts)
         except NotIdentifiableError as error:
             refused.append(f"{cls.method}: {error}")
             continue
-        if fit.theta[candidate.equation.leading] > 0 and not fit.status & Status.FALLBACK:
-            return candidate, f"{cls.method}: {reason}", fit
+        if sharp is not None and sharp.adequate and (cls is not IV or contradicted(fit, sharp.fit, sharp.spread)):
+            return sharp.method, f"interval: the model explains every count, and {cls.method} contradicts it", sharp.fit
+        if fit.theta[candidate.equation.leading] > 0:
+            return candidate, f"{cls.method}: {reason}{doubt}", fit
+    if not refused:
+        raise NotIdentifiableError("the mass comes out negative: check sign and scale of the input and the encoder")
     raise NotIdentifiableError(refused[0].partition(": ")[2])
 
 
-_CANDIDATES: tuple[tuple[type[Estimator], str], ...] = (
-    (IntervalML, "the model explains every count"),
-    (IV, "the simulated motion follows the measured one"),
-    (BCLS, "the input carries enough to take out the encoder's bias"),
+@dataclass(frozen=True)
+class _Sharp:
+    """The interval likelihood on a record, whether its model is enough, by how much (p,) what it may lack unseen would
+    move it, and why that is not the estimate to believe."""
+
+    method: IntervalML
+    fit: Fit
+    adequate: bool
+    spread: NDArray[np.float64]
+    doubt: str
+
+
+def _sharp(configured: Estimator, u: ArrayLike, counts: ArrayLike, refused: list[str]) -> _Sharp | None:
+    method = like(IntervalML, configured, prefilter_zeros=None)
+    try:
+        fit = method.fit(u, counts)
+        found = examine(method, u, counts, fit.theta)
+    except NotIdentifiableError as error:
+        refused.append(f"{method.method}: {error}")
+        return None
+    spread, doubt = found.spread(), ""
+    if fit.status & Status.FALLBACK or not found.follows:
+        doubt = ", and the model does not explain every count"
+    elif not found.adequate:
+        doubt = f", and {found.says}"
+    elif np.any(spread > fit.theta_std):
+        doubt = "; interval would be sharper than what the model may lack unseen"
+    return _Sharp(method, fit, found.adequate and not fit.status & Status.FALLBACK, spread, doubt)
+
+
+def _candidate(cls: type[BatchEstimator], configured: Estimator, u: ArrayLike, counts: ArrayLike) -> BatchEstimator:
+    if cls in (BCLS, LS):
+        zeros = choose_prefilter_zeros(configured, u, counts) if cls is BCLS else None
+        return like(cls, configured, model=configured.model.symmetric, prefilter_zeros=zeros)
+    return like(cls, configured, prefilter_zeros=None)
+
+
+_CANDIDATES: tuple[tuple[type[BatchEstimator], str], ...] = (
+    (IV, "it asks least of the model"),
+    (OE, "instrumental variables do not settle on this record"),
+    (BCLS, "no simulated motion follows this record; the input carries enough to take out the encoder's bias"),
     (LS, "nothing but least squares settles on this record; mind the encoder's bias"),
 )

@@ -24,6 +24,8 @@ from pmfid.status import Status
 #: Time constants after which the filters' start has decayed to less than 1 %, by their order.
 SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
 MAX_SETTLE_SAMPLES = 10**8
+#: Sample periods that anything has [s].
+SHORTEST, LONGEST = 1e-12, 1e12
 #: Information that is never forgotten, as a part of the largest seen: P stays below 1e4 times its best.
 REGULARIZATION = 1e-4
 #: The discretisation that is refined from pass to pass with the estimate.
@@ -75,19 +77,10 @@ class Estimator:
         self._check_kinds()
         if self.equation.process and self.order == 2:
             object.__setattr__(self, "order", max(2, self.equation.order))
-        if self.process_only and not self.equation.process:
-            raise UsageError(f"{self.method} is for a transfer function; for a {self.model.kind} use iv or interval")
-        if self.equation.only_simulated and not self.on_processes:
-            raise UsageError(
-                f"{self.method} does not simulate the process, as it must where {self.equation.only_simulated}; use "
-                "srivc, iv or output-error"
-            )
-        if self.simulates and self.equation.without_simulation and not (self.equation.process and self.on_processes):
-            raise UsageError(
-                f"{self.method} simulates the motion, which it cannot for this equation: "
-                f"{self.equation.without_simulation}; use ls, bcls, rls or bcrls"
-            )
+        self._check_equation()
         check_positive("dt", self.dt, "it is the sample period in s")
+        if not SHORTEST <= self.dt <= LONGEST:
+            raise UsageError(f"dt is {self.dt:g} s: nothing is sampled so; it is the sample period in s")
         check_positive("cutoff", self.cutoff, "it is the pole of the filters in rad/s")
         if self.cutoff * self.dt > 2:
             raise UsageError(
@@ -107,6 +100,21 @@ class Estimator:
         if self.precision not in ("float64", "float32"):
             raise UsageError(f"precision must be 'float64' or 'float32', got {self.precision!r}")
         self._check_zeros()
+
+    def _check_equation(self) -> None:
+        """Can the method do with this equation?"""
+        if self.process_only and not self.equation.process:
+            raise UsageError(f"{self.method} is for a transfer function; for a {self.model.kind} use iv or interval")
+        if self.equation.only_simulated and not self.on_processes:
+            raise UsageError(
+                f"{self.method} does not simulate the process, as it must where {self.equation.only_simulated}; use "
+                "srivc, iv or output-error"
+            )
+        if self.simulates and self.equation.without_simulation and not (self.equation.process and self.on_processes):
+            raise UsageError(
+                f"{self.method} simulates the motion, which it cannot for this equation: "
+                f"{self.equation.without_simulation}; use ls, bcls, rls or bcrls"
+            )
 
     def _check_kinds(self) -> None:
         if not isinstance(getattr(self.model, "equation", None), Equation):
@@ -162,7 +170,7 @@ class Estimator:
     @property
     def _extra(self) -> int:
         """Unknown coefficients of f(s): in the extended model without compensation (paper eq. 19, 21)."""
-        return 0 if self.instrumental else len(self.zeros)
+        return 0 if self.instrumental or self.simulates else len(self.zeros)
 
     @property
     def spec(self) -> FilterSpec:
@@ -286,6 +294,8 @@ def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[np.float64], 
 
 def numbers(name: str, values: ArrayLike) -> NDArray[Any]:
     """An array of real numbers in their own type; raises UsageError where they are none, or rows differ in length."""
+    if np.ma.is_masked(values):
+        raise UsageError(f"{name} has masked elements, which a plain array would show as numbers; fill them first")
     try:
         array = np.asarray(values)
         array = array if array.dtype.kind in "biufc" else array.astype(np.float64)

@@ -9,13 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.encoder import fine_counts
-from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.errors import NotIdentifiableError, UsageError, place_of
 from pmfid.estimators.base import EXACT, START_PIVOT, Estimator, check_arrays, check_size
 from pmfid.status import Status
 
 #: A target closer than this to one regressor alone, relative to its size, identifies nothing else.
 TARGET_APART = 1e-6
 TINY = 1e-300
+NO_SOLUTION = (
+    "the equations for the parameters have no one solution: too little excitation; record reversals, and speeds and "
+    "accelerations that vary"
+)
+#: The square of a number must not leave the format.
+BEYOND = 1e120
 #: Of the power of a column that must not follow from the others, of a linear process: its derivatives nearly do, around
 #: each lightly damped mode.
 PROCESS_PART = 1e-12
@@ -41,12 +47,13 @@ class Fit:
 
     @property
     def theta_std(self) -> NDArray[np.float64]:
-        """(p,) standard deviations."""
-        return np.asarray(np.sqrt(np.diagonal(self.theta_cov)))
+        """(p,) standard deviations; NaN where rounding leaves no variance."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.sqrt(np.diagonal(self.theta_cov)))
 
     def __getitem__(self, name: str) -> float:
-        """One parameter."""
-        return float(self.theta[self.names.index(name)])
+        """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        return float(self.theta[place_of(name, self.names)])
 
 
 @dataclass(frozen=True)
@@ -157,7 +164,7 @@ class LS(BatchEstimator):
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         scale = np.linalg.norm(columns.phi, axis=0)
         Q, R = np.linalg.qr(columns.phi / scale)
-        inverse = np.linalg.inv(R)
+        inverse = inverse_of(R)
         return inverse @ (Q.T @ columns.z) / scale, inverse @ inverse.T / np.outer(scale, scale)
 
 
@@ -180,8 +187,24 @@ def solve_with_instruments(columns: Columns) -> tuple[NDArray[np.float64], NDArr
     """
     scale = np.linalg.norm(columns.zeta, axis=0)
     Q, R = np.linalg.qr(columns.zeta / scale)
-    inverse = np.linalg.inv(Q.T @ columns.phi)
-    return inverse @ (Q.T @ columns.z), inverse @ np.linalg.inv(R.T) / scale
+    inverse = inverse_of(Q.T @ columns.phi)
+    with np.errstate(all="ignore"):  # what comes of it is looked at
+        theta, gain = inverse @ (Q.T @ columns.z), inverse @ inverse_of(R.T) / scale
+    if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(gain))):
+        raise NotIdentifiableError(NO_SOLUTION)
+    return theta, gain
+
+
+def inverse_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The inverse of a matrix (p, p). Raises NotIdentifiableError where there is none, or none within the numbers."""
+    try:
+        with np.errstate(all="ignore"):  # what comes of it is looked at
+            inverse = np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(matrix, np.nan)
+    if not np.all(np.isfinite(inverse)):
+        raise NotIdentifiableError(NO_SOLUTION)
+    return np.asarray(inverse)
 
 
 def long_run_covariance(scores: NDArray[np.float64], lags: int) -> NDArray[np.float64]:
@@ -209,8 +232,11 @@ def parts_of_their_own(
     return np.asarray(parts), np.asarray(inverse)
 
 
-def check_identifiable(columns: Columns, names: tuple[str, ...], least_part: float = START_PIVOT) -> None:
-    """Raises NotIdentifiableError where a column is zero or a combination of the others, naming the parameter."""
+def check_identifiable(
+    columns: Columns, names: tuple[str, ...], least_part: float = START_PIVOT, simulated: bool = False
+) -> None:
+    """Raises NotIdentifiableError where a column is zero or a combination of the others, naming the parameter.
+    simulated: the equation holds while a simulated motion moves, and says nothing while that rests."""
     if columns.z.size <= 2 * len(names) and columns.status & Status.COUNT_JUMP:
         raise NotIdentifiableError("the counts jump further than max_speed allows all the time; correct max_speed")
     if columns.z.size <= 2 * len(names):
@@ -218,10 +244,23 @@ def check_identifiable(columns: Columns, names: tuple[str, ...], least_part: flo
             f"only {columns.z.size} samples are left after the filters have settled, too few for {len(names)} "
             "parameters; record longer, or use a higher cutoff"
         )
+    if not max(np.max(np.abs(part)) for part in (columns.phi, columns.z, columns.zeta)) < BEYOND:
+        raise NotIdentifiableError(
+            "the motion, or the one simulated, leaves the range of numbers: check the scales of input and output, and "
+            "the signs in [model]"
+        )
     if not np.any(columns.phi[:, 0]):
         raise NotIdentifiableError("the axis does not move in this record: nothing can be identified; record a motion")
+    if not np.any(columns.z) and simulated:
+        raise NotIdentifiableError(
+            "the simulated motion rests throughout, held by friction or a load above what the input can move: check "
+            "input_gain and the model"
+        )
     if not np.any(columns.z):
-        raise NotIdentifiableError("the input is zero while the axis moves: record the input that drives it")
+        raise NotIdentifiableError(
+            "after the filters have settled the input is zero while the axis moves: record the input that drives it, "
+            "from before the motion on"
+        )
     _check_target(columns, names)
     for kind, matrix in (("regressor", columns.phi), ("instrument", columns.zeta)):
         _check_rank(kind, matrix, names, least_part)

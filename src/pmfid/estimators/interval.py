@@ -11,13 +11,18 @@ from numpy.typing import ArrayLike
 from scipy.special import log_ndtr
 
 from pmfid.estimators.batch import Fit
-from pmfid.estimators.output_error import OE, Difference, Floats, inverted, rms, without_nuisance
+from pmfid.estimators.output_error import OE, Difference, Floats, inverted, rms
 from pmfid.status import Status
 
 #: Least standard deviation of the position's own noise, in counts: below, the likelihood is a box without slopes.
 NOISE_FLOOR = 0.02
 #: Relative accuracy of that noise: the likelihood is flat around its top.
 NOISE_TOLERANCE = 1e-3
+#: Noise beyond the floor by this factor may be that of a local maximum,
+GIVEN_AWAY = 1.5
+#: which is left by starts this many standard deviations around, with this noise [counts] on the way.
+AROUND = 1.5
+SHRINKING = (0.3, 0.1, 0.04)
 MAX_ITERATIONS = 100
 TOLERANCE = 1e-6
 MAX_DAMPING = 1e8
@@ -33,8 +38,10 @@ class IntervalML(OE):
 
     log L = sum log(Phi((b - x)/s) - Phi((a - x)/s)): x(k) the simulated position, a = resolution * counts and
     b = a + resolution the edges of the count, s the standard deviation of what else is in the position, estimated
-    too, of at least 0.02 counts. Starts from `OE`. theta_cov is the inverse of the expected information, not of the
-    observed: far from the edges a count shows no curvature, whatever it says.
+    too, of at least 0.02 counts. Starts from `OE`. theta_cov is that of the expected information, not of the observed
+    (far from the edges a count shows no curvature, whatever it says), or what the scores scatter where that is more:
+    in blocks on every scale, as where the model is not quite right, and over the places that the encoder's lattice may
+    have under this very motion.
 
     Where y - x is more than the encoder explains, and wherever `OE` has a high-pass, the edges of the counts say
     nothing on x: the result is then that of `OE`, with `Status.FALLBACK`. drift_cutoff, initial: as for `OE`.
@@ -49,17 +56,52 @@ class IntervalML(OE):
         difference, q, status = self.followed(u, counts)
         if difference.pole > 0 or rms(difference(q)) > difference.explained:
             return self.by_squares(difference, q, status | int(Status.FALLBACK))
+        from pmfid.estimators.phases import score_covariance
+
         q, noise = likeliest(difference, q)
-        root = np.sqrt(expected_information(difference(q), noise))
-        sensitivity = without_nuisance(difference.jacobian(q) * root[:, None], len(self.names))
-        return self.result(difference, q, inverted(sensitivity, self.names), status)
+        error = difference(q)
+        root = np.sqrt(expected_information(error, noise))
+        own = self.own_sensitivity(difference, q, root)
+        weighted = own * root[:, None]
+        inverse, slope = inverted(weighted, self.names), cost(error, noise)[1]
+        spread = score_covariance(difference, q, own, noise, weighted.T @ weighted, own * slope[:, None])
+        return self.result(difference, q, inverse @ spread @ inverse, status)
 
 
 def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
-    """q (q,) and noise [counts] of the largest likelihood from q: damped Newton steps, each with the best noise."""
+    """q (q,) and noise [counts] of the largest likelihood, from the least squares q.
+
+    With few counts there are local maxima, and a noise beyond the floor gives them away: then the search starts again
+    from around q, with a noise that shrinks step by step, and the best counts.
+    """
+    best = climb(difference, q, None)
+    if best[2] <= GIVEN_AWAY * NOISE_FLOOR:
+        return best[1], best[2]
+    for start in (q, *_around(difference, q)):
+        place = start
+        for noise in SHRINKING:
+            place = climb(difference, place, noise)[1]
+        best = min(best, climb(difference, place, None), key=lambda found: found[0])
+        if best[2] <= GIVEN_AWAY * NOISE_FLOOR:
+            break
+    return best[1], best[2]
+
+
+def _around(difference: Difference, q: Floats) -> list[Floats]:
+    """Starts (q,) one and a half standard deviations of least squares to either side of q, along its main axes."""
+    jacobian = difference.jacobian(q)
+    _, size, axes = np.linalg.svd(jacobian, full_matrices=False)
+    spread = np.sqrt(np.mean(difference(q) ** 2)) / np.maximum(size, 1e-6 * size[0])
+    steps = [AROUND * side * length * axis for length, axis in zip(spread, axes, strict=True) for side in (1.0, -1.0)]
+    return [np.maximum(q + step, difference.lower) for step in steps]
+
+
+def climb(difference: Difference, q: Floats, fixed: float | None) -> tuple[float, Floats, float]:
+    """Negative log-likelihood, q (q,) and noise [counts] at a maximum near q: damped Newton steps, with the best noise
+    after each or a fixed one."""
     damping, step = 1e-3, np.inf
     e, jacobian = difference(q), difference.jacobian(q)
-    noise = likeliest_noise(e)
+    noise = fixed or likeliest_noise(e)
     for _ in range(MAX_ITERATIONS):
         now, slope, curvature = cost(e, noise)
         hessian = jacobian.T @ (curvature[:, None] * jacobian)
@@ -69,12 +111,12 @@ def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
         e_trial = difference(trial)
         if cost(e_trial, noise)[0] < now:
             step, q, e, damping = float(np.max(np.abs(trial - q))), trial, e_trial, damping / 10
-            noise, jacobian = likeliest_noise(e), difference.jacobian(q)
+            noise, jacobian = fixed or likeliest_noise(e), difference.jacobian(q)
         else:
             damping *= 10
         if step < TOLERANCE or damping > MAX_DAMPING:
             break
-    return q, noise
+    return cost(e, noise)[0], q, noise
 
 
 def likeliest_noise(e: Floats) -> float:

@@ -12,11 +12,22 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel, role_values
 from pmfid.estimators.base import check_arrays, check_size, like
-from pmfid.estimators.batch import BCLS, TINY, BatchEstimator, Columns, Fit, check_identifiable, solve_with_instruments
+from pmfid.estimators.batch import (
+    BCLS,
+    TINY,
+    BatchEstimator,
+    Columns,
+    Fit,
+    check_identifiable,
+    inverse_of,
+    long_run_covariance,
+    solve_with_instruments,
+)
 from pmfid.estimators.known_step import impulse_products
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.scatter import block_scatter, raised
 from pmfid.estimators.srivc import counted, fit_process, fixed_filters, without_start
-from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, Equation
+from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, STIFFNESS, Equation
 from pmfid.status import Status
 
 MAX_ITERATIONS = 40
@@ -29,6 +40,8 @@ ACCEPTED = 2e-3
 SMALL = 1e-2
 #: The first part of a record, in which the model's velocity forgets that its start was not known.
 START_PART = 0.05
+#: A record whose first counts are the same for so many samples may begin at rest.
+REST_SAMPLES = 5
 #: Relative step of the differences for the covariance.
 JACOBIAN_STEP = 1e-3
 
@@ -69,7 +82,7 @@ class IV(BatchEstimator):
         theta = self.start(u, counts)
         for turn in range(MAX_ITERATIONS):
             columns = self.columns_at(theta, u, counts)
-            check_identifiable(columns, self.names)
+            check_identifiable(columns, self.names, simulated=True)
             before, theta = theta, self._plausible(theta, self._solve(columns)[0])
             if turn >= DAMPED_FROM:
                 theta = (theta + before) / 2
@@ -80,8 +93,18 @@ class IV(BatchEstimator):
                 return columns, theta
         raise NotIdentifiableError(
             f"the iteration does not settle (last {dict(zip(self.names, theta.round(4).tolist(), strict=True))}): the "
-            "simulated motion does not follow the measured one; check input_gain and the model, or give `initial`"
+            "simulated motion does not follow the measured one; check input_gain and the model, or in Python give "
+            "`initial`"
         )
+
+    def _covariance(
+        self, columns: Columns, theta: NDArray[np.float64], gain: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """As for every off-line method, but with what the scores scatter in blocks on every scale, where that is more:
+        friction that the model lacks lasts longer than the filters."""
+        scores = self._scores(columns, theta)
+        spread = raised(long_run_covariance(scores, self.settle_samples), block_scatter(scores, self.settle_samples))
+        return np.asarray(gain @ spread @ gain.T)
 
     def _gain(
         self, columns: Columns, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike
@@ -98,7 +121,7 @@ class IV(BatchEstimator):
                 beside = self.columns_at(moved, u, counts)
                 error.append(beside.z - beside.phi @ moved)
             jacobian[:, i] = columns.zeta.T @ (error[1] - error[0]) / (2 * step)
-        return np.asarray(np.linalg.inv(jacobian))
+        return inverse_of(jacobian)
 
     def start(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
         """Parameters to simulate with first: the given ones, or from the counts alone; (p,)."""
@@ -108,16 +131,35 @@ class IV(BatchEstimator):
         return spread(role_values(batch, list(batch.fit(u, counts).theta)), self.equation)
 
     def columns_at(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> Columns:
-        """Regressors, target and instruments with the auxiliary model at theta (p,)."""
+        """Regressors, target and instruments with the auxiliary model at theta (p,).
+
+        A record that begins at rest, which the model says as well, has been at rest before: its first motion counts.
+        """
         u, counts = check_arrays(u, counts)
         check_size(u)
         kernel, first = make_auxiliary_kernel(self, 1.0, list(theta), adapt=False)
+        before = 2 * self.settle_samples + 1 if self._rests(u, counts, theta) else 0
+        u, counts = np.r_[np.zeros(before), u], np.r_[np.full(before, counts[:1]), counts]
         columns, status = kernel.filter(u, counts)
+        columns, status = columns[before:], status[before:]
         used = (status & Status.SETTLING) == 0
-        used[: int(START_PART * used.size)] = False
+        used[: 0 if before else int(START_PART * used.size)] = False
         columns, p = columns[used, first:], len(self.names)
         occurred = int(np.bitwise_or.reduce(status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP)
         return Columns(columns[:, :p], columns[:, p], columns[:, p + 1 : 2 * p + 1], used, occurred)
+
+    def _rests(self, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]) -> bool:
+        """Does the axis rest at first, by the counts and by the friction of theta (p,)?"""
+        begin = slice(0, REST_SAMPLES)
+        if counts.size <= REST_SAMPLES or np.any(counts[begin] != counts[0]):
+            return False
+        friction = min(
+            (theta[i] for i in (self.equation.roles[r] for r in (COULOMB_FORWARD, COULOMB_BACKWARD)) if i is not None),
+            default=0.0,
+        )
+        index = self.equation.roles[OFFSET]
+        force = self.equation.input_gain * u[begin] - (0.0 if index is None else theta[index])
+        return bool(np.all(np.abs(force) <= friction)) and self.equation.roles[STIFFNESS] is None
 
     def noise(self) -> NDArray[np.float64]:
         """(p, p) covariance that a white encoder error of the step's variance has in the regressors of one sample."""
@@ -154,8 +196,8 @@ def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
             theta[index] = value
     if not values[MASS] > 0:
         raise NotIdentifiableError(
-            f"no start for the iteration: from the counts alone the mass comes out as {values[MASS]:.3g}; "
-            "give `initial`, or use a lower cutoff"
+            f"no start for the iteration: from the counts alone the mass comes out as {values[MASS]:.3g}; check the "
+            "signs of input and output, use a lower cutoff, record a livelier motion, or in Python give `initial`"
         )
     return np.where(equation.positive, np.maximum(theta, 0.0), theta)
 

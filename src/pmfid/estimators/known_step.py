@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.batch import BatchEstimator, Columns
+from pmfid.estimators.batch import BatchEstimator, Columns, inverse_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.filters.network import LATE_POSITION, SPLIT_FORWARD, VELOCITY, Network, Taps
 
@@ -58,7 +58,7 @@ class KnownStep(BatchEstimator):
         scale = np.linalg.norm(columns.phi, axis=0)
         noise = columns.z.size * noise_covariance(self, self.noise_std)
         phi = columns.phi / scale
-        inverse = np.linalg.inv(phi.T @ phi - noise[:-1, :-1] / np.outer(scale, scale))
+        inverse = inverse_of(phi.T @ phi - noise[:-1, :-1] / np.outer(scale, scale))
         right = phi.T @ columns.z - noise[:-1, -1] / scale
         return inverse @ right / scale, inverse / np.outer(scale, scale)
 

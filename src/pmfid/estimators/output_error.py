@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -18,10 +18,10 @@ from pmfid.estimators.batch import (
     BatchEstimator,
     Fit,
     check_identifiable,
-    long_run_covariance,
     parts_of_their_own,
 )
 from pmfid.estimators.iv import IV
+from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.srivc import by_descent, counted, fit_process, without_start
 from pmfid.models.equation import Equation
 
@@ -30,12 +30,24 @@ from pmfid.models.equation import Equation
 STEP = 1e-4
 MAX_EVALUATIONS = 200
 TOLERANCE = 1e-10
+#: A stop of the model that comes and goes puts kinks into the sum of squares, at which the last digits never settle.
+ROUGH_TOLERANCE = 1e-7
 #: Root mean square of the difference, in counts, up to which the encoder explains it; rounding down alone gives 0.29.
 ENCODER_ALONE = 0.5
 #: Accuracy of the simulated position, as a part of the travel.
 SIMULATION_ERROR = 1e-5
 #: A larger part of the motion left unexplained is no fit.
 WORST_FIT = 0.5
+#: The high-pass lets white noise grow by less than this: where more is left behind it, the counts are not explained.
+HOPELESS = 2.5
+#: A difference so many times what the encoder explains is no matter of local minima.
+FAR = 10.0
+#: High-passes on the way to none, as parts of the first.
+SLOWER = (1 / 4, 1 / 16, 1 / 64, 0.0)
+#: Counts within a filter time constant by which the start velocity may be off.
+START_COUNTS = 3.0
+#: Square root of the information [1/counts] of a sample with a white encoder error.
+WHITE = math.sqrt(12.0)
 #: Part of a sensitivity that must not follow from the others.
 APART = 1e-3
 
@@ -59,14 +71,23 @@ class Difference:
     pole: float
 
     def __call__(self, q: Floats) -> Floats:
+        return self.filtered(self.y - self.motion(q)[0]) / self.resolution
+
+    def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
+        """Simulated position at the samples and mean velocity between them, each (n,); force (n,): on top of that of
+        the input [unit of the equation]."""
         from pmfid import _kernel64
 
         *theta, x0, v0 = q * self.scale
-        parameters = [0.0 if index is None else float(theta[index]) for index in self.equation.roles]
+        gain = self.equation.input_gain
+        u = self.u if force is None else self.u + force / gain
         start = float(v0), float(x0 - self.y[0])  # a spring's length counts from the first count
-        velocity = _kernel64.simulate(parameters, self.equation.input_gain, self.dt, self.u, *start)[0]
-        x = x0 + np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt
-        return self.filtered(self.y - x) / self.resolution
+        velocity = _kernel64.simulate(self.roles_of(theta), gain, self.dt, u, *start)[0]
+        return x0 + np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt, velocity
+
+    def roles_of(self, theta: Sequence[float]) -> list[float]:
+        """The parameters (p,) as the simulation takes them, 0 for what the equation lacks."""
+        return [0.0 if index is None else float(theta[index]) for index in self.equation.roles]
 
     def filtered(self, signal: Floats) -> Floats:
         """The high-pass, from rest: white noise on top of a random walk leaves it white."""
@@ -81,6 +102,16 @@ class Difference:
             low = np.maximum(q - step, self.lower)
             columns.append((self(q + step) - self(low)) / np.sum(q + step - low))
         return np.column_stack(columns)
+
+    @property
+    def start_velocity_std(self) -> float:
+        """What the start velocity is known to, in the unit of q: some counts within a filter time constant."""
+        return START_COUNTS * self.resolution / float(self.scale[-2])
+
+    @property
+    def recovery(self) -> int:
+        """Samples after which the high-pass has forgotten a step; 1 without one."""
+        return math.ceil(1 / (self.pole * self.dt)) if self.pole > 0 else 1
 
     @property
     def explained(self) -> float:
@@ -102,7 +133,8 @@ class OE(BatchEstimator):
 
     Least squares of y(k) - x(k), k = 0..n-1: y the middle of the count, x the position that the input alone gives
     from the start x0, v0, which are fitted as well; mass > 0, frictions >= 0. Starts from `IV`, or where that does
-    not settle from its start. theta_cov is for residuals correlated in time (Newey and West 1987). samples is n;
+    not settle from its start. theta_cov is for residuals correlated in time, on whatever scale (`scatter`), and for
+    the error that the encoder makes along this very motion, wherever its lattice lies (`phase_scatter`). samples is n;
     residual is y - x [unit of the resolution], relative_error its norm over that of y less its mean; both behind
     the high-pass, where there is one.
 
@@ -136,29 +168,53 @@ class OE(BatchEstimator):
             return fit_process(self, [counted(self, u, counts)], by_descent)
         return self.by_squares(*self.followed(u, counts))
 
-    def followed(self, u: ArrayLike, counts: ArrayLike) -> tuple[Difference, Floats, int]:
+    def followed(self, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> tuple[Difference, Floats, int]:
         """The difference as it is to be judged, its least squares q, and the status bits of the record.
 
         The first pass is always behind the high-pass: the position itself has local minima where friction drifts.
+        start: parameters (p,) to start from, None: those of `IV`.
         """
         u, counts = check_arrays(u, counts)
-        theta, status = self._start(u, counts)
+        theta, status = self._start(u, counts) if start is None else (start, 0)
         difference, q = self._prepared(theta, held(u), self.position(counts))
         q = least(difference, q)
         if self.drift_cutoff:
             return difference, q, status
         direct = replace(difference, pole=0.0)
+        if self.drift_cutoff is None and rms(difference(q)) > HOPELESS * direct.explained:
+            return difference, q, status
         closer = least(direct, q)
+        if 1 < rms(direct(closer)) / direct.explained < FAR:
+            closer = min(closer, self._slowly(difference, q), key=lambda found: rms(direct(found)))
         if self.drift_cutoff == 0 or rms(direct(closer)) <= direct.explained:
             return direct, closer, status
         return difference, q, status
 
+    def _slowly(self, difference: Difference, q: Floats) -> Floats:
+        """Least squares of the position itself by way of ever slower high-passes: around local minima, or q itself
+        where that does not settle."""
+        try:
+            for part in SLOWER:
+                q = least(replace(difference, pole=part * difference.pole), q)
+        except NotIdentifiableError:
+            pass
+        return q
+
     def by_squares(self, difference: Difference, q: Floats, status: int) -> Fit:
         """The result at the least squares q."""
-        sensitivity = without_nuisance(difference.jacobian(q), len(self.names))
-        inverse = inverted(sensitivity, self.names)
-        score = sensitivity * difference(q)[:, None]
-        return self.result(difference, q, inverse @ long_run_covariance(score, memory(score)) @ inverse, status)
+        from pmfid.estimators.phases import phase_scatter
+
+        sensitivity = self.own_sensitivity(difference, q)
+        inverse, error = inverted(sensitivity, self.names), difference(q)
+        spread = scatter(sensitivity * error[:, None], difference.recovery)
+        if difference.pole == 0 and rms(error) <= difference.explained:
+            spread = raised(spread, phase_scatter(difference, q, sensitivity, None))
+        return self.result(difference, q, inverse @ spread @ inverse, status)
+
+    def own_sensitivity(self, difference: Difference, q: Floats, root: Floats | None = None) -> Floats:
+        """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
+        jacobian, p = difference.jacobian(q), len(self.names)
+        return without_nuisance(difference, jacobian[:, :p], jacobian[:, p:], root)
 
     def position(self, counts: NDArray[np.int64]) -> Floats:
         """Position of the counts (n,), unwrapped, less the jumps beyond max_speed."""
@@ -226,30 +282,44 @@ def least(difference: Difference, q: Floats) -> Floats:
     """Least squares from q (q,). Raises NotIdentifiableError where the iteration does not settle."""
     from scipy.optimize import least_squares  # slow to import, and only this needs it
 
-    with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
-        found = least_squares(
-            difference,
-            q,
-            difference.jacobian,
-            bounds=(difference.lower, np.inf),
-            x_scale="jac",
-            ftol=TOLERANCE,
-            xtol=TOLERANCE,
-            gtol=TOLERANCE,
-            max_nfev=MAX_EVALUATIONS,
-        )
-    if found.status <= 0:
-        raise NotIdentifiableError(
-            f"the iteration did not settle within {MAX_EVALUATIONS} simulations: the simulated position does not "
-            "follow the record closely; use iv, or give `initial`"
-        )
-    return np.asarray(found.x)
+    for tolerance in (TOLERANCE, ROUGH_TOLERANCE):
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
+                found = least_squares(
+                    difference,
+                    q,
+                    difference.jacobian,
+                    bounds=(difference.lower, np.inf),
+                    x_scale="jac",
+                    ftol=tolerance,
+                    xtol=tolerance,
+                    gtol=tolerance,
+                    max_nfev=MAX_EVALUATIONS,
+                )
+        except ValueError:  # sensitivities that are not finite
+            raise NotIdentifiableError(
+                "the simulated position leaves the range of numbers: it does not follow the record; use iv, or in "
+                "Python give `initial`"
+            ) from None
+        q = np.maximum(found.x, difference.lower)
+        if found.status > 0 or rms(difference(q)) <= difference.explained:
+            return np.asarray(q)
+    raise NotIdentifiableError(
+        f"the iteration did not settle within {MAX_EVALUATIONS} simulations: the simulated position does not "
+        "follow the record closely; use iv, or in Python give `initial`"
+    )
 
 
-def without_nuisance(jacobian: Floats, parameters: int) -> Floats:
-    """Sensitivities (n, p) less what the start position and velocity can do as well."""
-    theta, nuisance = jacobian[:, :parameters], jacobian[:, parameters:]
-    return np.asarray(theta - nuisance @ (np.linalg.pinv(nuisance) @ theta))
+def without_nuisance(difference: Difference, columns: Floats, nuisance: Floats, root: Floats | None = None) -> Floats:
+    """Effects (n, k) [counts] less what the start position and velocity, nuisance (n, 2), can do as well.
+
+    root: (n,) square roots of the samples' information, None: that of a white encoder error. The start velocity is
+    taken for known to a few counts in a filter time constant: from rest it moves nothing, and must not be made up.
+    """
+    weight = np.full((columns.shape[0], 1), WHITE) if root is None else root[:, None]
+    prior = np.array([[0.0, 1 / difference.start_velocity_std]])
+    weighted, targets = np.r_[weight * nuisance, prior], np.r_[weight * columns, np.zeros((1, columns.shape[1]))]
+    return np.asarray(columns - nuisance @ np.linalg.lstsq(weighted, targets)[0])
 
 
 def inverted(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
@@ -264,12 +334,3 @@ def inverted(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
         )
     size = np.linalg.norm(sensitivity, axis=0)
     return np.asarray(inverse @ inverse.T / np.outer(size, size))
-
-
-def memory(score: Floats) -> int:
-    """Lags over which the scores (n, p) are correlated: the bandwidth of Andrews (1991, eq. 6.2 and 6.4)."""
-    n = score.shape[0]
-    power = np.maximum(np.sum(score**2, axis=0), 1e-300)
-    rho = np.clip(np.sum(score[1:] * score[:-1], axis=0) / power, 0.0, 0.999)
-    alpha = float(np.max(4 * rho**2 / ((1 - rho) ** 2 * (1 + rho) ** 2)))
-    return min(int(n) // 4, math.ceil(1.1447 * math.cbrt(alpha * n)))

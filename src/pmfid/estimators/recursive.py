@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmfid.errors import UsageError
+from pmfid.errors import UsageError, place_of
 from pmfid.estimators.base import Estimator, check_arrays, integer_counts
 from pmfid.status import Status
 
@@ -49,8 +49,8 @@ class Track:
         return std
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """The (n,) track of one parameter."""
-        return self.theta[..., self.names.index(name)]
+        """The (n,) track of one parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        return self.theta[..., place_of(name, self.names)]
 
     def flagged(self, bit: Status) -> NDArray[np.bool_]:
         """(n,) where a status bit is set."""
@@ -103,6 +103,7 @@ class RecursiveEstimator(Estimator):
             object.__setattr__(self, "_kernel", self.make_kernel(self.forgetting))
         except ValueError as error:  # more than it holds
             raise UsageError(str(error)) from None
+        self._kernel.names = self.names
         # bound here so that a call costs no look-up in Python
         object.__setattr__(self, "step", self._kernel.step)
 

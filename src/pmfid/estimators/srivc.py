@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator, check_arrays, check_size, held
-from pmfid.estimators.batch import BatchEstimator, Fit, long_run_covariance, parts_of_their_own
+from pmfid.estimators.batch import BatchEstimator, Fit, parts_of_their_own
+from pmfid.linear.confidence import covariance
 from pmfid.linear.dead_time import after, solve_dead_time
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
@@ -19,8 +20,6 @@ from pmfid.linear.sensitivity import Structure
 from pmfid.linear.solve import Point, Problem, Solution, descend, first_guess, refine, solve, with_fixed_filter
 from pmfid.models.transfer_function import ESTIMATE, MAX_DELAY, TransferFunction
 
-#: Time constants of the slowest pole over which scores are taken to be correlated, and samples at most.
-MEMORY = 3.0
 #: Relative difference of two sample periods that are taken for one.
 SAME_PERIOD = 0.05
 #: Part of a sensitivity that must not follow from the others.
@@ -45,7 +44,7 @@ class SRIVC(BatchEstimator):
     intermediate models are reflected; where the iteration does not settle, output error by Levenberg and Marquardt
     takes over, and further filters are tried. There is no error of discretisation. Initial conditions are always
     unknown and part of the fit. For white noise on the output it is efficient; for any noise that is not correlated
-    with the input it is consistent. theta_cov allows for coloured noise (Newey and West 1987).
+    with the input it is consistent. theta_cov holds for noise of any colour (`linear/confidence.py`).
     `fit` takes u and counts; `fit_experiments` takes records with gaps, missing samples, other holds and a reference.
     For `TransferFunction` alone; raises UsageError for another model.
     """
@@ -97,6 +96,11 @@ def fit_process(
             solution = solver(problem)
         else:
             problem, solution = solve_dead_time(problem, solver)
+    if not solution.settled:
+        raise NotIdentifiableError(
+            f"{estimator.method} does not settle: the model does not follow the record; try srivc, another structure, "
+            "dead time or cutoff"
+        )
     return result(estimator, problem, solution)
 
 
@@ -211,25 +215,6 @@ def check_apart(point: Point, names: tuple[str, ...]) -> None:
             f"the output depends on {names[worst]} hardly, or just as on the others: too little excitation, or a model "
             "of too high an order; use fewer poles or zeros, or a richer input"
         )
-
-
-def covariance(point: Point, problem: Problem) -> NDArray[np.float64]:
-    """(p, p) for residuals correlated in time (Newey and West 1987), in the problem's units."""
-    size = np.linalg.norm(point.zeta, axis=0)
-    zeta = point.zeta / size
-    inverse = np.linalg.inv(zeta.T @ (point.phi / size))
-    lags = min(point.error.size // 10, memory(point, problem))
-    spectrum = long_run_covariance(zeta * point.error[:, None], lags)
-    cov = inverse @ spectrum @ inverse.T * point.error.size / max(1, point.error.size - size.size)
-    return np.asarray(cov / np.outer(size, size))
-
-
-def memory(point: Point, problem: Problem) -> int:
-    """Lags: some time constants of the slowest pole."""
-    poles = np.roots(np.r_[1.0, point.theta[: problem.structure.free][::-1]])
-    slowest = float(np.min(np.abs(poles))) if poles.size else 1.0
-    step = float(np.median(problem.stretches[0].grid.steps))
-    return int(min(1e6, np.ceil(MEMORY / max(slowest * step, 1e-6))))
 
 
 def spread(problem: Problem) -> float:

@@ -16,6 +16,7 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.alarm import Alarm
 from pmfid.export.initializer import initializer, literal
+from pmfid.export.names import check_names, remark
 from pmfid.export.samples import made_up_record, moving_part, recorded
 from pmfid.layout.saved import configuration, recursions_of, shape_of
 from pmfid.layout.structures import header, layout_number, resized, source_folder, structures
@@ -46,17 +47,13 @@ def export_firmware(
 
     The C computes the same bits as the estimator. prefix: of all names, an identifier of C. record: (n,) inputs and
     (n,) counts of the axis for the self-test; None: of a made-up motion. alarms: on parameters of the estimate. Same
-    arguments, same bytes. Returns the files. Raises UsageError for an off-line method, a prefix that is no
-    identifier, a folder with other things in it, an alarm that cannot be, or a record that is empty or not finite, and
-    OSError where the folder cannot be written.
+    arguments, same bytes. Returns the files. Raises UsageError for an off-line method, a prefix or names of parameters
+    that would not compile, a folder with other things in it, an alarm that cannot be, or a record that is empty or not
+    finite, and OSError where the folder cannot be written.
     """
     if not isinstance(estimator, RecursiveEstimator):
         raise UsageError(f"{estimator.method} works on whole records; export rls, bcrls, rknown-step or riv")
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix) or prefix.startswith("pmf"):
-        raise UsageError(
-            "prefix must be lower-case letters, digits and _, begin with a letter, but not with pmf, as all names in "
-            f"the C begin with it; got {prefix!r}, give another (--prefix)"
-        )
+    check_names(prefix, estimator.names)
     folder = Path(folder)
     names = {template: file.replace("NAME", prefix) for template, file in FILES.items()}
     copied = sorted({path for pattern in COPIED for path in source_files(pattern)} - {source_folder() / "pmf_sizes.h"})
@@ -65,11 +62,12 @@ def export_firmware(
         _context(estimator, prefix, record)
         | {"alarms": alarms, "alarm_initializers": [initializer(alarm.structure(estimator), 1) for alarm in alarms]}
     )
+    contents = {file: texts[template].encode("ascii") for template, file in names.items()}
     folder.mkdir(parents=True, exist_ok=True)
     for path in copied:
         shutil.copyfile(path, folder / path.name)
-    for template, file in names.items():
-        (folder / file).write_text(texts[template], encoding="ascii", newline="\n")
+    for file, content in contents.items():
+        (folder / file).write_bytes(content)
     return sorted(folder / name for name in [*names.values(), *(path.name for path in copied)])
 
 
@@ -93,6 +91,7 @@ def _render(context: Mapping[str, Any]) -> dict[str, str]:
         loader=PackageLoader("pmfid.export"), undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True
     )
     environment.globals["zip"] = zip
+    environment.filters["remark"] = remark
     return {template: environment.get_template(template).render(context) for template in FILES}
 
 

@@ -5,9 +5,11 @@ The module's own structures have room for every configuration; an export and a s
 
 from __future__ import annotations
 
+import ast
+import operator
 import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -19,6 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
+
+#: Division as C does it for positive numbers.
+_OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.floordiv,
+}
 
 Structures = dict[str, np.dtype[Any]]
 
@@ -77,8 +87,30 @@ def structures(shape: Shape | None, precision: str) -> Structures:
 
 
 def value(text: str, constants: Mapping[str, int]) -> int:
-    """The integer that a constant expression of C stands for."""
-    return int(eval(re.sub(r"\b(0x[0-9a-fA-F]+|\d+)[uU]\b", r"\1", text), {"__builtins__": {}}, dict(constants)))
+    """The integer that a constant expression of C stands for: whole numbers, names of `constants`, + - * / ( ) and >.
+
+    Raises ValueError for anything else: the header is read, never run.
+    """
+    plain = re.sub(r"\b(0x[0-9a-fA-F]+|\d+)[uU]\b", r"\1", text).strip()
+    try:
+        tree = ast.parse(plain, mode="eval")
+    except SyntaxError:
+        raise ValueError(f"no constant expression: {text!r}") from None
+    return _value(tree.body, constants)
+
+
+def _value(node: ast.AST, constants: Mapping[str, int]) -> int:
+    if isinstance(node, ast.Constant) and type(node.value) is int:
+        return node.value
+    if isinstance(node, ast.Name) and node.id in constants:
+        return constants[node.id]
+    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+        return _OPERATORS[type(node.op)](_value(node.left, constants), _value(node.right, constants))
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+        return -_value(node.operand, constants)
+    if isinstance(node, ast.Compare) and len(node.ops) == 1 and isinstance(node.ops[0], ast.Gt):
+        return int(_value(node.left, constants) > _value(node.comparators[0], constants))
+    raise ValueError(f"no constant expression: {ast.unparse(node)!r}")
 
 
 @cache
@@ -87,7 +119,7 @@ def constants_of(shape: Shape | None) -> dict[str, int]:
     constants = {} if shape is None else shape.macros()
     for text in (header("pmf_sizes.h"), header("pmf.h")):
         for name, expression in re.findall(r"^#define (PMF_\w+) +(\S.*)$", text, re.MULTILINE):
-            with suppress(NameError):  # not an integer: a macro of the arithmetic
+            with suppress(ValueError):  # not an integer: a macro of the arithmetic
                 constants.setdefault(name, value(expression, constants))
         for body in re.findall(r"\benum \{(.*?)\}", text, re.DOTALL):
             following = 0

@@ -6,23 +6,27 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
-from scipy.special import chdtri
 
+from pmfid.errors import NotIdentifiableError
+from pmfid.linear.causality import Signals, fed_back, unexplained
 from pmfid.linear.experiment import Stretch
-from pmfid.linear.sensitivity import simulate
-from pmfid.linear.solve import Problem, visit
+from pmfid.linear.necessity import Second, depends_on_input, second_look
+from pmfid.linear.propagate import Grid, transition
+from pmfid.linear.sensitivity import companion, simulate
+from pmfid.linear.solve import Point, Problem, visit
 
 Floats = NDArray[np.float64]
 
 LAGS = 25
+#: The square of a number must not leave the format.
+BEYOND = 1e120
 #: Normal deviate of the bounds: 99 % of independent residuals lie within.
 DEVIATE = 2.576
-#: Lags of the predictions of residual and input from their own past, and of the test for feedback.
-OWN_PAST, AHEAD = 30, 10
-#: Feedback is called where so few open loops would have such correlations with later inputs.
-FALSE_FEEDBACK = 1e-3
+#: The model lacks something, or the input is fed back, where so few right models in open loop would seem to.
+FALSE_ALARM = 1e-4
+#: An input that is a straight line where it was taken for held, or the reverse, puts at most so many times the
+#: difference of the two responses at their first sample into the residual.
+WRONG_HOLD = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +38,10 @@ class Assessment:
     the record; records: its number. autocorrelation: (LAGS + 1,) of the
     residual, from lag 0; cross: (2 LAGS + 1,) of the residual with the input of `lags` samples before, or with the
     reference where there is one; bounds of both: 99 % of an independent residual lie within.
-    feedback: is what is new in the input correlated with what was new in the residual before? Then the input has the
-    noise in it, as a controller feeds it back. What each adds to its own past is compared (Haugh 1976): a model that is
-    too small leaves traces of the input in the residual, but none of inputs yet to come.
+    unmodelled: does the input of now and before explain some of the residual? feedback: do inputs yet to come? Then the
+    input has the noise in it, as a controller feeds it back (`causality.py`). depends: does the output depend on the
+    input by more than chance? surplus: second: would a pole and a zero less do as well, and does the
+    colour of the noise move the estimate (`necessity.py`)?
     """
 
     fit: float
@@ -48,7 +53,10 @@ class Assessment:
     autocorrelation_bound: float
     cross: Floats
     cross_bound: float
+    unmodelled: bool
     feedback: bool
+    depends: bool
+    second: Second
 
     @property
     def lags(self) -> NDArray[np.int64]:
@@ -62,8 +70,8 @@ class Assessment:
 
     @property
     def independent(self) -> bool:
-        """The same of the correlation with present and earlier inputs: the model has taken all that is in them."""
-        return _few_beyond(self.cross[LAGS:], self.cross_bound)
+        """The model has taken all that is in present and earlier inputs."""
+        return not self.unmodelled
 
 
 def is_white(error: Floats) -> bool:
@@ -78,7 +86,8 @@ def _few_beyond(correlations: Floats, bound: float) -> bool:
 
 
 def assess(problem: Problem, theta: Floats, delay: int = 0) -> Assessment:
-    """theta (p,) in the problem's units; delay: by so many samples its inputs are late."""
+    """theta (p,) in the problem's units; delay: by so many samples its inputs are late. Raises NotIdentifiableError
+    where the simulated output leaves the range of numbers."""
     count = len(problem.stretches)
     point = visit(problem, theta, np.zeros((count, problem.structure.n)))
     pairs = zip(problem.stretches, point.initial, strict=True)
@@ -87,10 +96,14 @@ def assess(problem: Problem, theta: Floats, delay: int = 0) -> Assessment:
     ]
     measured = [stretch.y[stretch.rows] for stretch in problem.stretches]
     residual = [y - x for y, x in zip(measured, simulated, strict=True)]
+    if not max(float(np.max(np.abs(e), initial=0.0)) for e in residual) < BEYOND:
+        raise NotIdentifiableError(
+            "the simulated output leaves the range of numbers: the records do not identify the transfer function; "
+            "excite the process more, or use fewer poles and zeros"
+        )
     left = sum(float(e @ e) for e in residual)
     whole = sum(float(np.sum((y - np.mean(y)) ** 2)) for y in measured)
     grids = [_on_grid(e, stretch, -1) for e, stretch in zip(residual, problem.stretches, strict=True)]
-    looped = [_on_grid(e, stretch, 0) for e, stretch in zip(residual, problem.stretches, strict=True)]
     auto, cross, bounds = _correlations(grids)
     return Assessment(
         100 * (1 - float(np.sqrt(left / max(whole, 1e-300)))),
@@ -102,8 +115,34 @@ def assess(problem: Problem, theta: Floats, delay: int = 0) -> Assessment:
         bounds[0],
         cross,
         bounds[1],
-        _fed_back(looped, delay + (0 if all(stretch.held for stretch in problem.stretches) else 1)),
+        *_doubts(problem, point, residual, delay),
     )
+
+
+def _doubts(problem: Problem, point: Point, residual: list[Floats], delay: int) -> tuple[bool, bool, bool, Second]:
+    """unmodelled, feedback, depends, second. The input is looked at when it comes, not `delay` samples later."""
+    parts, kept = [], []
+    for stretch, error in zip(problem.stretches, residual, strict=True):
+        inside = stretch.rows < stretch.grid.size - delay
+        kept.append(inside)
+        parts.append(Signals(stretch.inputs[:, delay:], error[inside], stretch.rows[inside]))
+    known = point.zeta[np.concatenate(kept)]
+    return (
+        unexplained(parts, known).chance < FALSE_ALARM,
+        fed_back(parts, known, _direct(problem, point)).chance < FALSE_ALARM,
+        depends_on_input(problem, point),
+        second_look(problem, point),
+    )
+
+
+def _direct(problem: Problem, point: Point) -> tuple[float, float]:
+    """How much of the input of now a wrong hold leaves in the residual, at least and at most."""
+    a, b, _ = problem.structure.split(point.theta)
+    stretch = problem.stretches[0]
+    grid = Grid(float(np.median(stretch.grid.steps)), 2)
+    change = transition(companion(a), np.eye(a.size)[-1], grid).change
+    size = WRONG_HOLD * float(b[: a.size] @ change[: b.size]) * (1.0 if stretch.held else -1.0)
+    return (min(0.0, size), max(0.0, size))
 
 
 def _on_grid(residual: Floats, stretch: Stretch, source: int) -> tuple[Floats, Floats, Floats]:
@@ -127,27 +166,6 @@ def _correlations(grids: list[tuple[Floats, Floats, Floats]]) -> tuple[Floats, F
     # Ljung (1999, eq. 16.66): the variance of the cross-correlation is the sum of the products of both autocorrelations
     spread = max(1.0 + 2 * float(auto[1:] @ u_auto[1:]), 0.1)
     return auto, cross, (DEVIATE / np.sqrt(count), DEVIATE * float(np.sqrt(spread / count)))
-
-
-def _fed_back(grids: list[tuple[Floats, Floats, Floats]], first: int) -> bool:
-    """Haugh's test on the residuals and the inputs of all stretches. first: of the lags of inputs that no output can
-    know yet; a held input that begins with it is one."""
-    count = sum(float(np.sum(there)) for _, _, there in grids)
-    if count < 4 * OWN_PAST:
-        return False
-    residuals, inputs = _innovations([e for e, _, _ in grids]), _innovations([u for _, u, _ in grids])
-    power = np.sqrt(sum(float(e @ e) for e in residuals) * sum(float(w @ w) for w in inputs))
-    pairs = list(zip(residuals, inputs, strict=True))
-    ahead = np.array([sum(_lagged(e, w, lag) for e, w in pairs) for lag in range(first, first + AHEAD)])
-    return bool(count * np.sum((ahead / max(power, 1e-300)) ** 2) > chdtri(ahead.size, FALSE_FEEDBACK))
-
-
-def _innovations(signals: list[Floats]) -> list[Floats]:
-    """What is new in the signals: their errors of linear prediction from their own past (Yule and Walker)."""
-    auto = np.array([sum(_lagged(x, x, lag) for x in signals) for lag in range(OWN_PAST + 1)])
-    auto[0] = auto[0] * (1 + 1e-9) + 1e-300
-    past = solve_toeplitz(auto[:-1], auto[1:])
-    return [np.asarray(lfilter(np.r_[1.0, -past], [1.0], x)) for x in signals]
 
 
 def _lagged(early: Floats, late: Floats, lag: int) -> float:

@@ -16,6 +16,9 @@ from pmfid.linear.sensitivity import Structure, channels
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+#: Standard deviations over which the spread of a root is measured.
+INTERVAL = 2.0
+
 
 @dataclass(frozen=True, eq=False)
 class Process:
@@ -23,7 +26,8 @@ class Process:
 
     a: (n,), b: (m+1,), both from the constant upwards; cov: (n+m+1, n+m+1) covariance of a and b, with one row and
     column more where delay [s] was estimated, too. What is known, as a pole at 0, has no variance.
-    All uncertainties are one standard deviation, by the delta method: to first order in the parameters' errors.
+    All uncertainties are one standard deviation, by the delta method: to first order in the parameters' errors, but for
+    poles and zeros, which are moved by as much as a 95 % interval allows.
     """
 
     a: Floats
@@ -62,7 +66,7 @@ class Process:
 
     @property
     def poles_std(self) -> Floats:
-        """(n, 2) of real and imaginary part; infinite where two poles coincide."""
+        """(n, 2) of real and imaginary part."""
         return self._root_std(np.r_[self.a, 1.0], self.poles, slice(0, self.a.size))
 
     @property
@@ -184,13 +188,27 @@ class Process:
             return np.asarray(-powers / derivative)
 
     def _root_std(self, coefficients: Floats, roots: Complex, part: slice) -> Floats:
+        """(r, 2): half of how far a root moves where the coefficients go two standard deviations in the direction that
+        moves it most; the delta method but for near poles, of which it would say nothing or far too little."""
         cov = self.cov[part, part]
         found = np.full((roots.size, 2), np.inf)
         for row, root in zip(found, roots, strict=True):
             slope = self._root_slope(coefficients, root)[: cov.shape[0]]
-            if np.all(np.isfinite(slope)):
-                row[:] = [max(0.0, float(g @ cov @ g)) ** 0.5 for g in (slope.real, slope.imag)]
+            moved = [self._moved(coefficients, root, g, cov) for g in (slope.real, slope.imag)]
+            if np.all(np.isfinite(slope)) and np.all(np.isfinite(moved)):
+                row[:] = np.max(moved, axis=0)
         return found
+
+    def _moved(self, coefficients: Floats, root: complex, slope: Floats, cov: Floats) -> Floats:
+        """(2,) of real and imaginary part, along cov slope."""
+        with np.errstate(all="ignore"):
+            linear = max(0.0, float(slope @ cov @ slope)) ** 0.5
+            step = np.zeros(coefficients.size)
+            step[: cov.shape[0]] = INTERVAL * (cov @ slope) / linear if linear > 0 else 0.0
+        if not np.all(np.isfinite(step)):
+            return np.full(2, np.inf)
+        ends = [_nearest(_roots(coefficients + sign * step), root) - root for sign in (1.0, -1.0)]
+        return np.asarray(np.max(np.abs([[end.real, end.imag] for end in ends]), axis=0) / INTERVAL)
 
 
 def _real(name: str, values: ArrayLike) -> Floats:
@@ -210,6 +228,10 @@ def polynomial(coefficients: Floats, power: str = "^%d") -> str:
         sign = ("-" if value < 0 else "") if not parts else (" - " if value < 0 else " + ")
         parts.append(f"{sign}{number}{' ' if number and symbol else ''}{symbol}")
     return "".join(parts)
+
+
+def _nearest(found: Complex, root: complex) -> complex:
+    return complex(found[np.argmin(np.abs(found - root))]) if found.size else complex(np.inf)
 
 
 def _roots(coefficients: Floats) -> Complex:

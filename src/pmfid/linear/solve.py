@@ -25,6 +25,8 @@ DESCENTS = 60
 SETTLED = 1e-12
 #: ... or by less than this part of the output's sum of squares: what is left is rounding.
 ROUNDING = 1e-20
+#: A pole that would grow by more than this power of e within the record is at the bound of `stable`.
+EDGE = 0.9
 #: Part of a sensitivity that must not follow from the others.
 APART = 1e-7
 #: From so many unknown poles on there are local optima that a first one may be.
@@ -80,6 +82,7 @@ class Solution:
     passes: int
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a process that is far off: its loss is not finite, and no better
 def visit(problem: Problem, theta: Floats, initial: Floats) -> Point:
     """Linearises at theta (p,); initial (stretches, n) is moved to where it fits best."""
     errors, phis, zetas, found = [], [], [], []
@@ -180,14 +183,23 @@ def descend(problem: Problem, start: Point, settled: float = SETTLED) -> Solutio
             return Solution(replace(point, theta=point.theta + last), True, passes)
         while damping < 1e12:
             step = np.linalg.solve(normal + damping * np.eye(size.size), slope) / size
+            if not np.all(np.isfinite(step)):
+                return Solution(point, False, passes)
             trial = _at(problem, point.theta + step, point.initial)
             if np.isfinite(trial.cost) and trial.cost <= point.cost:
                 point, damping = trial, damping / 5
                 break
             damping *= 4
         else:
-            return Solution(point, True, passes)  # no step is downhill: rounding
+            # no step is downhill: rounding, or the way down leads beyond the stable models
+            return Solution(point, not _at_the_edge(problem, point.theta), passes)
     return Solution(point, False, DESCENTS)
+
+
+def _at_the_edge(problem: Problem, theta: Floats) -> bool:
+    """Is a pole as far in the right half-plane as it may be?"""
+    poles = np.roots(np.r_[1.0, theta[: problem.structure.n][::-1]])
+    return bool(np.any(poles.real * problem.duration > EDGE))
 
 
 def with_fixed_filter(problem: Problem, pole: float) -> Solution:

@@ -3,7 +3,8 @@
 The input of a record of normal work drives the reference model from random places on the encoder's lattice; whatever a
 detector shows then is chance. Its maxima over intervals much longer than its memory are counted; their tail is
 exponential (Gumbel's domain), so log(rate) falls linearly with the threshold, and a rate that was too rare to be seen
-often is read off that line.
+often is read off that line. Where the record itself deviates by more than the simulation, its own blocks take the place
+of the simulated ones (`reference`), and what so short a record cannot know of the tail makes the threshold higher.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.base import Estimator
-from pmfid.monitor.detectors import ChiSquare, Cusum, Detector, Glr, PageHinkley, statistics
-from pmfid.monitor.scores import Blocks, Floats, Scale, block_samples, make_scale, scores
+from pmfid.monitor.detectors import EDGE, ChiSquare, Cusum, Detector, Glr, PageHinkley, statistics
+from pmfid.monitor.reference import noisier, resampled
+from pmfid.monitor.scores import Blocks, Floats, Scale, block_samples, make_scale, scores, start_blocks
 
 Counts = NDArray[np.int64]
 
@@ -33,6 +35,8 @@ HOURS_PER_MTBF, LEAST_HOURS, MOST_HOURS = 4.0, 20.0, 100.0
 TAIL = 100
 #: The noise of a record of normal work counts where it differs by so many standard errors from the simulated one.
 NOISIER = 3.0
+#: Maxima of a record that the line is fitted to, and confidence of that, in standard errors of what they tell.
+SEEN, CONFIDENCE = 30, 1.645
 #: Blocks that a record of normal work must have.
 LEAST_BLOCKS = 200
 
@@ -58,7 +62,8 @@ class Tail:
 @dataclass(frozen=True)
 class Calibration:
     """theta: (p,) reference; scale: of normal work; chi_square: precision of that detector; tails: by detector; noise:
-    (p,) standard deviation of normal work over that of the simulation; hours: simulated."""
+    (p,) standard deviation of normal work over that of the simulation; hours: simulated; record_hours: of the record
+    whose blocks the tails are made of, 0 where they are the simulation's."""
 
     theta: Floats
     scale: Scale
@@ -66,6 +71,7 @@ class Calibration:
     tails: dict[str, Tail]
     noise: Floats
     hours: float
+    record_hours: float = 0.0
 
 
 def make_detectors(keep: float, precision: tuple[tuple[float, ...], ...] = ()) -> dict[str, Detector]:
@@ -107,15 +113,27 @@ def calibrate(
     x, w = _stack([scale.standardise(blocks) for blocks in (first, *runs)])
     sigma = np.sqrt((x**2).mean(axis=(0, 1)))
     x, scale = x / sigma, replace(scale, sigma=scale.sigma * sigma)
-    keep = block_keep(estimator)
-    precision = _precision(ChiSquare(keep), x, w)
+    noise, own = np.ones(theta.size), None
+    if counts is not None:
+        record = scores(estimator, theta, u, counts)[start_blocks(estimator, theta) :]
+        noise = noise_ratio(scale, record)
+        scale = replace(scale, sigma=scale.sigma * noise)
+        own = scale.standardise(record)
+    block_time, record_hours = block_samples(estimator) * estimator.dt, 0.0
+    if own is not None and len(own[0]) and noisier(own, (x, w), EDGE):
+        record_hours = len(own[0]) * block_time / 3600
+        x, w = resampled(*own, (x.shape[0], x.shape[1]), np.random.default_rng(seed))
+    precision = _precision(ChiSquare(block_keep(estimator)), x, w)
     tails = {
-        name: fit_tail(statistics(detector, x, w, np.zeros(theta.size)), block_samples(estimator) * estimator.dt)
-        for name, detector in make_detectors(keep, precision).items()
+        name: _detector_tail(detector, x, w, block_time, record_hours)
+        for name, detector in make_detectors(block_keep(estimator), precision).items()
     }
-    noise = np.ones(theta.size) if counts is None else noise_ratio(scale, scores(estimator, theta, u, counts))
-    scale = replace(scale, sigma=scale.sigma * noise)
-    return Calibration(theta, scale, precision, tails, noise, hours)
+    return Calibration(theta, scale, precision, tails, noise, hours, record_hours)
+
+
+def _detector_tail(detector: Detector, x: Floats, w: Floats, block_time: float, record_hours: float) -> Tail:
+    found = statistics(detector, x, w, np.zeros(x.shape[-1]))
+    return fit_record_tail(found, block_time, record_hours) if record_hours else fit_tail(found, block_time)
 
 
 def replays(
@@ -146,12 +164,35 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
 
 
 def fit_tail(statistic: Floats, block_time: float) -> Tail:
-    """The tail of the maxima over intervals of the statistic (runs, n) of blocks of block_time [s]."""
+    """The tail of the maxima over intervals of the statistic (runs, n) of simulated blocks of block_time [s]."""
+    maxima, hours = _maxima(statistic, block_time)
+    top = min(TAIL, maxima.size // 4)
+    return _tail(maxima, hours, top)
+
+
+def fit_record_tail(statistic: Floats, block_time: float, record_hours: float) -> Tail:
+    """The same of blocks drawn from a record of record_hours.
+
+    What is drawn ends where the record ends: the line goes through what the record itself saw SEEN times, and is the
+    flattest and highest that goes with that.
+    """
+    maxima, hours = _maxima(statistic, block_time)
+    intervals = record_hours * 3600 / INTERVAL_TIME
+    part = min(0.25, SEEN / intervals)
+    surely = 1 + CONFIDENCE / math.sqrt(max(1.0, intervals * part))
+    tail = _tail(maxima, hours, max(1, round(maxima.size * part)))
+    return replace(tail, slope=surely * tail.slope, rate=surely * tail.rate, maxima=tail.maxima[:TAIL])
+
+
+def _maxima(statistic: Floats, block_time: float) -> tuple[Floats, float]:
+    """Maxima over intervals, falling, and their hours."""
     size = max(1, round(INTERVAL_TIME / block_time))
     n = statistic.shape[1] // size
     maxima = np.sort(statistic[:, : n * size].reshape(-1, size).max(axis=1))[::-1]
-    hours = maxima.size * size * block_time / 3600
-    top = min(TAIL, maxima.size // 4)
+    return maxima, maxima.size * size * block_time / 3600
+
+
+def _tail(maxima: Floats, hours: float, top: int) -> Tail:
     level = float(maxima[top])
     slope = float(np.mean(maxima[:top] - level))
     return Tail(level, slope, top / hours, hours, tuple(float(value) for value in maxima[: top + 1]))

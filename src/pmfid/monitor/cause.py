@@ -13,6 +13,12 @@ from pmfid.monitor.scores import Blocks, Floats, Scale
 INPUT_GAIN = "input_gain"
 #: Keeps the instruments of a few blocks apart.
 RIDGE = 1e-6
+#: Blocks that a change may be spread over: the one it falls into, and the one whose filters remember that.
+TRANSITION = 2
+#: Information, in average blocks, that is left for the size where they are left out.
+LEAST_INFORMATION = 2.0
+#: Neighbours that a block's deviation goes with.
+LAGS = 2
 
 
 @dataclass(frozen=True)
@@ -28,7 +34,14 @@ class Cause:
     share: float
 
 
-def explain(blocks: Blocks, scale: Scale, theta: Floats, names: Sequence[str], input_gain: float) -> Cause:
+def explain(
+    blocks: Blocks,
+    scale: Scale,
+    theta: Floats,
+    names: Sequence[str],
+    input_gain: float,
+    latest: int | None = None,
+) -> Cause:
     """The single change at one of the blocks' starts that takes most from the error of the equation.
 
     For a direction v and the blocks from a start on, with sums S, W, Z,
@@ -36,7 +49,8 @@ def explain(blocks: Blocks, scale: Scale, theta: Floats, names: Sequence[str], i
         gain = (v^T W^T Z^-1 S)^2 / (v^T W^T Z^-1 W v)
 
     is the generalised likelihood ratio of theta0 + size v (Willsky and Jones 1976), but for the noise. theta: (p,)
-    reference; directions: each parameter, and theta itself for a loss of force.
+    reference; directions: each parameter, and theta itself for a loss of force; latest: the last start that is
+    possible, as the deviation was noticed then.
     """
     S, W, Z = (np.cumsum(part[::-1], axis=0)[::-1] for part in (blocks.score, blocks.cross, blocks.square))
     Z = Z + RIDGE * np.diag(np.diagonal(Z[0]))
@@ -45,16 +59,55 @@ def explain(blocks: Blocks, scale: Scale, theta: Floats, names: Sequence[str], i
     match = np.einsum("npd,np->nd", weighted, S)
     known = np.maximum(np.einsum("npd,npd->nd", weighted, W @ directions.T), np.finfo(float).tiny)
     gain = match**2 / known
-    # of equal starts the last: what no block could show did not begin yet
-    late = gain[::-1]
-    start = len(gain) - 1 - int(np.argmax(late.max(axis=1) >= (1 - 1e-9) * late.max()))
+    start = _start(gain[: None if latest is None else latest + 1])
+    total = max(float(S[start] @ np.linalg.solve(Z[start], S[start])), np.finfo(float).tiny)
     which = int(np.argmax(gain[start]))
-    noise = scale.sigma**2 / scale.energy
-    variance = (noise[which] if which < theta.size else float(np.mean(noise))) / known[start, which]
-    size, std = float(match[start, which] / known[start, which]), float(np.sqrt(variance))
-    share = float(gain[start, which] / max(S[start] @ np.linalg.solve(Z[start], S[start]), np.finfo(float).tiny))
+    size, std = _size(blocks, scale, directions[which], start)
+    share = float(gain[start, which]) / total
     if which < theta.size:
         return Cause(names[which], size, std, size / abs(float(theta[which])), start, share)
     factor = 1 / max(1 + size, 0.01)
     relative = factor - 1
     return Cause(INPUT_GAIN, relative * input_gain, std * factor**2 * abs(input_gain), relative, start, share)
+
+
+def _start(gain: Floats) -> int:
+    """The start whose best cause explains most; of equal ones the last: what no block could show did not begin yet."""
+    late = gain[::-1]
+    return len(gain) - 1 - int(np.argmax(late.max(axis=1) >= (1 - 1e-9) * late.max()))
+
+
+def _size(blocks: Blocks, scale: Scale, direction: Floats, start: int) -> tuple[float, float]:
+    """The change along a direction (p,), and its standard deviation.
+
+    Blocks in which the change comes, and its filters settle, show less than all of it: they are left out where enough
+    remains. By how much the next ones would move the size, or the last one did, is what the moment of the change
+    leaves open.
+    """
+    told = scale.standardise(blocks)[1][:, direction != 0].mean(axis=1)  # of the parameters that it moves
+    information = np.cumsum(told[::-1])[::-1]
+    possible = range(start, min(start + TRANSITION + 1, len(information)))
+    found = [_fit(blocks[k:], scale, direction) for k in possible if k == start or information[k] > 0]
+    chosen = sum(information[k] > LEAST_INFORMATION for k in possible[1 : len(found)])
+    size, std = found[chosen]
+    others = [abs(other - size) for other, _ in found[max(0, chosen - 1) :]] if len(found) > 1 else [std]
+    return size, float(np.hypot(std, min(max(others), abs(size))))
+
+
+def _fit(blocks: Blocks, scale: Scale, direction: Floats) -> tuple[float, float]:
+    """The change along a direction (p,) that all blocks show, and its standard deviation: the larger one of what the
+    noise of normal work makes it, and of what the blocks leave unexplained, with its correlation."""
+    W, Z = blocks.cross.sum(axis=0), blocks.square.sum(axis=0)
+    weight = np.linalg.solve(Z + RIDGE * np.diag(np.diagonal(Z)) + np.finfo(float).tiny * np.eye(len(Z)), W @ direction)
+    told, known = blocks.score @ weight, blocks.cross @ direction @ weight
+    total = max(float(known.sum()), np.finfo(float).tiny)
+    size = float(told.sum()) / total
+    # of the parameters that the direction moves
+    noise = float(np.mean((scale.sigma**2 / scale.energy)[direction != 0]))
+    rest = told - size * known
+    n = len(rest)
+    spread = float(
+        rest @ rest + 2 * sum((1 - k / (LAGS + 1)) * (rest[k:] @ rest[:-k]) for k in range(1, min(n, LAGS + 1)))
+    )
+    spread = max(spread, 0.0) * n / max(1, n - 1)
+    return size, float(np.sqrt(max(noise / total, spread / total**2)))

@@ -8,20 +8,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.adequacy import CONTRADICTED, Adequacy, examine, force_moves
 from pmfid.estimators.base import Estimator, like
-from pmfid.estimators.batch import BCLS, TINY
+from pmfid.estimators.batch import BCLS, BEYOND, LS, TINY
 from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.output_error import OE, WORST_FIT
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.status import Status
 
 #: A correlation this many standard deviations from zero is taken for real.
 SIGNIFICANT = 4.5
-#: Root mean square of the equation's error, over that of a white encoder error, beyond which the model is wrong.
-UNEXPLAINED = 1.4
+#: What is said where the model is wrong.
+UNMODELLED = "the counts show what the model lacks, or a parameter that changes"
 #: Counts per sample below which the encoder's error is no white noise.
 COARSE = 1.0
 #: A change of the counts so much larger than the usual ones is no motion.
 JUMP = 30
+#: With fewer samples, or none that moves, there is nothing to judge a model by.
+FEWEST = 50
 #: A method's own error, relative, that is worth a word of its own.
 BIASED = 0.01
 
@@ -38,12 +42,13 @@ def judge(
     """Flags and sentences on an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,).
 
     implausible: a negative mass or friction; uncertain: not known to half its value; biased: the method's own error
-    is larger than its error bar and 2 %; std_too_small: larger than its error bar; unmodelled: the equation is off by
-    more than the encoder explains; feedback: what is unexplained comes back through the input; count_jump: one change
-    of the counts is no motion; coarse_motion: too few counts per sample for a method that takes the encoder's error
-    for white noise.
+    is larger than its error bar and 2 %; std_too_small: larger than its error bar; unmodelled: the counts show that
+    the model lacks something; not_followed: they are nothing like what it simulates; model_spread: they would not show
+    what it may lack, and that would move a parameter beyond its error bar; feedback: what is unexplained comes back
+    through the input; count_jump: one change of the counts is no motion; coarse_motion: too few counts per sample for
+    a method that takes the encoder's error for white noise. With a memory the last three of it are judged.
     """
-    residual = list(_residual(estimator, u, counts, theta))
+    residual = [*_model(estimator, u, counts, theta, std), *_feedback(estimator, u, counts, theta)]
     # where the model is wrong, methods differ because they weigh its error differently: only large differences count
     limit = 10 * BIASED if any(flag == "unmodelled" for flag, _ in residual) else 2 * BIASED
     found = [
@@ -162,28 +167,99 @@ def _jump(counts: NDArray[np.int64]) -> Iterator[Finding]:
         )
 
 
-def _residual(
+def recent(estimator: Estimator, samples: int) -> slice:
+    """The part of a record of so many samples that an estimate is of: its last three memories."""
+    return slice(-round(min(samples, 3 / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None)
+
+
+def _model(
+    estimator: Estimator,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    theta: NDArray[np.float64],
+    std: NDArray[np.float64],
+) -> Iterator[Finding]:
+    """Does the motion that the model simulates explain the counts, and what could it lack that they do not show?"""
+    if estimator.equation.without_simulation:
+        return
+    part = recent(estimator, u.size)
+    u, counts = u[part], counts[part]
+    if u.size < FEWEST or not np.any(np.diff(like(OE, estimator, prefilter_zeros=None).position(counts))):
+        return
+    if not np.any(like(LS, estimator, model=estimator.model.symmetric, prefilter_zeros=None).columns(u, counts).used):
+        return
+    theta, std = theta[: len(estimator.equation.names)], std[: len(estimator.equation.names)]
+    at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
+    try:
+        found = examine(estimator, u, counts, at if at[estimator.equation.leading] > 0 else None)
+    except NotIdentifiableError as error:
+        yield "unmodelled", f"{UNMODELLED}: no motion of the model follows the counts ({error})"
+        return
+    if found.left > WORST_FIT:
+        yield (
+            "not_followed",
+            f"no motion of the model follows the measured one, {found.left:.0%} of it is left: check input_gain, the "
+            "sign and scale of input and output, and bits of [encoder]",
+        )
+    if not found.adequate:
+        yield "unmodelled", f"{UNMODELLED}: {found.says}; the error bars do not cover it"
+        return
+    yield from _hidden(estimator, found, (u, counts), theta, std)
+
+
+def _hidden(
+    estimator: Estimator,
+    found: Adequacy,
+    record: tuple[NDArray[np.float64], NDArray[np.int64]],
+    theta: NDArray[np.float64],
+    std: NDArray[np.float64],
+) -> Iterator[Finding]:
+    """An adequate model: does the estimate agree with it, and what could it lack without showing?"""
+    at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
+    if isinstance(estimator, OE):
+        spread = found.spread()
+    else:
+        twin = like(IV, estimator, prefilter_zeros=None)
+        spread = found.spread(force_moves(found, twin, twin.columns_at(at, *record)))
+    best = found.q[: theta.size] * found.difference.scale[: theta.size]
+    apart = np.abs(theta - best) / np.maximum(np.sqrt(std**2 + found.spread() ** 2), TINY)
+    worst = int(np.argmax(apart))
+    if estimator.simulates and apart[worst] > CONTRADICTED:
+        yield (
+            "biased",
+            f"{estimator.names[worst]} = {theta[worst]:.4g} has an error of its own: the motion that explains every "
+            f"count has {best[worst]:.4g}; under control through a coarse encoder its error comes back through the "
+            "input, and interval or output-error are the ones to use",
+        )
+    for name, value, own, bar in zip(estimator.names, theta, spread, std, strict=True):
+        if own > bar:
+            yield (
+                "model_spread",
+                f"friction or a dead time that the model lacks, and that this record would not show, may move {name} "
+                f"by {100 * own / max(abs(value), TINY):.2g} %, more than its error bar: a finer encoder or a richer "
+                "motion would show it",
+            )
+            return
+
+
+def _feedback(
     estimator: Estimator, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]
 ) -> Iterator[Finding]:
-    """The error of the equation at theta with the simulated direction: its size, and does the input follow it?"""
+    """Does the input follow what the equation leaves at theta, with the simulated direction?"""
     equation = estimator.equation
     theta = theta[: len(equation.names)].copy()
     if equation.without_simulation or not theta[equation.leading] > 0:
         return
     theta = np.where(equation.positive, np.maximum(theta, 0.0), theta)
-    twin = like(IV, estimator, prefilter_zeros=None)
-    columns = twin.columns_at(theta, u, counts)
+    columns = like(IV, estimator, prefilter_zeros=None).columns_at(theta, u, counts)
     error = columns.z - columns.phi @ theta
-    change = np.diff(u, prepend=u[0])
-    recent = slice(-round(min(error.size, 3 / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None)
-    times = np.sqrt(np.mean(error[recent] ** 2) / max(float(theta @ twin.noise() @ theta), TINY))
-    if times > UNEXPLAINED:
-        yield (
-            "unmodelled",
-            f"the equation is off by {times:.2g} times what the encoder's step explains: friction, load or delay that "
-            "the model lacks, or a parameter that changes; the error bars do not cover it",
-        )
-    if correlation_score(error[recent], change[columns.used][recent]) > SIGNIFICANT:
+    if error.size == 0:
+        return
+    if not np.max(np.abs(error)) < BEYOND:
+        yield "unmodelled", "the motion simulated with this estimate leaves the range of numbers: do not believe it"
+        return
+    change, last = np.diff(u, prepend=u[0])[columns.used], recent(estimator, error.size)
+    if correlation_score(error[last], change[last]) > SIGNIFICANT:
         yield (
             "feedback",
             "the input follows what the model leaves unexplained, the encoder's error or unmodelled friction, as under "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -12,7 +13,7 @@ from pmfid.estimators.base import like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.calibration import Calibration, block_keep, make_detectors
-from pmfid.monitor.cause import INPUT_GAIN, Cause, explain
+from pmfid.monitor.cause import INPUT_GAIN, TRANSITION, Cause, explain
 from pmfid.monitor.events import (
     CANNOT_TELL,
     SETTLING,
@@ -38,6 +39,8 @@ SILENT_TIME, SILENT_BLOCKS = 2.0, 6
 MODEL_INFORMATION, REFERENCE_INFORMATION = 15.0, 60.0
 #: Information after which a cause that explains so much of what is to explain is named, and after which the best is.
 CAUSE_INFORMATION, CAUSE_SHARE, CAUSE_LATEST = 4.0, 0.95, 8.0
+#: A single block counts for no more: where the model is wrong, it errs in every block in another way.
+MOST_INFORMATION = 1.5
 #: What is kept at the first suspicion of what was gathered before.
 KEEP = 0.003
 NO_ALARM = Status.STARTING | Status.POOR_EXCITATION
@@ -69,7 +72,7 @@ class Monitor:
         self._scale = self.calibration.scale
         self._refer(self.calibration.theta)
         self._sum = Blocks(np.zeros((1, p)), np.zeros((1, p, p)), np.zeros((1, p, p)))
-        self._counts = 0
+        self._counts, self._zero, self._lost = 0, 0, False
         self._silent_blocks = max(SILENT_BLOCKS, round(SILENT_TIME / self._block_time))
 
     @property
@@ -82,9 +85,17 @@ class Monitor:
         return self._front.settle_samples * self._front.dt
 
     def step(self, u: float, counts: int) -> tuple[Any, list[Event]]:
-        """One sample as in `RecursiveEstimator.step`: the estimate, and what there is to tell."""
+        """One sample as in `RecursiveEstimator.step`: the estimate, and what there is to tell.
+
+        After a sample that was lost, u not finite, the counts go on from the last: whatever the counter did meanwhile,
+        no speed explains it.
+        """
+        lost = not math.isfinite(u)
+        if self._lost and not lost:
+            self._zero = self._counts - counts
+        counts = self._counts if lost else counts + self._zero
+        self._lost, self._counts = lost, counts
         estimate = self.estimator.step(u, counts)
-        self._counts = counts
         self.samples += 1
         block = self._filter.step(u, counts)
         return estimate, [] if block is None else self._on_block(block, estimate)
@@ -106,7 +117,7 @@ class Monitor:
         self._tolerance = self.watch.tolerance * np.abs(theta) / self._scale.sigma
         self._detection = self._detector.start(theta.shape)
         self._recent: deque[Blocks] = deque(maxlen=LOOK_BACK)
-        self._silence, self._gathered, self._refined, self._crossed = 0, 0.0, False, 0.0
+        self._silence, self._gathered, self._refined, self._crossed, self._suspected = 0, 0.0, False, 0.0, 0
         self.statistic = 0.0
 
     def _on_block(self, block: Blocks, estimate: Any) -> list[Event]:
@@ -119,12 +130,14 @@ class Monitor:
         self._detection, statistic = self._detector.update(self._detection, x, w, self._tolerance)
         self.statistic = float(statistic)
         if self.state == SUSPICIOUS:
-            self._gathered += information
+            self._gathered += min(information, MOST_INFORMATION)
+            self._suspected += 1
             return self._alarm()
         events = self._look_around(estimate)
         crossed = self.statistic > self.threshold and information > INFORMATIVE
         if crossed and not estimate.status & NO_ALARM:
-            self._gathered, self._crossed = information, self.statistic
+            self._gathered = min(information, MOST_INFORMATION)
+            self._crossed, self._suspected = self.statistic, 1
             self.estimator.open_memory(KEEP)
             events += [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm()]
         return events
@@ -179,8 +192,9 @@ class Monitor:
         return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
 
     def _cause(self) -> Cause:
+        latest = max(0, len(self._recent) - self._suspected) + TRANSITION
         names, gain = self._front.names, self.estimator.equation.input_gain
-        return explain(Blocks.joined(self._recent), self._scale, self.reference, names, gain)
+        return explain(Blocks.joined(self._recent), self._scale, self.reference, names, gain, latest)
 
     def _settle(self, block: Blocks, information: float, estimate: Any) -> list[Event]:
         """First the estimate becomes the model, then what the blocks say beside it the reference."""

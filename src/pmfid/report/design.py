@@ -11,6 +11,7 @@ import numpy as np
 from pmfid.design.appraisal import Appraisal, gathered
 from pmfid.design.campaign import Campaign
 from pmfid.design.criteria import CRITERIA
+from pmfid.design.encoder_error import is_counted
 from pmfid.design.result import Design
 from pmfid.design.sequential import Commissioning
 from pmfid.report.design_figures import ellipse_figure, gathering_figure, motion_figure
@@ -154,13 +155,17 @@ def _campaign_motions(campaign: Campaign) -> dict[str, tuple[np.ndarray, np.ndar
 
 
 def rounds_table(state: Commissioning) -> Rows:
-    """One row for each round: value and standard deviation of each parameter, distance travelled."""
-    header = ["round", *(_words(name) for name in state.problem.names), "travel [m]", "inflation"]
+    """One row for each round: value and standard deviation of each parameter, distance travelled, and what the model
+    leaves: counts that it misses, or the inflation of normal noise."""
+    counted = is_counted(state.problem)
+    last = "misfit [counts]" if counted else "inflation"
+    header = ["round", *(_words(name) for name in state.problem.names), "travel [m]", last]
     rows = []
     for number, each in enumerate(state.rounds, 1):
         std = each.known.std(state.problem.names)
         cells = [_with_std(each.known.parameters[name], std[name]) for name in state.problem.names]
-        rows.append([str(number), *cells, f"{each.run.y[-1] - each.run.y[0]:.4f}", f"{each.known.inflation:.2f}"])
+        left = each.known.unexplained if counted else each.known.inflation
+        rows.append([str(number), *cells, f"{each.run.y[-1] - each.run.y[0]:.4f}", f"{left:.2f}"])
     return header, rows
 
 
@@ -172,7 +177,7 @@ def _with_std(value: float, std: float) -> str:
 
 _ENCODER_TEXT = (
     "An encoder does not tell where within a count the axis starts, and its error is not white: it repeats with the "
-    "motion. This is what least squares, as in pmfid commission, gets from its counts."
+    "motion. This is what pmfid commission gets from its counts."
 )
 
 

@@ -57,6 +57,7 @@ def figure_style() -> Iterator[None]:
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_STYLE)
+        matplotlib.rcParams["text.parse_math"] = False  # a $ in a unit is no formula
         yield
 
 

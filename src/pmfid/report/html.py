@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from pmfid.errors import UsageError
 from pmfid.report.figures import figure_style
+from pmfid.report.files import replace_file
 
 Cell = str | int | float
 Table = tuple[Sequence[str], Sequence[Sequence[Cell]]]
@@ -65,7 +66,8 @@ def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:
     )
     parts = [_part(section, f"s{number}-") for number, section in enumerate(sections, 1)]
     page = environment.from_string(source).render(title=title, sections=parts)
-    path.write_text(page + "\n", "utf-8", newline="\n")
+    # a file name need not be text: what has no letters is shown as a question mark
+    replace_file(path, (page + "\n").encode("utf-8", "replace"))
 
 
 def _part(section: Section, prefix: str) -> dict[str, object]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pmfid.monitor.calibration import Calibration
 from pmfid.report.html import Section, svg, write_report
 from pmfid.report.monitored_figures import RunData, calibration_figure, run_figure
 from pmfid.session.monitor_run import History, Run
@@ -37,7 +38,7 @@ def run_data(setup: Setup, run: Run, history: History) -> RunData:
         estimator.units,
         t,
         np.array(u),
-        np.gradient(position, t),
+        _velocity(position, t),
         np.array(theta),
         np.array(std),
         np.array(innovation),
@@ -46,6 +47,12 @@ def run_data(setup: Setup, run: Run, history: History) -> RunData:
         setup.nominal,
         run.alarms,
     )
+
+
+def _velocity(position: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """(n,); a clock that was set may give two samples the same time."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.gradient(position, t))
 
 
 def _headline(run: Run) -> str:
@@ -58,8 +65,12 @@ def _headline(run: Run) -> str:
 
 def _verdict(setup: Setup, run: Run) -> Section:
     lines = [f"{run.samples} samples, {run.samples * setup.monitor.estimator.dt:.1f} s."]
-    if run.bad_lines:
-        lines.append(f"{run.bad_lines} lines could not be used.")
+    if run.bad_lines or run.repeated_lines:
+        lines.append(f"{run.bad_lines} lines could not be used, {run.repeated_lines} came again or too late.")
+    if run.clock_jumps:
+        lines.append(f"The clock was set {run.clock_jumps} times.")
+    if run.problem:
+        lines.append(f"The run ended: {run.problem}.")
     if run.missing:
         lines.append(f"{run.missing} samples are missing, in {run.gaps} gaps.")
     text = "\n\n".join([" ".join(lines), *(f"Note: {note}." for note in setup.notes)])
@@ -95,6 +106,11 @@ def _run_text(history: History, setup: Setup) -> str:
     return text + (f" One row of {history.stride} is shown." if history.stride > 1 else "")
 
 
+def _made(calibration: Calibration) -> str:
+    hours = calibration.record_hours
+    return f"drawn from the {hours:.2g} h of the reference record" if hours else "simulated"
+
+
 def _calibration(setup: Setup) -> Section:
     watch, calibration = setup.monitor.watch, setup.calibration
     asked = sorted({1.0, watch.mtbf_hours})
@@ -107,9 +123,9 @@ def _calibration(setup: Setup) -> Section:
     text = (
         f"In use: {watch.detector}, mean time between false alarms {watch.mtbf_hours:g} h for a machine exactly at its "
         f"reference; deviations within {100 * watch.tolerance:g} % are no alarm, so false ones are rarer still. "
-        f"{calibration.hours:.3g} h of normal work were simulated; points: the largest values of the statistic there, "
-        "lines: what the thresholds are read from. Noise of the reference record over that of the simulation, by "
-        f"parameter: {noise}."
+        f"{calibration.hours:.3g} h of normal work were {_made(calibration)}; points: the largest values of the "
+        "statistic there, lines: what the thresholds are read from. Noise of the reference record over that of the "
+        f"simulation, by parameter: {noise}."
     )
     figure = calibration_figure(calibration.tails, watch.detector, watch.mtbf_hours)
     return Section("Thresholds", text, (head, rows), svg(figure))

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from pmfid.estimators.structure import Search
 from pmfid.linear.process import Process
 from pmfid.report.figures import COLOURS, GREY, WIDTH, decimation, figure_style
+from pmfid.report.files import replace_file
 from pmfid.report.html import Section, svg, write_report
 from pmfid.session.doubts import search_notes
 from pmfid.session.process import ProcessResult, search_json
@@ -26,7 +27,7 @@ ROWS = 15
 def write_process(out: Path, result: ProcessResult) -> None:
     """Writes report.html and result.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / "result.json").write_text(json.dumps(result.to_json(), indent=2, allow_nan=False) + "\n")
+    replace_file(out / "result.json", (json.dumps(result.to_json(), indent=2, allow_nan=False) + "\n").encode())
     sections = [
         _parameters(result),
         _dynamics(result.process),
@@ -203,7 +204,7 @@ def search_rows(search: Search) -> list[list[str]]:
             str(row.delay),
             f"{row.bic - search.best.bic:.1f}",
             f"{row.fit:.2f}",
-            f"{row.condition:.1e}" + ("" if row.settled else " (not settled)"),
+            f"{row.condition:.1e}" + ("" if row.settled else " (not settled)") + (" (refused)" if row.refused else ""),
         ]
         for row in search.candidates[:ROWS]
     ]
@@ -238,7 +239,9 @@ def write_search(out: Path, search: Search, name: str) -> None:
     (out / "order.json").write_text(json.dumps(search_json(search), indent=2, allow_nan=False) + "\n")
     text = (
         f"{search.samples} samples, {len(search.candidates)} structures fitted, {search.skipped} cannot be better. "
-        "Criterion: Schwarz (1978), above that of the best; less is better, and less than about 10 apart is not sure. "
+        "Criterion: Schwarz (1978), behind the whitening filter of the noise, above that of the best; less is better, "
+        "and less than about 10 apart is not sure. Refused: identify has no estimate, or one with a pole that nothing "
+        "tells. "
         "Condition: of the scaled sensitivities; large where poles and zeros nearly cancel."
     )
     text = "\n\n".join([text, *(f"Note: {note}." for note in search_notes(search))])

@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 
 from pmfid.report.figures import estimate_figure, residual_figure, signals_figure, status_figure
+from pmfid.report.files import replace_file
 from pmfid.report.html import Section, svg, write_report
 from pmfid.report.model_checks import model_checks
 from pmfid.session.pipeline import Result
+from pmfid.session.row_file import fresh
 
 
 def write_result(out: Path, result: Result) -> None:
-    """Writes report.html, result.json and, for a recursive method, track.parquet into the folder `out`."""
+    """Writes report.html, result.json and, for a recursive method, track.parquet into the folder `out`.
+
+    A track.parquet that is there stays under another name, track-2.parquet and so on: it is of an earlier run, or has
+    nothing to do with this program.
+    """
     out.mkdir(parents=True, exist_ok=True)
-    (out / "track.parquet").unlink(missing_ok=True)  # of an earlier run with another method
-    (out / "result.json").write_text(json.dumps(result.to_json(), indent=2, allow_nan=False) + "\n")
+    track = out / "track.parquet"
+    if os.path.lexists(track) and not track.is_dir():
+        track.rename(fresh(track))
+    replace_file(out / "result.json", (json.dumps(result.to_json(), indent=2, allow_nan=False) + "\n").encode())
     if result.track is not None:
-        _write_track(out / "track.parquet", result)
+        _write_track(track, result)
     title = f"{result.record.name}: {result.estimator.method}"
     write_report(out / "report.html", title, [_parameters(result), *_figures(result), *model_checks(result)])
 
@@ -34,8 +44,9 @@ def _write_track(path: Path, result: Result) -> None:
     for i, name in enumerate(track.names):
         columns |= {name: track.theta[:, i], f"{name}_std": track.theta_std[:, i]}
     columns |= {"innovation": track.innovation, "status": track.status}
-    with path.open("wb") as file:  # so that a failure names the path
-        pl.DataFrame(columns).write_parquet(file)
+    buffer = io.BytesIO()
+    pl.DataFrame(columns).write_parquet(buffer)
+    replace_file(path, buffer.getvalue())
 
 
 def _parameters(result: Result) -> Section:

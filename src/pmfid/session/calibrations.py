@@ -17,7 +17,7 @@ from pmfid.monitor.calibration import Calibration, Tail, calibrate
 from pmfid.monitor.scores import Floats, Scale
 
 #: To be raised with every change of what a calibration computes.
-VERSION = 2
+VERSION = 3
 
 
 def cache_dir() -> Path:
@@ -70,6 +70,7 @@ def _read(path: Path) -> Calibration | None:
             {name: Tail(**(tail | {"maxima": tuple(tail["maxima"])})) for name, tail in raw["tails"].items()},
             np.array(raw["noise"]),
             raw["hours"],
+            raw["record_hours"],
         )
     except (OSError, ValueError, TypeError, KeyError):
         return None  # not there, or not whole: made anew

@@ -10,7 +10,8 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.registry import methods_for
 from pmfid.linear.experiment import Experiment
 from pmfid.session.config import Axis
-from pmfid.session.pipeline import Result, identify
+from pmfid.session.diagnosis import check_direction, diagnose
+from pmfid.session.pipeline import Result, estimate, explained
 from pmfid.session.process import ProcessResult, identify_process
 from pmfid.session.records import Record
 
@@ -31,31 +32,42 @@ class Comparison:
         return {"record": self.name, "samples": self.samples, "methods": methods}
 
 
-def compare(record: Record, axis: Axis, done: Callable[[str], None] | None = None) -> Comparison:
-    """Runs every method with the settings of `axis`; `done` is called with each name. Raises UsageError as `identify`
-    does, and NotIdentifiableError where no method has an answer."""
+def compare(record: Record, axis: Axis, done: Callable[[float], None] | None = None) -> Comparison:
+    """Runs every method with the settings of `axis`; `done` is called with the part that has run. Raises UsageError as
+    `identify` does, and NotIdentifiableError where no method has an answer."""
     results: dict[str, Result] = {}
-    refused: dict[str, Exception] = {}
-    for method in methods_for(axis.model.make()):
+    refused: dict[str, NotIdentifiableError] = {}
+    mistake = check_direction(record, axis)
+    if mistake:
+        raise UsageError(mistake)
+    methods = methods_for(axis.model.make())
+    for count, method in enumerate(methods, 1):
         try:
-            results[method] = identify(record, _with_method(axis, method))
+            results[method] = estimate(record, _with_method(axis, method))
         except NotIdentifiableError as error:
             refused[method] = error
         if done is not None:
-            done(method)
-    return Comparison(record.name, int(record.u.size), results, _reasons(results, refused))
+            done(count / len(methods))
+    mistake = diagnose(record, axis) if refused else ""
+    reasons = _reasons(results, {method: explained(error, mistake) for method, error in refused.items()})
+    return Comparison(record.name, int(record.u.size), results, reasons)
 
 
-def compare_processes(experiments: Sequence[Experiment], axis: Axis) -> Comparison:
+def compare_processes(
+    experiments: Sequence[Experiment], axis: Axis, done: Callable[[float], None] | None = None
+) -> Comparison:
     """The same for a transfer function, where some methods do not take every record. Raises what the first method
     raised where none has an answer."""
     results: dict[str, ProcessResult] = {}
     refused: dict[str, Exception] = {}
-    for method in methods_for(axis.model.make()):
+    methods = methods_for(axis.model.make())
+    for count, method in enumerate(methods, 1):
         try:
             results[method] = identify_process(experiments, _with_method(axis, method))
         except (NotIdentifiableError, UsageError) as error:
             refused[method] = error
+        if done is not None:
+            done(count / len(methods))
     name = ", ".join(experiment.name for experiment in experiments)
     return Comparison(name, sum(part.u.size for part in experiments), results, _reasons(results, refused))
 
@@ -64,7 +76,7 @@ def _with_method(axis: Axis, method: str) -> Axis:
     return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"method": method})})
 
 
-def _reasons(results: dict[str, Any], refused: dict[str, Exception]) -> dict[str, str]:
+def _reasons(results: Mapping[str, Any], refused: Mapping[str, Exception]) -> dict[str, str]:
     if not results:
         raise next(iter(refused.values()))
     return {method: str(error) for method, error in refused.items()}

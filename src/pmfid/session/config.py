@@ -27,6 +27,13 @@ def _usable_scale(value: float | str) -> float | str:
     return value
 
 
+def _usable_gain(value: float) -> float:
+    try:
+        return Drive(value).input_gain  # one rule for Python and TOML
+    except UsageError as error:
+        raise ValueError(str(error).partition(";")[0]) from None
+
+
 def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
     if value is not None and value[0] == value[1]:
         raise ValueError("the two zeros must differ")
@@ -49,7 +56,10 @@ class RecordConfig(FileSection):
     input: Name = Field(description="the name of the column that holds the input")
     output: Name = Field(description="the name of the column that holds the position or the counts")
     output_kind: Literal["position", "counts"] = Field("position", description="what the output column holds")
-    time: Name | None = Field(None, description="the name of the time column, in s")
+    time: Name | None = Field(None, description="the name of the time column")
+    time_unit: Literal["s", "ms", "us", "ns"] | None = Field(
+        None, description="the unit of the time column, or leave it out where the column's name or s is right"
+    )
     reference: Name | None = Field(
         None, description="the name of the column that holds what a controller was told, of a transfer function"
     )
@@ -65,6 +75,8 @@ class RecordConfig(FileSection):
     def _complete(self) -> Self:
         if self.time is None and self.dt is None:
             raise ValueError("neither time nor dt is there; give the time column, or dt in s, or both")
+        if self.time is None and self.time_unit is not None:
+            raise ValueError("time_unit is that of the time column; name it with time, or drop time_unit")
         if len({self.input, self.output, self.time}) < 3:
             raise ValueError("input, output and time must be different columns; correct the names")
         return self
@@ -118,7 +130,9 @@ class ModelConfig(FileSection):
     unstable: bool = Field(
         False, description="true if a controller holds a transfer function with poles in the right half-plane"
     )
-    input_gain: Positive | None = Field(None, description="the force in N per unit of u, for example 2.0")
+    input_gain: Annotated[float, AfterValidator(_usable_gain)] | None = Field(
+        None, description="the force in N per unit of u, for example 2.0, negative where they point apart"
+    )
     friction: Literal["symmetric", "directional"] = Field(
         "symmetric", description="whether friction differs between forward and backward"
     )
@@ -220,6 +234,21 @@ class MonitorConfig(FileSection):
     )
 
 
+#: Section, key, and whether it is one of a transfer function or of a machine with friction.
+_KEYS_OF_ONE_KIND = (
+    ("record", "gap", True),
+    ("record", "hold", True),
+    ("record", "reference", True),
+    ("encoder", "standstill_time", False),
+    ("encoder", "max_speed", False),
+)
+#: What serves the purpose instead.
+_CURE = {
+    "gap": ", and cut the record at the gap",
+    "hold": ", the input of an axis is taken to hold between samples",
+}
+
+
 class Axis(FileSection):
     """One axis of motion: the whole of AXIS.toml."""
 
@@ -228,6 +257,18 @@ class Axis(FileSection):
     model: ModelConfig = Field(description="a section with at least the input_gain")
     estimator: EstimatorConfig = Field(description="a section with at least the cutoff")
     monitor: MonitorConfig = Field(MonitorConfig(), description="a section that names the reference")
+
+    @model_validator(mode="after")
+    def _used(self) -> Self:
+        """What is given must have an effect: a key that the model does not use is refused."""
+        kind, sections = self.model.kind, {"record": self.record, "encoder": self.encoder}
+        for section, key, of_process in _KEYS_OF_ONE_KIND:
+            part = sections[section]
+            value = getattr(part, key)
+            if value != type(part).model_fields[key].default and of_process != (kind == "transfer_function"):
+                cure = f"drop it{_CURE.get(key, '')}"
+                raise UsageError(f'[{section}] {key} = {value!r} is not used with kind = "{kind}"; {cure}')
+        return self
 
 
 def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis:
@@ -253,6 +294,14 @@ def check_sampling(axis: Axis, dt: float) -> None:
     if cutoff * dt > 2:
         raise UsageError(
             f"[estimator] cutoff = {cutoff:g} rad/s is too high for dt = {dt:g} s: the filter pole would be "
-            f"past the Nyquist limit and alternate in sign; use at most 2/dt = {2 / dt:g} rad/s, "
-            "and check that the time is in s"
+            f"past the Nyquist limit and alternate in sign; {_unit_of_time(axis)}use at most 2/dt = {2 / dt:g} rad/s"
         )
+
+
+def _unit_of_time(axis: Axis) -> str:
+    """What to look at before the cutoff: with time in ms taken for s, a lower cutoff hides a factor of 1000."""
+    if axis.record.time is None:
+        return "check that [record] dt is in s, else "
+    if axis.record.time_unit is None:
+        return 'give [record] time_unit if the time is not in s, for example "ms", else '
+    return ""

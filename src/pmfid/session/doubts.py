@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import chdtri
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
@@ -20,16 +19,13 @@ FEEDBACK = (
     "the estimate is biased; give the reference of the controller ([record] reference) to srivc, iv or output-error"
 )
 IGNORED = "{method} does not use the reference of the controller; srivc, iv and output-error do"
-#: A record of noise alone is refused but for so many. Poles can be tuned to any of its frequencies: for each sample the
-#: chance is a part of that.
-CHANCE = 1e-2
 #: Less of the output explained [%] is worth a sentence.
 POOR_FIT = 10.0
 #: An output so many robust standard deviations off, in so small a part of the samples, is an outlier.
 FAR, FEW = 10.0, 0.01
 
 
-def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, samples: int) -> None:
+def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, checks: Assessment) -> None:
     """An estimate of nothing but noise is none, whatever its error bars."""
     variance = np.diagonal(cov)
     if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(cov)) and np.all(variance > 0)):
@@ -37,18 +33,10 @@ def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, sample
             f"the uncertainty of the transfer function is beyond numbers ({estimator.method}): the records do not "
             "identify it; excite the process more, or use fewer poles and zeros"
         )
-    if np.all(variance > theta**2):
-        raise NotIdentifiableError(
-            f"no parameter of the transfer function is known to its own size ({estimator.method}): the records do not "
-            "identify it; excite the process more, or use fewer poles and zeros"
-        )
-    top = np.array([name.startswith("b") for name in estimator.names]).nonzero()[0]
-    scale = np.sqrt(variance[top])
-    correlation, scaled = cov[np.ix_(top, top)] / np.outer(scale, scale), theta[top] / scale
-    if scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled < chdtri(top.size, CHANCE / samples):
+    if not checks.depends:
         offset = "" if "offset" in estimator.names else "give offset = true in [model] where it has a constant, "
         raise NotIdentifiableError(
-            f"the output hardly depends on the input ({estimator.method}): chance alone gives such a numerator; "
+            f"the output hardly depends on the input ({estimator.method}): chance alone explains as much of it; "
             f"check the columns, the dead time and for outliers, {offset}excite the process more, or use fewer poles "
             "and zeros"
         )
@@ -80,10 +68,20 @@ def notes_on(
     found = []
     if checks.feedback and not referenced:
         found.append(FEEDBACK)
-    if not checks.independent:
+    if checks.unmodelled:
         found.append(
-            "the residual is correlated with the input: another dead time, more poles or zeros, or another hold may "
-            "explain more"
+            "the input explains some of the residual: another dead time, more poles or zeros, or another hold may "
+            "explain more; the error bars leave out what this moves the estimate by"
+        )
+    if checks.second.surplus:
+        found.append(
+            "one pole and one zero less explain the record as well: it does not tell where they are, and their error "
+            "bars mean nothing; use a smaller n and m"
+        )
+    if checks.second.moved:
+        found.append(
+            "with the colour of the noise in mind the estimate is elsewhere, by more than its error bars: it has taken "
+            "some of the noise for dynamics; record longer, or use a smaller n and m"
         )
     if np.any(process.poles.real > 0) and not expected:
         found.append("the transfer function is unstable: what it simulates, and so the fit, says nothing")
@@ -96,12 +94,14 @@ def notes_on(
 def search_notes(search: Search) -> list[str]:
     """What to mind before the best structure is taken."""
     best, found = search.best, []
+    if best.refused:
+        found.append(f"identify has no estimate that it vouches for; the first one: {best.refused}")
     if not best.settled:
         found.append("no structure settled: the order is that of unfinished fits")
     if not best.white:
         found.append(
-            "what the best structure leaves is not white noise, but the criterion takes it for that and then prefers "
-            "too many poles and zeros: take the smallest structure that fits nearly as well"
+            "what the best structure leaves is not white noise, not even behind the filter that was made for that: the "
+            "criterion may then prefer too many poles and zeros; take the smallest structure that fits nearly as well"
         )
     if best.fit < POOR_FIT:
         found.append(f"the best structure explains {max(best.fit, 0.0):.2g} % of the output, no more: it may be chance")

@@ -6,14 +6,15 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pmfid.errors import UsageError
 from pmfid.monitor.events import Event, Settled, StateChange
 from pmfid.monitor.watch import Monitor
 from pmfid.session.sinks import Sink
-from pmfid.session.stream import Sample
+from pmfid.session.timeline import BAD, COMMENT, REPEATED, Found, Sample, Skipped
 
 #: Rows that are kept for the report; beyond, every other one goes.
 MOST_ROWS = 8000
-#: Bad lines and gaps that are told one by one, and events that are kept.
+#: Lines of a kind and gaps that are told one by one, and events that are kept.
 TOLD, KEPT = 10, 10_000
 
 Tell = Callable[[dict[str, Any]], None]
@@ -47,18 +48,28 @@ class History:
 
 @dataclass
 class Run:
-    """Totals of a run and its first KEPT events, as for JSON. bad_lines: that could not be used; missing: samples that
-    the times leave out, in so many gaps."""
+    """Totals of a run and its first KEPT events, as for JSON. bad_lines: that could not be used; repeated_lines: that
+    came twice or too late; comments: with headers that came again; missing: samples that the times leave out, in so
+    many gaps; clock_jumps: how often the clock was set; problem: what ended the run before its time, or ""."""
 
     samples: int = 0
     bad_lines: int = 0
+    repeated_lines: int = 0
+    comments: int = 0
     gaps: int = 0
     missing: int = 0
+    clock_jumps: int = 0
+    problem: str = ""
     events: list[dict[str, Any]] = field(default_factory=list)
 
     @property
     def alarms(self) -> list[dict[str, Any]]:
         return [event for event in self.events if event["event"] == "alarm"]
+
+    def totals(self) -> dict[str, int]:
+        """All counts, by name."""
+        names = ("samples", "bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_jumps")
+        return {**{name: getattr(self, name) for name in names}, "alarms": len(self.alarms)}
 
 
 def header(monitor: Monitor) -> list[str]:
@@ -67,38 +78,58 @@ def header(monitor: Monitor) -> list[str]:
     return ["t", *names, *(f"{name}_std" for name in names), "innovation", "status", "state"]
 
 
-def watch(
-    samples: Iterable[Sample], monitor: Monitor, sink: Sink, tell: Tell, observers: Sequence[Observer] = ()
-) -> Run:
-    """Runs the monitor over the samples; `tell` gets each event as an object for JSON, times as in the samples."""
-    run, names = Run(), monitor.estimator.names
-    for sample in samples:
-        events = _missed(sample, monitor, run, tell) if sample.missing or sample.problem else []
-        estimate, now = monitor.step(sample.u, sample.counts)
-        run.samples += 1
-        sink.write(_row(sample.time, estimate, monitor.state))
-        for observe in observers:
-            observe(sample, estimate, monitor.state)
-        for event in [*events, *now]:
-            found = event_object(event, names, sample.time - (monitor.samples - 1) * monitor.estimator.dt)
-            if len(run.events) < KEPT:
-                run.events.append(found)
-            tell(found)
+def watch(found: Iterable[Found], monitor: Monitor, sink: Sink, tell: Tell, observers: Sequence[Observer] = ()) -> Run:
+    """Runs the monitor over the samples; `tell` gets each event as an object for JSON, times as in the samples.
+
+    Samples that end in a UsageError end the run: the rest of what was asked for is still to be written.
+    """
+    run = Run()
+    try:
+        for one in found:
+            if isinstance(one, Skipped):
+                _skipped(one, run, tell)
+            else:
+                _step(one, monitor, run, sink, tell, observers)
+    except UsageError as error:
+        run.problem = str(error)
     return run
 
 
-def _missed(sample: Sample, monitor: Monitor, run: Run, tell: Tell) -> list[Event]:
-    """Counts and tells what is wrong with a line, and lets the monitor know."""
-    if sample.problem:
-        run.bad_lines += 1
-        if run.bad_lines <= TOLD:
-            tell({"event": "bad line", "time": sample.time, "problem": sample.problem})
-        return []
-    run.gaps += 1
-    run.missing += sample.missing
-    if run.gaps <= TOLD:
-        tell({"event": "gap", "time": sample.time, "missing": sample.missing})
-    return monitor.skip(sample.missing)
+def _step(sample: Sample, monitor: Monitor, run: Run, sink: Sink, tell: Tell, observers: Sequence[Observer]) -> None:
+    events = _interrupted(sample, monitor, run, tell) if sample.missing or sample.jump else []
+    estimate, now = monitor.step(sample.u, sample.counts)
+    run.samples += 1
+    sink.write(_row(sample.time, estimate, monitor.state))
+    for observe in observers:
+        observe(sample, estimate, monitor.state)
+    for event in [*events, *now]:
+        shift = sample.time - (monitor.samples - 1) * monitor.estimator.dt
+        told = event_object(event, monitor.estimator.names, shift)
+        if len(run.events) < KEPT:
+            run.events.append(told)
+        tell(told)
+
+
+def _skipped(line: Skipped, run: Run, tell: Tell) -> None:
+    """Counts a line that is no sample, and tells the first of them."""
+    name = {BAD: "bad_lines", REPEATED: "repeated_lines", COMMENT: "comments"}[line.kind]
+    setattr(run, name, getattr(run, name) + 1)
+    if line.kind != COMMENT and getattr(run, name) <= TOLD:
+        tell({"event": line.kind, "time": line.time, "problem": line.problem})
+
+
+def _interrupted(sample: Sample, monitor: Monitor, run: Run, tell: Tell) -> list[Event]:
+    """Counts and tells a gap, or that the clock was set, and lets the monitor know."""
+    if sample.missing:
+        run.gaps += 1
+        run.missing += sample.missing
+        if run.gaps <= TOLD:
+            tell({"event": "gap", "time": sample.time, "missing": sample.missing})
+        return monitor.skip(sample.missing)
+    run.clock_jumps += 1
+    if run.clock_jumps <= TOLD:
+        tell({"event": "clock", "time": sample.time, "jump": sample.jump})
+    return monitor.skip(1)
 
 
 def _row(time: float, estimate: Any, state: str) -> tuple[float | int | str, ...]:

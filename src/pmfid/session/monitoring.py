@@ -70,13 +70,27 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
     counts = None if normal is None else source.counts
     hours = simulated_hours(config.mtbf_hours)
     calibration, path, cached = cached_calibration(estimator, nominal, source.u, counts, hours, progress)
-    if np.max(calibration.noise) > NOISY:
-        notes.append(
-            f"normal work is {np.max(calibration.noise):.2g} times as noisy as the encoder explains: the asked time "
-            "between false alarms is only as good as the reference is long"
-        )
+    notes += calibration_notes(calibration, config.mtbf_hours)
     watch = Watch(config.detector, config.mtbf_hours, config.tolerance)
     return Setup(Monitor(estimator, calibration, watch), nominal, calibration, path, cached, tuple(notes))
+
+
+def calibration_notes(calibration: Calibration, mtbf_hours: float) -> list[str]:
+    """What to know of the thresholds where normal work is noisier than its simulation."""
+    hours, notes = calibration.record_hours, []
+    if np.max(calibration.noise) > NOISY or hours:
+        notes.append(
+            f"normal work is {np.max(calibration.noise):.2g} times as noisy as the encoder explains: "
+            + ("the thresholds come from" if hours else "the scale is that of")
+            + " the reference record itself"
+        )
+    if 0 < hours < mtbf_hours:
+        notes.append(
+            f"the reference record has {hours:.2g} h, too few to show what happens once in {mtbf_hours:g} h: the "
+            "threshold is read off beyond what was seen, and false alarms may be several times as frequent; record "
+            "more normal work, or raise mtbf_hours or tolerance"
+        )
+    return notes
 
 
 def check_monitored(axis: Axis) -> None:
@@ -131,6 +145,7 @@ def start_object(setup: Setup) -> dict[str, Any]:
         "tolerance": monitor.watch.tolerance,
         "threshold": monitor.threshold,
         "hours": setup.calibration.hours,
+        "record_hours": setup.calibration.record_hours,
         "calibration": str(setup.path),
         "cached": setup.cached,
         "notes": list(setup.notes),

@@ -19,6 +19,7 @@ from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.monitor.validity import judge
 from pmfid.session.config import Axis, check_sampling
+from pmfid.session.diagnosis import check_direction, diagnose
 from pmfid.session.records import Record
 from pmfid.status import Status
 
@@ -26,6 +27,8 @@ from pmfid.status import Status
 Progress = Callable[[float], None]
 
 CHUNK = 100_000
+#: Flags of results that a mistake in the columns may explain.
+SUSPICIOUS = {"implausible", "uncertain", "count_jump", "fallback"}
 
 
 @dataclass(frozen=True)
@@ -85,8 +88,26 @@ def identify(record: Record, axis: Axis, progress: Progress | None = None) -> Re
     """Estimates the parameters of a record; `progress` is called while a recursive method runs.
 
     Raises UsageError for a configuration that does not fit the record and NotIdentifiableError where the record
-    cannot identify every parameter.
+    cannot identify every parameter, with the mistake that explains it, where `diagnose` finds one, in front.
     """
+    mistake = check_direction(record, axis)
+    if mistake:
+        raise UsageError(mistake)
+    try:
+        result = estimate(record, axis, progress)
+    except NotIdentifiableError as error:
+        raise explained(error, diagnose(record, axis)) from None
+    mistake = diagnose(record, axis) if SUSPICIOUS & set(result.status) else ""
+    return replace(result, notes=(mistake, *result.notes)) if mistake else result
+
+
+def explained(error: NotIdentifiableError, mistake: str) -> NotIdentifiableError:
+    """The same error with the mistake that led to it, if there is one, in front."""
+    return NotIdentifiableError(f"{mistake}; as the record is read now: {error}") if mistake else error
+
+
+def estimate(record: Record, axis: Axis, progress: Progress | None = None) -> Result:
+    """As `identify`, and raises as that does, but looks for no mistake in the columns."""
     estimator, reason = make_estimator(axis, record), ""
     if axis.estimator.method == AUTO:
         estimator, reason = choose(estimator, record.u, record.counts, axis.estimator.forgetting)
@@ -96,15 +117,24 @@ def identify(record: Record, axis: Axis, progress: Progress | None = None) -> Re
 
 
 def _check_known(result: Result) -> None:
-    """A mass that is not known to its own size is no estimate."""
+    """A mass that is not known to its own size, or is negative, is no estimate, nor is one of a model that simulates
+    another motion."""
     leading = result.estimator.equation.leading
     mass, std = result.theta[leading], result.theta_std[leading]
-    if not std < abs(mass):
-        advice = "; ".join(result.notes) or "record a motion with reversals and varying speed"
+    numbers = (*result.theta, *result.theta_std, result.relative_error)
+    if not np.all(np.isfinite(numbers)):
+        raise NotIdentifiableError(
+            "a parameter, or how well it is known, is beyond numbers: this record cannot identify it "
+            "(record a motion with reversals and varying speed)"
+        )
+    advice = "; ".join(result.notes) or "record a motion with reversals and varying speed"
+    if not std < mass:
         raise NotIdentifiableError(
             f"{result.estimator.names[leading]} comes out as {mass:.3g} with a standard deviation of {std:.2g}: this "
             f"record cannot identify it ({advice})"
         )
+    if "not_followed" in result.status:
+        raise NotIdentifiableError(f"this record does not fit the model: {advice}")
 
 
 def _identify(estimator: Estimator, record: Record, axis: Axis, progress: Progress | None) -> Result:
@@ -156,8 +186,9 @@ def _relative_error(columns: Columns, track: Track) -> float:
     known = columns.used & ((track.status & (Status.SETTLING | Status.STARTING)) == 0)
     rows = known[columns.used]
     z = columns.z[rows]
-    residual = z - np.sum(columns.phi[rows] * track.theta[known], axis=1)
-    return float(np.linalg.norm(residual) / np.linalg.norm(z))
+    with np.errstate(over="ignore", invalid="ignore"):  # of a track that has diverged: infinite is right, and no result
+        residual = z - np.sum(columns.phi[rows] * track.theta[known], axis=1)
+        return float(np.linalg.norm(residual) / np.linalg.norm(z))
 
 
 def _run(estimator: RecursiveEstimator, record: Record, progress: Progress | None) -> Track:

@@ -23,12 +23,13 @@ from pmfid.estimators.srivc import (
     process_of,
     with_dead_time,
 )
-from pmfid.estimators.structure import DELAYS, ORDERS, Search, search_structure
+from pmfid.estimators.structure import DELAYS, ORDERS, UNSTABLE, Candidate, Search, accepted_first, search_structure
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.linear.assess import Assessment, assess
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
 from pmfid.linear.solve import Problem, Solution, solve
+from pmfid.linear.verdict import flags_on
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import NO_ENCODER, Axis, check_sampling
 from pmfid.session.doubts import IGNORED, check_known, doubts, notes_on, search_notes
@@ -115,15 +116,14 @@ def identify_process(experiments: Sequence[Experiment], axis: Axis) -> ProcessRe
     delay = estimator.model.delay if isinstance(estimator.model, TransferFunction) else 0
     checks = assess(problem, theta[:n_parameters] / problem.structure.scale(problem.rate), delay)
     process = process_of(estimator, theta, cov)
-    check_known(estimator, theta, cov, sum(part.size for part in checks.samples))
+    check_known(estimator, theta, cov, checks)
     std = np.sqrt(np.diagonal(cov))
     referenced = problem.referenced and method in FREE
     unstable = isinstance(estimator.model, TransferFunction) and estimator.model.unstable
     notes = [*notes_on(experiments, checks, process, referenced, unstable), *doubts(estimator, theta, std, checks)]
     notes += [IGNORED.format(method=method)] if problem.referenced and not referenced else []
     notes += Status(bits).advice
-    flags = ["feedback"] if checks.feedback and not referenced else []
-    status = (*status_names(bits), *flags)
+    status = (*status_names(bits), *flags_on(checks, process, referenced, unstable))
     return ProcessResult(estimator, tuple(experiments), theta, std, process, checks, status, tuple(notes))
 
 
@@ -187,7 +187,19 @@ def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[
     """The structures with 1 to 5 poles, any number of zeros and dead times up to 5 samples, best first."""
     cutoff, offset = axis.estimator.cutoff, axis.model.offset
     check_sampling(axis, experiments[0].period)
-    return search_structure(experiments, cutoff, orders=ORDERS, delays=DELAYS, offset=offset, done=done)
+    found = search_structure(experiments, cutoff, orders=ORDERS, delays=DELAYS, offset=offset, done=done)
+    return accepted_first(found, lambda candidate: refusal(experiments, axis, candidate))
+
+
+def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: Candidate) -> str:
+    """Why there is no estimate of a structure, or none to recommend; "" where there is one."""
+    places = {"n": candidate.n, "m": candidate.m, "delay": candidate.delay}
+    model = axis.model.model_copy(update={"kind": "transfer_function", **places})
+    try:
+        result = identify_process(experiments, axis.model_copy(update={"model": model}))
+    except NotIdentifiableError as error:
+        return str(error)
+    return UNSTABLE if "unstable" in result.status else ""
 
 
 def search_json(search: Search) -> dict[str, Any]:
@@ -202,6 +214,7 @@ def search_json(search: Search) -> dict[str, Any]:
             "condition": row.condition,
             "settled": row.settled,
             "white": row.white,
+            "refused": row.refused or None,
         }
         for row in search.candidates
     ]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.linear.experiment import Experiment
+from pmfid.session.clock import named_unit, sample_period, time_factor
 from pmfid.session.config import NO_ENCODER
 from pmfid.session.tables import Floats, Table, column, from_array, lookup, read_table
 
@@ -60,9 +61,10 @@ def read_experiment(path: Path, axis: Axis) -> Experiment:
         _check_lengths(columns, keys)
         scale, _ = _input_scale(table, config.input_scale)
         y, t = columns["output"], columns.get("time")
+        t = None if t is None else t * _stated_factor(config)
         if config.output_kind == "counts":
             resolution = axis.encoder.resolution
-            y = (y + 0.5) * (1.0 if resolution == NO_ENCODER else resolution)
+            y = (_unwrapped(y, axis.encoder.bits) + 0.5) * (1.0 if resolution == NO_ENCODER else resolution)
         return Experiment(
             scale * columns["input"],
             y,
@@ -98,6 +100,17 @@ def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from None
 
 
+def _stated_factor(config: RecordConfig) -> float:
+    """Seconds per unit of the time column of a transfer function, which may be slow or fast: a unit in the column's
+    name is no more than a hint that one must be given."""
+    unit = named_unit(config.time or "")
+    if config.time_unit is None and unit not in (None, "s"):
+        raise UsageError(
+            f'[record] time = {config.time!r}: the name says {unit}; give [record] time_unit = "{unit}", or "s"'
+        )
+    return time_factor(config)
+
+
 def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Record:
     config = axis.record
     keys = {"input": config.input, "output": config.output, "time": config.time}
@@ -106,7 +119,7 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     for key, values in columns.items():
         _check_finite(f"{key} column {keys[key]!r}", values)
     scale, scale_notes = _input_scale(table, config.input_scale)
-    dt, time_notes = _sample_period(columns.get("time"), config)
+    dt, time_notes = sample_period(columns.get("time"), config)
     counts, count_notes = _counts(columns["output"], axis)
     resolution = axis.encoder.resolution
     if quantize is not None:
@@ -154,48 +167,6 @@ def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ..
     return array.item(), (f"input scaled by {scale} = {array.item():g}",)
 
 
-def _sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tuple[str, ...]]:
-    if time is None:
-        if config.dt is None:
-            raise UsageError("[record] neither time nor dt is there; give one of them")
-        return config.dt, ()
-    steps = np.diff(time)
-    median = float(np.median(steps))
-    _check_steps(time, steps, median)
-    dt = float((time[-1] - time[0]) / (len(time) - 1))
-    if config.dt is not None and abs(dt - config.dt) > 0.01 * config.dt:
-        raise UsageError(
-            f"[record] dt = {config.dt:g} s, but the time column {config.time!r} steps by {dt:g}; "
-            f"correct dt, or convert the time column to s"
-        )
-    jitter = float(np.max(np.abs(steps - median)) / median)
-    return dt, (f"time steps vary by up to {jitter:.1%} of their median",) if jitter > 1e-3 else ()
-
-
-def _check_steps(time: Floats, steps: Floats, median: float) -> None:
-    back = np.flatnonzero(steps <= 0)
-    if len(back):
-        k = back[0]
-        duplicate = "it is a duplicate: drop one of the two rows, or write time with more digits"
-        raise UsageError(
-            f"time does not increase strictly: row {k + 2} ({time[k + 1]:.9g}) follows {time[k]:.9g}; "
-            f"{duplicate if steps[k] == 0 else 'sort or cut the record'}"
-        )
-    gaps = np.flatnonzero(steps > 1.5 * median)
-    if len(gaps):
-        k = gaps[0]
-        raise UsageError(
-            f"time has {len(gaps)} gap{'s' * (len(gaps) > 1)}, steps beyond 1.5 medians of {median:g} s; "
-            f"first after row {k + 1}, t = {time[k]:.9g}; cut the record at the gap"
-        )
-    worst = float(np.max(np.abs(steps - median)) / median)
-    if worst > 0.1:
-        raise UsageError(
-            f"time steps differ by up to {worst:.1%} of the median {median:g} s, 10 % is allowed; "
-            f"resample the record to a fixed rate"
-        )
-
-
 def _counts(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
     bits = axis.encoder.bits
     if axis.record.output_kind == "position":
@@ -203,6 +174,11 @@ def _counts(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
         # a bare floor would lose a whole count: hence the tiny tolerance.
         counts = _floor_counts(output, axis.encoder.resolution, 1e-6)
         return counts, ("bits is ignored, the output is a position",) if bits is not None else ()
+    counts = _whole(output)
+    return (counts, ()) if bits is None else _unwrap(counts, bits)
+
+
+def _whole(output: Floats) -> Counts:
     rounded = np.rint(output)
     bad = np.flatnonzero((np.abs(output - rounded) > 1e-6) | (np.abs(output) >= _MAX_COUNT))
     if len(bad):
@@ -210,8 +186,7 @@ def _counts(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
             f"counts must be integers below 2**53, got {output[bad[0]]:.9g} in row {bad[0] + 1}; "
             f'set output_kind = "position" if the column is a position'
         )
-    counts = rounded.astype(np.int64)
-    return (counts, ()) if bits is None else _unwrap(counts, bits)
+    return rounded.astype(np.int64)
 
 
 def _floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
@@ -224,6 +199,16 @@ def _floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
             f"correct [encoder] resolution"
         )
     return counts.astype(np.int64)
+
+
+def _unwrapped(output: Floats, bits: int | None) -> Floats:
+    """Counts (n,) as numbers, the wrap of a counter undone; missing ones stay missing."""
+    if bits is None:
+        return output
+    unwrapped, there = output.copy(), np.isfinite(output)
+    if np.any(there):
+        unwrapped[there] = _unwrap(_whole(np.where(there, output, 0.0))[there], bits)[0]
+    return unwrapped
 
 
 def _unwrap(counts: Counts, bits: int) -> tuple[Counts, tuple[str, ...]]:

@@ -1,22 +1,28 @@
-"""Where the estimates of a monitored run go: CSV line by line, or Parquet."""
+"""Where the estimates of a monitored run go: CSV line by line, or Parquet, which is made of such lines at the end."""
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import IO, Protocol
 
 from pmfid.errors import UsageError
-
-#: Rows of a part of a Parquet file.
-PART = 50_000
+from pmfid.session.row_file import RowFile, Tell, fresh, is_stream
 
 Row = tuple[float | int | str, ...]
 
 
 class Sink(Protocol):
-    """Takes rows; after `close` all of them are in the file."""
+    """Takes rows; after `close` all of them are in the file. path: of the file, None where there is none; lost: rows
+    that could not be written."""
+
+    @property
+    def path(self) -> Path | None: ...
+
+    @property
+    def lost(self) -> int: ...
 
     def write(self, row: Row) -> None: ...
 
@@ -26,6 +32,9 @@ class Sink(Protocol):
 class Nowhere:
     """No estimates are wanted."""
 
+    path: Path | None = None
+    lost = 0
+
     def write(self, row: Row) -> None:
         """Nothing."""
 
@@ -33,80 +42,111 @@ class Nowhere:
         """Nothing."""
 
 
-class CsvSink:
-    """Each row is in the file, or the pipe, when `write` returns."""
+class StreamSink:
+    """Each row is in the pipe when `write` returns."""
 
-    def __init__(self, file: IO[str], header: Sequence[str]) -> None:
-        self._file = file
+    path: Path | None = None
+    lost = 0
+
+    def __init__(self, stream: IO[str], header: Sequence[str]) -> None:
+        self._stream = stream
         self._put(",".join(header))
 
     def write(self, row: Row) -> None:
         """A line; numbers with 9 digits."""
-        self._put(",".join(f"{cell:.9g}" if isinstance(cell, float) else str(cell) for cell in row))
+        self._put(_short(row))
 
     def _put(self, line: str) -> None:
-        self._file.write(line + "\n")
-        self._file.flush()
+        self._stream.write(line + "\n")
+        self._stream.flush()
 
     def close(self) -> None:
-        """Closes the file, but not standard output."""
-        if self._file is not sys.stdout:
-            self._file.close()
+        """The stream stays open."""
+
+
+class CsvSink:
+    """Each row is in the file when `write` returns."""
+
+    def __init__(self, path: Path, header: Sequence[str], tell: Tell) -> None:
+        self._file = RowFile(path, tell)
+        self.path = path
+        self._file.put(",".join(header))
+
+    @property
+    def lost(self) -> int:
+        return self._file.lost
+
+    def write(self, row: Row) -> None:
+        """A line; numbers with 9 digits."""
+        self._file.put(_short(row))
+
+    def close(self) -> None:
+        """Closes the file."""
+        self._file.close()
 
 
 class ParquetSink:
-    """Rows go to parts beside the file, which `close` joins: memory stays small, and whoever is killed without notice
-    finds all but the last PART rows in the parts."""
+    """Rows go to a CSV file beside the Parquet file, which `close` makes of it: memory stays small, and whoever is
+    killed without notice finds all rows there."""
 
-    def __init__(self, path: Path, header: Sequence[str]) -> None:
-        self._path, self._header = path, list(header)
-        self._rows: list[Row] = []
-        self._parts: list[Path] = []
-        path.write_bytes(b"")  # a place that cannot be written to is told at once
+    def __init__(self, path: Path, header: Sequence[str], tell: Tell) -> None:
+        self.path = path
+        self._target, self._header, self._tell = path, list(header), tell
+        self._rows = RowFile(rows_path(path), tell)
+        self._rows.put(",".join(header))
+
+    @property
+    def lost(self) -> int:
+        return self._rows.lost
 
     def write(self, row: Row) -> None:
-        """A row."""
-        self._rows.append(row)
-        if len(self._rows) >= PART:
-            self._flush()
-
-    def _flush(self) -> None:
-        part = self._path.with_name(f"{self._path.name}.part{len(self._parts):05d}")
-        self._frame().write_parquet(part)
-        self._parts.append(part)
-        self._rows = []
-
-    def _frame(self) -> Any:
-        import polars as pl
-
-        columns: list[Sequence[Any]] = list(zip(*self._rows, strict=True)) if self._rows else [[] for _ in self._header]
-        kinds = {"status": pl.UInt32, "state": pl.String}
-        series = zip(self._header, columns, strict=True)
-        return pl.DataFrame([pl.Series(name, values, kinds.get(name, pl.Float64)) for name, values in series])
+        """A row, with all digits."""
+        self._rows.put(",".join(map(str, row)))
 
     def close(self) -> None:
-        """Joins the parts."""
+        """Makes the Parquet file; where that fails, the rows stay, and it is told."""
         import polars as pl
 
-        if not self._parts:
-            self._frame().write_parquet(self._path)
+        self._rows.close()
+        part = self._target.with_name(f"{self._target.name}.part")
+        kinds = {"status": pl.UInt32, "state": pl.String}
+        schema = {name: kinds.get(name, pl.Float64) for name in self._header}
+        try:
+            pl.scan_csv(self._rows.path, schema=schema, glob=False).sink_parquet(part)
+            os.replace(part, fresh(self._target))
+        except (OSError, pl.exceptions.PolarsError) as error:
+            part.unlink(missing_ok=True)
+            problem = f"{' '.join(str(error).split())}; the rows are in {self._rows.path}"
+            self._tell({"event": "write error", "file": str(self._target), "problem": problem})
             return
-        if self._rows:
-            self._flush()
-        pl.scan_parquet(self._parts, glob=False).sink_parquet(self._path)
-        for part in self._parts:
-            part.unlink()
+        self._rows.path.unlink()
 
 
-def open_sink(out: Path | None, header: Sequence[str]) -> Sink:
-    """The sink for a path; "-": CSV on standard output. Raises UsageError for another kind of file."""
+def rows_path(path: Path) -> Path:
+    """Where the rows of a Parquet file wait for its end."""
+    return path.with_name(f"{path.name}.csv")
+
+
+def _short(row: Row) -> str:
+    return ",".join(f"{cell:.9g}" if isinstance(cell, float) else str(cell) for cell in row)
+
+
+def open_sink(out: Path | None, header: Sequence[str], tell: Tell) -> Sink:
+    """The sink for a path; "-": CSV on standard output. A file that is there stays: the rows go to path-2 and so on.
+
+    Raises UsageError for another kind of file.
+    """
     if out is None:
         return Nowhere()
     if str(out) == "-":
-        return CsvSink(sys.stdout, header)
+        return StreamSink(sys.stdout, header)
     kind = out.suffix.lower()
-    if kind == ".csv":
-        return CsvSink(out.open("w", encoding="utf-8", newline="\n"), header)
-    if kind == ".parquet":
-        return ParquetSink(out, header)
-    raise UsageError(f"estimates go to a .csv or .parquet file, got {out.name!r}; - is standard output")
+    if kind not in (".csv", ".parquet"):
+        raise UsageError(f"estimates go to a .csv or .parquet file, got {out.name!r}; - is standard output")
+    while True:
+        try:
+            if kind == ".csv":
+                return CsvSink(out if is_stream(out) else fresh(out), header, tell)
+            return ParquetSink(fresh(out, rows_path), header, tell)
+        except FileExistsError:  # another monitor took that name just now
+            continue

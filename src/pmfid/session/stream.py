@@ -4,29 +4,23 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NoReturn
 
-from pmfid.errors import UsageError, did_you_mean
+from pmfid.errors import UsageError
 from pmfid.session.config import Axis
+from pmfid.session.lines import LineParser, is_comment
 from pmfid.session.records import Record
+from pmfid.session.timeline import BAD, COMMENT, REPEATED, Found, Metronome, Sample, Skipped, Timeline
 
-#: Beyond it neighbouring whole numbers are no longer separate doubles.
-_MAX_COUNT = 2.0**53
-
-
-@dataclass(frozen=True)
-class Sample:
-    """time [s]; u, NaN where the line is bad; counts; missing: samples that should have come before; problem: of the
-    line, or ""."""
-
-    time: float
-    u: float
-    counts: int
-    missing: int = 0
-    problem: str = ""
+#: A line has at most so many bytes; what is longer is several bad ones.
+LONGEST_LINE = 65536
+#: Of so many lines at the beginning some must be samples, and of so many at the end.
+FIRST_LINES, LEAST_SAMPLES = 100, 10
+#: A logger may write every line so many times more.
+MOST_REPEATED = 3
 
 
 class _InterruptedError(Exception):
@@ -35,7 +29,9 @@ class _InterruptedError(Exception):
 
 @dataclass
 class Stop:
-    """Ends a run after the sample in hand at SIGINT and SIGTERM, or at once where it waits for the next one."""
+    """Ends a run after the sample in hand at SIGINT, SIGTERM and SIGHUP, or at once where it waits for the next one.
+
+    A SIGHUP that is ignored, as under nohup, stays ignored."""
 
     requested: bool = field(default=False, init=False)
     _waiting: bool = field(default=False, init=False)
@@ -48,7 +44,11 @@ class Stop:
     @contextmanager
     def handling(self) -> Iterator[Stop]:
         """Signals are handled here inside of the block."""
-        before = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        hangup = getattr(signal, "SIGHUP", None)
+        if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
+            numbers.append(hangup)
+        before = {number: signal.signal(number, self._handle) for number in numbers}
         try:
             yield self
         finally:
@@ -59,7 +59,7 @@ class Stop:
         """The next line, b"" at the end or when a signal comes."""
         try:
             self._waiting = True
-            line = b"" if self.requested else stream.readline()
+            line = b"" if self.requested else stream.readline(LONGEST_LINE)
             self._waiting = False
         except _InterruptedError:
             return b""
@@ -76,72 +76,82 @@ def record_samples(record: Record, stop: Stop) -> Iterator[Sample]:
         yield Sample(k * record.dt, float(record.u[k]), int(record.counts[k]))
 
 
-def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterator[Sample]:
-    """A sample for every line after the header, as soon as it is there.
+def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterator[Found]:
+    """The samples of the lines after the header, each as soon as it is known to be one, and the lines that are none.
 
-    A line that cannot be used gives a sample with u = NaN and the last count, so that time goes on. dt: sample period
-    [s]. Raises UsageError for a header without the columns of [record], or no line at all.
+    dt: sample period [s]. Raises UsageError for a header without the columns of [record], for no line at all, for lines
+    with another period than dt, and where the first lines, or most of all lines, cannot be used.
     """
-    header = stop.read(stream)
-    if not header.strip():
-        if stop.requested:
-            return
-        raise UsageError("standard input is empty: write the header with the names of the columns first")
-    parse = _Parser(header, axis, dt)
+    header = _header(stream, stop)
+    if header is None:
+        return
+    parse, timeline = LineParser(header, axis), Timeline(dt) if axis.record.time else Metronome(dt)
+    tally = _Tally()
     while line := stop.read(stream):
-        if line.strip():
-            yield parse(line)
+        if not line.strip():
+            continue
+        parsed = parse(line)
+        found = [Skipped(0.0, COMMENT, "")] if parsed is None else timeline.take(parsed)
+        tally.count(found)
+        yield from found
+    yield from timeline.end()
+    tally.check()
 
 
-class _Parser:
-    def __init__(self, header: bytes, axis: Axis, dt: float) -> None:
-        config = axis.record
-        if isinstance(config.input_scale, str):
-            raise UsageError(f"[record] input_scale = {config.input_scale!r} names a variable; a pipe needs a number")
-        names = [name.strip().strip('"') for name in header.decode("utf-8-sig", "replace").split(",")]
-        wanted = [config.input, config.output] + ([config.time] if config.time else [])
-        for name in wanted:
-            if name not in names:
-                known = ", ".join(names[:30])
-                raise UsageError(f"standard input has no column {name!r}; it has {known}{did_you_mean(name, names)}")
-        self._columns, self._width = [names.index(name) for name in wanted], len(names)
-        self._scale, self._dt = config.input_scale, dt
-        self._step = axis.encoder.resolution if config.output_kind == "position" else None
-        self._time, self._counts, self._first = -dt, 0, True
+def _header(stream: BinaryIO, stop: Stop) -> bytes | None:
+    """The first line that is no comment; None if a signal comes before it."""
+    while line := stop.read(stream):
+        if not is_comment(line):
+            return line
+    if stop.requested:
+        return None
+    raise UsageError("standard input is empty: write the header with the names of the columns first")
 
-    def __call__(self, line: bytes) -> Sample:
-        try:
-            values = [float(cell) for cell in self._cells(line)]
-            counts = self._count(values[1])
-            if not all(math.isfinite(value) for value in values):
-                raise ValueError("a value that is not finite")
-            missing = self._advance(values)
-        except (ValueError, OverflowError) as error:
-            self._time += self._dt
-            return Sample(self._time, math.nan, self._counts, 0, str(error))
-        self._counts, self._first = counts, False
-        return Sample(self._time, self._scale * values[0], counts, missing)
 
-    def _cells(self, line: bytes) -> list[str]:
-        cells = line.decode("utf-8", "replace").split(",")
-        if len(cells) != self._width:
-            raise ValueError(f"{len(cells)} cells in place of {self._width}")
-        return [cells[column] for column in self._columns]
+@dataclass
+class _Tally:
+    """Samples, bad lines, repeated ones, and lines since the last sample; a run on hardly any samples is none."""
 
-    def _count(self, value: float) -> int:
-        """The count of an output; a position a hair below a step belongs to it, as in a record."""
-        counts = math.floor(value / self._step + 1e-6) if self._step else round(value)
-        if abs(counts) >= _MAX_COUNT or (self._step is None and abs(counts - value) > 1e-6):
-            raise ValueError(f"counts must be whole numbers below 2**53, got {value:.9g}")
-        return counts
+    samples: int = 0
+    bad: int = 0
+    repeated: int = 0
+    tail: int = 0
+    problem: str = ""
 
-    def _advance(self, values: list[float]) -> int:
-        """Goes on to the time of the line; the samples that were left out."""
-        if len(values) < 3 or self._first:
-            self._time = values[2] if len(values) == 3 else self._time + self._dt
-            return 0
-        steps = (values[2] - self._time) / self._dt
-        if steps < 0.5:
-            raise ValueError(f"time does not increase: {values[2]:.9g} after {self._time:.9g}")
-        self._time = values[2]
-        return max(0, round(steps) - 1)
+    @property
+    def lines(self) -> int:
+        return self.samples + self.bad + self.repeated
+
+    def count(self, found: Sequence[Found]) -> None:
+        """Raises UsageError where the first lines are bad."""
+        before = self.lines
+        for one in found:
+            if isinstance(one, Sample):
+                self._sample(one)
+            elif one.kind != COMMENT:
+                self._skipped(one)
+        if before < FIRST_LINES <= self.lines and self.samples < LEAST_SAMPLES:
+            self._refuse(self.lines - self.samples, self.lines)
+
+    def _sample(self, sample: Sample) -> None:
+        if math.isfinite(sample.u):
+            self.samples += 1
+            self.tail, self.problem = 0, ""
+
+    def _skipped(self, line: Skipped) -> None:
+        self.bad += line.kind == BAD
+        self.repeated += line.kind == REPEATED
+        self.tail += 1
+        self.problem = self.problem or line.problem
+
+    def check(self) -> None:
+        """Raises UsageError where the last lines are bad, more lines are bad than good, or nearly all repeat others."""
+        if self.tail >= FIRST_LINES:
+            self._refuse(self.tail, self.tail)
+        if max(self.bad, self.repeated // MOST_REPEATED) > self.samples:
+            self._refuse(self.bad + self.repeated, self.lines)
+
+    def _refuse(self, unusable: int, lines: int) -> NoReturn:
+        which = f"{unusable} of {lines} lines" if lines > unusable else f"the last {lines} lines"
+        problem = f", the first of them: {self.problem}" if self.problem else ""
+        raise UsageError(f"{which} cannot be used{problem}; correct what the logger writes")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import warnings
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,10 @@ Floats = NDArray[np.float64]
 #: Column by name: a polars series from a CSV or Parquet file, an array from a .mat file.
 Table = Mapping[str, Any]
 
+#: Polars' end of the name of a column that is there already.
+_TWICE = "_duplicated_0"
+#: Values that a file may unpack to, in bytes: so many times its own size, or this many; more is a bomb or a mistake.
+_MOST_TIMES, _MOST_BYTES = 20, 2**28
 _MISSING = ["", "NA", "N/A", "null", "NULL", "None"]
 # Types of the elements of a MATLAB v5 file ("MAT-File Format", MathWorks, table 1-1); the others are reserved.
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED, _UTF8 = 1, 5, 6, 14, 15, 16
@@ -32,7 +37,7 @@ def read_table(path: Path) -> Table:
 
     Raises UsageError with the remedy for a file that is missing, empty, truncated, corrupt or of another type.
     """
-    parsers = {".csv": _parse_csv, ".parquet": _parse_parquet, ".mat": _parse_mat}
+    parsers: dict[str, Callable[[bytes], Table]] = {".csv": _parse_csv, ".parquet": _ParquetTable, ".mat": _parse_mat}
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -42,23 +47,28 @@ def read_table(path: Path) -> Table:
         raise UsageError(f"file type {path.suffix!r} is not known; use one of {', '.join(parsers)}")
     if not data.strip():
         raise UsageError("the file is empty; export the record again")
-    try:
+    with _readable(path.suffix.lower()):
         return parse(data)
+
+
+@contextmanager
+def _readable(kind: str) -> Iterator[None]:
+    """Turns whatever a reader stumbles over into a UsageError: OSError, ValueError, zlib.error, and polars' Rust core a
+    PanicException that is no Exception. Only what ends the program passes through."""
+    try:
+        yield
     except UsageError:
         raise
     except BaseException as error:
-        # The readers raise whatever they stumble over: OSError, ValueError, zlib.error, and polars' Rust core
-        # a PanicException that is no Exception. Only what ends the program passes through.
         if isinstance(error, (KeyboardInterrupt, SystemExit, GeneratorExit)):
             raise
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        kind = path.suffix.lower()
         raise UsageError(f"not a readable {kind} file, truncated or corrupt ({reason}); export it again") from None
 
 
 def lookup(table: Table, key: str, name: str) -> Any:
     """The column `name`, which [record] `key` asks for; raises UsageError listing what there is."""
-    if f"{name}_duplicated_0" in table:
+    if f"{name}{_TWICE}" in table:
         raise UsageError(f"[record] {key} = {name!r}: two columns have this name; rename one of them")
     if name in table:
         return table[name]
@@ -108,14 +118,45 @@ def _parse_csv(data: bytes) -> Table:
         raise UsageError("the columns are not separated by commas; export with comma separators and decimal points")
     # All as text first: a column is converted, and complained about, only if it is used.
     frame = pl.read_csv(data, infer_schema=False, null_values=_MISSING)
-    return {column.strip(): frame[column] for column in frame.columns}
+    table: dict[str, Any] = {}
+    for column in frame.columns:
+        name = column.strip()
+        table[f"{name}{_TWICE}" if name in table else name] = frame[column]
+    return table
 
 
-def _parse_parquet(data: bytes) -> Table:
-    import polars as pl
+class _ParquetTable(Mapping[str, Any]):
+    """The columns of a Parquet file, each read when it is asked for."""
 
-    frame = pl.read_parquet(io.BytesIO(data))
-    return {column: frame[column] for column in frame.columns}
+    def __init__(self, data: bytes) -> None:
+        import polars as pl
+
+        self._data, self._names = data, list(pl.read_parquet_schema(io.BytesIO(data)))
+        rows = int(pl.scan_parquet(io.BytesIO(data)).select(pl.len()).collect().item())
+        _check_unpacked(8 * rows, len(data), "a column")
+
+    def __getitem__(self, name: str) -> Any:
+        import polars as pl
+
+        if name not in self._names:
+            raise KeyError(name)
+        with _readable(".parquet"):
+            return pl.read_parquet(io.BytesIO(self._data), columns=[name])[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+def _check_unpacked(size: int, packed: int, what: str) -> None:
+    """Raises UsageError before so many bytes are taken from so few."""
+    if size > max(_MOST_BYTES, _MOST_TIMES * packed):
+        raise UsageError(
+            f"{what} takes {size / 1e6:.0f} MB or more out of a file of {packed / 1e6:.2g} MB; decimate or cut the "
+            "record"
+        )
 
 
 def _parse_mat(data: bytes) -> Table:
@@ -130,7 +171,9 @@ def _parse_mat(data: bytes) -> Table:
             variables = scipy.io.loadmat(io.BytesIO(data))
     except NotImplementedError:
         raise UsageError(remedy) from None
-    return {name: value for name, value in variables.items() if not name.startswith("__")}
+    named = {name: value for name, value in variables.items() if not name.startswith("__")}
+    # a sparse matrix, or another class, is no column, and says so when it is asked for
+    return {name: value if isinstance(value, np.ndarray) else np.empty(0, object) for name, value in named.items()}
 
 
 def _check_mat(data: bytes) -> None:
@@ -141,13 +184,26 @@ def _check_mat(data: bytes) -> None:
     order = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}.get(data[124:128])
     if order is None or 0 in data[:4]:
         return
+    left = max(_MOST_BYTES, _MOST_TIMES * len(data))
     for kind, body in _elements(memoryview(data)[128:], order, padding=1):
         if kind == _COMPRESSED:
-            inner = memoryview(zlib.decompress(body))
+            inner = _unpacked(body, left, len(data))
+            left -= len(inner)
             ((kind, body),) = _elements(inner, order, padding=1)
         if kind != _MATRIX:
             raise ValueError(f"element of type {kind} in place of a variable")
         _check_matrix(body, order)
+
+
+def _unpacked(body: memoryview, most: int, packed: int) -> memoryview:
+    """A compressed element, of at most so many bytes; raises UsageError before more are taken."""
+    stream = zlib.decompressobj()
+    inner = stream.decompress(body, most + 1)
+    if len(inner) > most:
+        _check_unpacked(max(_MOST_BYTES, _MOST_TIMES * packed) + 1, packed, "a variable")
+    if not stream.eof:
+        raise ValueError("a compressed variable is cut off")
+    return memoryview(inner)
 
 
 def _elements(data: memoryview, order: str, padding: int = 8) -> Iterator[tuple[int, memoryview]]:

@@ -52,6 +52,8 @@ def load_sections(
             table[key] = value
     try:
         return whole.model_validate(raw)
+    except UsageError as error:  # of sections that do not fit each other
+        raise UsageError(f"{path}: {error}") from None
     except ValidationError as error:
         # A misspelt key is also a missing one: the misspelling comes first, as it explains the other.
         details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
@@ -67,7 +69,7 @@ def _read_toml(path: Path, kind: str) -> dict[str, Any]:
         raise UsageError(f"{path}: cannot read the configuration: {error.strerror}; give {kind}") from None
     except UnicodeDecodeError:
         raise UsageError(f"{path}: the configuration is not UTF-8 text; give {kind}") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits
         raise UsageError(f"{path}: not valid TOML: {error}; correct that line") from None
 
 

@@ -5,7 +5,17 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from pmfid.studies import discretizations, efficiency, processes, published, real_processes, structures, uneven, varying
+from pmfid.studies import (
+    discretizations,
+    efficiency,
+    process_confidence,
+    processes,
+    published,
+    real_processes,
+    structures,
+    uneven,
+    varying,
+)
 from pmfid.studies.sections import Page, by_name
 
 STUDIES = by_name(
@@ -17,9 +27,10 @@ STUDIES = by_name(
     real_processes.STUDY,
     structures.STUDY,
     varying.STUDY,
+    process_confidence.STUDY,
 )
 SEEDS = 100
-PARTS = {"efficiency": 10.0, "discretizations": 0.05, "varying": 0.05}
+PARTS = {"efficiency": 10.0, "discretizations": 0.05, "varying": 0.05, "process-confidence": 0.1}
 INTRODUCTION = """\
 Transfer functions from input and output alone, no parameter known. The records are simulated exactly for a held input
 and start at rest; the methods do not know that. Each table states how many runs it has."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmfid.estimators.recursive import Track
-from pmfid.simulation import CART, Scenario, write_csv
+from pmfid.simulation import CART, Scenario, axis_toml, write_csv
 from pmfid.status import ADVICE, Status
 from pmfid.studies.demo import (
     BAND,
@@ -114,7 +114,8 @@ def comparison(result: DemoResult) -> Figure:
 
 
 def write_demo(out: Path, result: DemoResult) -> None:
-    """Write report.html and cart.csv (one record) into the folder `out`, which is made if missing.
+    """Write report.html, cart.csv (one record) and cart.toml, the AXIS.toml that reads it, into the folder `out`, which
+    is made if missing.
 
     Raises OSError where they cannot be written.
     """
@@ -123,6 +124,7 @@ def write_demo(out: Path, result: DemoResult) -> None:
     out.mkdir(parents=True, exist_ok=True)
     write_report(out / "report.html", "A mass step seen through coarse encoders", _sections(result))
     write_csv(result.scenarios[RECORD], out / "cart.csv")
+    (out / "cart.toml").write_text(axis_toml(result.scenarios[RECORD]), encoding="ascii", newline="\n")
 
 
 def _sections(result: DemoResult) -> list[Section]:

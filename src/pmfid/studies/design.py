@@ -90,16 +90,22 @@ the information that is still there in a simulation with stiction. Standard devi
 error of the position were white and the start known (Cramér-Rao):
 """
 ENCODER = """
-And those of least squares on the counts of this encoder, from an unknown start:
+And those of `pmfid commission` from the counts of this encoder, whose start and error are not white noise. Where the
+design is worse than the trapezoid by these, a line recommends another input:
 """
 AFTER = """
 Run it, record `t, u, counts`, and let the next round use what is known by then:
 
     pmfid commission examples/cart_design.toml run1.csv --want mass=0.001 --out next
 
-It estimates the unknown parameters from all runs so far, says whether the wanted standard deviation is reached, and if
-not writes the next design. Without a record it writes the first one; with `--truth mass=1.8` it plays all rounds on a
-simulated axis. The limits cannot be met: exit code 3, and one line says which limit to relax and by how much.
+It estimates the unknown parameters from all runs so far: of all values whose motion passes through every count, the
+mean, with the scatter as the deviation. It says whether the wanted standard deviation is reached, and if not writes the
+next input: the design, one with another least speed, or a standard profile, whichever leaves the least open by these
+counts, with no parameter worse than by the trapezoid. Where no motion of the model passes through all counts, the model
+is wrong: a line says so, the deviations grow by what is missing, and beyond half a count nothing counts as reached.
+
+Without a record it writes the first one; with `--truth mass=1.8` it plays all rounds on a simulated axis. The limits
+cannot be met: exit code 3, and one line says which limit to relax and by how much.
 """
 PYTHON = """
 The same in Python:
@@ -163,15 +169,17 @@ EXPERIMENTS = """
 ## Are the predicted deviations true?
 
 {runs} simulated experiments for each line, an encoder of {increments} increments (91 micrometres per count) that starts
-at a random phase, unknown m, d, F_c, criterion D. `least squares` is the estimate of `pmfid commission`, which knows
-that the axis starts at rest; `interval` is the general estimator, which does not; `white noise` is least squares where
+at a random phase, unknown m, d, F_c, criterion D. `commission` is the estimate of `pmfid commission`, which knows that
+the axis starts at rest; `interval` is the general estimator, which does not; `least squares` takes the error of the
+counts for white noise; `white noise` is least squares where
 the position has white noise of the encoder's variance in place of the encoder. *Gain*: size of the confidence ellipsoid
 by its determinant, trapezoid over design, as observed and as predicted.
 """
 EXPLANATION = """
 The columns after the observed standard deviations divide them by those expected: for white noise and a known start, as
 predicted; for white noise and an unknown start; and for the error that the encoder makes along this motion, from all
-start phases alike, start unknown (`predicted_std_encoder` of `pmfid design`).
+start phases alike, start unknown (`predicted_std_encoder` of `pmfid design` for `commission`, else that of least
+squares).
 
 With white noise the deviations are those of the second column: an encoder does not tell where it starts. On counts
 least squares has those of the third: the encoder's error is not white, it repeats with the motion, which makes much of

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.design.calibration import Run, calibrate
-from pmfid.design.encoder_error import encoder_covariance, start_free
+from pmfid.design.encoder_error import encoder_covariance, squares_covariance, start_free
 from pmfid.design.fisher import affine
 from pmfid.design.problem import Problem
 from pmfid.design.simulated import simulate
@@ -33,7 +33,8 @@ class Trial:
     """Experiments with one input.
 
     predicted, unknown_start: standard deviations (p,) [%] for white noise, with the start position known and unknown;
-    encoder: those of `encoder_covariance`; errors (runs, p) [%]; failures: runs without an estimate.
+    encoder: those of `squares_covariance`, for commission of `encoder_covariance`; errors (runs, p) [%]; failures: runs
+    without an estimate.
     """
 
     predicted: Floats
@@ -59,15 +60,25 @@ def counted(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) ->
     return Run(u, np.asarray(counts * resolution, float), problem.dt / problem.samples_per_interval)
 
 
-def least_squares(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
-    """The estimate of `pmfid commission`."""
+def commission(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
+    """The estimate of `pmfid commission`: what the counts leave open."""
     return _theta(problem, counted(u, x, problem, rng))
+
+
+def least_squares(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
+    """Least squares on the counts, as if their error were white noise."""
+    return _theta(as_noise(problem), counted(u, x, problem, rng))
+
+
+def as_noise(problem: Problem) -> Problem:
+    """The problem with white noise of the encoder's variance."""
+    return replace(problem, noise_variance=problem.variance)
 
 
 def white(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
     """The same where the position has normal white noise of the encoder's variance in place of the encoder."""
     y = x + rng.normal(0.0, np.sqrt(problem.variance), x.size)
-    return _theta(problem, Run(u, y, problem.dt / problem.samples_per_interval))
+    return _theta(as_noise(problem), Run(u, y, problem.dt / problem.samples_per_interval))
 
 
 def interval(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
@@ -78,7 +89,12 @@ def interval(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -
     return method.fit(u, np.round(run.y / resolution).astype(np.int64)).theta
 
 
-METHODS: dict[str, Method] = {"white noise": white, "least squares": least_squares, "interval": interval}
+METHODS: dict[str, Method] = {
+    "white noise": white,
+    "least squares": least_squares,
+    "commission": commission,
+    "interval": interval,
+}
 
 
 def _theta(problem: Problem, run: Run) -> Floats:
@@ -91,7 +107,7 @@ def trial(problem: Problem, u: Floats, method: str, runs: int) -> Trial:
     nominal = np.array([problem.nominal[name] for name in problem.names])
     s = affine(problem).weighted(u)
     predicted, unknown_start = (100 * np.sqrt(np.linalg.inv(F).diagonal()) for F in (s @ s.T, start_free(s)))
-    covariance = encoder_covariance(problem, u)
+    covariance = (encoder_covariance if method == "commission" else squares_covariance)(problem, u)
     encoder = np.full(nominal.size, np.nan) if covariance is None else 100 * np.sqrt(covariance.diagonal()) / nominal
     motion = simulate(problem, u)
     errors, failures = [], 0

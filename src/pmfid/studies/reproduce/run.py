@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from multiprocessing.pool import Pool
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,18 @@ FIGURES: dict[str, PaperFigure] = {
 SEEDS = 200
 
 
-def reproduce(names: Sequence[str], out: Path, seeds: int = SEEDS, jobs: int | None = None) -> list[Merit]:
+def reproduce(
+    names: Sequence[str],
+    out: Path,
+    seeds: int = SEEDS,
+    jobs: int | None = None,
+    done: Callable[[float], None] | None = None,
+) -> list[Merit]:
     """The rows of the table for the figures `names` (none: all); writes pictures, their data and table.csv into `out`.
 
-    seeds: runs of each row, >= 1; jobs: processes, None: one for each core. The same seeds give the same files,
-    whatever the number of processes. Raises UsageError for an unknown figure and OSError.
+    seeds: runs of each row, >= 1; jobs: processes, None: one for each core; done: called with the part that is done.
+    The same seeds give the same files, whatever the number of processes. Raises UsageError for an unknown figure, and
+    OSError.
     """
     chosen = [_figure(name) for name in dict.fromkeys(names or FIGURES)]
     for name, value in (("seeds", seeds), ("jobs", 1 if jobs is None else jobs)):
@@ -38,7 +45,7 @@ def reproduce(names: Sequence[str], out: Path, seeds: int = SEEDS, jobs: int | N
         found = pool.imap(_work, tasks, chunksize=8)
         for figure in chosen:  # while the others work
             figure.draw(out)
-        for (name, task), result in zip(tasks, _shown(found, len(tasks)), strict=True):
+        for (name, task), result in zip(tasks, _counted(found, len(tasks), done), strict=True):
             results[name][task] = result
     rows = [row for figure in chosen for row in figure.rows(results[figure.name])]
     write_table(rows, out / "table.csv")
@@ -60,11 +67,12 @@ def _pool(jobs: int | None) -> Pool:
     return multiprocessing.get_context("spawn").Pool(jobs or os.cpu_count() or 1, signal.signal, ignored)
 
 
-def _shown(results: Iterable[Any], total: int) -> Iterable[Any]:
-    from rich.console import Console
-    from rich.progress import track
-
-    return track(results, "runs", total=total, console=Console(stderr=True), transient=True)
+def _counted(results: Iterable[Any], total: int, done: Callable[[float], None] | None) -> Iterator[Any]:
+    """The results as they come; `done` is called with the part of them that is there."""
+    for count, result in enumerate(results, 1):
+        if done is not None:
+            done(count / total)
+        yield result
 
 
 def _work(task: tuple[str, Task]) -> Any:

@@ -1,0 +1,187 @@
+"""Is the model enough? The counts against the motion that it simulates, and against forces that it may lack.
+
+A score test (Rao 1948; Lagrange multiplier test): at the best fit of the model no parameter can explain more of the
+counts. If one of the forces of `lacks` could, by more than the encoder's error lets it seem, the model lacks it, or
+something like it. The same derivatives say how far the parameters would move if a machine had as much of such a force
+as machines well may, and the record let that pass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.estimators.base import Estimator, like
+from pmfid.estimators.batch import Columns, Fit, solve_with_instruments
+from pmfid.estimators.interval import IntervalML, cost, expected_information, likeliest
+from pmfid.estimators.lacks import Lack, lacks
+from pmfid.estimators.output_error import Difference, rms, without_nuisance
+from pmfid.estimators.phases import phase_scatter
+from pmfid.estimators.scatter import TINY, block_scatter
+
+Floats = NDArray[np.float64]
+
+#: A force is missed where its score is so many of its standard deviations: chance alone once in a thousand records.
+MISSED = 4.0
+#: Two estimates contradict each other from so many standard deviations of their difference on.
+CONTRADICTED = 2.5
+#: Part of a force's effect that is no combination of the parameters', below which nothing can be said of it.
+APART = 1e-4
+#: A force moves the simulation by this part of what is plausible, or of the motor's force, for its derivative.
+STEP = 0.1
+STEP_OF_FORCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """What the counts say on the model, at its best fit to them.
+
+    difference, q: the fit; noise: standard deviation beside the encoder's step [counts], of a fit within the counts,
+    else None; follows: is it within the counts? lacks: k forces; z: (k,) how many standard deviations their scores
+    are from zero; size, size_std: (k,) coefficients that the counts ask for, to first order, and their standard
+    deviations; moves: (p, k) by how much the parameters of that fit move for a unit of each.
+    """
+
+    difference: Difference
+    q: Floats
+    noise: float | None
+    follows: bool
+    lacks: tuple[Lack, ...]
+    z: Floats
+    size: Floats
+    size_std: Floats
+    moves: Floats
+
+    @property
+    def adequate(self) -> bool:
+        """Is there no sign that the model is wrong?"""
+        return self.follows and not self.missed
+
+    @cached_property
+    def missed(self) -> tuple[int, ...]:
+        """The forces that the counts ask for, the clearest first."""
+        order = np.argsort(-np.abs(self.z))
+        return tuple(int(k) for k in order if abs(self.z[k]) > MISSED)
+
+    @property
+    def left(self) -> float:
+        """Part of the motion, 0 to about 1, that neither the model nor the encoder explains."""
+        found, motion = self.difference, self.difference.filtered(self.difference.y - np.mean(self.difference.y))
+        excess = max(float(np.mean(found(self.q) ** 2)) - found.explained**2, 0.0)
+        return float(np.sqrt(excess)) * found.resolution / max(rms(motion), TINY)
+
+    @property
+    def says(self) -> str:
+        """What is wrong with the model, for people; empty where nothing is."""
+        if self.missed:
+            first = self.lacks[self.missed[0]]
+            like_it = f"the motion asks for {first.says}, or something like it"
+            return f"{like_it}; {first.cure}" if first.cure else like_it
+        return "" if self.follows else "no single force explains what is left"
+
+    @cached_property
+    def tolerated(self) -> Floats:
+        """(k,) coefficients, root mean square, that are plausible in a machine and not excluded by the counts: each
+        with a Gaussian prior of what is plausible."""
+        prior = np.array([lack.plausible for lack in self.lacks]) ** 2
+        share = prior / (prior + self.size_std**2)
+        return np.asarray(np.sqrt(share * self.size_std**2 + (share * self.size) ** 2))
+
+    def spread(self, moves: Floats | None = None) -> Floats:
+        """(p,) by how much forces that the record tolerates would move the parameters; moves: (p, k) those of another
+        method per unit, None: of the best fit itself."""
+        moves = self.moves if moves is None else moves
+        return np.asarray(np.sqrt(np.sum((moves * self.tolerated) ** 2, axis=1)))
+
+
+def examine(estimator: Estimator, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> Adequacy:
+    """The model of an estimator on a record u, counts: (n,); nothing else of the estimator counts but the cutoff, for
+    records that drift away from the simulation. start: parameters (p,) to start from, None: those of `IV`.
+
+    Raises NotIdentifiableError where no fit can be found at all.
+    """
+    method = like(IntervalML, estimator, prefilter_zeros=None, precision="float64")
+    difference, q, _ = method.followed(u, counts, start)
+    return weigh(difference, q)
+
+
+def weigh(difference: Difference, q: Floats) -> Adequacy:
+    """The same for the least squares q of a difference."""
+    follows = difference.pole == 0 and rms(difference(q)) <= difference.explained
+    noise = None
+    if follows:
+        q, noise = likeliest(difference, q)
+    error = difference(q)
+    if noise is None:
+        information = 1 / max(float(np.mean(error**2)), 1 / 12)
+        return _tested(difference, q, noise, follows, information, error * information)
+    return _tested(difference, q, noise, follows, mean_information(noise), cost(error, noise)[1])
+
+
+def mean_information(noise: float) -> float:
+    """Information [1/counts^2] of a count on the position, mean over where the position lies in it."""
+    return float(np.mean(expected_information(np.linspace(-0.5, 0.5, 1001), noise)))
+
+
+def _tested(
+    difference: Difference, q: Floats, noise: float | None, follows: bool, information: float, slope: Floats
+) -> Adequacy:
+    """The score tests; information: of a sample, slope (n,): of the negative log-likelihood by the difference."""
+    p = len(difference.equation.names)
+    sensitivity = -difference.jacobian(q)
+    own = without_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:])
+    candidates = lacks(difference, q)
+    effects = np.column_stack([_effect(difference, q, lack) for lack in candidates] or [np.zeros((slope.size, 0))])
+    beside = without_nuisance(difference, effects, sensitivity[:, p:])
+    scale = np.maximum(np.linalg.norm(own, axis=0), TINY)
+    shift = np.linalg.lstsq(own / scale, beside)[0] / scale[:, None]
+    alone = beside - own @ shift
+    apart = np.linalg.norm(alone, axis=0) > APART * np.linalg.norm(beside, axis=0)
+    alone, moves = alone[:, apart], -shift[:, apart] * difference.scale[:p, None]
+    score, expected = alone.T @ slope, np.sum(alone**2, axis=0) * information
+    variance = np.maximum(expected, block_scatter(alone * slope[:, None], difference.recovery))
+    if follows:
+        variance = np.maximum(variance, phase_scatter(difference, q, alone, noise))
+    z, size, std = score / np.sqrt(variance), score / expected, np.sqrt(variance) / expected
+    found = tuple(lack for lack, there in zip(candidates, apart, strict=True) if there)
+    return Adequacy(difference, q, noise, follows, found, z, size, std, moves)
+
+
+def _effect(difference: Difference, q: Floats, lack: Lack) -> Floats:
+    """(n,) by how much the simulated position moves [counts] for a unit of the force."""
+    usual = rms(lack.force)
+    size = STEP * lack.plausible or STEP_OF_FORCE * abs(difference.equation.input_gain) * rms(difference.u) / usual
+    more, less = (difference.motion(q, -side * size * lack.force)[0] for side in (1.0, -1.0))
+    return difference.filtered(more - less) / (2 * size * difference.resolution)
+
+
+def contradicted(fit: Fit, best: Fit, spread: Floats) -> bool:
+    """Is an estimate further from that of an adequate model than both error bars and what the model may lack allow?"""
+    allowed = np.sqrt(fit.theta_std**2 + best.theta_std**2 + spread**2)
+    return bool(np.any(np.abs(fit.theta - best.theta) > CONTRADICTED * allowed))
+
+
+def force_moves(found: Adequacy, estimator: Estimator, columns: Columns) -> Floats:
+    """(p, k) by how much an estimate with instruments, at its columns, moves for a unit of each force; where these
+    instruments say nothing on a parameter, by how much the best fit moves."""
+    if not np.all(np.any(columns.zeta != 0, axis=0)):
+        return found.moves
+    forces = np.column_stack([lack.force for lack in found.lacks] or [np.zeros((columns.used.size, 0))])
+    gain = solve_with_instruments(columns)[1]
+    return np.asarray(-gain @ (columns.zeta.T @ filtered(forces, estimator)[columns.used]))
+
+
+def filtered(forces: Floats, estimator: Estimator) -> Floats:
+    """Forces (n, k), held over each interval, behind the chain of an estimator; the columns come a sample later."""
+    from scipy.signal import lfilter  # slow to import, and only this needs it
+
+    rate = 2 / estimator.dt
+    pole = (rate - estimator.cutoff) / (rate + estimator.cutoff)
+    gain = estimator.cutoff / (rate + estimator.cutoff)
+    late = np.r_[np.zeros((1, forces.shape[1])), forces[:-1]]
+    for stage in range(estimator.order):
+        late = lfilter([0.0, 2 * gain] if stage == 0 else [gain, gain], [1.0, -pole], late, axis=0)
+    return np.asarray(late)

@@ -1,0 +1,26 @@
+"""What the status says of a transfer function on its records."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pmfid.linear.assess import Assessment
+from pmfid.linear.process import Process
+
+#: A pole with a standard deviation of more than this part of its size is not known.
+UNKNOWN = 0.5
+
+
+def flags_on(checks: Assessment, process: Process, referenced: bool = False, held: bool = False) -> tuple[str, ...]:
+    """Names for the status. feedback: the input has the noise in it, unless the method uses a reference; unmodelled:
+    the residual has the input in it; unstable: a pole in the right half-plane that no controller is
+    known to hold (held); uncertain: a pole is not known to half
+    its size, not needed, or elsewhere with the colour of the noise in mind."""
+    unknown = np.any(np.hypot(*process.poles_std.T) > UNKNOWN * np.abs(process.poles))
+    found = {
+        "feedback": checks.feedback and not referenced,
+        "unmodelled": checks.unmodelled,
+        "unstable": bool(np.any(process.poles.real > 0)) and not held,
+        "uncertain": checks.second.surplus or checks.second.moved or bool(unknown),
+    }
+    return tuple(name for name, holds in found.items() if holds)

@@ -1,0 +1,117 @@
+"""The time column of a record: its unit, and the sample period that it gives.
+
+The unit is [record] time_unit, or else what the column's name says ("t_ms", "Time [us]"), or else s. An axis whose
+period would be one that no axis has is refused with the units that make sense of it, rather than taken at its word.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pmfid.errors import UsageError
+from pmfid.session.tables import Floats
+
+if TYPE_CHECKING:
+    from pmfid.session.config import RecordConfig
+
+__all__ = ["UNITS", "named_unit", "sample_period", "time_factor"]
+
+#: Unit of time -> its length [s].
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+#: What may stand at the end of a column's name, after a separator -> the unit.
+_NAMES = {
+    "s": r"s|secs?|seconds?",
+    "ms": r"ms|msecs?|millis|milliseconds?",
+    "us": r"[uµμ]s|[uµμ]secs?|micros|microseconds?",
+    "ns": r"ns|nsecs?|nanos|nanoseconds?",
+}
+#: Sample periods of machine axes [s], from this up to, but not at, that: drives log every 10 us to 100 ms.
+_SHORTEST, _LONGEST = 1e-5, 0.1
+#: A period and a time column agree within this part.
+_SAME = 0.01
+
+
+def time_factor(config: RecordConfig) -> float:
+    """Seconds per unit of the time column."""
+    return UNITS[config.time_unit or named_unit(config.time or "") or "s"]
+
+
+def named_unit(name: str) -> str | None:
+    """The unit of time in a column's name, as in "t_ms", "Time [ms]" or "time/us"; None if there is none."""
+    text = name.strip().lower()
+    for unit, pattern in _NAMES.items():
+        if re.search(rf"(?:^|[\s_.,:/(\[-])(?:{pattern})[)\]]?$", text):
+            return unit
+    return None
+
+
+def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tuple[str, ...]]:
+    """The sample period [s] of an axis' record with the time column (n,), and notes for people.
+
+    Raises UsageError where there is no period, where the steps are uneven, where [record] dt says another one, and
+    where no axis has such a period and nothing says that this one does.
+    """
+    if time is None:
+        if config.dt is None:
+            raise UsageError("[record] neither time nor dt is there; give one of them")
+        return config.dt, ()
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    _check_steps(time, steps, median)
+    factor, mean = time_factor(config), float((time[-1] - time[0]) / (len(time) - 1))
+    _check_unit(mean, factor, config)
+    jitter = float(np.max(np.abs(steps - median)) / median)
+    notes = [f"time steps vary by up to {jitter:.1%} of their median"] if jitter > 1e-3 else []
+    if factor != 1:
+        unit = next(unit for unit, length in UNITS.items() if length == factor)
+        notes.append(f"the time column {config.time!r} is taken as {unit}: the sample period is {mean * factor:g} s")
+    return mean * factor, tuple(notes)
+
+
+def _check_unit(step: float, factor: float, config: RecordConfig) -> None:
+    """`step` is the mean step of the time column in its own unit."""
+    if config.dt is not None:
+        if abs(step * factor - config.dt) <= _SAME * config.dt:
+            return
+        fitting = [unit for unit, length in UNITS.items() if abs(step * length - config.dt) <= _SAME * config.dt]
+        remedy = f'give time_unit = "{fitting[0]}"' if fitting else "correct dt, or convert the time column to s"
+        raise UsageError(
+            f"[record] dt = {config.dt:g} s, but the time column {config.time!r} steps by {step:g}; {remedy}"
+        )
+    if config.time_unit is not None or _SHORTEST <= step * factor < _LONGEST:
+        return
+    taken = next(unit for unit, length in UNITS.items() if length == factor)
+    others = [unit for unit, length in UNITS.items() if _SHORTEST <= step * length < _LONGEST]
+    ways = " or ".join(f'"{unit}" ({step * UNITS[unit]:g} s)' for unit in others)
+    raise UsageError(
+        f"the time column {config.time!r} steps by {step:g}, a sample period of {step * factor:g} s for an axis if "
+        f"that is in {taken}; give [record] time_unit = {ways + ', or ' if ways else ''}"
+        f'"{taken}" if that is right'
+    )
+
+
+def _check_steps(time: Floats, steps: Floats, median: float) -> None:
+    back = np.flatnonzero(steps <= 0)
+    if len(back):
+        k = back[0]
+        duplicate = "it is a duplicate: drop one of the two rows, or write time with more digits"
+        raise UsageError(
+            f"time does not increase strictly: row {k + 2} ({time[k + 1]:.9g}) follows {time[k]:.9g}; "
+            f"{duplicate if steps[k] == 0 else 'sort or cut the record'}"
+        )
+    gaps = np.flatnonzero(steps > 1.5 * median)
+    if len(gaps):
+        k = gaps[0]
+        raise UsageError(
+            f"time has {len(gaps)} gap{'s' * (len(gaps) > 1)}, steps beyond 1.5 medians of {median:g} s; "
+            f"first after row {k + 1}, t = {time[k]:.9g}; cut the record at the gap"
+        )
+    worst = float(np.max(np.abs(steps - median)) / median)
+    if worst > 0.1:
+        raise UsageError(
+            f"time steps differ by up to {worst:.1%} of the median {median:g} s, 10 % is allowed; "
+            f"resample the record to a fixed rate"
+        )

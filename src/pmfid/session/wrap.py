@@ -1,0 +1,77 @@
+"""A counter or an angle that wraps, seen in the counts alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Wrap", "wrap_of"]
+
+#: After the wrap is undone, the changes are at most this part of the range, and rougher by no more than that part of
+#: what they were.
+ROOM, SMOOTHER = 0.25, 0.1
+#: Jumps of one size differ by at most this part of it.
+ALIKE = 0.05
+#: Widths of counters; over fewer counts than LEAST any motion may look like a jump.
+MOST_BITS, LEAST = 32, 8
+
+
+@dataclass(frozen=True)
+class Wrap:
+    """A range over which counts wrap, and how often they do; row of the first time, from 1 on."""
+
+    span: int
+    times: int
+    row: int
+
+    @property
+    def bits(self) -> int | None:
+        """The width of a counter of that range, None where it is no power of two."""
+        return self.span.bit_length() - 1 if self.span.bit_count() == 1 else None
+
+    def sentence(self, column: str, kind: str, resolution: float) -> str:
+        """The mistake and its remedy, for an output column of that output_kind."""
+        size = self.span if kind == "counts" else self.span * resolution
+        what = f"the output column {column!r} wraps at {size:.4g}, the first time at row {self.row}"
+        if kind == "counts" and self.bits is not None:
+            return f"{what}: give [encoder] bits = {self.bits}"
+        return f"{what}: unwrap it before (as numpy.unwrap with period = {size:.4g} does)"
+
+
+def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:
+    """The wrap of counts (n,) whose largest changes are all of nearly one size, the range of the counts, and leave a
+    smooth motion once they are undone; None where there is no such thing."""
+    change, extent = np.diff(counts), int(np.ptp(counts))
+    jumps = np.abs(change) > extent / 2
+    usual = int(np.max(np.abs(change[~jumps]), initial=0))
+    if extent < LEAST or not np.any(jumps) or usual == 0:  # without motion between the jumps, these are the motion
+        return None
+    for span in _spans(change, jumps, usual, extent):
+        undone = (change + span // 2) % span - span // 2
+        if not _smooth(change, undone, jumps, usual, span):
+            continue
+        found = Wrap(span, int(np.sum(undone != change)), int(np.argmax(undone != change)) + 2)
+        # a counter that is set anew, once, jumps by any number
+        return found if found.bits is not None or found.times > 1 else None
+    return None
+
+
+def _smooth(
+    change: NDArray[np.int64], undone: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, span: int
+) -> bool:
+    """Do the changes leave a motion in which those that were jumps are like the others?"""
+    rough, smooth = (float(np.sum(np.diff(series.astype(np.float64)) ** 2)) for series in (change, undone))
+    alike = np.max(np.abs(undone[jumps])) <= 2 * usual + 2
+    return bool(alike and np.max(np.abs(undone)) <= ROOM * span and smooth <= SMOOTHER * rough)
+
+
+def _spans(change: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, extent: int) -> list[int]:
+    """Ranges to try: that of a counter, and what the jumps themselves tell, for another period such as a turn."""
+    counter = 2 ** math.ceil(math.log2(extent + 1))
+    sizes = np.abs(change[jumps])
+    spans = [counter] if counter <= 2**MOST_BITS else []
+    typical = round(float(np.median(sizes)) + float(np.median(np.abs(change[~jumps]))))
+    return [*spans, max(typical, extent + 1)] if np.ptp(sizes) <= ALIKE * extent + 2 * usual else spans

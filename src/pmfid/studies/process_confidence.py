@@ -1,0 +1,202 @@
+"""Study of what is said about transfer functions: do bars cover, are alarms right, does the search recommend well?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from pmfid.encoder import Encoder
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.srivc import SRIVC, make_problem, spread
+from pmfid.estimators.structure import UNSTABLE, Candidate, accepted_first, search_structure
+from pmfid.linear.assess import assess
+from pmfid.linear.experiment import Experiment
+from pmfid.linear.process import Process
+from pmfid.linear.solve import visit
+from pmfid.linear.verdict import flags_on
+from pmfid.models.transfer_function import TransferFunction
+from pmfid.studies.process_records import (
+    INPUTS,
+    LENGTHS,
+    NOISES,
+    RandomPlant,
+    closed_record,
+    open_record,
+    random_plant,
+)
+from pmfid.studies.truth import Floats, Study, Task, table
+
+QUANTILE = 1.96
+#: One search for so many records.
+SEARCHES = 5
+SEARCHED = 1000
+
+
+def estimator_of(plant: RandomPlant, model: TransferFunction | None = None) -> SRIVC:
+    """What a person would take who knows how many poles and zeros there are."""
+    model = model or TransferFunction(plant.a.size - 1, plant.b.size - 1)
+    return SRIVC(model, Encoder(1.0), plant.dt, min(2 * plant.bandwidth, 1.9 / plant.dt))
+
+
+def identified(estimator: SRIVC, record: Experiment) -> tuple[Process, Floats, tuple[str, ...]]:
+    """As `pmfid identify` does it: the process, theta (p,) and the status. Raises NotIdentifiableError."""
+    fit, problem = estimator.fit_experiments([record]), make_problem(estimator, [record])
+    theta = fit.theta / problem.structure.scale(problem.rate)
+    checks = assess(problem, theta, estimator.equation.delay)
+    if not checks.depends:
+        raise NotIdentifiableError("chance alone explains as much")
+    return fit.process, fit.theta, flags_on(checks, fit.process)
+
+
+def tasks(seeds: int) -> list[Task]:
+    places = [(kind, noise, seed) for kind in INPUTS for noise in NOISES for seed in range(seeds)]
+    # a reference that is new in every sample hides an answer to the noise that is small enough to do no harm
+    loops = [place for place in places if place[0] != "white"]
+    found: list[Task] = [("open", *place) for place in places] + [("closed", *place) for place in loops]
+    return found + [("order", *place) for place in places if place[-1] % SEARCHES == 0]
+
+
+def work(what: str, kind: str, noise: str, seed: int) -> Any:
+    rng = np.random.default_rng([seed, INPUTS.index(kind), NOISES.index(noise)])
+    return {"open": _open, "closed": _closed, "order": _order}[what](kind, noise, seed, rng)
+
+
+def _open(kind: str, noise: str, seed: int, rng: np.random.Generator) -> dict[str, Any]:
+    """right, wrong: status, or None where refused, with the hold of the record and with the other; z: (1 + n,) errors
+    of gain and poles over their bars."""
+    plant, hold = random_plant(rng), ("zoh", "foh")[int(rng.integers(2))]
+    record = open_record(plant, kind, noise, LENGTHS[seed % len(LENGTHS)], hold, rng)
+    other = {"zoh": "foh", "foh": "zoh"}[hold]
+    return _judged(plant, record) | {"wrong": _judged(plant, replace(record, hold=other))["right"]}
+
+
+def _judged(plant: RandomPlant, record: Experiment) -> dict[str, Any]:
+    try:
+        process, _, status = identified(estimator_of(plant), record)
+    except NotIdentifiableError:
+        return {"right": None, "z": np.zeros(0)}
+    mine, true = linear_sum_assignment(np.abs(np.log(process.poles[:, None] / plant.poles)))
+    poles = (process.poles[mine] - plant.poles[true]).real / process.poles_std[mine, 0]
+    return {"right": status, "z": np.r_[(process.gain - plant.gain) / process.gain_std, poles]}
+
+
+def _closed(kind: str, noise: str, seed: int, rng: np.random.Generator) -> tuple[str, ...] | None:
+    plant = random_plant(rng, 3)
+    record = closed_record(plant, kind, noise, LENGTHS[seed % len(LENGTHS)], rng)
+    return _judged(plant, record)["right"]  # type: ignore[no-any-return]
+
+
+def _order(kind: str, noise: str, seed: int, rng: np.random.Generator) -> tuple[bool, float, float]:
+    """Is the first fitted and accepted; its fit on fresh data [%], and the best of all that settled."""
+    plant = random_plant(rng, 3)
+    record, fresh = (open_record(plant, kind, noise, SEARCHED, "zoh", rng) for _ in range(2))
+
+    def refusal(row: Candidate) -> str:
+        try:
+            status = identified(estimator_of(plant, _model(row)), record)[2]
+        except NotIdentifiableError as error:
+            return str(error)
+        return UNSTABLE if "unstable" in status else ""
+
+    search = accepted_first(search_structure([record], estimator_of(plant).cutoff), refusal)
+    fits = [_fresh_fit(plant, fresh, row, row.theta) for row in search.candidates if row.settled]
+    try:
+        theta = identified(estimator_of(plant, _model(search.best)), record)[1]
+    except NotIdentifiableError:
+        return False, np.nan, max(fits)
+    return not search.best.refused, _fresh_fit(plant, fresh, search.best, theta), max(fits)
+
+
+def _model(row: Candidate) -> TransferFunction:
+    return TransferFunction(row.n, row.m, row.delay)
+
+
+def _fresh_fit(plant: RandomPlant, record: Experiment, row: Candidate, theta: Floats) -> float:
+    """Percent of another record that theta (p,) explains, with initial conditions that fit it."""
+    problem = make_problem(estimator_of(plant, _model(row)), [record])
+    start = np.zeros((len(problem.stretches), problem.structure.n))
+    with np.errstate(all="ignore"):
+        left = visit(problem, theta / problem.structure.scale(problem.rate), start).cost
+    return 100 * (1 - float(np.sqrt(left / spread(problem))))
+
+
+def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
+    lines = [
+        "## What is said of transfer functions",
+        "",
+        f"Random processes of 1 to 4 poles, {seeds} runs for each input and noise, {', '.join(map(str, LENGTHS))} "
+        "samples in turn, 15 to 40 dB, held or in straight lines at random, `srivc` with the right numbers of poles "
+        "and zeros. "
+        f"Coverage: of the intervals of ±{QUANTILE} std of gain and poles, of runs with an empty status and of all; "
+        "refused: no result; false: `feedback`, with the right and with the wrong hold; silent: an empty status "
+        "with the wrong hold; found: `feedback` under PI control at 20 to 80 dB.",
+        "",
+    ]
+    header = ["", "gain, empty [%]", "poles, empty [%]", "all [%]", "empty [%]", "refused"]
+    header += ["false, right", "false, wrong", "silent, wrong", "found"]
+    rows = [_row(name, results, test) for name, test in _groups()]
+    return [*lines, *table(header, rows), *_searches(results)]
+
+
+def _groups() -> list[tuple[str, Callable[[Task], bool]]]:
+    groups: list[tuple[str, Callable[[Task], bool]]] = [("all", lambda task: True)]
+    groups += [(kind, partial(_has, 1, kind)) for kind in INPUTS]
+    groups += [(f"{noise} noise", partial(_has, 2, noise)) for noise in NOISES]
+    return groups + [(f"{n} samples", partial(_long, i)) for i, n in enumerate(LENGTHS)]
+
+
+def _has(place: int, value: object, task: Task) -> bool:
+    return bool(task[place] == value)
+
+
+def _long(index: int, task: Task) -> bool:
+    return bool(task[3] % len(LENGTHS) == index)
+
+
+def _row(name: str, results: Mapping[Task, Any], test: Callable[[Task], bool]) -> list[str]:
+    runs = [result for task, result in results.items() if task[0] == "open" and test(task)]
+    loops = [result for task, result in results.items() if task[0] == "closed" and test(task) and result is not None]
+    given = [run for run in runs if run["right"] is not None]
+    calm = [run for run in given if not run["right"]]
+    wrong = [run["wrong"] for run in runs if run["wrong"] is not None]
+    return [
+        name,
+        _covered([run["z"][:1] for run in calm]),
+        _covered([run["z"][1:] for run in calm]),
+        _covered([run["z"] for run in given]),
+        _percent([not run["right"] for run in given]),
+        f"{len(runs) - len(given)}/{len(runs)}",
+        _percent(["feedback" in run["right"] for run in given]),
+        _percent(["feedback" in status for status in wrong]),
+        _percent([not status for status in wrong]),
+        _percent(["feedback" in status for status in loops]),
+    ]
+
+
+def _covered(z: Sequence[Floats]) -> str:
+    return _percent(np.abs(np.concatenate(z)) < QUANTILE) if z else "–"
+
+
+def _percent(found: Sequence[bool] | Any) -> str:
+    return f"{100 * np.mean(found):.1f}" if len(found) else "–"
+
+
+def _searches(results: Mapping[Task, Any]) -> list[str]:
+    runs = [result for task, result in results.items() if task[0] == "order"]
+    lost = np.array([best - first for fitted, first, best in runs if fitted])
+    if not runs:
+        return []
+    return [
+        f"`pmfid order` on {SEARCHED} samples, {len(runs)} runs: its first is fitted and accepted in "
+        f"{sum(run[0] for run in runs)}; on fresh data its fit is within a point of the best of all structures in "
+        f"{int(np.sum(lost <= 1.0))}, the worst is {np.max(lost):.2f} points below.",
+        "",
+    ]
+
+
+STUDY = Study("process-confidence", tasks, work, write)

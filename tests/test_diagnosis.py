@@ -1,0 +1,171 @@
+"""The commonest mistakes with a log, each named first in what a refused identification says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.batch import Columns, check_identifiable
+from pmfid.session.compare import compare
+from pmfid.session.config import Axis
+from pmfid.session.diagnosis import check_direction, diagnose
+from pmfid.session.pipeline import identify
+from pmfid.session.records import Record
+from pmfid.session.wrap import wrap_of
+from pmfid.simulation.drive import DriveParameters, Motion, quantize, simulate_drive
+from pmfid.simulation.signals import multisine, prbs
+
+DT, GAIN, RESOLUTION = 0.005, 1.5, 2e-4
+MACHINES = {
+    "damped": DriveParameters(4.0, 30.0, 3.0, GAIN),
+    "sticky": DriveParameters(15.0, 10.0, 12.0, GAIN),
+    "light": DriveParameters(0.5, 0.4, 0.3, GAIN),
+}
+FORCES = {"damped": 60.0, "sticky": 60.0, "light": 3.0}  # N
+
+
+@cache
+def motion(machine: str) -> Motion:
+    rng = np.random.default_rng(3)
+    amplitude = FORCES[machine] / GAIN
+    sines = multisine(2400, DT, [0.7, 1.7, 3.1], amplitude, rng)
+    u = prbs(2400, clock=40, amplitude=amplitude, rng=rng) if machine == "damped" else sines
+    return simulate_drive(MACHINES[machine], u, DT)
+
+
+def logged(machine: str, fault: str) -> Record:
+    """The log of a machine with a fault; `axis_of` reads it as if there were none."""
+    run = motion(machine)
+    u, counts = run.u, quantize(run.x, RESOLUTION, phase=1e-5)
+    if fault == "reversed":
+        counts = -counts
+    if fault == "velocity":
+        counts = quantize(run.v, RESOLUTION)
+    if fault == "exchanged":
+        u, counts = counts * RESOLUTION, quantize(run.u, RESOLUTION)
+    if fault == "wrapped":
+        counts = (counts + 100) % 2 ** (int(np.ptp(counts)).bit_length() - 1)
+    return Record(u, counts, DT, RESOLUTION, (), "log")
+
+
+def axis_of(output_kind: str = "position", method: str = "auto", **model: object) -> Axis:
+    return Axis.model_validate(
+        {
+            "record": {"input": "u", "output": "y", "output_kind": output_kind, "dt": DT},
+            "encoder": {"resolution": RESOLUTION},
+            "model": model or {"input_gain": GAIN},
+            "estimator": {"cutoff": 40.0, "method": method},
+        }
+    )
+
+
+MISTAKES = {
+    "reversed": "the output has the opposite sign of the input",
+    "velocity": "the output column 'y' is a velocity and no position",
+    "exchanged": "input and output are exchanged",
+    "wrapped": "the output column 'y' wraps at",
+}
+
+
+LOAD = "a constant load acts on the axis"
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize("fault", MISTAKES)
+def test_the_mistake_is_named(machine: str, fault: str) -> None:
+    assert diagnose(logged(machine, fault), axis_of()).startswith(MISTAKES[fault])
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_a_right_log_has_no_mistake(machine: str) -> None:
+    assert diagnose(logged(machine, "none"), axis_of()) == ""
+
+
+@pytest.mark.parametrize("fault", ["reversed", "velocity", "exchanged"])
+def test_the_mistake_stands_first_where_an_identification_is_refused(fault: str) -> None:
+    with pytest.raises(NotIdentifiableError) as caught:
+        identify(logged("light", fault), axis_of())
+    text = str(caught.value)
+    assert text.startswith(MISTAKES[fault])
+    assert "; as the record is read now: " in text
+
+
+def test_the_mistake_stands_before_a_negative_mass() -> None:
+    with pytest.raises(NotIdentifiableError, match="mass comes out as -") as refused:
+        identify(logged("damped", "reversed"), axis_of(method="ls"))
+    assert str(refused.value).startswith(MISTAKES["reversed"])
+
+
+def test_the_remedy_for_a_reversed_sign_helps_when_followed_literally() -> None:
+    record = logged("sticky", "reversed")
+    assert "give [model] input_gain = -1.5" in diagnose(record, axis_of())
+    assert identify(record, axis_of(input_gain=-1.5)).theta[0] == pytest.approx(15.0, rel=0.01)
+
+
+def test_the_remedy_for_forgotten_bits_names_the_width() -> None:
+    record = logged("damped", "wrapped")
+    bits = int(np.ptp(record.counts)).bit_length()
+    assert f"give [encoder] bits = {bits}" in diagnose(record, axis_of("counts"))
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_what_the_model_lacks_is_no_mistake_of_the_log(machine: str) -> None:
+    """An integral follows the input more easily than a position does: a load or a dead time made it a velocity."""
+    record = logged(machine, "none")
+    load = 0.4 * float(np.std(record.u))
+    found = diagnose(replace(record, u=record.u + load), axis_of())
+    assert found == "" or found.startswith(LOAD)
+    assert diagnose(replace(record, u=np.r_[record.u[6:], np.zeros(6)]), axis_of()) == ""
+
+
+def test_comparing_names_the_mistake_with_every_refusal() -> None:
+    with pytest.raises(NotIdentifiableError) as refused:
+        compare(logged("light", "reversed"), axis_of())
+    assert str(refused.value).startswith(MISTAKES["reversed"])
+
+
+def test_an_angle_that_wraps_has_another_period_than_a_counter() -> None:
+    counts = np.round(3600 * (np.sin(np.linspace(0, 20, 4000)) + 1.2)).astype(np.int64)
+    wrap = wrap_of(counts % 3600)
+    assert wrap is not None
+    assert wrap.bits is None
+    assert wrap.span == pytest.approx(3600, rel=0.01)
+
+
+@pytest.mark.parametrize("jump", [20_000, 3, 100_000])
+def test_a_counter_set_anew_once_does_not_wrap(jump: int) -> None:
+    counts = np.round(500 * np.sin(np.linspace(0, 20, 2000))).astype(np.int64)
+    counts[1000:] += jump
+    assert wrap_of(counts) is None
+
+
+def test_friction_by_the_direction_of_a_velocity_is_refused() -> None:
+    """The direction of a velocity column is that of its change: friction was wrong by factors, without a flag."""
+    terms = [
+        {"signal": "output", "derivative": 1, "name": "mass"},
+        {"signal": "output", "derivative": 0, "name": "drag"},
+        {"signal": "direction", "name": "dry"},
+    ]
+    known = [{"signal": "input", "coefficient": GAIN}]
+    axis = axis_of(method="ls", kind="equation", unknown=terms, known=known)
+    record = logged("sticky", "velocity")
+    with pytest.raises(UsageError, match=r"'y' is a velocity.* raise every derivative of the output by one"):
+        identify(record, axis)
+    with pytest.raises(UsageError, match="'y' is a velocity"):
+        compare(record, axis)
+    # a position with a spring is of first order, too
+    slow = replace(record, counts=quantize(motion("sticky").x, RESOLUTION))
+    assert check_direction(slow, axis) == ""
+
+
+def test_a_simulated_motion_at_rest_is_no_input_of_zero() -> None:
+    rng = np.random.default_rng(1)
+    still = Columns(rng.normal(size=(50, 2)), np.zeros(50), np.zeros((50, 2)), np.ones(50, bool), 0)
+    with pytest.raises(NotIdentifiableError, match="the simulated motion rests throughout"):
+        check_identifiable(still, ("mass", "drag"), simulated=True)
+    with pytest.raises(NotIdentifiableError, match="the input is zero while the axis moves"):
+        check_identifiable(still, ("mass", "drag"))

@@ -1,0 +1,194 @@
+"""What a user meets first: help, names, the demo's files, keys that have no effect, and progress."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import pmfid
+from pmfid.cli.main import main
+from pmfid.cli.progress import Lines
+from pmfid.errors import UnknownParameterError, UsageError
+from pmfid.estimators import METHODS
+from pmfid.session.config import Axis, load_axis
+from pmfid.session.pipeline import identify
+from pmfid.session.records import Record, read_experiment
+from pmfid.studies.reproduce import run as paper
+from tests.conftest import cart_run
+
+CART = """
+[record]
+input = "u"
+output = "counts"
+output_kind = "counts"
+dt = 0.01
+[encoder]
+resolution = 22.75e-6
+[model]
+input_gain = 2.0
+[estimator]
+cutoff = 20.0
+"""
+PROCESS = """
+[record]
+input = "u"
+output = "counts"
+output_kind = "counts"
+dt = 0.01
+[model]
+kind = "transfer_function"
+n = 1
+m = 0
+[estimator]
+cutoff = 1.0
+"""
+
+
+def loaded(folder: Path, text: str, old: str = "", new: str = "") -> Axis:
+    assert old in text
+    path = folder / "axis.toml"
+    path.write_text(text.replace(old, new, 1) if old else text)
+    return load_axis(path)
+
+
+# --- names ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_wrong_name_lists_the_right_ones() -> None:
+    run = cart_run(1, samples=600)
+    arguments = (pmfid.Drive(2.0), run.encoder, 0.01, 20.0)
+    fit = pmfid.LS(*arguments).fit(run.u, run.counts)
+    estimator = pmfid.RLS(*arguments)
+    track = estimator.run(run.u, run.counts)
+    tracks = estimator.run_many(run.u, run.counts[None, :])
+    for result in (fit, track, tracks, estimator.estimate, pmfid.RLS(*arguments, precision="float32").estimate):
+        with pytest.raises(KeyError) as caught:
+            result["Mass"]
+        assert isinstance(caught.value, UnknownParameterError)
+        assert str(caught.value) == (
+            "there is no parameter 'Mass'; there are mass, viscous_friction, coulomb_friction; did you mean 'mass'?"
+        )
+
+
+def test_an_estimate_has_its_parameters_by_name() -> None:
+    run = cart_run(1, samples=600)
+    estimator = pmfid.RLS(pmfid.Drive(2.0), run.encoder, 0.01, 20.0)
+    track = estimator.run(run.u, run.counts)
+    last = estimator.estimate
+    assert [last[name] for name in track.names] == last.theta.tolist() == track.theta[-1].tolist()
+    kept = estimator.step(0.0, int(run.counts[-1]))
+    estimator.reset()
+    assert kept["mass"] == kept.theta[0] != 0
+
+
+# --- help -------------------------------------------------------------------------------------------------------------
+
+
+def test_every_command_says_what_it_does_in_one_line() -> None:
+    text = CliRunner().invoke(main, ["--help"], terminal_width=80).output
+    lines = [line for line in text.partition("Commands:\n")[2].splitlines() if line]
+    assert len(lines) == len(main.commands)
+    assert all(line.endswith(".") and not line.endswith("...") for line in lines)
+
+
+def test_the_help_of_method_names_them_all() -> None:
+    text = CliRunner().invoke(main, ["identify", "--help"], terminal_width=200).output
+    described = re.search(r"auto: by the record.*?transfer function\.", text, re.DOTALL)
+    assert described
+    assert all(re.search(rf"\b{method}\b", described[0]) for method in METHODS)
+
+
+# --- the demo ---------------------------------------------------------------------------------------------------------
+
+
+def test_what_the_demo_writes_can_be_identified_as_it_stands(tmp_path: Path) -> None:
+    done = CliRunner().invoke(main, ["demo", "--out", str(tmp_path)], catch_exceptions=False)
+    command = done.output.splitlines()[-1].split()
+    assert command[:2] == ["pmfid", "identify"]
+    result = CliRunner().invoke(main, command[1:], catch_exceptions=False)
+    assert result.exit_code == 0
+    assert "mass" in result.output
+
+
+# --- keys without an effect, and one rule for the gain ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("line", ['hold = "foh"', "gap = 0.1", 'reference = "r"'])
+def test_a_key_of_a_transfer_function_is_refused_for_a_drive(tmp_path: Path, line: str) -> None:
+    key = line.partition(" ")[0]
+    with pytest.raises(UsageError, match=rf'\[record\] {key} = .* is not used with kind = "drive"; drop it'):
+        loaded(tmp_path, CART, "dt = 0.01", f"dt = 0.01\n{line}")
+    loaded(tmp_path, PROCESS, "dt = 0.01", f"dt = 0.01\n{line}")
+
+
+@pytest.mark.parametrize("line", ["standstill_time = 0.1", "max_speed = 2.0"])
+def test_a_key_of_a_drive_is_refused_for_a_transfer_function(tmp_path: Path, line: str) -> None:
+    key = line.partition(" ")[0]
+    encoder = f"[encoder]\nresolution = 1e-3\n{line}\n[model]"
+    with pytest.raises(UsageError, match=rf'\[encoder\] {key} = .* is not used with kind = "transfer_function"'):
+        loaded(tmp_path, PROCESS, "[model]", encoder)
+    loaded(tmp_path, CART, "resolution = 22.75e-6", f"resolution = 22.75e-6\n{line}")
+
+
+def test_the_default_may_be_written_down(tmp_path: Path) -> None:
+    assert loaded(tmp_path, CART, "dt = 0.01", 'dt = 0.01\nhold = "zoh"').record.hold == "zoh"
+
+
+@pytest.mark.parametrize("gain", [-0.12, 0.12, 0.0, 1e40, float("nan"), float("inf")])
+def test_python_and_toml_take_the_same_gains(tmp_path: Path, gain: float) -> None:
+    def taken(make: object) -> bool:
+        try:
+            make()  # type: ignore[operator]
+        except UsageError:
+            return False
+        return True
+
+    in_python = taken(lambda: pmfid.Drive(gain))
+    in_toml = taken(lambda: loaded(tmp_path, CART, "input_gain = 2.0", f"input_gain = {gain!r}"))
+    assert in_python == in_toml == (abs(gain) == 0.12)
+
+
+def test_a_negative_gain_turns_the_sign_of_the_input(tmp_path: Path) -> None:
+    axis = loaded(tmp_path, CART, "input_gain = 2.0", "input_gain = -2.0")
+    run = cart_run(1, samples=1000)
+    record = Record(-run.u, run.counts, 0.01, run.encoder.resolution, (), "run")
+    assert identify(record, axis).theta[0] == pytest.approx(1.07, rel=0.02)
+
+
+def test_a_wrapping_counter_of_a_transfer_function_is_unwrapped(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("u,counts\n" + "".join(f"0,{count}\n" for count in (250, 253, "", 3, *range(6, 14))))
+    text = PROCESS.replace("[model]", "[encoder]\nresolution = 1.0\nbits = 8\n[model]")
+    y = read_experiment(path, loaded(tmp_path, text)).y
+    np.testing.assert_array_equal(y, [250.5, 253.5, np.nan, 259.5, *np.arange(262.5, 270)])
+
+
+# --- progress ---------------------------------------------------------------------------------------------------------
+
+
+def test_progress_without_a_terminal_is_sparse_and_a_short_run_says_nothing() -> None:
+    now, told = [0.0], []
+    lines = Lines("runs", told.append, lambda: now[0])
+    for k in range(1001):
+        now[0] = 0.3 * k  # 300 s in all
+        lines(k / 1000)
+    assert told[0] == "pmfid: runs: 5% after 15 s"
+    assert 15 <= len(told) <= 20
+    told.clear()
+    now[0] = 0.0
+    short = Lines("runs", told.append, lambda: now[0])
+    for k in range(10):
+        now[0] = k
+        short(k / 9)
+    assert told == []
+
+
+def test_reproduce_tells_how_far_it_is(tmp_path: Path) -> None:
+    done: list[float] = []
+    paper.reproduce(["2"], tmp_path, seeds=1, jobs=1, done=done.append)
+    assert done == sorted(done)
+    assert done[-1] == 1.0

@@ -1,0 +1,74 @@
+"""The size of an alarm and its bar: the truth lies within as often as the bar says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmfid.monitor.calibration import Calibration, calibrate
+from pmfid.monitor.cause import TRANSITION, explain
+from pmfid.monitor.events import Alarm, Watch
+from pmfid.monitor.scores import Blocks, Scale, make_scale, scores
+from pmfid.monitor.watch import Monitor
+from pmfid.simulation import CART, Schedule
+from pmfid.studies.monitoring.axis import changing, make_riv, normal_work
+
+THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+NAMES = ("mass", "viscous_friction", "coulomb_friction")
+INCREMENTS, SEEDS = 512, 12
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    u, _ = normal_work(7, INCREMENTS, 0.05)
+    return calibrate(make_riv(INCREMENTS), THETA, u, None, hours=2.0)
+
+
+def first_alarm(calibration: Calibration, name: str, factor: float, seed: int) -> Alarm | None:
+    when = 8.0 + 3.0 * np.random.default_rng((seed, 3)).random()
+    after = replace(CART, **{name: factor * getattr(CART, name)})
+    u, counts = changing(Schedule(((0.0, CART), (when, after))), seed, INCREMENTS, when + 6)
+    monitor = Monitor(make_riv(INCREMENTS, THETA), calibration, Watch())
+    for a, b in zip(u.tolist(), counts.tolist(), strict=True):
+        for event in monitor.step(a, b)[1]:
+            if isinstance(event, Alarm):
+                return event
+    return None
+
+
+@pytest.mark.parametrize(("name", "factor"), [("mass", 1.35), ("mass", 0.75), ("viscous_friction", 1.2)])
+def test_the_bar_contains_the_truth(calibration: Calibration, name: str, factor: float) -> None:
+    """Before, half of the sizes were further off than two bars, some 45."""
+    truth = (factor - 1) * getattr(CART, name)
+    alarms = [first_alarm(calibration, name, factor, seed) for seed in range(SEEDS)]
+    told = [alarm for alarm in alarms if alarm is not None and alarm.parameter == name]
+    assert len(told) >= SEEDS - 2
+    z = np.array([(alarm.change - truth) / alarm.std for alarm in told])
+    assert np.mean(np.abs(z) < 2) >= 0.8
+    assert np.max(np.abs(z)) < 4
+    assert np.median([alarm.std for alarm in told]) < 0.35 * abs(truth)
+
+
+def changed(direction: np.ndarray, partly: float) -> tuple[Blocks, Scale]:
+    """Normal work whose blocks from 200 on show a change, the first of them only a part of it."""
+    u, counts = normal_work(5, INCREMENTS, 0.02)
+    blocks = scores(make_riv(INCREMENTS), THETA, u, counts)[6:]
+    score = blocks.score.copy()
+    score[200:] += blocks.cross[200:] @ direction
+    score[200] -= (1 - partly) * blocks.cross[200] @ direction
+    return Blocks(score, blocks.cross, blocks.square)[:210], make_scale(blocks)
+
+
+def test_a_change_within_a_block_is_no_smaller_for_it() -> None:
+    blocks, scale = changed(0.3 * THETA * np.eye(3)[0], 0.2)
+    cause = explain(blocks, scale, THETA, NAMES, 2.0)
+    assert abs(cause.change - 0.3 * THETA[0]) < 2 * cause.std
+    assert cause.std < 0.1 * THETA[0]
+
+
+def test_a_change_did_not_begin_after_it_was_noticed() -> None:
+    blocks, scale = changed(0.1 * THETA * np.eye(3)[0], 1.0)
+    assert 199 <= explain(blocks, scale, THETA, NAMES, 2.0).start <= 203
+    assert explain(blocks, scale, THETA, NAMES, 2.0, latest=195 + TRANSITION).start <= 195 + TRANSITION

@@ -1,0 +1,94 @@
+"""Where numbers end: singular equations, diverged tracks and simulations are refused, without a warning."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid.encoder import quantize
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.batch import Columns, check_identifiable, inverse_of
+from pmfid.estimators.output_error import least
+from pmfid.monitor.validity import judge
+from pmfid.session.config import Axis
+from pmfid.session.pipeline import estimate, identify
+from pmfid.session.records import Record
+from pmfid.simulation import make_scenario
+
+
+def axis_of(method: str = "auto", resolution: float = 0.01, **more: dict[str, object]) -> Axis:
+    sections = {
+        "record": {"input": "u", "output": "y", "dt": 0.01},
+        "encoder": {"resolution": resolution},
+        "model": {"input_gain": 2.0},
+        "estimator": {"cutoff": 50.0, "method": method},
+    }
+    return Axis.model_validate({name: section | more.get(name, {}) for name, section in sections.items()})
+
+
+def coarse_cart() -> Record:
+    """The cart at a count per centimetre."""
+    run = make_scenario("prbs", seed=1, duration=20.0)
+    return Record(run.motion.u, quantize(run.motion.x, 0.01), 0.01, 0.01, (), "cart")
+
+
+@pytest.mark.parametrize("model", [{"offset": True}, {}, {"spring": True}])
+def test_a_track_that_diverges_is_refused_without_a_warning(model: dict[str, object]) -> None:
+    """Below a count per sample the known step takes away more than there is; NumPy's overflow showed in `compare`."""
+    with pytest.raises(NotIdentifiableError, match=r"beyond numbers|cannot identify"):
+        estimate(coarse_cart(), axis_of("rknown-step", model=model))
+
+
+def test_equations_without_one_solution_are_refused() -> None:
+    for matrix in (np.zeros((2, 2)), np.ones((2, 2)), np.full((2, 2), np.nan), 1e-320 * np.eye(2)):
+        with pytest.raises(NotIdentifiableError, match="no one solution"):
+            inverse_of(matrix)
+    np.testing.assert_array_equal(inverse_of(2 * np.eye(2)), np.eye(2) / 2)
+
+
+def test_a_counter_of_one_bit_is_refused() -> None:
+    """Its motion only falls: the instruments are a combination of each other."""
+    counts = -np.cumsum(np.ones(300, np.int64))
+    record = Record(np.sin(np.arange(300.0)), counts, 0.01, 1e-4, (), "one bit")
+    with pytest.raises(NotIdentifiableError):
+        identify(record, axis_of(resolution=1e-4))
+
+
+def test_columns_beyond_the_numbers_are_refused() -> None:
+    huge = Columns(np.full((50, 2), 1e200), np.ones(50), np.ones((50, 2)), np.ones(50, bool), 0)
+    with pytest.raises(NotIdentifiableError, match="leaves the range of numbers"):
+        check_identifiable(huge, ("mass", "drag"))
+
+
+def test_sensitivities_that_are_not_finite_are_refused() -> None:
+    class Runaway:
+        lower = np.full(2, -np.inf)
+
+        def __call__(self, q: np.ndarray) -> np.ndarray:
+            return np.array([q[0] - 1, q[1] - 2, q[0] * q[1]])
+
+        def jacobian(self, q: np.ndarray) -> np.ndarray:
+            return np.full((3, 2), np.nan)
+
+    with pytest.raises(NotIdentifiableError, match="leaves the range of numbers"):
+        least(Runaway(), np.ones(2))  # type: ignore[arg-type]
+
+
+def test_no_sample_between_jumps_is_nothing_to_judge_by() -> None:
+    run = make_scenario("prbs", seed=1, duration=10.0)
+    counts = quantize(run.motion.x, 1e-4)
+    estimator = pmfid.LS(pmfid.Drive(2.0), pmfid.Encoder(1e-4, max_speed=1e-6), 0.01, 50.0)
+    flags, _ = judge(estimator, run.motion.u, counts, np.array([1.0, 10.0, 1.0]), np.full(3, 0.1))
+    assert "unmodelled" not in flags
+
+
+def test_prefilter_zeros_are_no_parameters_of_a_method_that_simulates() -> None:
+    run = make_scenario("prbs", seed=1, duration=10.0)
+    counts = quantize(run.motion.x, 1e-4)
+    plain = pmfid.IV(pmfid.Drive(2.0), pmfid.Encoder(1e-4), 0.01, 50.0)
+    given = replace(plain, prefilter_zeros=(-5.0, -4.0))
+    assert given.names == plain.names
+    np.testing.assert_allclose(given.fit(run.motion.u, counts).theta, plain.fit(run.motion.u, counts).theta, rtol=1e-4)

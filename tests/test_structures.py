@@ -1,0 +1,52 @@
+"""The kernel's header as Python reads it: numbers and sums of them, and nothing that could run."""
+
+from __future__ import annotations
+
+import pytest
+
+from pmfid.layout.structures import constants_of, value
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        ("8", 8),
+        ("0x1fU", 31),
+        ("(4 * SIZE + 4)", 36),
+        ("-SIZE + 10 / 3", -5),
+        ("SIZE > 7", 1),
+        ("SIZE > 0x8U", 0),
+        (" 2 - (3 - 4)", 3),
+    ],
+)
+def test_constant_expressions(text: str, number: int) -> None:
+    assert value(text, {"SIZE": 8}) == number
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "().__class__",
+        "SIZE.bit_length()",
+        "[1][0]",
+        "2 ** 99",
+        "OTHER",
+        "PMF_R(1e30)",
+        "1.5",
+        "'a'",
+        "a := 1",
+        "",
+        "1 2",
+    ],
+)
+def test_anything_else_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="no constant expression"):
+        value(text, {"SIZE": 8})
+
+
+def test_the_header_has_the_sizes() -> None:
+    constants = constants_of(None)
+    assert constants["PMF_MAX_COLUMNS"] == 4 * constants["PMF_MAX_PARAMETERS"] + 4
+    assert constants["PMF_STATE_MAGIC"] == 0x53464D50
+    assert constants["PMF_OTHER_CONFIG"] == 4
+    assert "PMF_UNKNOWN" not in constants

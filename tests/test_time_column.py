@@ -1,0 +1,134 @@
+"""The time column: its unit by name, by key and by size, and what is refused rather than taken at its word."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from pmfid.errors import UsageError
+from pmfid.session.clock import named_unit
+from pmfid.session.config import Axis, load_axis
+from pmfid.session.pipeline import identify
+from pmfid.session.records import read_experiment, read_record
+from pmfid.session.stream import Stop, line_samples
+from tests.conftest import cart_run
+
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+def axis_of(folder: Path, name: str, extra: str = "", cutoff: float = 20.0) -> Axis:
+    path = folder / "axis.toml"
+    path.write_text(
+        f'[record]\ninput = "u"\noutput = "counts"\noutput_kind = "counts"\ntime = "{name}"\n{extra}\n'
+        f"[encoder]\nresolution = 22.75e-6\n[model]\ninput_gain = 2.0\n[estimator]\nmethod = 'iv'\ncutoff = {cutoff}\n"
+    )
+    return load_axis(path)
+
+
+def logged(folder: Path, name: str, step: float) -> Path:
+    """The cart at 100 Hz, its time stamps `step` apart."""
+    run = cart_run(1, samples=1000)
+    time = np.arange(run.u.size) * step
+    whole = time.astype(np.int64) if float(step).is_integer() else time
+    pl.DataFrame({name: whole, "u": run.u, "counts": run.counts}).write_csv(folder / "run.csv")
+    return folder / "run.csv"
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("t_ms", "ms"),
+        ("Time [ms]", "ms"),
+        ("time/us", "us"),
+        ("Zeit (µs)", "us"),
+        ("stamp.ns", "ns"),
+        ("millis", "ms"),
+        ("t_s", "s"),
+        ("time [s]", "s"),
+        ("t", None),
+        ("items", None),
+        ("axis", None),
+        ("status", None),
+        ("", None),
+    ],
+)
+def test_the_unit_in_a_name(name: str, unit: str | None) -> None:
+    assert named_unit(name) == unit
+
+
+@pytest.mark.parametrize(("name", "step"), [("t_ms", 10), ("Time [us]", 10_000), ("stamp_ns", 10_000_000)])
+def test_a_named_unit_is_converted_with_a_note(tmp_path: Path, name: str, step: float) -> None:
+    record = read_record(logged(tmp_path, name, step), axis_of(tmp_path, name))
+    assert record.dt == pytest.approx(0.01, rel=1e-12)
+    assert any(repr(name) in note and "0.01 s" in note for note in record.notes)
+
+
+@pytest.mark.parametrize("cutoff", [50.0, 2.0, 0.02])
+@pytest.mark.parametrize(("unit", "step"), [("ms", 10), ("us", 10_000), ("ns", 10_000_000)])
+def test_time_that_is_not_in_s_is_refused_and_the_remedy_followed_literally_helps(
+    tmp_path: Path, unit: str, step: int, cutoff: float
+) -> None:
+    """A lower cutoff was the remedy once, and hid a factor of a million in the mass."""
+    path = logged(tmp_path, "t", step)
+    with pytest.raises(UsageError, match=rf'time_unit = .*"{unit}" \(0\.01 s\)') as caught:
+        read_record(path, axis_of(tmp_path, "t", cutoff=cutoff))
+    assert "cutoff" not in str(caught.value)
+    axis = axis_of(tmp_path, "t", f'time_unit = "{unit}"')
+    assert identify(read_record(path, axis), axis).theta[0] == pytest.approx(1.07, rel=0.02)
+
+
+def test_a_slow_axis_says_that_it_is_slow(tmp_path: Path) -> None:
+    path = logged(tmp_path, "t", 0.5)
+    assert read_record(path, axis_of(tmp_path, "t", 'time_unit = "s"')).dt == pytest.approx(0.5)
+    assert read_record(path, axis_of(tmp_path, "t", "dt = 0.5")).dt == pytest.approx(0.5)
+
+
+def test_a_name_that_the_numbers_contradict_is_refused(tmp_path: Path) -> None:
+    path = logged(tmp_path, "t_us", 0.01)
+    with pytest.raises(UsageError, match=r'"s" \(0\.01 s\) .*, or "us" if that is right'):
+        read_record(path, axis_of(tmp_path, "t_us"))
+    assert read_record(path, axis_of(tmp_path, "t_us", 'time_unit = "s"')).dt == pytest.approx(0.01)
+
+
+def test_a_period_that_fits_another_unit_names_it(tmp_path: Path) -> None:
+    path = logged(tmp_path, "t", 10)
+    with pytest.raises(UsageError, match='steps by 10; give time_unit = "ms"'):
+        read_record(path, axis_of(tmp_path, "t", "dt = 0.01"))
+
+
+def test_a_cutoff_too_high_asks_for_the_unit_first(tmp_path: Path) -> None:
+    axis = axis_of(tmp_path, "t", cutoff=500.0)
+    with pytest.raises(UsageError, match=r"give \[record\] time_unit if .* else use at most 2/dt = 200"):
+        identify(read_record(logged(tmp_path, "t", 0.01), axis), axis)
+
+
+def test_a_pipe_has_the_unit_of_the_record(tmp_path: Path) -> None:
+    lines = BytesIO(b"t_ms,u,counts\n0,1.0,5\n10,1.0,6\n30,1.0,7\n40,1.0,7\n50,1.0,8\n")
+    samples = list(line_samples(lines, axis_of(tmp_path, "t_ms"), 0.01, Stop()))
+    assert [sample.time for sample in samples] == pytest.approx([0.0, 0.01, 0.03, 0.04, 0.05])
+    assert [sample.missing for sample in samples] == [0, 0, 1, 0, 0]
+
+
+def test_a_unit_without_a_column_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "axis.toml"
+    path.write_text('[record]\ninput = "u"\noutput = "y"\ndt = 0.01\ntime_unit = "ms"\n')
+    with pytest.raises(UsageError, match="time_unit is that of the time column; name it"):
+        load_axis(path)
+
+
+def test_a_transfer_function_wants_the_unit_said(tmp_path: Path) -> None:
+    """A process may be as slow as it likes, so a name alone decides nothing."""
+    text = (
+        '[record]\ninput = "u"\noutput = "counts"\ntime = "t_ms"\n{}[model]\nkind = "transfer_function"\nn = 1\nm = 0\n'
+        "[estimator]\ncutoff = 1.0\n"
+    )
+    path, record = tmp_path / "axis.toml", logged(tmp_path, "t_ms", 250)
+    path.write_text(text.format(""))
+    with pytest.raises(UsageError, match=r'give \[record\] time_unit = "ms", or "s"'):
+        read_experiment(record, load_axis(path))
+    path.write_text(text.format('time_unit = "ms"\n'))
+    assert read_experiment(record, load_axis(path)).period == pytest.approx(0.25)
