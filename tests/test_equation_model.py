@@ -12,8 +12,8 @@ from pmfid.estimators.registry import ESTIMATORS
 from pmfid.session.config import load_axis
 from pmfid.session.pipeline import identify
 from pmfid.session.records import Record
-from pmfid.simulation import CART, CART_DT
-from pmfid.studies.wrong_plants import Plant, wrong_record
+from pmfid.simulation import CART, CART_DT, Machine
+from pmfid.studies.wrong_plants import wrong_record
 from tests.conftest import TRUTH, assert_near, cart_run
 
 CUTOFF, STIFFNESS = 20.0, 40.0
@@ -90,7 +90,7 @@ def test_what_makes_no_equation_is_said(build, message):
 @pytest.mark.parametrize("method", ["iv", "interval"])
 def test_a_load_on_a_spring(method, motion):
     """The plant is simulated with ten steps of Runge and Kutta per sample, not by the kernel."""
-    record = wrong_record(Plant(spring=STIFFNESS), motion, 3, 4096)
+    record = wrong_record(Machine(CART, stiffness=STIFFNESS), motion, 3, 4096)
     drive = pmfid.Drive(CART.input_gain, spring=True)
     fit = ESTIMATORS[method](drive, pmfid.Encoder(record.resolution), CART_DT, CUTOFF).fit(record.u, record.counts)
     assert fit.names == ("mass", "viscous_friction", "coulomb_friction", "offset", "stiffness")
@@ -99,7 +99,7 @@ def test_a_load_on_a_spring(method, motion):
 
 
 def test_the_spring_on_line_and_with_directional_friction():
-    record = wrong_record(Plant(spring=STIFFNESS), "prbs", 3, 1024)
+    record = wrong_record(Machine(CART, stiffness=STIFFNESS), "prbs", 3, 1024)
     drive = pmfid.Drive(CART.input_gain, spring=True, friction="directional")
     encoder = pmfid.Encoder(record.resolution)
     track = pmfid.RIV(drive, encoder, CART_DT, CUTOFF, forgetting=0.995).run(record.u, record.counts)
@@ -110,7 +110,7 @@ def test_the_spring_on_line_and_with_directional_friction():
 
 def test_a_spring_slack_elsewhere_is_an_offset():
     """The spring's force at the first count is the offset, wherever the encoder counts from."""
-    record = wrong_record(Plant(spring=STIFFNESS), "prbs", 3, 4096)
+    record = wrong_record(Machine(CART, stiffness=STIFFNESS), "prbs", 3, 4096)
     estimator = pmfid.IV(pmfid.Drive(CART.input_gain, spring=True), pmfid.Encoder(record.resolution), CART_DT, CUTOFF)
     late = slice(700, None)
     fit = estimator.fit(record.u[late], record.counts[late])

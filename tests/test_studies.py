@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.simulation import CART, CART_DT, make_scenario, quantize, simulate_drive
+from pmfid.simulation import CART, CART_DT, Machine, drive_machine, make_scenario, quantize, simulate_drive
 from pmfid.studies import accuracy, coverage, open_loop, starts, stop_and_go, truth, wrong_models
 from pmfid.studies.truth import TRUTH, Outcome, cramer_rao, estimate, percent, positions, scenario_record
-from pmfid.studies.wrong_plants import PLANTS, Plant, wrong_record
+from pmfid.studies.wrong_plants import PLANTS, wrong_record
 
 # --- the page ---------------------------------------------------------------------------------------------------------
 
@@ -82,7 +82,7 @@ def test_bound_is_the_scatter_of_a_fit_to_white_noise() -> None:
 
 @pytest.mark.parametrize("scenario", ["prbs", "stop-and-go"])
 def test_the_right_plant_moves_as_the_exact_one(scenario: str) -> None:
-    record, exact = wrong_record(Plant(), scenario, 2, 1024), scenario_record(scenario, 2, 1024)
+    record, exact = wrong_record(Machine(CART), scenario, 2, 1024), scenario_record(scenario, 2, 1024)
     assert record.resolution == exact.resolution
     difference = np.abs(record.counts - exact.counts)
     assert difference.max() <= (1 if scenario == "prbs" else 3)  # the loop passes a count on
@@ -90,11 +90,9 @@ def test_the_right_plant_moves_as_the_exact_one(scenario: str) -> None:
     assert np.ptp(exact.counts) > 1000
 
 
-def moved(plant: Plant, volts: float, samples: int = 300) -> tuple[float, float]:
-    x, v = 0.0, 0.0
-    for _ in range(samples):
-        x, v = plant.sample(x, v, volts, volts)
-    return x, v
+def moved(plant: Machine, volts: float, samples: int = 300) -> tuple[float, float]:
+    run = drive_machine(plant, np.full(samples, volts), CART_DT, 1e-6)
+    return float(run.x[-1]), float(run.v[-1])
 
 
 def test_each_wrong_plant_does_what_it_says() -> None:
@@ -109,18 +107,15 @@ def test_each_wrong_plant_does_what_it_says() -> None:
     assert v == pytest.approx(0.0, abs=1e-4)
     assert 5 * x == pytest.approx(-5.2, abs=1e-3)
     for name, delay in (("input delay", 0.005), ("small input delay", 0.001)):
-        late = PLANTS[name].sample(0.0, 0.0, 0.0, 3.0)[1]
+        late = drive_machine(PLANTS[name], [3.0, 3.0], CART_DT, 1e-6).v[1]
         assert late == pytest.approx(5.2 / 12.8 * (1 - np.exp(-12.8 / 1.07 * (0.01 - delay))), rel=1e-6)
 
 
 def test_a_plant_stops_where_the_exact_one_stops() -> None:
     u = np.r_[np.full(20, 3.0), np.zeros(50)]
-    x, v, path = 0.0, 0.0, []
-    for now in u:
-        path.append(x)
-        x, v = Plant().sample(x, v, now, now)
-    assert np.array(path) == pytest.approx(simulate_drive(CART, u, CART_DT).x, abs=2e-7)
-    assert v == 0.0
+    run = drive_machine(Machine(CART), u, CART_DT, 1e-6)
+    assert run.x == pytest.approx(simulate_drive(CART, u, CART_DT).x, abs=2e-7)
+    assert run.v[-1] == 0.0
 
 
 # --- the sections' own counting ---------------------------------------------------------------------------------------
