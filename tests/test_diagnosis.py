@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +12,10 @@ import pytest
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.batch import Columns, check_identifiable
 from pmfid.session.compare import compare
-from pmfid.session.config import Axis
+from pmfid.session.config import Axis, load_axis
 from pmfid.session.diagnosis import check_direction, diagnose
 from pmfid.session.pipeline import identify
-from pmfid.session.records import Record
+from pmfid.session.records import Record, read_record
 from pmfid.session.wrap import wrap_of
 from pmfid.simulation.drive import DriveParameters, Motion, quantize, simulate_drive
 from pmfid.simulation.signals import multisine, prbs
@@ -169,3 +170,22 @@ def test_a_simulated_motion_at_rest_is_no_input_of_zero() -> None:
         check_identifiable(still, ("mass", "drag"), simulated=True)
     with pytest.raises(NotIdentifiableError, match="the input is zero while the axis moves"):
         check_identifiable(still, ("mass", "drag"))
+
+
+def test_whole_numbers_are_no_position_in_parts_of_a_metre(tmp_path: Path) -> None:
+    counts = np.cumsum(np.random.default_rng(3).integers(-9, 10, 300))
+    np.savetxt(tmp_path / "run.csv", np.column_stack([counts, counts]), header="u,counts", delimiter=",", comments="")
+    text = '[record]\ninput = "u"\noutput = "counts"\noutput_kind = "{}"\ndt = 0.01\n[encoder]\nresolution = 1e-4\n'
+    text += "[model]\ninput_gain = 1.0\n[estimator]\ncutoff = 9.0\n"
+    (tmp_path / "axis.toml").write_text(text.format("position"))
+    with pytest.raises(UsageError, match='give output_kind = "counts"'):
+        read_record(tmp_path / "run.csv", load_axis(tmp_path / "axis.toml"))
+    (tmp_path / "axis.toml").write_text(text.format("counts"))
+    assert np.array_equal(read_record(tmp_path / "run.csv", load_axis(tmp_path / "axis.toml")).counts, counts)
+
+
+def test_one_wild_count_is_a_jump_and_nothing_else() -> None:
+    record = logged("damped", "none")
+    counts = record.counts.copy()
+    counts[counts.size // 2] += 1_000_000
+    assert diagnose(replace(record, counts=counts), axis_of()).startswith("the counts jump by")

@@ -243,3 +243,12 @@ def test_the_command(tmp_path):
 
 def test_every_case_of_the_study_has_a_model():
     assert all(case.model().n == len(case.poles) for case in CASES.values())
+
+
+def test_integrators_alone_have_no_pole_to_find():
+    rng = np.random.default_rng(5)
+    u = np.repeat(rng.choice([-1.0, 1.0], 200), 5)
+    y = 2.0 * np.r_[0.0, np.cumsum(u)[:-1]] * DT + 1e-3 * rng.standard_normal(u.size)
+    model = TransferFunction(n=1, m=0, integrators=1)
+    fit = SRIVC(model, Encoder(1.0), DT, cutoff=5.0).fit_experiments([Experiment(u, y, dt=DT)])
+    assert fit["b0"] == pytest.approx(2.0, rel=0.02)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
 
     from pmfid.estimators.structure import Search
@@ -33,10 +34,7 @@ def print_result(result: Result, out: Path | None) -> None:
     console = Console()
     console.print(table)
     console.print(f"relative error of the filtered equation: {100 * result.relative_error:.3g} %", highlight=False)
-    for note in result.notes:
-        console.print(printable(f"note: {note}"), highlight=False, markup=False, soft_wrap=True)
-    if out is not None:
-        console.print(f"report: {out / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
+    _print_judgement(console, result, out)
 
 
 def print_comparison(comparison: Comparison, out: Path | None) -> None:
@@ -140,10 +138,16 @@ def print_process(result: ProcessResult, out: Path | None) -> None:
     for row in dynamics_rows(result.process):
         table.add_row(*map(_safe, row))
     console.print(table)
-    for note in result.notes:
-        console.print(printable(f"note: {note}"), highlight=False, markup=False, soft_wrap=True)
-    if out is not None:
-        console.print(f"report: {out / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
+    _print_judgement(console, result, out)
+
+
+def _print_judgement(console: Console, result: Result | ProcessResult, out: Path | None) -> None:
+    """The words of the status, the notes, and where the report is."""
+    lines = [f"status: {', '.join(dict.fromkeys(result.status))}"] if result.status else []
+    lines += [f"note: {note}" for note in result.notes]
+    lines += [f"report: {out / 'report.html'}"] if out is not None else []
+    for line in lines:
+        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
 
 
 def print_search(search: Search, name: str, out: Path | None) -> None:

@@ -26,6 +26,8 @@ Floats = NDArray[np.float64]
 
 #: A force is missed where its score is so many of its standard deviations: chance alone once in a thousand records.
 MISSED = 4.0
+#: Forces whose scores are so near the largest are named, too, and so many at most.
+NEARLY, MOST_SAID = 0.9, 3
 #: Two estimates contradict each other from so many standard deviations of their difference on.
 CONTRADICTED = 2.5
 #: Part of a force's effect that is no combination of the parameters', below which nothing can be said of it.
@@ -77,10 +79,16 @@ class Adequacy:
     def says(self) -> str:
         """What is wrong with the model, for people; empty where nothing is."""
         if self.missed:
-            first = self.lacks[self.missed[0]]
-            like_it = f"the motion asks for {first.says}, or something like it"
-            return f"{like_it}; {first.cure}" if first.cure else like_it
+            near = [k for k in self.missed if abs(self.z[k]) > NEARLY * abs(self.z[self.missed[0]])]
+            asked = list(dict.fromkeys(self._said(k) for k in near))[:MOST_SAID]
+            cure = self.lacks[self.missed[0]].cure
+            like_it = f"the motion asks for {'; or for '.join(asked)}; or for something like it"
+            return f"{like_it}: {cure}" if cure else like_it
         return "" if self.follows else "no single force explains what is left"
+
+    def _said(self, k: int) -> str:
+        lack = self.lacks[k]
+        return f"{lack.says} of about {self.size[k]:.2g} s" if lack.name == "dead_time" else lack.says
 
     @cached_property
     def tolerated(self) -> Floats:

@@ -93,7 +93,7 @@ def _sharp(configured: Estimator, u: ArrayLike, counts: ArrayLike, refused: list
     elif not found.adequate:
         doubt = f", and {found.says}"
     elif np.any(spread > fit.theta_std):
-        doubt = "; interval would be sharper than what the model may lack unseen"
+        doubt = "; the error bars of interval leave out what the model may lack without showing it here"
     return _Sharp(method, fit, found.adequate and not fit.status & Status.FALLBACK, spread, doubt)
 
 

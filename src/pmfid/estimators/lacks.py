@@ -73,7 +73,7 @@ def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[Lack]:
     yield Lack("drifting", "friction that changes over the record", "", side * np.linspace(-1, 1, v.size), 0.0)
     roles = difference.equation.roles
     if roles[COULOMB_FORWARD] == roles[COULOMB_BACKWARD]:
-        cure = 'set friction = "directional" in [model]'
+        cure = 'set friction = "directional" in [model]' + ("" if roles[OFFSET] is None else " in place of offset")
         yield Lack("uneven", "viscous friction that differs with the direction", cure, speed / usual, UNEVEN * viscous)
         if roles[OFFSET] is None:
             cure += ", or offset = true for a constant load"

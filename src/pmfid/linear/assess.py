@@ -138,6 +138,8 @@ def _doubts(problem: Problem, point: Point, residual: list[Floats], delay: int) 
 def _direct(problem: Problem, point: Point) -> tuple[float, float]:
     """How much of the input of now a wrong hold leaves in the residual, at least and at most."""
     a, b, _ = problem.structure.split(point.theta)
+    if a.size == 0:  # integrators alone
+        return (0.0, 0.0)
     stretch = problem.stretches[0]
     grid = Grid(float(np.median(stretch.grid.steps)), 2)
     change = transition(companion(a), np.eye(a.size)[-1], grid).change

@@ -52,10 +52,10 @@ def judge(
     # where the model is wrong, methods differ because they weigh its error differently: only large differences count
     limit = 10 * BIASED if any(flag == "unmodelled" for flag, _ in residual) else 2 * BIASED
     found = [
+        *_jump(estimator, counts),
         *_sizes(estimator, theta, std),
         *_bias(estimator, u, counts, theta, std, limit),
         *_coarse(estimator, counts),
-        *_jump(counts),
         *residual,
     ]
     return tuple(dict.fromkeys(flag for flag, _ in found)), tuple(sentence for _, sentence in found)
@@ -154,17 +154,25 @@ def _coarse(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding
         )
 
 
-def _jump(counts: NDArray[np.int64]) -> Iterator[Finding]:
-    """One change of the counts far beyond all others: a wrap that nobody has undone, or a lost position."""
+def _jump(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
+    """A jump of the counts, where nothing keeps it out."""
+    sentence = count_jump(counts) if estimator.encoder.max_speed is None else ""
+    if sentence:
+        yield "count_jump", sentence
+
+
+def count_jump(counts: NDArray[np.int64]) -> str:
+    """What to say of one change of the counts (n,) far beyond all others: a wrap that nobody has undone, or a lost
+    position; empty where there is none."""
     change = np.abs(np.diff(counts))
     worst = int(np.argmax(change))
     usual = float(np.quantile(change, 0.99))
-    if change[worst] > JUMP * (usual + 1):
-        yield (
-            "count_jump",
-            f"the counts jump by {change[worst]} at row {worst + 2}, usually by {usual:.3g} at most: a counter that "
-            "wraps needs [encoder] bits; for lost counts give max_speed",
-        )
+    if not change[worst] > JUMP * (usual + 1):
+        return ""
+    return (
+        f"the counts jump by {change[worst]} at row {worst + 2}, usually by {usual:.3g} at most: a counter that "
+        "wraps needs [encoder] bits; for lost counts give max_speed"
+    )
 
 
 def recent(estimator: Estimator, samples: int) -> slice:

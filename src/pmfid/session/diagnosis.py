@@ -22,6 +22,7 @@ from pmfid.estimators.iv import IV
 from pmfid.estimators.output_error import OE
 from pmfid.models.drive import EquationModel, Model
 from pmfid.models.equation import Equation
+from pmfid.monitor.validity import count_jump
 from pmfid.session.config import Axis
 from pmfid.session.records import Record
 from pmfid.session.wrap import wrap_of
@@ -65,6 +66,9 @@ def diagnose(record: Record, axis: Axis) -> str:
     wrap = wrap_of(record.counts)
     if wrap is not None and axis.encoder.bits is None:
         return wrap.sentence(axis.record.output, axis.record.output_kind, record.resolution)
+    jump = count_jump(record.counts)
+    if jump:  # it would pass for any other mistake; what max_speed keeps out is none
+        return jump if axis.encoder.max_speed is None else ""
     model, config = axis.model.make(), axis.estimator
     if model.equation.without_simulation or not np.any(np.diff(record.counts)):
         return ""

@@ -28,6 +28,8 @@ __all__ = ["MIN_SAMPLES", "Record", "read_experiment", "read_record"]
 MIN_SAMPLES = 10
 # Beyond 2**53 neighbouring integers share one float64, and a count would be silently wrong.
 _MAX_COUNT = 2.0**53
+#: Of so many rows, more than so many different whole numbers and nothing else are counts.
+DISTINCT, MOST_WHOLE = 10_000, 20
 
 Counts = NDArray[np.int64]
 
@@ -170,12 +172,24 @@ def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ..
 def _counts(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
     bits = axis.encoder.bits
     if axis.record.output_kind == "position":
+        _check_position(output, axis)
         # A position that is a multiple of the resolution in decimal often falls just below it in binary, and
         # a bare floor would lose a whole count: hence the tiny tolerance.
         counts = _floor_counts(output, axis.encoder.resolution, 1e-6)
         return counts, ("bits is ignored, the output is a position",) if bits is not None else ()
     counts = _whole(output)
     return (counts, ()) if bits is None else _unwrap(counts, bits)
+
+
+def _check_position(output: Floats, axis: Axis) -> None:
+    """Whole numbers of many steps each are counts, and no position with a resolution of a part of one."""
+    whole = np.array_equal(output, np.rint(output)) and np.unique(output[:DISTINCT]).size > MOST_WHOLE
+    if whole and axis.encoder.resolution < 1 and axis.model.kind != "transfer_function":
+        raise UsageError(
+            f"the column {axis.record.output!r} has nothing but whole numbers, and is taken for a position in steps of "
+            f'{axis.encoder.resolution:g}: give output_kind = "counts", or a resolution of 1 for a position in '
+            "whole units"
+        )
 
 
 def _whole(output: Floats) -> Counts:
