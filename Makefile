@@ -27,10 +27,11 @@ firmware-tools:
 	    $(FIRMWARE_TOOLS) >/dev/null 2>&1 || echo "no firmware tools: their tests will skip"; \
 	fi
 
-# A process for each core, a file of tests in one of them; benchmarks stay out, they want the machine for themselves.
+# A process for each core with one thread each (the threads of several would only wait for each other), a file of tests
+# in one of them; benchmarks stay out, they want the machine for themselves.
 WORKERS ?= auto
 test: .venv/installed firmware-tools
-	.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark
 
 check: .venv/installed
 	.venv/bin/ruff format --check .
