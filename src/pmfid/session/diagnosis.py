@@ -66,9 +66,6 @@ def diagnose(record: Record, axis: Axis) -> str:
     wrap = wrap_of(record.counts)
     if wrap is not None and axis.encoder.bits is None:
         return wrap.sentence(axis.record.output, axis.record.output_kind, record.resolution)
-    jump = count_jump(record.counts)
-    if jump:  # it would pass for any other mistake; what max_speed keeps out is none
-        return jump if axis.encoder.max_speed is None else ""
     model, config = axis.model.make(), axis.estimator
     if model.equation.without_simulation or not np.any(np.diff(record.counts)):
         return ""
@@ -83,6 +80,9 @@ def diagnose(record: Record, axis: Axis) -> str:
         unexplained = _unexplained(estimator, reading)
         if unexplained < min(FOLLOWS, BETTER * least):
             return _sentence(reading, unexplained)
+    jump = count_jump(record.counts)
+    if jump:  # an integral would smooth it away and follow; what max_speed keeps out is no mistake
+        return jump if axis.encoder.max_speed is None else ""
     velocity = _velocity(as_it_stands, record.dt, axis)
     unexplained = _unexplained(estimator, velocity)
     if unexplained < CLEARLY:  # an integral follows anything more easily: a load or a dead time must not do as well
