@@ -13,7 +13,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel, role_values
 from pmfid.estimators.base import check_arrays, check_size, like
 from pmfid.estimators.batch import BCLS, TINY, BatchEstimator, Columns, Fit, check_identifiable, solve_with_instruments
-from pmfid.estimators.known_step import impulse_products
+from pmfid.estimators.encoder_noise import impulse_products
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.srivc import counted, fit_process, fixed_filters, without_start
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, Equation

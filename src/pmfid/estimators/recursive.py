@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator, check_arrays, integer_counts
+from pmfid.estimators.encoder_noise import shown
 from pmfid.status import Status
 
 if TYPE_CHECKING:
@@ -140,6 +141,10 @@ class RecursiveEstimator(Estimator):
         config = super().recursion_config(parameters, instrumental, forgetting, first_column)
         scheme = self.forgetting_scheme if forgetting < 1 else "exponential"
         config["scheme"] = FORGETTING_SCHEMES[scheme]
+        if forgetting < 1 and not self.equation.process:
+            config["half_memory"] = math.ceil(0.5 / (1 - forgetting))
+            config["shown"] = shown(self)
+            config["leading"] = self.equation.leading
         if self.forgetting_of and forgetting < 1:  # as with directional forgetting: innovations only
             config["residual_updates"] = 0
             config["scheme"] = SEPARATE
