@@ -201,8 +201,9 @@ typedef struct {
 #endif
     uint32_t block;        /* updates whose errors may be correlated; the spread of such blocks scales P */
     scalar_t correlated;   /* updates whose errors are taken to be the same until there are blocks enough */
-    uint32_t half_memory;  /* in updates; 0: nothing is forgotten */
+    uint32_t half_memory;  /* in looks at the size of the motion; 0: nothing is forgotten */
     uint32_t leading;      /* the parameter of the highest derivative */
+    scalar_t haste, leak;  /* weights of what is outdated at the next sample, and of the peaks at the next look at them */
     scalar_t shown[PMF_MAX_PARAMETERS]; /* inverse squares of what the encoder shows of the columns, 0 where it adds no noise */
     uint32_t growing;      /* 1: the first samples, gathered with a model that was still wrong, count the less */
     scalar_t unexplained;    /* mean square innovation over what the noise explains, beyond which the model is wrong; 0: no check */
@@ -245,9 +246,10 @@ typedef struct {
     real_t score[PMF_MAX_PARAMETERS];  /* sum of zeta times innovation in this block */
     real_t spread[PMF_MAX_PARAMETERS]; /* of theta by blocks, over that of white innovations */
     whole_t block_updates, blocks;
-    whole_t moved;   /* samples of this half memory in motion */
+    whole_t moved;   /* looks at samples in motion in this half memory */
     whole_t outdated; /* updates in which to forget in haste: the information is from larger motions than those of late */
     whole_t since;    /* updates since the start, or since then; saturating */
+    whole_t unmodelled; /* the last verdict on the model, as a status bit */
     whole_t frozen;  /* too little information left to forget any more */
     pmf_check_t check, check_before; /* of the model: this stretch of samples, and the last */
     real_t reference[PMF_MAX_PARAMETERS]; /* diagonal of P that constant trace keeps */

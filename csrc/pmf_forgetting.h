@@ -112,7 +112,7 @@ PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf
 #define LARGER(a, b) PMF_IF((a) > (b), a, b)
 
 /* The last half memory is over. */
-PMF_INLINE void turn_over(pmf_recursion_state_t *state, truth_t ends, uint32_t p)
+PMF_SELDOM void turn_over(pmf_recursion_state_t *state, truth_t ends, uint32_t p)
 {
     uint32_t i;
     for (i = 0; i < p; ++i) {
@@ -126,10 +126,13 @@ PMF_INLINE void turn_over(pmf_recursion_state_t *state, truth_t ends, uint32_t p
     state->moved = PMF_IF(ends, PMF_W(0), state->moved);
 }
 
+/* Only so often is the size of the motion looked at: the filters let no column change much faster. A power of two. */
+#define LOOK 4U
+
 /* Notes the squares of the columns in motion. Is this sample one that the encoder shows, and did it show lately how the
  * axis sped up and slowed down? All but that, as a constant speed or running down, says little, however long. */
-PMF_INLINE truth_t is_excited(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
-                              uint32_t p)
+PMF_SELDOM truth_t is_excited(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
+                              truth_t looks, uint32_t p)
 {
     real_t square[N], shown = PMF_R(0.0), lead = column[config->leading], up, down;
     truth_t moves, ends;
@@ -138,7 +141,7 @@ PMF_INLINE truth_t is_excited(const pmf_recursion_config_t *config, pmf_recursio
         square[i] = column[i] * column[i];
         shown += config->shown[i] * square[i];
     }
-    moves = shown > PMF_R(1.0);
+    moves = looks & (shown > PMF_R(1.0));
     ends = moves & (state->moved >= config->half_memory);
     if (PMF_ANY(ends)) {
         turn_over(state, ends, p);
@@ -147,26 +150,19 @@ PMF_INLINE truth_t is_excited(const pmf_recursion_config_t *config, pmf_recursio
         state->largest[i] = PMF_IF(moves, LARGER(square[i], state->largest[i]), state->largest[i]);
     }
     lead *= lead * PMF_IF(lead < PMF_R(0.0), PMF_R(-1.0), PMF_R(1.0));
-    state->up = LARGER(lead, state->up);
-    state->down = LARGER(-lead, state->down);
+    state->up = PMF_IF(looks, LARGER(lead, state->up), state->up);
+    state->down = PMF_IF(looks, LARGER(-lead, state->down), state->down);
     state->moved += PMF_BIT(moves, 1U);
     up = LARGER(state->up, state->up_before);
     down = LARGER(state->down, state->down_before);
     return moves & (config->shown[config->leading] * PMF_IF(up < down, up, down) > PMF_R(1.0));
 }
 
-/* A factor for what is outdated. */
-PMF_INLINE scalar_t haste(const pmf_recursion_config_t *config)
-{
-    scalar_t twice = config->forgetting * config->forgetting;
-    return twice * twice * twice * twice;
-}
-
 /* With a model that follows the estimate the first samples were gathered with a poor one: until the memory is full each
  * sample counts in proportion to its number, so that what they have wrong fades with the square of time. */
 PMF_INLINE real_t memory_of(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t weight)
 {
-    if (config->growing != 0U) {
+    if (PMF_WITH_AUXILIARY != 0 && config->growing != 0U) {
         real_t updates = PMF_TO_REAL(state->updates), part = updates / (updates + PMF_R(1.0));
         weight = PMF_IF(part < weight, part, weight);
     }
@@ -236,15 +232,18 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
         fade = PMF_ALIKE(config->forgetting);
     }
     if (SCHEME(config) != PMF_WINDOW && SCHEME(config) != PMF_SEPARATE) {
-        f = PMF_IF(state->outdated != 0U, PMF_ALIKE(haste(config)), f);
+        f = PMF_IF(state->outdated != 0U, PMF_ALIKE(config->haste), f);
     }
 #if PMF_WITH_SEPARATE
     if (SCHEME(config) == PMF_SEPARATE) {
         f = forget_separately(config, state, f, p, instrumental);
     }
 #endif
-    state->trace = PMF_IF(state->outdated != 0U, PMF_R(0.0), state->trace); /* that of another motion */
-    state->since = PMF_IF(state->outdated != 0U, PMF_W(0), state->since + PMF_BIT(state->since < SATURATED, 1U));
+    if (SCHEME(config) == PMF_CONSTANT_TRACE) { /* the trace of another motion */
+        state->trace = PMF_IF(state->outdated != 0U, PMF_R(0.0), state->trace);
+        state->since = PMF_IF(state->outdated != 0U, PMF_W(0), state->since + PMF_BIT(state->since < SATURATED, 1U));
+    }
+    state->outdated -= PMF_BIT(state->outdated != 0U, 1U);
     if (SCHEME(config) == PMF_DIRECTIONAL) {
         fade = PMF_R(1.0);
         if (PMF_ANY(state->started != 0U)) {

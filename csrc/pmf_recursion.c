@@ -22,6 +22,7 @@
 #define BLOCK_MEMORY 100U
 #define MIN_BLOCKS 8U
 #define SKIPPED_INNOVATIONS 4U /* innovations of a fresh estimate say nothing of the noise */
+#define JUDGED 16U /* updates between two verdicts on the model; a power of two */
 #define NEGLIGIBLE PMF_R(1e-6) /* mean square part of the target that no model need explain */
 
 /* The innovations of another stretch of samples; those of the last one are kept beside. */
@@ -49,11 +50,16 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
     const pmf_estimate_t *estimate = &state->estimate;
     const real_t *theta = estimate->theta;
     real_t explained = PMF_R(0.0), unsure = PMF_R(0.0), limit;
+    truth_t judged, large;
     uint32_t i, j;
     if (!PMF_ANY(where)) {
         return PMF_W(0);
     }
     note_unexplained(config, state, where, target);
+    judged = (state->updates & (JUDGED - 1U)) == 0U;
+    if (!PMF_ANY(judged)) {
+        return PMF_IF(where, state->unmodelled, PMF_W(0));
+    }
 #if PMF_WITH_PROCESS
     explained = PMF_ALIKE(config->target_power);
 #endif
@@ -69,9 +75,9 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
     explained += estimate->innovation_variance * unsure / state->sums.weight;
     limit = config->unexplained * explained * (state->check.weight + state->check_before.weight) +
             NEGLIGIBLE * (state->check.target + state->check_before.target);
-    return PMF_BIT(where & (state->check_before.weight > PMF_R(0.0)) &
-                       (state->check.innovation + state->check_before.innovation > limit),
-                   PMF_UNMODELLED);
+    large = (state->check_before.weight > PMF_R(0.0)) & (state->check.innovation + state->check_before.innovation > limit);
+    state->unmodelled = PMF_IF(where & judged, PMF_BIT(large, PMF_UNMODELLED), state->unmodelled);
+    return PMF_IF(where, state->unmodelled, PMF_W(0));
 }
 
 /* Information less what the known noise feigns. Where hardly anything is left, that is poor excitation: some is kept,
@@ -93,25 +99,35 @@ PMF_INLINE whole_t subtract_noise(const pmf_recursion_config_t *config, const pm
     return poor;
 }
 
-/* Adds the regularisation and says whether there is information left to forget. In motions that excite the axis the
- * peaks come down to what these can give. Where more is known than the largest of the last memory could give for good, it
- * is from larger ones, and forgotten in haste: a memory is one of time, whatever the size of the motion. */
-PMF_INLINE void regularise(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t excited, uint32_t p,
+/* In motions that excite the axis the peaks come down to what these can give. Where more is known than the largest of the
+ * last memory could give for good, it is from larger ones, and forgotten in haste: a memory is one of time, whatever the
+ * size of the motion. */
+PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t excited, uint32_t p,
+                              real_t information[N][N])
+{
+    scalar_t fresh = (PMF_SCALAR(1.0) - config->forgetting) / directions(config);
+    truth_t outdated = excited & PMF_NOT(excited);
+    uint32_t i;
+    for (i = 0; i < p; ++i) {
+        real_t recent = LARGER(state->largest[i], state->before[i]);
+        outdated = outdated | (excited & (fresh * information[i][i] > outgrown(config) * recent));
+        state->peak[i] = PMF_IF(excited, config->leak * state->peak[i], state->peak[i]);
+    }
+    state->outdated = PMF_IF(outdated, PMF_W(config->half_memory * LOOK), state->outdated);
+}
+
+/* Adds the regularisation and says whether there is information left to forget. */
+PMF_INLINE void regularise(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p,
                            real_t information[N][N])
 {
-    scalar_t fresh = (PMF_SCALAR(1.0) - config->forgetting) / directions(config), leak = haste(config);
-    truth_t outdated = excited & PMF_NOT(excited);
     uint32_t i;
     state->frozen = PMF_W(1);
     for (i = 0; i < p; ++i) {
-        real_t now = information[i][i], leaked = leak * state->peak[i];
-        outdated = outdated | (excited & (fresh * now > outgrown(config) * LARGER(state->largest[i], state->before[i])));
-        leaked = PMF_IF(excited, leaked, state->peak[i]);
-        state->peak[i] = PMF_IF(now > leaked, now, leaked);
+        real_t now = information[i][i];
+        state->peak[i] = LARGER(now, state->peak[i]);
         state->frozen &= PMF_BIT(PMF_NOT(now > FREEZE * config->regularization * state->peak[i]), 1U);
         information[i][i] = now + state->mass * config->regularization * state->peak[i];
     }
-    state->outdated = PMF_IF(outdated, PMF_W(config->half_memory), state->outdated - PMF_BIT(state->outdated != 0U, 1U));
 }
 
 /* Diagonal of P = (L D L^T)^-1, and whether a parameter's own information is little more than the regularisation. */
@@ -181,7 +197,7 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
 /* With weights w the covariance of theta is P (sum w^2) S P, S the long-run covariance of the scores, where white
  * innovations and equal weights have P times their variance. Until there are blocks enough the difference to those counts
  * as the innovations' that are the same for as long as the filters may make them. */
-static void inflate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where)
+PMF_SELDOM void inflate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where)
 {
     real_t unequal = state->sums.squares / state->sums.weight, blocks = PMF_TO_REAL(state->blocks);
     real_t known = PMF_IF(state->blocks < MIN_BLOCKS, blocks / (scalar_t)MIN_BLOCKS, PMF_R(1.0));
@@ -195,7 +211,7 @@ static void inflate(const pmf_recursion_config_t *config, pmf_recursion_state_t 
 
 /* Spread of theta by blocks of innovations against that of white ones (batch means). `move` is a block's sum after the
  * gain. */
-static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+PMF_SELDOM void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                        const real_t move[N])
 {
     real_t share = state->sums.weight / (scalar_t)config->block, keep, white, ratio, spread;
@@ -266,15 +282,11 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     real_t information[N][N], move[N], pivot, own;
     projection_t projection;
     whole_t status, compensated = PMF_W(0), unmodelled = PMF_W(0);
-    truth_t waits = state->started == 0U, excited, moves, scored, ends;
+    truth_t waits = state->started == 0U, looks, moves, scored, ends;
     uint32_t i, j;
     state->estimate.innovation = column[p];
     for (i = 0; i < p; ++i) {
         state->estimate.innovation -= column[i] * state->estimate.theta[i];
-    }
-    excited = waits & PMF_NOT(waits);
-    if (config->half_memory != 0U) {
-        excited = is_excited(config, state, column, p);
     }
     accumulate(config, state, column, p, instrumental);
     residual(config, state, instrumental != 0U ? &column[p + 1U] : column, p, instrumental, move);
@@ -290,7 +302,11 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
             compensated = subtract_noise(config, state, p, information);
         }
     }
-    regularise(config, state, excited, p, information);
+    looks = (state->updates & (LOOK - 1U)) == 0U;
+    if (config->half_memory != 0U && PMF_ANY(looks)) {
+        compare_sizes(config, state, is_excited(config, state, column, looks, p), p, information);
+    }
+    regularise(config, state, p, information);
     factorise(p, information, state->factor, state->inverse_pivot);
     status = judge(config, state, p) | compensated;
     if (PMF_ANY(waits)) {

@@ -49,7 +49,7 @@ cdef extern from "pmf.h":
         uint32_t n_parameters, instrumental, first_column, min_updates, residual_updates
         real_t forgetting, regularization, pivot
         uint32_t compensated, block, scheme, window_block, growing, half_memory, leading
-        real_t correlated
+        real_t correlated, haste, leak
         real_t shown[PMF_MAX_PARAMETERS]
         real_t keep[PMF_MAX_PARAMETERS]
         real_t unexplained, check_samples
@@ -185,6 +185,7 @@ cdef _set_recursion(pmf_recursion_config_t *target, source):
     target.scheme, target.window_block = source["scheme"], source["window_block"]
     target.correlated, target.growing = source["correlated"], source.get("growing", 0)
     target.leading = source.get("leading", 0)
+    target.haste, target.leak = source.get("haste", 1.0), source.get("leak", 1.0)
     target.half_memory, shown = source.get("half_memory", 0), source.get("shown")
     target.compensated, noise = source.get("compensated", 0), source.get("noise")
     target.unexplained, target.check_samples = source.get("unexplained", 0.0), source.get("check_samples", 0.0)
