@@ -205,9 +205,13 @@ typedef struct {
     uint32_t leading;      /* the parameter of the highest derivative */
     scalar_t haste, leak;  /* weights of what is outdated at the next sample, and of the peaks at the next look at them */
     scalar_t shown[PMF_MAX_PARAMETERS]; /* inverse squares of what the encoder shows of the columns, 0 where it adds no noise */
+#if PMF_WITH_AUXILIARY
     uint32_t growing;      /* 1: the first samples, gathered with a model that was still wrong, count the less */
+#endif
+#if PMF_WITH_NOISE
     scalar_t unexplained;    /* mean square innovation over what the noise explains, beyond which the model is wrong; 0: no check */
     scalar_t check_samples;  /* of a stretch of that comparison */
+#endif
 } pmf_recursion_config_t;
 
 typedef struct {
@@ -234,7 +238,6 @@ typedef struct {
     pmf_sums_t sums;
     real_t peak[PMF_MAX_PARAMETERS];                       /* largest information seen in motions of the present size */
     real_t largest[PMF_MAX_PARAMETERS], before[PMF_MAX_PARAMETERS]; /* squares of the columns, of this half memory and the last */
-    real_t up, down, up_before, down_before; /* the same of the leading column, by its sign */
     real_t factor[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* information = L D L^T: L below the diagonal */
     real_t inverse_pivot[PMF_MAX_PARAMETERS];              /* 1 / D */
     pmf_estimate_t estimate;
@@ -247,11 +250,14 @@ typedef struct {
     real_t spread[PMF_MAX_PARAMETERS]; /* of theta by blocks, over that of white innovations */
     whole_t block_updates, blocks;
     whole_t moved;   /* looks at samples in motion in this half memory */
+    whole_t swings;  /* what these, and those of the last one, showed of the leading column, as bits */
     whole_t outdated; /* updates in which to forget in haste: the information is from larger motions than those of late */
     whole_t since;    /* updates since the start, or since then; saturating */
-    whole_t unmodelled; /* the last verdict on the model, as a status bit */
     whole_t frozen;  /* too little information left to forget any more */
+#if PMF_WITH_NOISE
     pmf_check_t check, check_before; /* of the model: this stretch of samples, and the last */
+    whole_t unmodelled; /* the last verdict on it, as a status bit */
+#endif
     real_t reference[PMF_MAX_PARAMETERS]; /* diagonal of P that constant trace keeps */
     real_t trace;                         /* mean of P over the reference; 0: not set yet */
 #if PMF_WINDOW_BLOCKS > 0

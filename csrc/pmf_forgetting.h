@@ -111,61 +111,62 @@ PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf
 
 #define LARGER(a, b) PMF_IF((a) > (b), a, b)
 
-/* The last half memory is over. */
-PMF_SELDOM void turn_over(pmf_recursion_state_t *state, truth_t ends, uint32_t p)
-{
-    uint32_t i;
-    for (i = 0; i < p; ++i) {
-        state->before[i] = PMF_IF(ends, state->largest[i], state->before[i]);
-        state->largest[i] = PMF_IF(ends, PMF_R(0.0), state->largest[i]);
-    }
-    state->up_before = PMF_IF(ends, state->up, state->up_before);
-    state->down_before = PMF_IF(ends, state->down, state->down_before);
-    state->up = PMF_IF(ends, PMF_R(0.0), state->up);
-    state->down = PMF_IF(ends, PMF_R(0.0), state->down);
-    state->moved = PMF_IF(ends, PMF_W(0), state->moved);
-}
-
 /* Only so often is the size of the motion looked at: the filters let no column change much faster. A power of two. */
 #define LOOK 4U
 
-/* Notes the squares of the columns in motion. Is this sample one that the encoder shows, and did it show lately how the
- * axis sped up and slowed down? All but that, as a constant speed or running down, says little, however long. */
-PMF_SELDOM truth_t is_excited(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
-                              truth_t looks, uint32_t p)
+/* Is this sample a motion that the encoder shows? */
+PMF_INLINE truth_t is_shown(const pmf_recursion_config_t *config, const real_t *column, uint32_t p)
 {
-    real_t square[N], shown = PMF_R(0.0), lead = column[config->leading], up, down;
-    truth_t moves, ends;
+    real_t shown = PMF_R(0.0);
     uint32_t i;
     for (i = 0; i < p; ++i) {
-        square[i] = column[i] * column[i];
-        shown += config->shown[i] * square[i];
+        shown += config->shown[i] * (column[i] * column[i]);
     }
-    moves = looks & (shown > PMF_R(1.0));
-    ends = moves & (state->moved >= config->half_memory);
+    return shown > PMF_R(1.0);
+}
+
+#define SPED_UP 1U
+#define SLOWED_DOWN 2U
+#define HALF_MEMORIES 4U /* the same bits of the last half memory are so many times as large */
+
+/* Did the encoder show lately how the axis sped up and slowed down? All but that, as a constant speed or running down, says
+ * little, however long. `ends`: the last half memory is over. */
+PMF_INLINE truth_t note_swing(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead, truth_t moves,
+                              truth_t ends)
+{
+    whole_t both = PMF_W(SPED_UP | SLOWED_DOWN);
+    whole_t swing = PMF_IF(lead < PMF_R(0.0), PMF_W(SLOWED_DOWN), PMF_W(SPED_UP));
+    moves = moves & (config->shown[config->leading] * (lead * lead) > PMF_R(1.0));
+    state->swings = PMF_IF(ends, (state->swings & both) * HALF_MEMORIES, state->swings);
+    state->swings |= PMF_IF(moves, swing, PMF_W(0));
+    return ((state->swings | (state->swings >> 2)) & both) == both;
+}
+
+/* Keeps the largest square of a column in motion. Returns that of late. */
+PMF_INLINE real_t note_size(real_t *largest, real_t *before, real_t column, truth_t moves, truth_t ends)
+{
+    real_t square = column * column;
     if (PMF_ANY(ends)) {
-        turn_over(state, ends, p);
+        *before = PMF_IF(ends, *largest, *before);
+        *largest = PMF_IF(ends, PMF_R(0.0), *largest);
     }
-    for (i = 0; i < p; ++i) {
-        state->largest[i] = PMF_IF(moves, LARGER(square[i], state->largest[i]), state->largest[i]);
-    }
-    lead *= lead * PMF_IF(lead < PMF_R(0.0), PMF_R(-1.0), PMF_R(1.0));
-    state->up = PMF_IF(looks, LARGER(lead, state->up), state->up);
-    state->down = PMF_IF(looks, LARGER(-lead, state->down), state->down);
-    state->moved += PMF_BIT(moves, 1U);
-    up = LARGER(state->up, state->up_before);
-    down = LARGER(state->down, state->down_before);
-    return moves & (config->shown[config->leading] * PMF_IF(up < down, up, down) > PMF_R(1.0));
+    *largest = PMF_IF(moves & (square > *largest), square, *largest);
+    return LARGER(*largest, *before);
 }
 
 /* With a model that follows the estimate the first samples were gathered with a poor one: until the memory is full each
  * sample counts in proportion to its number, so that what they have wrong fades with the square of time. */
 PMF_INLINE real_t memory_of(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t weight)
 {
-    if (PMF_WITH_AUXILIARY != 0 && config->growing != 0U) {
+#if PMF_WITH_AUXILIARY
+    if (config->growing != 0U) {
         real_t updates = PMF_TO_REAL(state->updates), part = updates / (updates + PMF_R(1.0));
         weight = PMF_IF(part < weight, part, weight);
     }
+#else
+    (void)config;
+    (void)state;
+#endif
     return weight;
 }
 

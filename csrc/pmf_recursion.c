@@ -25,6 +25,7 @@
 #define JUDGED 16U /* updates between two verdicts on the model; a power of two */
 #define NEGLIGIBLE PMF_R(1e-6) /* mean square part of the target that no model need explain */
 
+#if PMF_WITH_NOISE
 /* The innovations of another stretch of samples; those of the last one are kept beside. */
 static void note_unexplained(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                              real_t target)
@@ -79,6 +80,7 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
     state->unmodelled = PMF_IF(where & judged, PMF_BIT(large, PMF_UNMODELLED), state->unmodelled);
     return PMF_IF(where, state->unmodelled, PMF_W(0));
 }
+#endif
 
 /* Information less what the known noise feigns. Where hardly anything is left, that is poor excitation: some is kept,
  * so that P stays positive. Before there can be an estimate nothing is subtracted: it may be more than there is. */
@@ -102,14 +104,21 @@ PMF_INLINE whole_t subtract_noise(const pmf_recursion_config_t *config, const pm
 /* In motions that excite the axis the peaks come down to what these can give. Where more is known than the largest of the
  * last memory could give for good, it is from larger ones, and forgotten in haste: a memory is one of time, whatever the
  * size of the motion. */
-PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t excited, uint32_t p,
-                              real_t information[N][N])
+PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
+                              truth_t looks, uint32_t p, real_t information[N][N])
 {
     scalar_t fresh = (PMF_SCALAR(1.0) - config->forgetting) / directions(config);
-    truth_t outdated = excited & PMF_NOT(excited);
+    truth_t moves = looks & is_shown(config, column, p), ends, excited, outdated;
     uint32_t i;
+    if (!PMF_ANY(moves)) {
+        return;
+    }
+    ends = moves & (state->moved >= config->half_memory);
+    state->moved = PMF_IF(ends, PMF_W(0), state->moved) + PMF_BIT(moves, 1U);
+    excited = moves & note_swing(config, state, column[config->leading], moves, ends);
+    outdated = excited & PMF_NOT(excited);
     for (i = 0; i < p; ++i) {
-        real_t recent = LARGER(state->largest[i], state->before[i]);
+        real_t recent = note_size(&state->largest[i], &state->before[i], column[i], moves, ends);
         outdated = outdated | (excited & (fresh * information[i][i] > outgrown(config) * recent));
         state->peak[i] = PMF_IF(excited, config->leak * state->peak[i], state->peak[i]);
     }
@@ -147,7 +156,10 @@ PMF_INLINE whole_t judge(const pmf_recursion_config_t *config, pmf_recursion_sta
             sum += unit[j] * unit[j] * state->inverse_pivot[j];
         }
         state->estimate.variance_factor[i] = sum;
-        poor |= PMF_BIT((PMF_R(1.0) < sum * threshold * state->peak[i]) | (state->peak[i] <= TINY), PMF_POOR_EXCITATION);
+    }
+    for (i = 0; i < p; ++i) {
+        real_t part = state->estimate.variance_factor[i] * threshold * state->peak[i];
+        poor |= PMF_BIT((PMF_R(1.0) < part) | (state->peak[i] <= TINY), PMF_POOR_EXCITATION);
     }
     return poor;
 }
@@ -211,10 +223,10 @@ PMF_SELDOM void inflate(const pmf_recursion_config_t *config, pmf_recursion_stat
 
 /* Spread of theta by blocks of innovations against that of white ones (batch means). `move` is a block's sum after the
  * gain. */
-PMF_SELDOM void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                        const real_t move[N])
 {
-    real_t share = state->sums.weight / (scalar_t)config->block, keep, white, ratio, spread;
+    real_t share = state->sums.weight / PMF_TO_REAL(state->block_updates), keep, white, ratio, spread;
     uint32_t i;
     state->blocks += PMF_BIT(where & (state->blocks < BLOCK_MEMORY), 1U);
     keep = PMF_R(1.0) - PMF_R(1.0) / PMF_TO_REAL(state->blocks);
@@ -282,7 +294,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     real_t information[N][N], move[N], pivot, own;
     projection_t projection;
     whole_t status, compensated = PMF_W(0), unmodelled = PMF_W(0);
-    truth_t waits = state->started == 0U, looks, moves, scored, ends;
+    truth_t waits = state->started == 0U, starts, looks, moves, scored, ends;
     uint32_t i, j;
     state->estimate.innovation = column[p];
     for (i = 0; i < p; ++i) {
@@ -304,7 +316,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     }
     looks = (state->updates & (LOOK - 1U)) == 0U;
     if (config->half_memory != 0U && PMF_ANY(looks)) {
-        compare_sizes(config, state, is_excited(config, state, column, looks, p), p, information);
+        compare_sizes(config, state, column, looks, p, information);
     }
     regularise(config, state, p, information);
     factorise(p, information, state->factor, state->inverse_pivot);
@@ -315,11 +327,14 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
             own = smallest_pivot(p, state->sums.square, projection.inverse);
             pivot = PMF_IF(own < pivot, own, pivot);
         }
+        starts = waits;
         waits = waits & ((state->updates < config->min_updates) | PMF_NOT(pivot > config->pivot));
+        starts = starts & PMF_NOT(waits);
         state->estimate.innovation = PMF_IF(waits, PMF_R(0.0), state->estimate.innovation);
         if (PMF_ALL(waits)) {
             return PMF_W(PMF_STARTING | PMF_POOR_EXCITATION);
         }
+        inflate(config, state, starts);
     }
     state->started += PMF_BIT(PMF_NOT(waits) & (state->started < SATURATED), 1U);
     /* else the noise alone would carry theta away in a long while */
@@ -331,19 +346,19 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
         }
     }
     note_innovation(config, state, PMF_NOT(waits));
-    if (PMF_ANY(state->started == 1U)) {
-        inflate(config, state, state->started == 1U);
-    }
     if (SCHEME(config) == PMF_CONSTANT_TRACE) {
         note_trace(config, state, PMF_NOT(waits), status);
     }
-    if (PMF_WITH_NOISE != 0 && config->unexplained > PMF_SCALAR(0.0)) {
+#if PMF_WITH_NOISE
+    if (config->unexplained > PMF_SCALAR(0.0)) {
         unmodelled = check_model(config, state, PMF_NOT(waits) & (state->started > SKIPPED_INNOVATIONS), column[p]);
     }
+#endif
     scored = PMF_NOT(waits) & (state->weight > PMF_R(0.0)) & (status == 0U);
     if (config->block > 0U && PMF_ANY(scored)) {
         note_score(config, state, scored, instrumental != 0U ? &column[p + 1U] : column, p);
-        ends = scored & (state->block_updates >= config->block);
+        /* not where sizes are compared: both in one sample would take long */
+        ends = scored & PMF_NOT(looks) & (state->block_updates >= config->block);
         if (PMF_ANY(ends)) {
             end_block(config, state, ends, p, instrumental, &projection);
         }

@@ -23,7 +23,7 @@ static const uint32_t whole_in_state[] = {
 };
 static const uint32_t whole_in_recursion[] = {
     IN_RECURSION(updates), IN_RECURSION(started), IN_RECURSION(block_updates), IN_RECURSION(blocks),
-    IN_RECURSION(moved), IN_RECURSION(outdated), IN_RECURSION(since),
+    IN_RECURSION(moved), IN_RECURSION(swings), IN_RECURSION(outdated), IN_RECURSION(since),
     IN_RECURSION(unmodelled), IN_RECURSION(frozen), IN_RECURSION(window_block), IN_RECURSION(window_updates)
 };
 #define LENGTH(list) (uint32_t)(sizeof list / sizeof list[0])
@@ -76,7 +76,7 @@ static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_c
     leave_tail(unused, at + IN_RECURSION(reference), p, sizeof(scalar_t));
     leave_estimate(unused, at + IN_RECURSION(estimate), p);
     if (!(config->unexplained > PMF_SCALAR(0.0))) {
-        leave_out(unused, at + IN_RECURSION(check), at + IN_RECURSION(check_before) + (uint32_t)sizeof(pmf_check_t));
+        leave_out(unused, at + IN_RECURSION(check), at + IN_RECURSION(unmodelled) + 4U);
     }
     if (config->scheme != PMF_WINDOW) {
         leave_out(unused, at + IN_RECURSION(window), at + IN_RECURSION(window_updates) + 4U);
