@@ -229,10 +229,12 @@ typedef struct {
     real_t innovation, innovation_variance;
 } pmf_estimate_t;
 
+#if PMF_WITH_NOISE
 /* Innovations and targets, squared, of so many samples. */
 typedef struct {
     real_t weight, innovation, target;
 } pmf_check_t;
+#endif
 
 typedef struct {
     pmf_sums_t sums;
