@@ -349,7 +349,7 @@ def test_order_command(records, tmp_path, monkeypatch):
     [
         (("--method", "interval"), "not for a transfer function"),
         (("--method", "known-step"), "give \\[encoder\\] resolution"),
-        (("--m", "2"), "m must be a whole number"),
+        (("--m", "3"), "m must be a whole number"),
         (("--n", "9"), "n must be a whole number"),
         (("--quantize", "0.1"), "quantize is for a drive"),
     ],

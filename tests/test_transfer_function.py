@@ -311,7 +311,7 @@ def test_the_output_counts_from_count_zero_also_where_the_counter_wraps():
     [
         (lambda: TransferFunction(0, 0), "n must be a whole number from 1 to 6, got 0"),
         (lambda: TransferFunction(7, 0), "from 1 to 6, got 7"),
-        (lambda: TransferFunction(2, 2), "m must be a whole number from 0 to 1, got 2"),
+        (lambda: TransferFunction(2, 3), "m must be a whole number from 0 to 2, got 3"),
         (lambda: TransferFunction(2, 0, -1), "delay must be a whole number from 0"),
         (lambda: TransferFunction(2, 0, 0.5), "delay must be a whole number"),
         (

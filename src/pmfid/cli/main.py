@@ -174,6 +174,7 @@ def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Pa
     from pmfid.session.records import read_experiment
 
     structure = {"model.kind": "transfer_function", "model.n": 1, "model.m": 0, "model.delay": 0}
+    structure |= {"model.integrators": 0, "model.dead_time": 0.0}
     axis = load_axis(config, {"estimator.cutoff": cutoff, **structure})
     search = search_order([read_experiment(path, axis) for path in records], axis)
     if out is not None:

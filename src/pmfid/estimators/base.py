@@ -66,7 +66,7 @@ class Estimator:
     exact: ClassVar[bool] = False
     #: has an auxiliary model, which must know the equation
     simulates: ClassVar[bool] = False
-    #: ... but simulates a linear process in its own way
+    #: ... but simulates a linear process, whatever it is, in its own way
     on_processes: ClassVar[bool] = False
     #: for linear processes alone, not for a machine with friction
     process_only: ClassVar[bool] = False
@@ -77,6 +77,11 @@ class Estimator:
             object.__setattr__(self, "order", max(2, self.equation.order))
         if self.process_only and not self.equation.process:
             raise UsageError(f"{self.method} is for a transfer function; for a {self.model.kind} use iv or interval")
+        if self.equation.only_simulated and not self.on_processes:
+            raise UsageError(
+                f"{self.method} does not simulate the process, as it must where {self.equation.only_simulated}; use "
+                "srivc, iv or output-error"
+            )
         if self.simulates and self.equation.without_simulation and not (self.equation.process and self.on_processes):
             raise UsageError(
                 f"{self.method} simulates the motion, which it cannot for this equation: "
@@ -146,11 +151,13 @@ class Estimator:
     @property
     def names(self) -> tuple[str, ...]:
         """Parameter names, in the order of theta."""
-        return self.equation.names + tuple(f"prefilter_{j + 1}" for j in range(self._extra))
+        further = tuple(name for name, _ in self.equation.further)
+        return self.equation.names + tuple(f"prefilter_{j + 1}" for j in range(self._extra)) + further
 
     @property
     def units(self) -> tuple[str, ...]:
-        return self.equation.units + tuple(f"s^{j + 1}" for j in range(self._extra))
+        further = tuple(unit for _, unit in self.equation.further)
+        return self.equation.units + tuple(f"s^{j + 1}" for j in range(self._extra)) + further
 
     @property
     def _extra(self) -> int:

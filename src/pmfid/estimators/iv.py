@@ -53,6 +53,8 @@ class IV(BatchEstimator):
     def __post_init__(self) -> None:
         super().__post_init__()
         without_start(self)
+        if self.equation.further:
+            raise UsageError("iv is linear in what it estimates, and dead_time is not; use srivc or output-error")
 
     def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and

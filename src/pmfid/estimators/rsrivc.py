@@ -41,6 +41,10 @@ class RSRIVC(RecursiveEstimator):
             raise UsageError("rsrivc is for a transfer function; riv is its like for a drive")
         if self.model.initial_conditions:
             raise UsageError("rsrivc forgets the start by itself; leave initial_conditions out")
+        if self.model.integrators or self.model.unstable:
+            raise UsageError(
+                "rsrivc simulates from rest, which drifts away without a stable process; use srivc on records"
+            )
         super().__post_init__()
 
     def make_kernel(self, forgetting: float = 1.0) -> Any:

@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator, check_arrays, check_size, held
 from pmfid.estimators.batch import BatchEstimator, Fit, long_run_covariance, parts_of_their_own
+from pmfid.linear.dead_time import after, solve_dead_time
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
 from pmfid.linear.sensitivity import Structure
 from pmfid.linear.solve import Point, Problem, Solution, descend, first_guess, refine, solve, with_fixed_filter
-from pmfid.models.transfer_function import TransferFunction
+from pmfid.models.transfer_function import ESTIMATE, MAX_DELAY, TransferFunction
 
 #: Time constants of the slowest pole over which scores are taken to be correlated, and samples at most.
 MEMORY = 3.0
@@ -51,6 +52,7 @@ class SRIVC(BatchEstimator):
 
     method: ClassVar[str] = "srivc"
     process_only: ClassVar[bool] = True
+    on_processes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -90,7 +92,12 @@ def fit_process(
     check_experiments(estimator, experiments)
     problem = make_problem(estimator, experiments)
     check_signals(problem, estimator.names)
-    return result(estimator, problem, solver(problem))
+    with np.errstate(all="ignore"):  # a model on the way may be far off; what is not finite is not taken
+        if problem.structure.latest is None:
+            solution = solver(problem)
+        else:
+            problem, solution = solve_dead_time(problem, solver)
+    return result(estimator, problem, solution)
 
 
 def check_experiments(estimator: Estimator, experiments: Sequence[Experiment]) -> None:
@@ -124,14 +131,23 @@ def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> Pro
         raise UsageError(f"{estimator.method} on experiments is for a transfer function, not for a {model.kind}")
     parts = [experiment.stretches(model.delay) for experiment in experiments]
     stretches = [replace(stretch, record=i) for i, some in enumerate(parts) for stretch in some]
+    structure = make_structure(model, estimator.dt, estimator.cutoff)
+    scaled = tuple(stretch.scaled(estimator.cutoff) for stretch in stretches)
     # what the initial conditions take up, a stretch must have more of
-    usable = [stretch.scaled(estimator.cutoff) for stretch in stretches if stretch.rows.size > model.n + 1]
+    usable = after(scaled, structure.dead_time, model.n + 2)
     for name, signals in (("output", [part.y for part in experiments]), ("input", [part.u for part in experiments])):
         if not any(np.any(np.isfinite(signal)) for signal in signals):
             raise UsageError(f"the {name} is empty: every sample is missing (NaN); check the column or the array")
     if not usable:
         raise UsageError("no record has a stretch with enough samples of input and output; record longer")
-    return Problem(Structure(model.n, model.m, model.offset), tuple(usable), estimator.cutoff)
+    return Problem(structure, usable, estimator.cutoff)
+
+
+def make_structure(model: TransferFunction, dt: float, rate: float) -> Structure:
+    """The structure with time in units of 1/rate; dt: sample period [s]."""
+    fixed = 0.0 if isinstance(model.dead_time, str) else model.dead_time * rate
+    latest = MAX_DELAY * dt * rate if model.dead_time == ESTIMATE else None
+    return Structure(model.n, model.m, model.offset, model.integrators, model.unstable, fixed, latest)
 
 
 def check_signals(problem: Problem, names: tuple[str, ...]) -> None:
@@ -154,9 +170,7 @@ def result(estimator: Estimator, problem: Problem, solution: Solution) -> Proces
     theta = point.theta * scale
     residual = point.error
     relative = float(np.sqrt(point.cost / max(spread(problem), 1e-300)))
-    model = estimator.model
-    delay = model.delay if isinstance(model, TransferFunction) else 0
-    process = Process.of(problem.structure, theta, cov, delay * estimator.dt)
+    process = process_of(estimator, theta, cov)
     return ProcessFit(
         estimator.names,
         estimator.units,
@@ -169,6 +183,23 @@ def result(estimator: Estimator, problem: Problem, solution: Solution) -> Proces
         process,
         solution.passes,
     )
+
+
+def process_of(estimator: Estimator, theta: NDArray[np.float64], cov: NDArray[np.float64]) -> Process:
+    """The transfer function at theta (p,) with covariance (p, p), in seconds."""
+    model = estimator.model
+    if not isinstance(model, TransferFunction):
+        raise UsageError(f"{estimator.method} on experiments is for a transfer function, not for a {model.kind}")
+    structure = make_structure(model, estimator.dt, 1.0)
+    return Process.of(structure, theta, cov, model.delay * estimator.dt + structure.lateness(theta))
+
+
+def with_dead_time(estimator: Estimator, theta: NDArray[np.float64]) -> Estimator:
+    """The estimator with the dead time that was found, the last of theta (p,), as a known one."""
+    model = estimator.model
+    if not isinstance(model, TransferFunction) or model.dead_time != ESTIMATE:
+        return estimator
+    return replace(estimator, model=replace(model, dead_time=float(theta[-1])))
 
 
 def check_apart(point: Point, names: tuple[str, ...]) -> None:
@@ -195,8 +226,8 @@ def covariance(point: Point, problem: Problem) -> NDArray[np.float64]:
 
 def memory(point: Point, problem: Problem) -> int:
     """Lags: some time constants of the slowest pole."""
-    poles = np.roots(np.r_[1.0, point.theta[: problem.structure.n][::-1]])
-    slowest = float(np.min(np.abs(poles)))
+    poles = np.roots(np.r_[1.0, point.theta[: problem.structure.free][::-1]])
+    slowest = float(np.min(np.abs(poles))) if poles.size else 1.0
     step = float(np.median(problem.stretches[0].grid.steps))
     return int(min(1e6, np.ceil(MEMORY / max(slowest * step, 1e-6))))
 

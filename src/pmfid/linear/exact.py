@@ -75,8 +75,8 @@ def respond_exactly(A: Floats, terms: list[Term], signals: Floats, dt: float) ->
     a = A[:-1] / A[-1] / rate ** (n - np.arange(n))
     rows = np.arange(size)
     stretch = Stretch(Grid(rate * dt, size), signals, np.zeros(size), rows, rows, held=True)
-    states = channels(Structure(n, 0), a, stretch, twice=True)[:, : signals.shape[0]]
-    single, double = states[:n], _extended(a, states[:n], states[n:])
+    found = channels(Structure(n, 0), np.r_[a, 0.0], stretch, twice=True)
+    single, double = found.single, found.double
 
     def size_of(power: int, divisions: int) -> float:
         return float(rate ** (power - divisions * n) / A[-1] ** divisions)
@@ -88,10 +88,3 @@ def respond_exactly(A: Floats, terms: list[Term], signals: Floats, dt: float) ->
         for k in range(n + 1)
     ]
     return Responses(responses, weights @ responses, np.array(slopes))
-
-
-def _extended(a: Floats, single: Floats, double: Floats) -> Floats:
-    """s^k / A^2 up to k = 2n - 1, the highest that a strictly proper term needs."""
-    n = a.size
-    last = single[n - 1] - np.tensordot(a, double[n - 1 : 2 * n - 1], 1)
-    return np.concatenate([double, last[None]])

@@ -96,16 +96,18 @@ class Experiment:
 
     @cached_property
     def explained_input(self) -> Floats | None:
-        """(N,) the part of the input that the reference explains, by a long impulse response (Van den Hof and Schrama
-        1993): like the input, but without the noise that the controller feeds back."""
+        """(N,) the part of the input that the reference explains, by an impulse response (Van den Hof and Schrama
+        1993): like the input, but without the noise that the controller feeds back. It is as long as the record
+        supports (Schwarz's criterion): each further coefficient would bring some of that noise back."""
         if self.reference is None:
             return None
         known = np.isfinite(self.u)
-        length = min(RESPONSE, self.u.size // SAMPLES_PER_COEFFICIENT)
+        length = max(1, min(RESPONSE, self.u.size // SAMPLES_PER_COEFFICIENT))
         lagged = np.lib.stride_tricks.sliding_window_view(np.r_[np.zeros(length - 1), self.reference], length)
-        columns = np.column_stack([lagged, np.ones(self.u.size)])
-        response = np.linalg.lstsq(columns[known], self.u[known], rcond=None)[0]
-        return np.asarray(columns @ response)
+        columns = np.column_stack([np.ones(self.u.size), lagged[:, ::-1]])  # the latest first
+        kept = _supported(columns[known], self.u[known])
+        response = np.linalg.lstsq(columns[known, :kept], self.u[known], rcond=None)[0]
+        return np.asarray(columns[:, :kept] @ response)
 
     def detrended(self) -> Experiment:
         """About the operating point: without the means of input and output. What drifts in the output stays: a drift
@@ -193,6 +195,16 @@ class Experiment:
         else:
             inputs = [np.interp(grid_t, late, signal) for signal in signals]
         return Stretch(Grid(np.diff(grid_t), grid_t.size), np.array(inputs), filled, rows_of[rows], part[rows], held)
+
+
+def _supported(columns: Floats, target: Floats) -> int:
+    """How many of the first columns (N, p), two or more, explain target (N,) best by Schwarz's criterion."""
+    size = np.linalg.norm(columns, axis=0)
+    Q, _ = np.linalg.qr(columns / np.where(size > 0, size, 1.0))
+    left = float(target @ target) - np.cumsum((Q.T @ target) ** 2)
+    floor = np.finfo(float).eps * float(target @ target) + 1e-300
+    criterion = target.size * np.log(np.maximum(left, floor)) + np.arange(1, left.size + 1) * np.log(target.size)
+    return 2 + int(np.argmin(criterion[1:]))
 
 
 def _numbers(name: str, values: object) -> Floats:

@@ -21,7 +21,8 @@ Complex = NDArray[np.complex128]
 class Process:
     """G(s) = exp(-delay s) (b_0 + ... + b_m s^m) / (a_0 + ... + a_{n-1} s^{n-1} + s^n).
 
-    a: (n,), b: (m+1,), both from the constant upwards; cov: (n+m+1, n+m+1) covariance of a and b; delay [s].
+    a: (n,), b: (m+1,), both from the constant upwards; cov: (n+m+1, n+m+1) covariance of a and b, with one row and
+    column more where delay [s] was estimated, too. What is known, as a pole at 0, has no variance.
     All uncertainties are one standard deviation, by the delta method: to first order in the parameters' errors.
     """
 
@@ -33,8 +34,21 @@ class Process:
     @classmethod
     def of(cls, structure: Structure, theta: ArrayLike, cov: ArrayLike, delay: float) -> Process:
         """From theta (p,) and its covariance (p, p); an offset is left out."""
-        theta, kept = np.asarray(theta, float), structure.n + structure.m + 1
-        return cls(theta[: structure.n], theta[structure.n : kept], np.asarray(cov, float)[:kept, :kept], delay)
+        theta = np.asarray(theta, float)
+        known, late = structure.integrators, structure.latest is not None
+        rows = [*range(structure.free + structure.m + 1), *[theta.size - 1] * late]
+        whole = np.zeros((known + len(rows),) * 2)
+        whole[known:, known:] = np.asarray(cov, float)[np.ix_(rows, rows)]
+        return cls(structure.denominator(theta), structure.split(theta)[1], whole, delay)
+
+    @property
+    def delay_std(self) -> float:
+        """Standard deviation of the dead time [s]; 0 where it was given."""
+        return float(np.sqrt(self.cov[-1, -1])) if self._late else 0.0
+
+    @property
+    def _late(self) -> bool:
+        return len(self.cov) > self.a.size + self.b.size
 
     @property
     def poles(self) -> Complex:
@@ -54,7 +68,7 @@ class Process:
     @property
     def zeros_std(self) -> Floats:
         """(m, 2) of real and imaginary part."""
-        return self._root_std(self.b, self.zeros, slice(self.a.size, None))
+        return self._root_std(self.b, self.zeros, slice(self.a.size, self.a.size + self.b.size))
 
     @property
     def gain(self) -> float:
@@ -71,21 +85,28 @@ class Process:
 
     @property
     def time_constants(self) -> Floats:
-        """(n,) s: 1 / |pole|, in the order of `poles`."""
-        return np.asarray(1 / np.abs(self.poles))
+        """(n,) s: 1 / |pole|, in the order of `poles`; infinite for an integrator."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(1 / np.abs(self.poles))
 
     @property
     def time_constants_std(self) -> Floats:
-        poles = self.poles
-        slopes = [self._root_slope(np.r_[self.a, 1.0], pole)[: self.a.size] for pole in poles]
-        size = [-(np.conj(pole) * slope).real / abs(pole) ** 3 for pole, slope in zip(poles, slopes, strict=True)]
-        part = self.cov[: self.a.size, : self.a.size]
-        return np.array([np.sqrt(max(0.0, row @ part @ row)) for row in size])
+        """(n,) s; infinite for an integrator."""
+        part, found = self.cov[: self.a.size, : self.a.size], []
+        for pole in self.poles:
+            if pole == 0:
+                found.append(np.inf)
+                continue
+            slope = self._root_slope(np.r_[self.a, 1.0], pole)[: self.a.size]
+            row = -(np.conj(pole) * slope).real / abs(pole) ** 3
+            found.append(np.sqrt(max(0.0, row @ part @ row)))
+        return np.array(found)
 
     @property
     def damping(self) -> Floats:
-        """(n,) -Re(pole) / |pole|."""
-        return np.asarray(-self.poles.real / np.abs(self.poles))
+        """(n,) -Re(pole) / |pole|; 0 for an integrator."""
+        size = np.abs(self.poles)
+        return np.asarray(-self.poles.real / np.where(size > 0, size, 1.0))
 
     def frequency_response(self, frequencies: ArrayLike) -> tuple[Complex, Floats, Floats]:
         """G (f,) at frequencies (f,), or at a single one, [rad/s], and the standard deviations of its magnitude,
@@ -94,6 +115,7 @@ class Process:
         A = np.polyval(np.r_[1.0, self.a[::-1]], s)
         G = np.polyval(self.b[::-1], s) / A
         slopes = [-(s**i) * G / A for i in range(self.a.size)] + [s**j / A for j in range(self.b.size)]
+        slopes += [-s * G] * self._late
         relative = np.array(slopes) / G
         spread = [np.sqrt(np.einsum("if,ij,jf->f", part, self.cov, part)) for part in (relative.real, relative.imag)]
         return G * np.exp(-s * self.delay), spread[0], spread[1]
@@ -104,22 +126,20 @@ class Process:
         steps = np.diff(t) if t.ndim == 1 else t
         if t.ndim != 1 or t.size < 2 or t[0] != 0 or not (steps[0] > 0 and np.allclose(steps, steps[0])):
             raise UsageError("t of a step response must be an array, evenly spaced, from 0 on: np.arange(100) * 0.1")
-        structure = Structure(self.a.size, self.b.size - 1)
-        late = int(np.sum(t < self.delay - 1e-9 * steps[0]))
-        grid = Grid(float(steps[0]), t.size - late) if t.size - late > 1 else Grid(float(steps[0]), 2)
-        rows = np.arange(grid.size)
-        stretch = Stretch(grid, np.ones((1, grid.size)), np.zeros(grid.size), rows, rows, held=True)
-        rate = max(float(np.max(np.abs(self.poles))), 1e-300)
+        rate = max(float(np.max(np.abs(self.poles))), 1 / float(t[-1]))
+        n, rows = self.a.size, np.arange(t.size)
+        latest = self.delay * rate if self._late else None
+        structure = Structure(n, self.b.size - 1, dead_time=self.delay * rate, latest=latest)
+        stretch = Stretch(Grid(float(steps[0]), t.size), np.ones((1, t.size)), np.zeros(t.size), rows, rows, held=True)
         factors = structure.scale(rate)
-        a, b = self.a / factors[: self.a.size], self.b / factors[self.a.size :]
-        states = channels(structure, a, stretch.scaled(rate), twice=True)[:, 0]
-        n = self.a.size
-        slopes = [-(b @ states[n + i : n + i + b.size]) for i in range(n)] + list(states[: b.size])
+        theta = np.r_[self.a, self.b, [self.delay] * self._late] / factors
+        here, b = channels(structure, theta, stretch.scaled(rate), twice=True), theta[n : n + self.b.size]
+        single, double = here.single[:, 0], here.double[:, 0]
+        slopes = [-(b @ double[i : i + b.size]) for i in range(n)] + list(single[: b.size])
+        sensitivity = np.array(slopes + [-here.moving(b, 0)] * self._late)
         scaled_cov = self.cov / np.outer(factors, factors)
-        std = np.sqrt(np.maximum(0.0, np.einsum("it,ij,jt->t", np.array(slopes), scaled_cov, np.array(slopes))))
-        response = b @ states[: b.size]
-        before = np.zeros(late)
-        return np.r_[before, response][: t.size], np.r_[before, std][: t.size]
+        std = np.sqrt(np.maximum(0.0, np.einsum("it,ij,jt->t", sensitivity, scaled_cov, sensitivity)))
+        return b @ single[: b.size], std
 
     def to_scipy(self) -> Any:
         """`scipy.signal.TransferFunction`; it has no dead time, so that must be added by the caller."""

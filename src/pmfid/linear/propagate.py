@@ -32,6 +32,22 @@ class Grid:
     def uniform(self) -> bool:
         return isinstance(self.steps, float)
 
+    @property
+    def duration(self) -> float:
+        """From the first instant to the last."""
+        return float(np.sum(self.steps)) * (self.size - 1 if self.uniform else 1)
+
+    @property
+    def instants(self) -> Floats:
+        """(N,) from 0 on."""
+        steps = np.full(self.size - 1, self.steps) if isinstance(self.steps, float) else self.steps
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @property
+    def reversed(self) -> Grid:
+        """The same with the last instant first."""
+        return Grid(self.steps if isinstance(self.steps, float) else self.steps[::-1], self.size)
+
 
 @dataclass(frozen=True)
 class Transition:
@@ -92,6 +108,15 @@ def _combined(Q: Floats, modes: list[Floats]) -> Floats:
     for first in range(0, real.shape[1], BLOCK):
         part = slice(first, first + BLOCK)
         result[:, part] = Q.real @ real[:, part] - Q.imag @ imag[:, part]
+    return result
+
+
+def product(matrix: Floats, rows: Floats) -> Floats:
+    """matrix (n, n) times rows (n, N), in blocks for the same reason."""
+    result = np.empty(rows.shape)
+    for first in range(0, rows.shape[1], BLOCK):
+        part = slice(first, first + BLOCK)
+        result[:, part] = matrix @ rows[:, part]
     return result
 
 

@@ -27,6 +27,10 @@ SETTLED = 1e-12
 ROUNDING = 1e-20
 #: Part of a sensitivity that must not follow from the others.
 APART = 1e-7
+#: From so many unknown poles on there are local optima that a first one may be.
+SEVERAL = 3
+#: Another optimum is better if its sum of squares is lower by this part.
+LOWER = 1e-9
 #: Further filter poles to start from, in parts of the first, where that does not settle.
 STARTS = (1.0, 3.0, 1 / 3, 10.0)
 
@@ -41,14 +45,16 @@ class Problem:
 
     @property
     def duration(self) -> float:
-        return max(
-            float(np.sum(stretch.grid.steps)) * (stretch.grid.size - 1 if stretch.grid.uniform else 1)
-            for stretch in self.stretches
-        )
+        return max(stretch.grid.duration for stretch in self.stretches)
 
     @property
     def referenced(self) -> bool:
         return any(stretch.inputs.shape[0] > 1 for stretch in self.stretches)
+
+    @property
+    def without_reference(self) -> Problem:
+        """The same with the sensitivities to the input as it was."""
+        return replace(self, stretches=tuple(replace(stretch, inputs=stretch.inputs[:1]) for stretch in self.stretches))
 
 
 @dataclass(frozen=True)
@@ -115,8 +121,9 @@ def step_from(point: Point, phi: Floats) -> Floats:
 def filtered(problem: Problem, pole: float) -> Point:
     """All signals behind 1/(s + pole)^n, pole in units of the problem (state variable filters)."""
     structure = problem.structure
-    a = np.poly(np.full(structure.n, -pole))[:0:-1]
-    theta = np.r_[a, np.zeros(structure.size - structure.n)]
+    a = np.atleast_1d(np.poly(np.full(structure.free, -pole)))[:0:-1]
+    late = [structure.dead_time] * (structure.latest is not None)
+    theta = np.r_[a, np.zeros(structure.linear - structure.free), late]
     return visit(problem, theta, np.zeros((len(problem.stretches), structure.n)))
 
 
@@ -131,9 +138,18 @@ def first_guess(problem: Problem, pole: float) -> Point:
 
 
 def _at(problem: Problem, theta: Floats, initial: Floats) -> Point:
-    """At theta with its poles on the stable side: an unstable intermediate model would drown the record."""
-    n = problem.structure.n
-    return visit(problem, np.r_[stable(theta[:n], problem.duration), theta[n:]], initial)
+    return visit(problem, possible(problem, theta), initial)
+
+
+def possible(problem: Problem, theta: Floats) -> Floats:
+    """theta with its poles on the stable side, unless the structure says otherwise: an unstable intermediate model
+    would drown the record. A dead time stays within its bounds."""
+    structure, theta = problem.structure, theta.copy()
+    if not structure.unstable:
+        theta[: structure.free] = stable(theta[: structure.free], problem.duration)
+    if structure.latest is not None:
+        theta[-1] = min(max(theta[-1], 0.0), structure.latest)
+    return theta
 
 
 def refine(problem: Problem, start: Point, settled: float = SETTLED, most: int = REFINEMENTS) -> Solution:
@@ -179,7 +195,7 @@ def with_fixed_filter(problem: Problem, pole: float) -> Solution:
 
     What the output does between the samples matters here: a straight line, which costs an error of order dt^2."""
     data, point = filtered(problem, pole), first_guess(problem, pole)
-    theta, n = point.theta, problem.structure.n
+    theta = point.theta
     for passes in range(1, REFINEMENTS + 1):
         simulated = [
             simulate(problem.structure, theta, initial, stretch)
@@ -194,7 +210,7 @@ def with_fixed_filter(problem: Problem, pole: float) -> Solution:
         moved = replace(here, theta=theta, error=data.error - data.phi @ step)
         if _small(moved, theta - before):
             return Solution(replace(moved, cost=float(moved.error @ moved.error)), True, passes)
-        theta = np.r_[stable(theta[:n], problem.duration), theta[n:]]
+        theta = possible(problem, theta)
         point = _at(problem, theta, point.initial)
     raise NotIdentifiableError("the instruments do not settle: use srivc, or another structure or cutoff")
 
@@ -207,31 +223,45 @@ def _small(point: Point, step: Floats, settled: float = SETTLED) -> bool:
 
 
 def solve(problem: Problem) -> Solution:
-    """From least squares by refinement; where that does not settle, by descent, and from other filters."""
+    """From least squares by refinement; where that does not settle, by descent, and from other filters. With so many
+    poles that one of them may end beside the resonance it belongs to, from all filters, for the best of them."""
     best: Solution | None = None
+    every = problem.structure.free >= SEVERAL and not problem.referenced
     for pole in STARTS:
         solution = refine(problem, first_guess(problem, pole))
         if not solution.settled and not problem.referenced:
             solution = descend(problem, solution.point)
-        if best is None or solution.point.cost < best.point.cost:
+        if best is None or _better(solution, best):
             best = solution
-        if solution.settled:
+        if solution.settled and not every:
             break
+    if problem.referenced and (best is None or not best.settled):
+        # from what the input as it was says, noise that is fed back among it: not far off
+        near = descend(problem.without_reference, first_guess(problem.without_reference, 1.0)).point
+        best = refine(problem, _at(problem, near.theta, near.initial))
     if best is None or not best.settled:
         raise NotIdentifiableError(f"the iteration does not settle: {_reason(problem)}")
     return best
 
 
+def _better(solution: Solution, best: Solution) -> bool:
+    """Settled where the other is not, or with a lower sum of squares than rounding explains."""
+    if solution.settled != best.settled:
+        return solution.settled
+    return solution.point.cost < (1 - LOWER) * best.point.cost
+
+
 def _reason(problem: Problem) -> str:
     """Why it does not settle, as far as least squares can say."""
-    n = problem.structure.n
     raw = filtered(problem, 1.0)
     theta = raw.theta + step_from(replace(raw, zeta=raw.phi), raw.phi)
-    poles = np.roots(np.r_[1.0, theta[:n][::-1]]) if np.all(np.isfinite(theta)) else np.zeros(0)
-    if np.any(poles.real * problem.duration > 1.0):
+    free = theta[: problem.structure.free][::-1]
+    poles = np.roots(np.r_[1.0, free]) if np.all(np.isfinite(theta)) else np.zeros(0)
+    if np.any(poles.real * problem.duration > 1.0) and not problem.structure.unstable:
         return (
-            f"least squares finds a pole at {np.max(poles.real) * problem.rate:+.3g} rad/s, and the output of an "
-            "unstable process cannot be simulated; use ls or bcls, or another structure"
+            f"least squares finds a pole at {np.max(poles.real) * problem.rate:+.3g} rad/s: if the process is "
+            "unstable, as only a controller lets it be recorded, say so with unstable = true in [model]; "
+            "otherwise use ls or bcls, or another structure"
         )
     offset = "" if problem.structure.offset else "offset = true in [model] where the output has a constant, "
     return f"the model does not follow the record; try {offset}another structure, dead time or cutoff"

@@ -36,7 +36,7 @@ DERIVATIVES = {
     "forward_output": (1, 1),
     "backward_output": (1, 1),
     "process_output": (0, 6),
-    "process_input": (0, 5),
+    "process_input": (0, 6),
     "start": (0, 5),
 }
 
@@ -98,6 +98,8 @@ class Equation:
     """sum of `unknown` terms = sum of `known` terms (theory: sum theta_i D^j w_i = D^j w_0).
 
     The order is the highest derivative of the output. delay: of the input, in whole samples; of a process only.
+    only_simulated: of a process, why only methods that simulate it can estimate it; empty if others can.
+    further: names and units of unknowns in which it is not linear, for such methods.
     Raises UsageError where there is no unknown or no known term, where two unknowns share a name, where an unknown
     term has no name or a known one has, and where a term stands twice.
     """
@@ -105,6 +107,8 @@ class Equation:
     unknown: tuple[Term, ...]
     known: tuple[Term, ...]
     delay: int = 0
+    only_simulated: str = ""
+    further: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         names = [term.name for term in self.unknown]
@@ -120,7 +124,7 @@ class Equation:
             self._check_process()
         elif not any(term.signal == "input" for term in self.known):
             raise UsageError("one known term must be the input: without it nothing gives the unknown ones their scale")
-        if not any(term.noisy for term in self.unknown):
+        if not any(term.noisy for term in self.unknown) and not self.only_simulated:
             raise UsageError("one unknown term must be a derivative of the output, as of a mass or a viscous friction")
         places = [(term.signal, term.derivative) for term in (*self.unknown, *self.known)]
         if len(set(places)) < len(places):
@@ -132,7 +136,7 @@ class Equation:
             raise UsageError(f"an equation of a linear process has no terms but those of {list(PROCESS_SIGNALS)}")
         if not any(term.signal == "process_input" for term in terms):
             raise UsageError("one term must be the process_input")
-        if self.relative_degree < 1:
+        if self.relative_degree < 1 and not self.only_simulated:
             raise UsageError("the highest derivative of the output must be higher than that of the input")
 
     @cached_property

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from numbers import Integral
-from typing import ClassVar
+from numbers import Integral, Real
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,19 +15,34 @@ from pmfid.models.equation import Equation, Term
 
 MAX_ORDER = 6
 MAX_DELAY = 20
+DEAD_TIME = "dead_time"
+#: In place of a dead time that is to be found.
+ESTIMATE: Literal["estimate"] = "estimate"
 
 
 @dataclass(frozen=True)
 class TransferFunction:
-    """y^(n) + a_{n-1} y^(n-1) + ... + a_0 y = b_m u^(m) + ... + b_0 u [+ offset]  (paper eq. 6, n > m).
+    """y^(n) + a_{n-1} y^(n-1) + ... + a_0 y = b_m u^(m) + ... + b_0 u [+ offset]  (paper eq. 6).
 
-    n: order of the denominator, 1 to 6; m: order of the numerator, 0 to n - 1. delay: dead time of the input in whole
+    n: order of the denominator, 1 to 6; m: order of the numerator, 0 to n. delay: dead time of the input in whole
     samples, 0 to 20. offset: a constant on the right-hand side is unknown, too; the output without input is then
     offset / a_0. initial_conditions: so is the state at the first sample (paper eq. 10); the filters need not settle
     then and every sample counts.
-    Parameters: a0 to a{n-1}, b0 to b{m} [, offset] [, start0 to start{n-1}]; the last are what stood in the plant
-    at the start, the coefficients of the derivatives of the filters' impulse response, and of no meaning by themselves.
-    The position of the encoder counts from count zero. Raises UsageError for values outside these bounds.
+    Parameters: a0 to a{n-1}, b0 to b{m} [, offset] [, dead_time] [, start0 to start{n-1}]; the last are what stood in
+    the plant at the start, the coefficients of the derivatives of the filters' impulse response, and of no meaning by
+    themselves. The position of the encoder counts from count zero.
+
+    What follows is for the methods that simulate, `SRIVC`, `IV` and `OE`; integrators are for every method off-line.
+    m = n: a part of the input goes straight through. A held input acts from its own sample on: y[k] sees u[k - delay].
+    integrators: so many poles, 0 to n, are known to be at 0; the denominator is s^integrators (s^(n-integrators) + ...)
+    and has no coefficients below a{integrators}. Where the output starts, and how fast it drifts, is part of the fit;
+    offset is then a constant force, that makes the output a ramp or a parabola.
+    unstable: poles may be in the right half-plane, of a process that only its controller holds; give the reference of
+    the controller with the record. The modes that grow are computed backward in time, which is the predictor with
+    mirrored poles (Forssell and Ljung 2000).
+    dead_time: of the input in s, any, and no whole number of samples; "estimate": it is unknown, too, from 0 to 20
+    samples, for `SRIVC` and `OE`. In place of `delay`.
+    Raises UsageError for values outside these bounds.
     """
 
     kind: ClassVar[str] = "transfer_function"
@@ -36,22 +52,48 @@ class TransferFunction:
     delay: int = 0
     offset: bool = False
     initial_conditions: bool = False
+    integrators: int = 0
+    unstable: bool = False
+    dead_time: float | Literal["estimate"] = 0.0
 
     def __post_init__(self) -> None:
         _check_whole("n", self.n, 1, MAX_ORDER, "the order of the denominator")
-        _check_whole("m", self.m, 0, self.n - 1, "the order of the numerator, less than that of the denominator")
+        _check_whole("m", self.m, 0, self.n, "the order of the numerator, at most that of the denominator")
         late = "the dead time in whole samples; for a longer one shift the input"
         _check_whole("delay", self.delay, 0, MAX_DELAY, late)
+        _check_whole("integrators", self.integrators, 0, self.n, "how many of the n poles are at 0")
+        self._check_dead_time()
+
+    def _check_dead_time(self) -> None:
+        value = self.dead_time
+        number = isinstance(value, Real) and not isinstance(value, bool) and 0 <= value < math.inf
+        if not number and value != ESTIMATE:
+            raise UsageError(f'dead_time must be a time in s from 0 on, or "estimate", got {value!r}')
+        if value and self.delay:
+            raise UsageError(
+                f"delay = {self.delay} and dead_time = {value!r} are both there: count one into the other, and drop it"
+            )
+
+    @property
+    def only_simulated(self) -> str:
+        """Why only the methods that simulate whole records take it; empty if others do."""
+        if self.m == self.n:
+            return "the numerator is of the order of the denominator (m = n)"
+        if self.integrators == self.n:
+            return "all poles are known (integrators = n)"
+        return "the dead time is no whole number of samples (dead_time)" if self.dead_time else ""
 
     @property
     def equation(self) -> Equation:
-        unknown = [Term("process_output", i, f"a{i}", power_unit(i - self.n)) for i in range(self.n)]
+        unknown = [Term("process_output", i, f"a{i}", power_unit(i - self.n)) for i in range(self.integrators, self.n)]
         unknown += [Term("process_input", j, f"b{j}", power_unit(j - self.n), -1.0) for j in range(self.m + 1)]
         if self.offset:
             unknown.append(Term("constant", 0, "offset", power_unit(-self.n), -1.0))
         if self.initial_conditions:
             unknown += [Term("start", i, f"start{i}", "", -1.0) for i in range(self.n)]
-        return Equation(tuple(unknown), (Term("process_output", self.n, coefficient=-1.0),), self.delay)
+        known = (Term("process_output", self.n, coefficient=-1.0),)
+        further = ((DEAD_TIME, "s"),) if self.dead_time == ESTIMATE else ()
+        return Equation(tuple(unknown), known, self.delay, self.only_simulated, further)
 
     @property
     def symmetric(self) -> TransferFunction:
@@ -59,9 +101,9 @@ class TransferFunction:
 
     def split(self, theta: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Numerator (m+1,) and denominator (n+1,) in descending powers of s, the first of these 1, from theta (p,)."""
-        theta = np.asarray(theta, float)
-        a, b = theta[: self.n], theta[self.n : self.n + self.m + 1]
-        return b[::-1].copy(), np.r_[1.0, a[::-1]]
+        theta, free = np.asarray(theta, float), self.n - self.integrators
+        a, b = theta[:free], theta[free : free + self.m + 1]
+        return b[::-1].copy(), np.r_[1.0, a[::-1], np.zeros(self.integrators)]
 
 
 def _check_whole(name: str, value: object, low: int, high: int, what: str) -> None:

@@ -63,7 +63,9 @@ def dynamics_rows(process: Process) -> list[list[str]]:
     for zero, std in zip(process.zeros, process.zeros_std, strict=True):
         rows.append(["zero", _number(zero), _spread(*std), ""])
     if process.delay:
-        rows.append(["dead time", f"{process.delay:.4g} s", "", ""])
+        rows.append(
+            ["dead time", f"{process.delay:.4g} s", f"{process.delay_std:.2g}" if process.delay_std else "", ""]
+        )
     return rows
 
 
@@ -142,7 +144,9 @@ def bode_figure(result: ProcessResult) -> Figure:
 
 def step_figure(process: Process) -> Figure:
     """Step response with two standard deviations."""
-    slowest = float(np.max(1 / np.maximum(np.abs(process.poles.real), 1e-3 * np.max(np.abs(process.poles)))))
+    speeds = np.abs(process.poles.real[process.poles != 0])
+    fastest = float(np.max(np.abs(process.poles), initial=0.0)) or 1.0  # integrators alone have no time of their own
+    slowest = float(np.max(1 / np.maximum(speeds, 1e-3 * fastest), initial=1 / fastest))
     t = np.linspace(0, SETTLING * slowest + 2 * process.delay, POINTS)
     y, std = process.step_response(t)
     with figure_style():

@@ -33,6 +33,8 @@ def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
     return value
 
 
+#: Keys of [model] for a transfer function alone.
+OF_PROCESSES = ("n", "m", "delay", "dead_time", "integrators", "unstable")
 #: Resolution of an output that is a number and no count: finer than any.
 NO_ENCODER = 1e-29
 
@@ -107,8 +109,15 @@ class ModelConfig(FileSection):
         "drive", description='"drive", "transfer_function", or "equation" for the terms in unknown and known'
     )
     n: int | None = Field(None, description="the number of poles, 1 to 6, of a transfer function")
-    m: int | None = Field(None, description="the number of zeros, 0 to n - 1, of a transfer function")
+    m: int | None = Field(None, description="the number of zeros, 0 to n, of a transfer function")
     delay: int = Field(0, description="the dead time in whole samples, 0 to 20, of a transfer function")
+    dead_time: float | Literal["estimate"] = Field(
+        0.0, description='the dead time of a transfer function in s, any, or "estimate" to find it, in place of delay'
+    )
+    integrators: int = Field(0, description="how many of the n poles of a transfer function are known to be at 0")
+    unstable: bool = Field(
+        False, description="true if a controller holds a transfer function with poles in the right half-plane"
+    )
     input_gain: Positive | None = Field(None, description="the force in N per unit of u, for example 2.0")
     friction: Literal["symmetric", "directional"] = Field(
         "symmetric", description="whether friction differs between forward and backward"
@@ -139,7 +148,7 @@ class ModelConfig(FileSection):
         return self
 
     def _check_transfer_function(self) -> None:
-        wanted, own = self.kind == "transfer_function", {"n", "m", "delay"} & self.model_fields_set
+        wanted, own = self.kind == "transfer_function", set(OF_PROCESSES) & self.model_fields_set
         if wanted and (self.n is None or self.m is None):
             raise ValueError("n or m is missing; give the numbers of poles and zeros, or search: pmfid order RECORD")
         if own and not wanted:
@@ -151,7 +160,15 @@ class ModelConfig(FileSection):
     def make(self) -> Model:
         """The model that the section describes. Raises UsageError where the terms make no equation."""
         if self.kind == "transfer_function" and self.n is not None and self.m is not None:
-            return TransferFunction(self.n, self.m, delay=self.delay, offset=self.offset)
+            return TransferFunction(
+                self.n,
+                self.m,
+                delay=self.delay,
+                offset=self.offset,
+                integrators=self.integrators,
+                unstable=self.unstable,
+                dead_time=self.dead_time,
+            )
         if self.kind == "drive" and self.input_gain is not None:
             return Drive(self.input_gain, offset=self.offset, friction=self.friction, spring=self.spring)
         unknown = tuple(Term(term.signal, term.derivative, term.name, term.unit) for term in self.unknown)

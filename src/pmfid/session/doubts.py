@@ -72,8 +72,11 @@ def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Ass
     return found
 
 
-def notes_on(experiments: Sequence[Experiment], checks: Assessment, process: Process, referenced: bool) -> list[str]:
-    """What the residual tests, the poles and the records give to mind; referenced: the method uses a reference."""
+def notes_on(
+    experiments: Sequence[Experiment], checks: Assessment, process: Process, referenced: bool, expected: bool
+) -> list[str]:
+    """What the residual tests, the poles and the records give to mind; referenced: the method uses a reference;
+    expected: poles in the right half-plane were asked for."""
     found = []
     if checks.feedback and not referenced:
         found.append(FEEDBACK)
@@ -82,7 +85,7 @@ def notes_on(experiments: Sequence[Experiment], checks: Assessment, process: Pro
             "the residual is correlated with the input: another dead time, more poles or zeros, or another hold may "
             "explain more"
         )
-    if np.any(process.poles.real > 0):
+    if np.any(process.poles.real > 0) and not expected:
         found.append("the transfer function is unstable: what it simulates, and so the fit, says nothing")
     missing = sum(int(np.sum(~np.isfinite(experiment.y))) for experiment in experiments)
     if missing:

@@ -14,7 +14,15 @@ from pmfid.estimators.base import Estimator, status_names
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
-from pmfid.estimators.srivc import SAME_PERIOD, by_descent, fit_process, fixed_filters, make_problem
+from pmfid.estimators.srivc import (
+    SAME_PERIOD,
+    by_descent,
+    fit_process,
+    fixed_filters,
+    make_problem,
+    process_of,
+    with_dead_time,
+)
 from pmfid.estimators.structure import DELAYS, ORDERS, Search, search_structure
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.linear.assess import Assessment, assess
@@ -52,8 +60,9 @@ class ProcessResult:
 
     @property
     def fit(self) -> float | None:
-        """Of the assessment [%]; None for an unstable process, whose simulation says nothing."""
-        return None if np.any(self.process.poles.real > 0) else self.assessment.fit
+        """Of the assessment [%]; None for an unstable process that was not asked for: its simulation says nothing."""
+        expected = isinstance(self.estimator.model, TransferFunction) and self.estimator.model.unstable
+        return None if np.any(self.process.poles.real > 0) and not expected else self.assessment.fit
 
     @property
     def fit_text(self) -> str:
@@ -71,6 +80,7 @@ class ProcessResult:
             "samples": sum(part.size for part in checks.samples),
             "dt": self.estimator.dt,
             "delay": self.delay,
+            "dead_time": process.delay,
             **values,
             "parameters": {
                 name: {"value": float(value), "std": float(std), "unit": unit} for name, unit, value, std in rows
@@ -78,7 +88,7 @@ class ProcessResult:
             "poles": [[pole.real, pole.imag] for pole in process.poles.tolist()],
             "zeros": [[zero.real, zero.imag] for zero in process.zeros.tolist()],
             "gain": process.gain if np.isfinite(process.gain) else None,
-            "time_constants": process.time_constants.tolist(),
+            "time_constants": [tau if np.isfinite(tau) else None for tau in process.time_constants.tolist()],
             "fit": self.fit,
             "residual": {"white": checks.white, "independent": checks.independent, "feedback": checks.feedback},
             "status": list(self.status),
@@ -99,15 +109,17 @@ def identify_process(experiments: Sequence[Experiment], axis: Axis) -> ProcessRe
         theta, cov, bits = fit.theta, fit.theta_cov, fit.status
     else:
         theta, cov, bits = _from_counts(estimator, experiments)
-    problem = make_problem(estimator, experiments)
+    settled = with_dead_time(estimator, theta)
+    problem = make_problem(settled, experiments)
     n_parameters = problem.structure.size
     delay = estimator.model.delay if isinstance(estimator.model, TransferFunction) else 0
     checks = assess(problem, theta[:n_parameters] / problem.structure.scale(problem.rate), delay)
-    process = Process.of(problem.structure, theta, cov, delay * estimator.dt)
+    process = process_of(estimator, theta, cov)
     check_known(estimator, theta, cov, sum(part.size for part in checks.samples))
     std = np.sqrt(np.diagonal(cov))
     referenced = problem.referenced and method in FREE
-    notes = [*notes_on(experiments, checks, process, referenced), *doubts(estimator, theta, std, checks)]
+    unstable = isinstance(estimator.model, TransferFunction) and estimator.model.unstable
+    notes = [*notes_on(experiments, checks, process, referenced, unstable), *doubts(estimator, theta, std, checks)]
     notes += [IGNORED.format(method=method)] if problem.referenced and not referenced else []
     notes += Status(bits).advice
     flags = ["feedback"] if checks.feedback and not referenced else []

@@ -95,6 +95,60 @@ def simulate_process(
     return y
 
 
+def simulate_late(
+    b: ArrayLike, a: ArrayLike, u: ArrayLike, dt: float, dead_time: float, *, hold: str = "zoh"
+) -> Floats:
+    """Output (n,) from rest under the input u (n,) `dead_time` [s] ago, 0 before; b, a as in `simulate_process`, but
+    the numerator may have the order of the denominator.
+
+    Steps of their own go from each sample to the switch of the late input and on to the next sample."""
+    u, b, a = np.asarray(u, float), np.atleast_1d(np.asarray(b, float)), np.asarray(a, float)
+    whole = int(np.floor(dead_time / dt + 1e-9))
+    rest = max(0.0, dead_time - whole * dt)
+    late = np.r_[np.zeros(whole), u][: u.size]
+    through = b[0] / a[0] if b.size == a.size else 0.0
+    strict = (b - through * a)[1:] if b.size == a.size else b
+    if rest <= 1e-9 * dt:
+        return np.asarray(simulate_process(strict, a, late, dt, hold=hold) + through * late)
+    before = np.r_[0.0, late[:-1]]
+    between = before if hold == "zoh" else before + (late - before) * (1 - rest / dt)
+    both = np.column_stack([between, late]).ravel()  # at each sample, and where the late input comes to its value
+    at_samples = simulate_process(strict, a, both, np.resize([rest, dt - rest], both.size - 1), hold=hold)[::2]
+    return np.asarray(at_samples + through * between)
+
+
+@dataclass(frozen=True)
+class Controller:
+    """u = gain (1 + lead s / (lag s + 1)) (reference - y), by differences backward; lead, lag [s]."""
+
+    gain: float
+    lead: float = 0.0
+    lag: float = 0.0
+
+
+def simulate_loop(
+    b: ArrayLike, a: ArrayLike, controller: Controller, reference: ArrayLike, noise: ArrayLike, dt: float
+) -> tuple[Floats, Floats]:
+    """u, y (n,) of a strictly proper process from rest under a controller that reads y with its noise (n,)."""
+    from scipy.linalg import expm
+
+    r, v = np.asarray(reference, float), np.asarray(noise, float)
+    A, B, C = _state_space(np.atleast_1d(np.asarray(b, float)), np.asarray(a, float))
+    n = A.shape[0]
+    block = np.zeros((n + 1, n + 1))
+    block[:n, :n], block[:n, n] = A, B
+    move = expm(block * dt)
+    x, slope, before, u, y = np.zeros(n), 0.0, 0.0, np.zeros(r.size), np.zeros(r.size)
+    for k in range(r.size):
+        y[k] = C @ x + v[k]
+        error = r[k] - y[k]
+        slope = (controller.lag * slope + error - before) / (controller.lag + dt)
+        before = error
+        u[k] = controller.gain * (error + controller.lead * slope)
+        x = move[:n, :n] @ x + move[:n, n] * u[k]
+    return u, y
+
+
 def simulate_varying(theta: Callable[[float], Floats], n: int, u: ArrayLike, dt: float) -> Floats:
     """Output (samples,) of y^(n) + sum a_i(t) y^(i) = b_0(t) u under a held input u (samples,), from rest.
 
@@ -119,7 +173,7 @@ def simulate_varying(theta: Callable[[float], Floats], n: int, u: ArrayLike, dt:
 def _state_space(b: Floats, a: Floats) -> tuple[Floats, Floats, Floats]:
     """Controllable form with time in units that make the coefficients alike."""
     n = a.size - 1
-    rate = float(np.max(np.abs(np.roots(a)))) or 1.0
+    rate = float(np.max(np.abs(np.roots(a)), initial=0.0)) or 1.0
     scaled = a[1:] / a[0] / rate ** np.arange(1, n + 1)
     A = np.diag(np.ones(n - 1), 1)
     A[-1] = -scaled[::-1]

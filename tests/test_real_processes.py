@@ -1,0 +1,245 @@
+"""Transfer functions of real records: integrators, m = n, dead times of any length, unstable poles under control."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from pmfid import BCLS, IV, LS, OE, RSRIVC, SRIVC, Encoder, Experiment, TransferFunction, UsageError
+from pmfid.cli.main import main
+from pmfid.estimators.registry import methods_for
+from pmfid.estimators.srivc import by_descent, fit_process, fixed_filters
+from pmfid.linear.bounded import respond_bounded
+from pmfid.linear.process import Process
+from pmfid.linear.propagate import Grid, respond
+from pmfid.simulation.process import Controller, simulate_late, simulate_loop, simulate_process
+from pmfid.studies.real_processes import CASES, work
+
+DT = 0.05
+ONE = Encoder(1.0)
+
+
+def steps(seed: int, size: int = 600, hold: str = "zoh") -> np.ndarray:
+    u = np.repeat(np.random.default_rng(seed).choice([-1.0, 1.0], size // 4), 4)
+    return np.convolve(u, np.ones(3) / 3, "same") if hold == "foh" else u
+
+
+def fitted(model: TransferFunction, record: Experiment) -> np.ndarray:
+    return SRIVC(model, ONE, DT, 2.0).fit_experiments([record]).theta
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+@pytest.mark.parametrize(
+    ("b", "a", "integrators"),
+    [
+        ([3.0], [1, 1, 0], 1),
+        ([3.0], [1, 0, 0], 2),
+        ([1.0, 3.0], [1, 2, 0, 0], 2),
+        ([1.0, 3.0], [1, 0], 1),
+        ([1.0, 3.0], [1, 2], 0),
+        ([0.5, 3.0, 2.0], [1, 2, 4], 0),
+        ([1.0, 3.0, 2.0, 5.0, 6.0], [1, 4, 9, 12, 8], 0),
+    ],
+)
+def test_integrators_and_a_numerator_of_full_order_without_noise(b, a, integrators, hold):
+    """From the middle of a record on; an integrating process starts anywhere."""
+    n, u = len(a) - 1, steps(1, hold=hold)
+    y = simulate_late(b, a, u, DT, 0.0, hold=hold) + (7.0 if integrators else 0.0)
+    record = Experiment(u[50:], y[50:], dt=DT, hold=hold)
+    theta = fitted(TransferFunction(n, len(b) - 1, integrators=integrators), record)
+    np.testing.assert_allclose(theta, np.r_[a[:0:-1][integrators:], b[::-1]], rtol=1e-6)
+
+
+def test_a_constant_force_on_an_integrating_process_is_its_offset():
+    u = steps(2)
+    y = simulate_process([3.0], [1, 1, 0], u + 0.2, DT)
+    theta = fitted(TransferFunction(2, 0, integrators=1, offset=True), Experiment(u, y, dt=DT))
+    np.testing.assert_allclose(theta, [1.0, 3.0, 0.6], rtol=1e-6)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+@pytest.mark.parametrize("dead_time", [0.0, 0.015, 0.05, 0.285])
+def test_a_dead_time_of_any_length_known_and_estimated(dead_time, hold):
+    u = steps(3, hold=hold)
+    y = simulate_late([3.0], [1, 4, 3], u, DT, dead_time, hold=hold)
+    record, truth = Experiment(u[50:], y[50:], dt=DT, hold=hold), [3.0, 4.0, 3.0]
+    known = fitted(TransferFunction(2, 0, dead_time=dead_time), record)
+    np.testing.assert_allclose(known, truth, rtol=1e-6)
+    found = fitted(TransferFunction(2, 0, dead_time="estimate"), record)
+    np.testing.assert_allclose(found, [*truth, dead_time], rtol=1e-6, atol=1e-8)
+
+
+def test_a_dead_time_between_uneven_samples():
+    rng = np.random.default_rng(4)
+    times, u = np.cumsum(DT * rng.uniform(0.5, 1.5, 500)), rng.choice([-1.0, 1.0], 500)
+    late = times + 0.113
+    merged = np.union1d(times, late)
+    driving = np.r_[0.0, u][np.searchsorted(late, merged + 1e-12, side="right")]
+    y = simulate_process([3.0], [1, 4, 3], driving, np.diff(merged))[np.searchsorted(merged, times)]
+    record = Experiment(u, y, t=times)
+    dt = record.period
+    for value, truth in ((0.113, [3.0, 4.0, 3.0]), ("estimate", [3.0, 4.0, 3.0, 0.113])):
+        estimator = SRIVC(TransferFunction(2, 0, dead_time=value), ONE, dt, 2.0)
+        np.testing.assert_allclose(estimator.fit_experiments([record]).theta, truth, rtol=1e-6)
+
+
+def test_output_error_and_iv_take_them_too():
+    u = steps(5)
+    y = simulate_late([3.0], [1, 2, 4], u, DT, 0.135)
+    model = TransferFunction(2, 0, dead_time="estimate")
+    found = fit_process(OE(model, ONE, DT, 2.0), [Experiment(u, y, dt=DT)], by_descent)
+    np.testing.assert_allclose(found.theta, [4, 2, 3, 0.135], rtol=1e-6)
+    assert found.process.delay == pytest.approx(0.135)
+    y = simulate_process([3.0], [1, 1, 0], u, DT)
+    model = TransferFunction(2, 0, integrators=1)
+    found = fit_process(IV(model, ONE, DT, 2.0), [Experiment(u, y, dt=DT)], fixed_filters)
+    np.testing.assert_allclose(found.theta, [1, 3], rtol=1e-3)
+
+
+@pytest.mark.parametrize("cls", [LS, BCLS])
+def test_filters_take_integrators(cls):
+    u = steps(6, 4000)
+    y = simulate_process([3.0], [1, 1, 0], u, DT)
+    options = {"prefilter_zeros": (-1.0,)} if cls is BCLS else {}
+    fit = cls(TransferFunction(2, 0, integrators=1), ONE, DT, 2.0, **options).fit_output(u, y)
+    np.testing.assert_allclose(fit.theta, [1.0, 3.0], rtol=1e-3)
+
+
+@pytest.mark.parametrize("held", [True, False])
+@pytest.mark.parametrize("even", [True, False])
+def test_what_grows_runs_backward_and_stays_bounded(even, held):
+    """The same equation as forward in time: the difference is a free response."""
+    rng = np.random.default_rng(7)
+    F, g = np.array([[0.0, 1.0], [1.6, -1.2]]), np.array([0.0, 1.0])  # poles 0.8 and -2
+    grid = Grid(0.01, 400) if even else Grid(rng.uniform(0.005, 0.015, 399), 400)
+    w, start = rng.standard_normal((1, 400)), np.ones((2, 1))
+    forward, bounded = (run(F, g, grid, w, start, held=held)[:, 0] for run in (respond, respond_bounded))
+    growth = np.exp(0.8 * grid.instants)
+    free = np.vstack([growth, 0.8 * growth])
+    difference = forward - bounded
+    decaying = difference - free * (difference[1] + 2 * difference[0])[-1] / (2.8 * growth[-1])
+    np.testing.assert_allclose(decaying[1], -2 * decaying[0], atol=1e-9 * np.max(np.abs(difference)))
+    longer = Grid(0.01, 40_000)
+    assert np.max(np.abs(respond_bounded(F, g, longer, np.ones((1, 40_000)), start, held=held))) < 10
+
+
+def test_an_unstable_process_under_control():
+    """Without noise exactly, over 300 time constants of the pole, and with noise in the loop by its reference."""
+    r, truth = np.repeat(np.random.default_rng(8).choice([-1.0, 1.0], 500), 8), [-1.6, 1.2, 2.0]
+    model = TransferFunction(2, 0, unstable=True)
+    noise = 0.1 * np.random.default_rng(9).standard_normal(r.size)
+    for v, tolerance in ((0 * noise, 1e-6), (noise, 0.05)):
+        u, y = simulate_loop([2.0], [1, 1.2, -1.6], Controller(2.0), r, v, DT)
+        fit = SRIVC(model, ONE, DT, 2.0).fit_experiments([Experiment(u, y, dt=DT, reference=r)])
+        np.testing.assert_allclose(fit.theta, truth, rtol=tolerance)
+    assert np.all(np.abs(fit.theta - truth) < 4 * fit.theta_std)
+
+
+@pytest.mark.parametrize("name", ["m = n = 2", "two integrators, controlled", "dead time 2.5 samples"])
+def test_cases_of_the_study_reach_the_bound(name):
+    runs = [work(name, seed) for seed in range(4)]
+    assert np.sqrt(np.mean(np.square([run["bound"] for run in runs]))) < 2.0
+    assert np.max(np.abs([run["bar"] for run in runs])) < 4.0
+    if "dead" in name:
+        assert np.max(np.abs([run["error"][-1] for run in runs])) < 0.01  # a tenth of the sample period
+
+
+def test_a_first_optimum_is_not_the_last():
+    """Four resonant poles at 20 dB, where the iteration from the first filter settles 24 units of chi^2 too high."""
+    assert np.max(np.abs(work("m = n = 4", 7)["bar"])) < 4.0
+
+
+def test_the_explained_input_leaves_out_what_the_record_does_not_support():
+    """Noise in the loop ten times as large as what the reference does: two hundred coefficients would take a seventh of
+    it along."""
+    rng = np.random.default_rng(10)
+    r, noise = rng.choice([-1.0, 1.0], 1500), rng.standard_normal(1500)
+    u = np.convolve(r, [0.5, 0.3, 0.2])[:1500] + 10 * noise
+    explained = Experiment(u, u, dt=DT, reference=r).explained_input
+    assert explained is not None
+    assert abs(np.mean(explained * noise)) < 0.1
+
+
+def test_processes_with_integrators_and_dead_times_say_what_they_are():
+    process = Process(np.array([0.0, 2.0]), np.array([4.0]), np.diag([0.0, 0.01, 0.04, 1e-4]), delay=0.23)
+    assert process.delay_std == pytest.approx(0.01)
+    assert process.time_constants.tolist() == [np.inf, 0.5]
+    assert process.damping.tolist() == [0.0, 1.0]
+    assert process.poles_std[0].tolist() == [0.0, 0.0]
+    t = np.arange(50) * 0.1
+    y, std = process.step_response(t)
+    late = np.maximum(t - 0.23, 0.0)
+    np.testing.assert_allclose(y, 2 * late - 1 + np.exp(-2 * late), atol=1e-9)
+    assert std[2] == 0.0
+    assert np.all(std[3:] > 0)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"integrators": 3}, "integrators must be a whole number from 0 to 2"),
+        ({"dead_time": -0.1}, "dead_time must be a time in s from 0 on"),
+        ({"dead_time": "guess"}, "dead_time must be a time in s from 0 on"),
+        ({"dead_time": 0.1, "delay": 2}, "are both there"),
+    ],
+)
+def test_options_that_cannot_be(options, text):
+    with pytest.raises(UsageError, match=text):
+        TransferFunction(2, 0, **options)
+
+
+def test_methods_that_cannot_take_them_say_which_can():
+    for model in (TransferFunction(2, 2), TransferFunction(2, 0, dead_time=0.1), TransferFunction(1, 0, integrators=1)):
+        assert methods_for(model) == ["iv", "output-error", "srivc"]
+        with pytest.raises(UsageError, match="use srivc, iv or output-error"):
+            LS(model, ONE, DT, 2.0)
+    with pytest.raises(UsageError, match="use srivc or output-error"):
+        IV(TransferFunction(2, 0, dead_time="estimate"), ONE, DT, 2.0)
+    with pytest.raises(UsageError, match="use srivc on records"):
+        RSRIVC(TransferFunction(2, 0, integrators=1), ONE, DT, 2.0)
+
+
+CONFIG = """
+[record]
+input = "u"
+output = "y"
+dt = 0.05
+
+[model]
+kind = "transfer_function"
+n = 2
+m = 0
+integrators = 1
+dead_time = "estimate"
+
+[estimator]
+cutoff = 2.0
+"""
+
+
+def test_the_command(tmp_path):
+    u = steps(11)
+    y = simulate_late([3.0], [1, 2, 0], u, DT, 0.085) + 1e-3 * np.random.default_rng(0).standard_normal(u.size)
+    np.savetxt(tmp_path / "record.csv", np.column_stack([u, y]), delimiter=",", header="u,y", comments="")
+    (tmp_path / "axis.toml").write_text(CONFIG, "utf-8")
+    arguments = [str(tmp_path / "record.csv"), "--config", str(tmp_path / "axis.toml")]
+    result = CliRunner().invoke(main, ["identify", *arguments, "--json", "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert list(found["parameters"]) == ["a1", "b0", "dead_time"]
+    assert found["dead_time"] == pytest.approx(0.085, abs=0.002)
+    assert found["gain"] is None
+    assert found["time_constants"][0] is None
+    table = CliRunner().invoke(main, ["identify", *arguments])
+    assert table.exit_code == 0
+    assert "dead time" in table.output
+    wrong = CliRunner().invoke(main, ["identify", *arguments, "--method", "ls"])
+    assert wrong.exit_code == 2
+    assert "use one of iv, output-error, srivc" in wrong.stderr
+
+
+def test_every_case_of_the_study_has_a_model():
+    assert all(case.model().n == len(case.poles) for case in CASES.values())
