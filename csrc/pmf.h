@@ -301,6 +301,7 @@ typedef struct {
     whole_t since;   /* updates of the direct estimate at the start */
     whole_t wait, age, unsettled, settled;
     whole_t running, in_charge;
+    whole_t damped; /* 1: the copy is, more than the estimate; 2: was, and its filters still are */
 } pmf_linear_state_t;
 #endif
 

@@ -20,9 +20,16 @@
 #define SETTLED PMF_R(0.05)
 #define DISCOUNT PMF_R(2.0)
 #define WORST PMF_R(1.0) /* mean square error of the model over the mean square output: it explains nothing */
+#define LEAST PMF_R(2.0) /* over the samples gathered: filters must decay so fast to have forgotten their start */
+#define RATE PMF_R(9.0)  /* the same of filters that are to settle within twice the samples */
+#define RELEASED PMF_R(0.02) /* of what was gathered with damped filters, once they need not be */
+#define SHIFTS 4U        /* to the left by such a rate, at most, where poles are too far to the right */
+#define WORST_DAMPED PMF_R(2.0) /* ... without any correlation, at the same power */
 #define PART PMF_R(0.3)       /* of the direct estimate's samples */
 #define LONGER PMF_R(4.0)     /* error bars, squared */
 #define SHORT_BAR PMF_R(0.01) /* of the parameter */
+
+enum { DAMPED = 1, LEFT = 2 }; /* the copy more than the estimate; no longer, its filters not yet */
 
 /* Are all roots in the left half-plane (Routh 1877), and none faster than the samples can show? */
 static uint32_t plausible(const pmf_linear_config_t *config, const real_t *a)
@@ -143,6 +150,10 @@ static void adopt(const pmf_linear_config_t *config, pmf_linear_state_t *state)
         state->b[i] = state->parameter[config->n + i];
     }
     state->discount = PMF_R(1.0) / (PMF_R(1.0) + DISCOUNT * largest);
+    if (state->damped == LEFT) {
+        state->discount *= state->in_charge != 0U ? RELEASED : PMF_R(1.0);
+        state->damped = 0U;
+    }
     state->inverse = PMF_R(1.0) / divisor;
     discretise(state, config->n);
     state->wait = config->update_samples;
@@ -253,18 +264,58 @@ void pmf_linear_step(const pmf_linear_config_t *config, pmf_linear_state_t *stat
     state->mismatch = config->memory * state->mismatch + (end - model) * (end - model);
 }
 
-/* Does its output explain nothing of the measured one? */
+/* Does its output explain nothing of the measured one? Of a copy that was damped less is expected. */
 static uint32_t is_lost(const pmf_linear_state_t *state)
 {
-    return state->settled != 0U && state->mismatch > WORST * state->power ? 1U : 0U;
+    real_t worst = state->damped == DAMPED ? WORST_DAMPED : WORST;
+    return state->settled != 0U && state->mismatch > worst * state->power ? 1U : 0U;
 }
 
-static uint32_t take(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, real_t part)
+/* A(s + rate): all roots further left by it. */
+static void shift(uint32_t n, real_t rate, real_t *a)
 {
-    real_t next[PMF_MAX_PARAMETERS], a[M];
+    uint32_t i, k;
+    for (k = 0; k < n; ++k) {
+        for (i = n; i-- > k;) {
+            a[i] += rate * (i + 1U == n ? PMF_R(1.0) : a[i + 1U]);
+        }
+    }
+}
+
+/* Do all roots decay at least so fast? */
+static uint32_t decays(const pmf_linear_config_t *config, const real_t *a, real_t rate)
+{
+    real_t moved[M];
     uint32_t i;
+    for (i = 0; i < config->n; ++i) {
+        moved[i] = a[i];
+    }
+    shift(config->n, -rate, moved);
+    return plausible(config, moved);
+}
+
+/* Moves the copy by a part of the way to theta, if that is plausible: stable, and theta first moved to the left until its
+ * filters decay. They may be any for the instruments to be right, but must settle within the record. */
+static uint32_t take(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, real_t part,
+                     real_t least, real_t rate)
+{
+    real_t next[PMF_MAX_PARAMETERS], target[PMF_MAX_PARAMETERS], a[M];
+    uint32_t i, shifts = 0U;
     for (i = 0; i < PMF_MAX_PARAMETERS; ++i) {
-        next[i] = state->parameter[i] + part * (theta[i] - state->parameter[i]);
+        target[i] = theta[i];
+    }
+    for (i = 0; i < config->n; ++i) {
+        a[i] = theta[i] * config->scale[i];
+    }
+    while (least > PMF_R(0.0) && shifts < SHIFTS && decays(config, a, least) == 0U) {
+        shift(config->n, rate, a);
+        ++shifts;
+    }
+    for (i = 0; i < config->n && shifts > 0U; ++i) {
+        target[i] = a[i] / config->scale[i];
+    }
+    for (i = 0; i < PMF_MAX_PARAMETERS; ++i) {
+        next[i] = state->parameter[i] + part * (target[i] - state->parameter[i]);
     }
     for (i = 0; i < config->n; ++i) {
         a[i] = next[i] * config->scale[i];
@@ -275,24 +326,37 @@ static uint32_t take(const pmf_linear_config_t *config, pmf_linear_state_t *stat
     for (i = 0; i < PMF_MAX_PARAMETERS; ++i) {
         state->parameter[i] = next[i];
     }
+    state->damped = shifts > 0U ? DAMPED : state->damped != 0U ? LEFT : 0U;
     return 1U;
 }
 
 /* Moves the copy towards an estimate, as far as that is stable, where the filters are about to be computed anew. */
-static void follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta)
+static void follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, uint32_t gathered)
 {
     if (state->wait == 0U) {
-        (void)take(config, state, theta, config->smoothing);
+        (void)take(config, state, theta, config->smoothing, LEAST / (real_t)gathered, LEAST / (real_t)gathered);
     }
 }
 
 /* While the direct estimate is in charge, the model starts from it; and again, if that did not lead to a refined one
- * within twice the samples: the first copy may have been far off, with filters that settle too slowly. */
+ * within twice the samples: the first copy may have been far off, with filters that settle too slowly. Then, and where
+ * the direct estimate is unstable, as noise makes it of a light damping, from filters that settle in time. */
 static void start(const pmf_linear_config_t *config, pmf_linear_state_t *state, const pmf_recursion_state_t *direct)
 {
-    uint32_t wait = 2U * state->since;
+    const real_t *theta = direct->estimate.theta;
+    uint32_t wait = 2U * state->since, taken = 0U;
     wait = wait > config->start_updates ? wait : config->start_updates;
-    if (direct->started > wait && take(config, state, direct->estimate.theta, PMF_R(1.0)) != 0U) {
+    if (direct->started <= wait) {
+        return;
+    }
+    if (state->running == 0U) {
+        taken = take(config, state, theta, PMF_R(1.0), PMF_R(0.0), PMF_R(0.0));
+    }
+    if (taken == 0U) {
+        real_t part = PMF_R(1.0) / (real_t)direct->started;
+        taken = take(config, state, theta, PMF_R(1.0), LEAST * part, RATE * part);
+    }
+    if (taken != 0U) {
         state->running = 1U;
         state->wait = 0U;
         state->since = direct->started;
@@ -333,8 +397,8 @@ uint32_t pmf_linear_estimate(const pmf_config_t *config, pmf_state_t *state, uin
         state->linear.in_charge = refined_enough(config, state);
     }
     if (state->linear.in_charge != 0U) {
-        follow(linear, &state->linear, state->instrument.estimate.theta);
-        return status;
+        follow(linear, &state->linear, state->instrument.estimate.theta, state->direct.started);
+        return state->linear.damped == DAMPED ? status | PMF_SETTLING : status;
     }
     if ((direct_status & PMF_POOR_EXCITATION) == 0U) {
         start(linear, &state->linear, &state->direct);
