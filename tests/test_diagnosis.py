@@ -189,3 +189,16 @@ def test_one_wild_count_is_a_jump_and_nothing_else() -> None:
     counts = record.counts.copy()
     counts[counts.size // 2] += 1_000_000
     assert diagnose(replace(record, counts=counts), axis_of()).startswith("the counts jump by")
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_step_in_one_direction_is_not_called_a_velocity(late: int) -> None:
+    """A quick motor runs at one speed: its position follows from the input as it stands, but shows no dry friction."""
+    dt, resolution = 0.006, 1 / 8192
+    u = np.r_[np.zeros(250), np.full(900, 0.25)]
+    run = simulate_drive(DriveParameters(1.6e-4, 0.055, 0.003, 1.0), np.r_[np.zeros(late), u[: u.size - late]], dt)
+    noise = np.random.default_rng(1).integers(-1, 2, u.size)
+    record = Record(u, quantize(run.x, resolution) + noise, dt, resolution, (), "log")
+    axis = axis_of("counts", input_gain=1.0)
+    axis = axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": 10.0})})
+    assert diagnose(record, axis) == ""

@@ -113,12 +113,13 @@ class IV(BatchEstimator):
 
         sum zeta phi^T alone takes the direction for known, and makes the error bar of the mass a fifth too short.
         """
+        rests = self._rests(*check_arrays(u, counts), theta)
         jacobian = np.empty((theta.size, theta.size))
         for i, step in enumerate(JACOBIAN_STEP * np.maximum(np.abs(theta), 1e-3 * np.max(np.abs(theta)))):
             error = []
             for side in (step, -step):
                 moved = theta + side * np.eye(theta.size)[i]
-                beside = self.columns_at(moved, u, counts)
+                beside = self.columns_at(moved, u, counts, rests)
                 error.append(beside.z - beside.phi @ moved)
             jacobian[:, i] = columns.zeta.T @ (error[1] - error[0]) / (2 * step)
         return inverse_of(jacobian)
@@ -130,15 +131,19 @@ class IV(BatchEstimator):
         batch = like(BCLS, self, model=self.model.symmetric)
         return spread(role_values(batch, list(batch.fit(u, counts).theta)), self.equation)
 
-    def columns_at(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> Columns:
+    def columns_at(
+        self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike, rests: bool | None = None
+    ) -> Columns:
         """Regressors, target and instruments with the auxiliary model at theta (p,).
 
         A record that begins at rest, which the model says as well, has been at rest before: its first motion counts.
+        rests: does it? None: as the counts and theta say.
         """
         u, counts = check_arrays(u, counts)
         check_size(u)
         kernel, first = make_auxiliary_kernel(self, 1.0, list(theta), adapt=False)
-        before = 2 * self.settle_samples + 1 if self._rests(u, counts, theta) else 0
+        rests = self._rests(u, counts, theta) if rests is None else rests
+        before = 2 * self.settle_samples + 1 if rests else 0
         u, counts = np.r_[np.zeros(before), u], np.r_[np.full(before, counts[:1]), counts]
         columns, status = kernel.filter(u, counts)
         columns, status = columns[before:], status[before:]

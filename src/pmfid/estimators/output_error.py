@@ -21,6 +21,7 @@ from pmfid.estimators.batch import (
     parts_of_their_own,
 )
 from pmfid.estimators.iv import IV
+from pmfid.estimators.rough import on_every_width
 from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.srivc import by_descent, counted, fit_process, without_start
 from pmfid.models.equation import Equation
@@ -95,10 +96,10 @@ class Difference:
             return signal
         return np.asarray(lfilter([1.0, -1.0], [1.0, -math.exp(-self.pole * self.dt)], signal))
 
-    def jacobian(self, q: Floats) -> Floats:
+    def jacobian(self, q: Floats, width: float = STEP) -> Floats:
         """Derivatives by q, (n, q), as central differences that stay above the bounds."""
         columns = []
-        for step in STEP * np.eye(q.size):
+        for step in width * np.eye(q.size):
             low = np.maximum(q - step, self.lower)
             columns.append((self(q + step) - self(low)) / np.sum(q + step - low))
         return np.column_stack(columns)
@@ -204,16 +205,24 @@ class OE(BatchEstimator):
         """The result at the least squares q."""
         from pmfid.estimators.phases import phase_scatter
 
-        sensitivity = self.own_sensitivity(difference, q)
-        inverse, error = inverted(sensitivity, self.names), difference(q)
-        spread = scatter(sensitivity * error[:, None], difference.recovery)
-        if difference.pole == 0 and rms(error) <= difference.explained:
-            spread = raised(spread, phase_scatter(difference, q, sensitivity, None))
-        return self.result(difference, q, inverse @ spread @ inverse, status)
+        error = difference(q)
+        phases = difference.pole == 0 and rms(error) <= difference.explained
 
-    def own_sensitivity(self, difference: Difference, q: Floats, root: Floats | None = None) -> Floats:
+        def at(width: float) -> Floats:
+            sensitivity = self.own_sensitivity(difference, q, width=width)
+            inverse = inverted(sensitivity, self.names)
+            spread = scatter(sensitivity * error[:, None], difference.recovery)
+            if phases and width == STEP:
+                spread = raised(spread, phase_scatter(difference, q, sensitivity, None))
+            return np.asarray(inverse @ spread @ inverse)
+
+        return self.result(difference, q, on_every_width(at(STEP), at), status)
+
+    def own_sensitivity(
+        self, difference: Difference, q: Floats, root: Floats | None = None, width: float = STEP
+    ) -> Floats:
         """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
-        jacobian, p = difference.jacobian(q), len(self.names)
+        jacobian, p = difference.jacobian(q, width), len(self.names)
         return without_nuisance(difference, jacobian[:, :p], jacobian[:, p:], root)
 
     def position(self, counts: NDArray[np.int64]) -> Floats:
@@ -244,7 +253,8 @@ class OE(BatchEstimator):
         travel, dt = float(np.ptp(y)), self.dt
         force, mass = abs(self.equation.input_gain) * rms(u), abs(theta[self.equation.leading])
         drag = force * y.size * dt / travel
-        natural = np.array([mass, drag, drag, force, force, force, force / travel])
+        inertia = max(mass, drag * dt)  # less of it shows within a sample only
+        natural = np.array([inertia, drag, drag, force, force, force, force / travel])
         size = np.abs(theta)
         for index, least in zip(self.equation.roles, 0.01 * natural, strict=True):
             if index is not None:

@@ -86,7 +86,8 @@ def diagnose(record: Record, axis: Axis) -> str:
     velocity = _velocity(as_it_stands, record.dt, axis)
     unexplained = _unexplained(estimator, velocity)
     if unexplained < CLEARLY:  # an integral follows anything more easily: a load or a dead time must not do as well
-        least = min(least, *(_unexplained(estimator, lame) for lame in _lamer(as_it_stands, estimator, axis)))
+        lamer = (_unexplained(estimator, lame) for lame in _lamer(as_it_stands, estimator, axis))
+        least = min(least, _without_friction(estimator, as_it_stands), *lamer)
     return _sentence(velocity, unexplained) if unexplained < min(CLEARLY, BETTER * least) else ""
 
 
@@ -181,6 +182,17 @@ def _lamer(log: Reading, estimator: IV, axis: Axis) -> Iterator[Reading]:
     for part in DEAD_TIMES:
         late = min(log.u.size - 1, round(part / (estimator.cutoff * estimator.dt)))
         yield replace(loaded, u=np.r_[np.full(late, log.u[0]), log.u[: log.u.size - late]])
+
+
+def _without_friction(estimator: IV, log: Reading) -> float:
+    """Part of the input that the equation leaves without dry friction, which a motion in one direction cannot tell from
+    the rest, and whatever the sign of the mass, which may be small against a dead time."""
+    wet = tuple(term for term in estimator.equation.unknown if term.derivative > 0)
+    model = EquationModel(Equation(wet, estimator.equation.known))
+    try:
+        return like(LS, estimator, model=model).fit(log.u, log.counts).relative_error
+    except (NotIdentifiableError, UsageError):
+        return np.inf
 
 
 def integrated(velocity: Floats, dt: float) -> Floats:

@@ -1,0 +1,87 @@
+"""Error bars where the motion sticks and breaks away, so that the sum of squares is rough."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import pmfid
+from pmfid.cli.main import main
+from pmfid.estimators.rough import on_every_width
+from tests.conftest import cart_run
+
+DT = 0.01
+MOTOR = Path(__file__).parents[2] / "shared" / "data" / "real" / "odrive"
+needs_motor = pytest.mark.skipif(not MOTOR.exists(), reason="the motor's records are not on this machine")
+#: Inertia by the settling time that the records' authors give [V s^2/turn].
+INERTIA = 1.6e-4
+INCREMENTS, LATE, TICK = 8192, 0.004, 1 / 8000
+AXIS = """
+record = { input = "u", output = "counts", output_kind = "counts", time = "t" }
+encoder = { resolution = 1.220703125e-4 }
+model = { input_gain = 1.0, offset = true }
+estimator = { method = "METHOD", cutoff = CUTOFF }
+"""
+
+
+def test_smooth_bars_stay_as_they_are() -> None:
+    fine = np.array([[1.0, 0.2], [0.2, 2.0]])
+    assert on_every_width(fine, lambda width: fine * (1 + 10 * width)) is fine
+
+
+def test_the_longest_bar_counts_where_the_widths_disagree() -> None:
+    fine = np.array([[1e-8, 0.0], [0.0, 2.0]])
+    wide = on_every_width(fine, lambda width: np.diag([width**2, 2.0]))
+    np.testing.assert_allclose(np.diag(wide), [0.09, 2.0])
+
+
+def test_a_bar_that_is_long_by_accident_stays_long() -> None:
+    fine = np.diag([1.0, 2.0])
+    np.testing.assert_allclose(on_every_width(fine, lambda width: np.diag([1e-6, 2.0])), fine)
+
+
+def motor_log(name: str, dt: float) -> np.ndarray:
+    """t, u, counts (n, 3) of one of the records: even steps, the input as late as the log's dead time."""
+    lines = (MOTOR / f"{name}.csv").read_text().splitlines()
+    rows = np.array([[float(x) for x in line.strip(";").split(",")[:3]] for line in lines if line[:1].isdigit()])
+    rows = rows[: 1 + int(np.argmax(rows[:, 0]))]
+    t = rows[:, 0] * TICK
+    even = np.arange(t[0], t[-1], dt)
+    before = np.maximum(np.searchsorted(t, even - LATE, side="right") - 1, 0)
+    return np.column_stack([even - t[0], rows[before, 1], np.round(np.interp(even, t, rows[:, 2]) * INCREMENTS)])
+
+
+@needs_motor
+@pytest.mark.parametrize("method", ["output-error", "auto"])
+@pytest.mark.parametrize(("name", "dt", "cutoff"), [("chirp1", 6e-3, 10), ("chirp2", 6e-3, 10), ("chirp2", 5e-3, 5)])
+def test_a_chirp_that_cannot_carry_the_inertia_gives_none(
+    name: str, dt: float, cutoff: float, method: str, tmp_path: Path
+) -> None:
+    """It was 1.1e-5 with an error bar of 4.8e-9, the inertia being 1.6e-4."""
+    np.savetxt(tmp_path / "log.csv", motor_log(name, dt), delimiter=",", header="t,u,counts", comments="")
+    (tmp_path / "axis.toml").write_text(AXIS.replace("METHOD", method).replace("CUTOFF", str(cutoff)))
+    command = ["identify", str(tmp_path / "log.csv"), "--config", str(tmp_path / "axis.toml"), "--json"]
+    result = CliRunner().invoke(main, command)
+    if result.exit_code == 0:
+        mass = json.loads(result.stdout)["parameters"]["mass"]
+        assert abs(mass["value"] - INERTIA) < 3 * mass["std"]
+    else:
+        assert result.exit_code == 3
+        assert "cannot identify" in result.stderr
+
+
+def test_rest_that_the_model_may_say_or_not_is_no_fault(drive: pmfid.Drive) -> None:
+    """The input at the start is just the friction found: rest was put in front for one side of a difference quotient
+    and not for the other, and their lengths differed (a traceback)."""
+    run = cart_run(1, increments=1024)
+    estimator = pmfid.IV(drive, run.encoder, DT, 33.3)
+    u, counts = np.r_[np.zeros(20), run.u], np.r_[np.full(20, run.counts[0]), run.counts]
+    for _ in range(3):  # the friction found with that start
+        u[:20] = estimator.fit(u, counts).theta[2] / drive.input_gain * (1 - 1e-5)
+    fit = estimator.fit(u, counts)
+    assert np.all(np.isfinite(fit.theta_std))
+    assert fit.theta[0] == pytest.approx(1.07, rel=0.01)
