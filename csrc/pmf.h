@@ -84,7 +84,8 @@ enum {
     PMF_POSITION = 22,      /* the same times moving fraction */
     PMF_SPLIT_POSITION = 23, /* the same times the auxiliary model's moving fraction */
     PMF_MODEL_POSITION = 24, /* the auxiliary model's own, times its moving fraction */
-    PMF_SIGNALS = 25,
+    PMF_JUMP = 25, /* a force for each parameter: what its change makes of the auxiliary model's stops and reversals */
+    PMF_SIGNALS = 32,
     /* of a linear process, which has no auxiliary model: */
     PMF_ONE = PMF_AUXILIARY,       /* always 1 */
     PMF_START = PMF_AUXILIARY + 1 /* 1 in the first interval, as late as the rest: what stood in the plant at the start */
@@ -199,8 +200,18 @@ typedef struct {
     scalar_t keep[PMF_MAX_PARAMETERS]; /* root of each parameter's forgetting factor */
 #endif
     uint32_t block;        /* updates whose errors may be correlated; the spread of such blocks scales P */
+    scalar_t correlated;   /* updates whose errors are taken to be the same until there are blocks enough */
+    uint32_t half_memory;  /* in looks at the size of the motion; 0: nothing is forgotten */
+    uint32_t leading;      /* the parameter of the highest derivative */
+    scalar_t haste, leak;  /* weights of what is outdated at the next sample, and of the peaks at the next look at them */
+    scalar_t shown[PMF_MAX_PARAMETERS]; /* inverse squares of what the encoder shows of the columns, 0 where it adds no noise */
+#if PMF_WITH_AUXILIARY
+    uint32_t growing;      /* 1: the first samples, gathered with a model that was still wrong, count the less */
+#endif
+#if PMF_WITH_NOISE
     scalar_t unexplained;    /* mean square innovation over what the noise explains, beyond which the model is wrong; 0: no check */
-    scalar_t check_memory;   /* forgetting of that comparison */
+    scalar_t check_samples;  /* of a stretch of that comparison */
+#endif
 } pmf_recursion_config_t;
 
 typedef struct {
@@ -208,18 +219,27 @@ typedef struct {
     real_t square[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta zeta^T, lower half; instruments only */
     real_t right[PMF_MAX_PARAMETERS];                      /* sum zeta z */
     real_t weight;                                         /* sum of the discounted weights */
+    real_t squares;                                        /* and of their squares */
 } pmf_sums_t;
 
 typedef struct {
     real_t theta[PMF_MAX_PARAMETERS];
     real_t variance_factor[PMF_MAX_PARAMETERS]; /* diagonal of P */
-    real_t inflation[PMF_MAX_PARAMETERS]; /* theirs, for innovations that are not white; 0: not known yet */
+    real_t inflation[PMF_MAX_PARAMETERS]; /* theirs, for innovations that are not white and samples that count unequally */
     real_t innovation, innovation_variance;
 } pmf_estimate_t;
 
+#if PMF_WITH_NOISE
+/* Innovations and targets, squared, of so many samples. */
+typedef struct {
+    real_t weight, innovation, target;
+} pmf_check_t;
+#endif
+
 typedef struct {
     pmf_sums_t sums;
-    real_t peak[PMF_MAX_PARAMETERS];                       /* largest information seen, slowly leaking */
+    real_t peak[PMF_MAX_PARAMETERS];                       /* largest information seen in motions of the present size */
+    real_t largest[PMF_MAX_PARAMETERS], before[PMF_MAX_PARAMETERS]; /* squares of the columns, of this half memory and the last */
     real_t factor[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* information = L D L^T: L below the diagonal */
     real_t inverse_pivot[PMF_MAX_PARAMETERS];              /* 1 / D */
     pmf_estimate_t estimate;
@@ -231,8 +251,15 @@ typedef struct {
     real_t score[PMF_MAX_PARAMETERS];  /* sum of zeta times innovation in this block */
     real_t spread[PMF_MAX_PARAMETERS]; /* of theta by blocks, over that of white innovations */
     whole_t block_updates, blocks;
+    whole_t moved;   /* looks at samples in motion in this half memory */
+    whole_t swings;  /* what these, and those of the last one, showed of the leading column, as bits */
+    whole_t outdated; /* updates in which to forget in haste: the information is from larger motions than those of late */
+    whole_t since;    /* updates since the start, or since then; saturating */
     whole_t frozen;  /* too little information left to forget any more */
-    real_t check_weight, check_innovation, check_target; /* mean squares, for the check of the model */
+#if PMF_WITH_NOISE
+    pmf_check_t check, check_before; /* of the model: this stretch of samples, and the last */
+    whole_t unmodelled; /* the last verdict on it, as a status bit */
+#endif
     real_t reference[PMF_MAX_PARAMETERS]; /* diagonal of P that constant trace keeps */
     real_t trace;                         /* mean of P over the reference; 0: not set yet */
 #if PMF_WINDOW_BLOCKS > 0
@@ -251,6 +278,9 @@ typedef struct {
     uint32_t check_column;  /* filtered velocity, measured; the next ones are the model's, and its acceleration */
     uint32_t target_column; /* corrected by what the discrete filters make of the model's own acceleration: */
     uint32_t mass_column;   /* that of the instrument of the mass */
+    uint32_t sensitivities; /* the number of parameters; 0: the model's stops and reversals count as known */
+    uint32_t jump_column;   /* PMF_JUMP, filtered, for each of them */
+    uint32_t cause[PMF_ROLES], role[PMF_ROLES]; /* the model's signal that each one multiplies, and its first role */
     uint32_t trial_samples;         /* so long is a new start given before it is judged */
     scalar_t dt, input_gain;
     scalar_t position_gain; /* of the correction of the model's position, which matters with a spring only */
@@ -264,6 +294,7 @@ typedef struct {
 typedef struct {
     real_t parameter[PMF_ROLES];
     real_t velocity, position;
+    real_t sensitivity[PMF_ROLES]; /* of the velocity to each parameter */
     real_t power, mismatch;
     whole_t running; /* has parameters */
     whole_t trial;   /* samples until it is judged */
@@ -413,9 +444,10 @@ PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder
 /* Needs the encoder's signals of the same step. */
 PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal);
 /* The equation holds exactly for the model; what its columns leave is the error of the discretisation, and the same
- * for the plant. It is taken from the target. */
+ * for the plant. It is taken from the target. Regressors and target then know that the model's stops and reversals move
+ * with its parameters. `first`: the column of the first regressor. */
 PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state,
-                                   real_t *column);
+                                   uint32_t first, real_t *column);
 PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state);
 /* Judges the model against the measured velocity; true where its instruments may be used. */
 PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,

@@ -102,6 +102,46 @@ static void emit_motion(const phase_t *phase, real_t middle, real_t *signal)
     signal[PMF_SPLIT_BACKWARD] = PMF_IF(own[PMF_DIRECTION] > PMF_R(0.0), PMF_R(0.0), measured);
 }
 
+static void forget_sensitivity(pmf_auxiliary_state_t *state)
+{
+    uint32_t i;
+    for (i = 0; i < PMF_ROLES; ++i) {
+        state->sensitivity[i] = PMF_R(0.0);
+    }
+}
+
+/* What of a deviation of velocity is left behind a stop: nothing where friction holds the body, else, as it reverses,
+ * the forces behind over those before, for its instant moves with the deviation. */
+static real_t left_behind_stop(const body_t *body, truth_t forward)
+{
+    real_t push = PMF_IF(forward, -body->force, body->force);
+    real_t behind = push - PMF_IF(forward, body->coulomb[1], body->coulomb[0]);
+    real_t before = push + PMF_IF(forward, body->coulomb[0], body->coulomb[1]);
+    return PMF_IF((behind > PMF_R(0.0)) & (before > PMF_R(0.0)), behind / before, PMF_R(0.0));
+}
+
+/* m w' + d w = -signal for the deviation w of the velocity by each parameter, and at a stop the rest of w is lost, as if
+ * by a blow. The sum of friction and input in the equation changes by the same blow: that is its derivative. */
+static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const body_t *body,
+                             real_t before, real_t after, real_t *signal)
+{
+    truth_t forward = before > PMF_R(0.0), was = forward | (before < PMF_R(0.0));
+    truth_t stops = was & PMF_NOT(before * after > PMF_R(0.0));
+    real_t viscous = PMF_IF(forward, body->viscous[0], body->viscous[1]);
+    real_t gain = PMF_R(1.0) / (body->mass + config->dt * viscous), left = PMF_R(1.0);
+    real_t impulse = config->dt * gain, kept = body->mass * gain, blow;
+    uint32_t i;
+    if (PMF_ANY(stops)) {
+        left = PMF_IF(stops, left_behind_stop(body, forward), left);
+    }
+    blow = body->mass / config->dt * (left - PMF_R(1.0));
+    for (i = 0; i < config->sensitivities; ++i) {
+        real_t w = kept * state->sensitivity[i] - impulse * signal[config->cause[i]];
+        signal[PMF_JUMP + i] = blow * w;
+        state->sensitivity[i] = left * w;
+    }
+}
+
 PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal)
 {
     real_t middle = state->position + PMF_R(0.5) * config->dt * state->velocity;
@@ -133,17 +173,27 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
         middle = PMF_IF(absurd, signal[PMF_LATE_POSITION], middle);
         state->position = PMF_IF(absurd, middle, state->position);
     }
-    state->velocity = phase.velocity;
     emit_motion(&phase, middle, signal);
+    if (config->sensitivities != 0U) {
+        note_sensitivity(config, state, &body, state->velocity, phase.velocity, signal);
+        PMF_WHERE(absurd, state, forget_sensitivity(state));
+    }
+    state->velocity = phase.velocity;
     state->position += config->dt * (phase.distance[0] + phase.distance[1]) +
                        config->position_gain * (signal[PMF_LATE_POSITION] - middle);
 }
 
 PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state,
-                                   real_t *column)
+                                   uint32_t first, real_t *column)
 {
     real_t exact = column[config->check_column + 2U];
+    uint32_t i;
     column[config->target_column] -= state->parameter[PMF_MASS] * (exact - column[config->mass_column]);
+    for (i = 0; i < config->sensitivities; ++i) {
+        real_t jump = column[config->jump_column + i];
+        column[first + i] -= jump;
+        column[config->target_column] -= jump * state->parameter[config->role[i]];
+    }
 }
 
 PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state)
@@ -163,6 +213,7 @@ static void try_again(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_
     state->trusted = PMF_W(0);
     state->trial = PMF_W(config->trial_samples);
     state->velocity = velocity;
+    forget_sensitivity(state);
     state->power = PMF_R(0.0);
     state->mismatch = PMF_R(0.0);
 }

@@ -46,17 +46,42 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
     }
 }
 
+/* With directional forgetting a sample takes the part 1 - f of what is known in one of p directions, and so one p-th of
+ * that in the mean. */
+PMF_INLINE scalar_t directions(const pmf_recursion_config_t *config)
+{
+    (void)config; /* an export has these values as constants */
+    return SCHEME(config) == PMF_DIRECTIONAL ? (scalar_t)PARAMETERS(config) : PMF_SCALAR(1.0);
+}
+
+/* Mean square in the memory over the largest of late, from which on it is from larger motions: 1 and a margin for rounding;
+ * with directional forgetting, which keeps more of what is seldom excited, the more. */
+PMF_INLINE scalar_t outgrown(const pmf_recursion_config_t *config)
+{
+    (void)config;
+    return SCHEME(config) == PMF_DIRECTIONAL ? PMF_SCALAR(3.0) : PMF_SCALAR(1.25);
+}
+
+PMF_INLINE void forget_weight(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
+{
+    scalar_t kept = PMF_SCALAR(1.0) - (PMF_SCALAR(1.0) - config->forgetting) / directions(config);
+    state->sums.weight *= kept;
+    state->sums.squares *= kept * kept;
+}
+
 #if PMF_WITH_SEPARATE
 /* Forgetting by parameter (Saelid and Foss 1983): P = D^-1 P D^-1, that is D R D for the information, and so for the sums
  * that it is made of. Returns the weight of the past that is left to apply. */
 PMF_INLINE real_t forget_separately(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t f,
                                     uint32_t p, uint32_t instrumental)
 {
-    truth_t where = (state->started != 0U) & (state->frozen == 0U);
+    truth_t where = (state->started != 0U) & (state->frozen == 0U), outdated = state->outdated != 0U;
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
         for (j = 0; j < (instrumental != 0U ? p : i + 1U); ++j) {
-            real_t factor = PMF_IF(where, PMF_ALIKE(config->keep[i] * config->keep[j]), PMF_R(1.0));
+            scalar_t keep = config->keep[i] * config->keep[j], hasty = keep * keep * keep * keep;
+            real_t factor = PMF_IF(outdated, PMF_ALIKE(hasty * hasty), PMF_ALIKE(keep));
+            factor = PMF_IF(where, factor, PMF_R(1.0));
             state->sums.cross[i][j] *= factor;
             if (instrumental != 0U) {
                 state->sums.square[i][j] *= factor;
@@ -64,6 +89,7 @@ PMF_INLINE real_t forget_separately(const pmf_recursion_config_t *config, pmf_re
         }
     }
     state->sums.weight *= PMF_IF(where, PMF_ALIKE(config->forgetting), PMF_R(1.0));
+    state->sums.squares *= PMF_IF(where, PMF_ALIKE(config->forgetting * config->forgetting), PMF_R(1.0));
     return PMF_IF(where, PMF_R(1.0), f);
 }
 #endif
@@ -81,6 +107,67 @@ PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf
         weight = PMF_IF(below, PMF_IF(state->trace > least, state->trace, least), PMF_R(1.0));
     }
     return PMF_IF(state->frozen != 0U, PMF_R(1.0), weight);
+}
+
+#define LARGER(a, b) PMF_IF((a) > (b), a, b)
+
+/* Only so often is the size of the motion looked at: the filters let no column change much faster. A power of two. */
+#define LOOK 4U
+
+/* Is this sample a motion that the encoder shows? */
+PMF_INLINE truth_t is_shown(const pmf_recursion_config_t *config, const real_t *column, uint32_t p)
+{
+    real_t shown = PMF_R(0.0);
+    uint32_t i;
+    for (i = 0; i < p; ++i) {
+        shown += config->shown[i] * (column[i] * column[i]);
+    }
+    return shown > PMF_R(1.0);
+}
+
+#define SPED_UP 1U
+#define SLOWED_DOWN 2U
+#define HALF_MEMORIES 4U /* the same bits of the last half memory are so many times as large */
+
+/* Did the encoder show lately how the axis sped up and slowed down? All but that, as a constant speed or running down, says
+ * little, however long. `ends`: the last half memory is over. */
+PMF_INLINE truth_t note_swing(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead, truth_t moves,
+                              truth_t ends)
+{
+    whole_t both = PMF_W(SPED_UP | SLOWED_DOWN);
+    whole_t swing = PMF_IF(lead < PMF_R(0.0), PMF_W(SLOWED_DOWN), PMF_W(SPED_UP));
+    moves = moves & (config->shown[config->leading] * (lead * lead) > PMF_R(1.0));
+    state->swings = PMF_IF(ends, (state->swings & both) * HALF_MEMORIES, state->swings);
+    state->swings |= PMF_IF(moves, swing, PMF_W(0));
+    return ((state->swings | (state->swings >> 2)) & both) == both;
+}
+
+/* Keeps the largest square of a column in motion. Returns that of late. */
+PMF_INLINE real_t note_size(real_t *largest, real_t *before, real_t column, truth_t moves, truth_t ends)
+{
+    real_t square = column * column;
+    if (PMF_ANY(ends)) {
+        *before = PMF_IF(ends, *largest, *before);
+        *largest = PMF_IF(ends, PMF_R(0.0), *largest);
+    }
+    *largest = PMF_IF(moves & (square > *largest), square, *largest);
+    return LARGER(*largest, *before);
+}
+
+/* With a model that follows the estimate the first samples were gathered with a poor one: until the memory is full each
+ * sample counts in proportion to its number, so that what they have wrong fades with the square of time. */
+PMF_INLINE real_t memory_of(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t weight)
+{
+#if PMF_WITH_AUXILIARY
+    if (config->growing != 0U) {
+        real_t updates = PMF_TO_REAL(state->updates), part = updates / (updates + PMF_R(1.0));
+        weight = PMF_IF(part < weight, part, weight);
+    }
+#else
+    (void)config;
+    (void)state;
+#endif
+    return weight;
 }
 
 PMF_INLINE void add_sample(pmf_sums_t *sums, real_t f, const real_t *column, uint32_t p, uint32_t instrumental,
@@ -102,6 +189,7 @@ PMF_INLINE void add_sample(pmf_sums_t *sums, real_t f, const real_t *column, uin
         }
     }
     sums->weight = f * sums->weight + PMF_R(1.0);
+    sums->squares = f * f * sums->squares + PMF_R(1.0);
 }
 
 #if PMF_WINDOW_BLOCKS > 0
@@ -119,6 +207,7 @@ static void sum_window(pmf_recursion_state_t *state, uint32_t p)
             state->sums.right[i] += part->right[i];
         }
         state->sums.weight += part->weight;
+        state->sums.squares += part->squares;
     }
 }
 
@@ -139,20 +228,29 @@ static void slide_window(const pmf_recursion_config_t *config, pmf_recursion_sta
 PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
-    real_t f = weight_of_past(config, state), fade = f;
+    real_t fade = weight_of_past(config, state), f = memory_of(config, state, fade);
     if (SCHEME(config) != PMF_EXPONENTIAL && SCHEME(config) != PMF_SEPARATE) {
         fade = PMF_ALIKE(config->forgetting);
+    }
+    if (SCHEME(config) != PMF_WINDOW && SCHEME(config) != PMF_SEPARATE) {
+        f = PMF_IF(state->outdated != 0U, PMF_ALIKE(config->haste), f);
     }
 #if PMF_WITH_SEPARATE
     if (SCHEME(config) == PMF_SEPARATE) {
         f = forget_separately(config, state, f, p, instrumental);
     }
 #endif
+    if (SCHEME(config) == PMF_CONSTANT_TRACE) { /* the trace of another motion */
+        state->trace = PMF_IF(state->outdated != 0U, PMF_R(0.0), state->trace);
+        state->since = PMF_IF(state->outdated != 0U, PMF_W(0), state->since + PMF_BIT(state->since < SATURATED, 1U));
+    }
+    state->outdated -= PMF_BIT(state->outdated != 0U, 1U);
     if (SCHEME(config) == PMF_DIRECTIONAL) {
         fade = PMF_R(1.0);
         if (PMF_ANY(state->started != 0U)) {
             forget_direction(config, state, column, p);
         }
+        forget_weight(config, state);
     }
     add_sample(&state->sums, f, column, p, instrumental, state->started <= config->residual_updates); /* later nobody reads it */
 #if PMF_WINDOW_BLOCKS > 0
@@ -164,13 +262,13 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
     state->updates += PMF_BIT(state->updates < SATURATED, 1U);
 }
 
-/* Constant trace (Goodwin and Sin 1984, section 3.3) keeps that of P at the end of the first memory, each parameter in
- * its own units. */
+/* Constant trace (Goodwin and Sin 1984, section 3.3) keeps that of P at the end of the first memory, or of the first one of
+ * smaller motions, each parameter in its own units. */
 static void note_trace(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                        whole_t status)
 {
     const real_t *factor = state->estimate.variance_factor;
-    real_t sum = PMF_R(0.0), memories = PMF_TO_REAL(state->updates) * (PMF_R(1.0) - config->forgetting);
+    real_t sum = PMF_R(0.0), memories = PMF_TO_REAL(state->since) * (PMF_R(1.0) - config->forgetting);
     truth_t first = PMF_NOT(state->trace > PMF_R(0.0));
     uint32_t i;
     where = where & PMF_NOT(first & ((memories < PMF_R(1.0)) | (status != 0U)));

@@ -20,7 +20,7 @@ PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_st
     for (i = 0; i < config->n_columns; ++i) {
         const pmf_tap_t *end = &config->tap[config->tap_end[i]];
         real_t sum = tap->weight * state->node[tap->node]; /* every column has a tap */
-        for (++tap; tap < end; ++tap) {
+        for (++tap; tap != end; ++tap) {
             sum += tap->weight * state->node[tap->node];
         }
         state->column[i] = sum;

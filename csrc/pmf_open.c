@@ -16,6 +16,7 @@ static void open_all(uint32_t p, pmf_recursion_state_t *state, real_t keep)
         state->peak[i] *= keep; /* else the regularisation would take the new information for a poor one */
     }
     state->sums.weight *= keep;
+    state->sums.squares *= keep * keep;
 }
 
 /* One parameter alone: R = L D L^T becomes R - (1 - keep) r r^T / R_ii, r = R e_i, so that what is known of the others
@@ -75,7 +76,7 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
     for (i = 0; i < config->n_parameters; ++i) {
         state->score[i] = PMF_R(0.0);
         state->spread[i] = PMF_R(0.0);
-        state->estimate.inflation[i] = PMF_R(0.0);
+        state->estimate.inflation[i] = config->correlated;
     }
 }
 

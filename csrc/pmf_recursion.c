@@ -18,30 +18,52 @@
 
 #define POOR PMF_R(50.0)    /* information below POOR times the regularisation is called poor */
 #define FREEZE PMF_R(1e-3)  /* and below FREEZE times it there is nothing left worth forgetting */
-#define PEAK_LEAK PMF_R(0.01)
 #define LEAST_CLEAN PMF_R(0.02) /* of a column's information */
 #define BLOCK_MEMORY 100U
 #define MIN_BLOCKS 8U
 #define SKIPPED_INNOVATIONS 4U /* innovations of a fresh estimate say nothing of the noise */
+#define JUDGED 16U /* updates between two verdicts on the model; a power of two */
 #define NEGLIGIBLE PMF_R(1e-6) /* mean square part of the target that no model need explain */
 
-/* Is the innovation larger than the known noise makes it? */
+#if PMF_WITH_NOISE
+/* The innovations of another stretch of samples; those of the last one are kept beside. */
+static void note_unexplained(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                             real_t target)
+{
+    real_t square = state->estimate.innovation * state->estimate.innovation;
+    truth_t ends = where & PMF_NOT(state->check.weight < config->check_samples);
+    if (PMF_ANY(ends)) {
+        state->check_before.weight = PMF_IF(ends, state->check.weight, state->check_before.weight);
+        state->check_before.innovation = PMF_IF(ends, state->check.innovation, state->check_before.innovation);
+        state->check_before.target = PMF_IF(ends, state->check.target, state->check_before.target);
+        PMF_WHERE(ends, &state->check, pmf_clear(&state->check, (uint32_t)sizeof state->check));
+    }
+    state->check.weight = PMF_IF(where, state->check.weight + PMF_R(1.0), state->check.weight);
+    state->check.innovation = PMF_IF(where, state->check.innovation + square, state->check.innovation);
+    state->check.target = PMF_IF(where, state->check.target + target * target, state->check.target);
+}
+
+/* Are the innovations larger than the known noise, and the error bars, make them? In the last two stretches alone: what
+ * the start left, however large, is forgotten for good. */
 static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                            real_t target)
 {
-    const real_t *theta = state->estimate.theta, memory = PMF_ALIKE(config->check_memory);
-    real_t explained = PMF_R(0.0), square = state->estimate.innovation * state->estimate.innovation;
-    truth_t filled;
+    const pmf_estimate_t *estimate = &state->estimate;
+    const real_t *theta = estimate->theta;
+    real_t explained = PMF_R(0.0), unsure = PMF_R(0.0), limit;
+    truth_t judged, large;
     uint32_t i, j;
     if (!PMF_ANY(where)) {
         return PMF_W(0);
     }
+    note_unexplained(config, state, where, target);
+    judged = (state->updates & (JUDGED - 1U)) == 0U;
+    if (!PMF_ANY(judged)) {
+        return PMF_IF(where, state->unmodelled, PMF_W(0));
+    }
 #if PMF_WITH_PROCESS
     explained = PMF_ALIKE(config->target_power);
 #endif
-    state->check_weight = PMF_IF(where, memory * state->check_weight + PMF_R(1.0), state->check_weight);
-    state->check_innovation = PMF_IF(where, memory * state->check_innovation + square, state->check_innovation);
-    state->check_target = PMF_IF(where, memory * state->check_target + target * target, state->check_target);
     for (i = 0; i < PARAMETERS(config); ++i) {
 #if PMF_WITH_PROCESS
         explained -= PMF_SCALAR(2.0) * theta[i] * config->target_noise[i];
@@ -49,11 +71,16 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
         for (j = 0; j < PARAMETERS(config); ++j) {
             explained += theta[i] * config->noise[i][j] * theta[j];
         }
+        unsure += estimate->inflation[i]; /* mean of phi^T (covariance of theta) phi, over that of the innovations */
     }
-    explained = explained * state->check_weight + NEGLIGIBLE * state->check_target;
-    filled = PMF_NOT(PMF_R(2.0) * (PMF_R(1.0) - memory) * state->check_weight < PMF_R(1.0)); /* at least half the memory */
-    return PMF_BIT(where & filled & (state->check_innovation > config->unexplained * explained), PMF_UNMODELLED);
+    explained += estimate->innovation_variance * unsure / state->sums.weight;
+    limit = config->unexplained * explained * (state->check.weight + state->check_before.weight) +
+            NEGLIGIBLE * (state->check.target + state->check_before.target);
+    large = (state->check_before.weight > PMF_R(0.0)) & (state->check.innovation + state->check_before.innovation > limit);
+    state->unmodelled = PMF_IF(where & judged, PMF_BIT(large, PMF_UNMODELLED), state->unmodelled);
+    return PMF_IF(where, state->unmodelled, PMF_W(0));
 }
+#endif
 
 /* Information less what the known noise feigns. Where hardly anything is left, that is poor excitation: some is kept,
  * so that P stays positive. Before there can be an estimate nothing is subtracted: it may be more than there is. */
@@ -74,16 +101,39 @@ PMF_INLINE whole_t subtract_noise(const pmf_recursion_config_t *config, const pm
     return poor;
 }
 
+/* In motions that excite the axis the peaks come down to what these can give. Where more is known than the largest of the
+ * last memory could give for good, it is from larger ones, and forgotten in haste: a memory is one of time, whatever the
+ * size of the motion. */
+PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
+                              truth_t looks, uint32_t p, real_t information[N][N])
+{
+    scalar_t fresh = (PMF_SCALAR(1.0) - config->forgetting) / directions(config);
+    truth_t moves = looks & is_shown(config, column, p), ends, excited, outdated;
+    uint32_t i;
+    if (!PMF_ANY(moves)) {
+        return;
+    }
+    ends = moves & (state->moved >= config->half_memory);
+    state->moved = PMF_IF(ends, PMF_W(0), state->moved) + PMF_BIT(moves, 1U);
+    excited = moves & note_swing(config, state, column[config->leading], moves, ends);
+    outdated = excited & PMF_NOT(excited);
+    for (i = 0; i < p; ++i) {
+        real_t recent = note_size(&state->largest[i], &state->before[i], column[i], moves, ends);
+        outdated = outdated | (excited & (fresh * information[i][i] > outgrown(config) * recent));
+        state->peak[i] = PMF_IF(excited, config->leak * state->peak[i], state->peak[i]);
+    }
+    state->outdated = PMF_IF(outdated, PMF_W(config->half_memory * LOOK), state->outdated);
+}
+
 /* Adds the regularisation and says whether there is information left to forget. */
 PMF_INLINE void regularise(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p,
-                              real_t information[N][N])
+                           real_t information[N][N])
 {
-    real_t leak = PEAK_LEAK * (PMF_R(1.0) - config->forgetting);
     uint32_t i;
     state->frozen = PMF_W(1);
     for (i = 0; i < p; ++i) {
-        real_t now = information[i][i], leaked = state->peak[i] - leak * now;
-        state->peak[i] = PMF_IF(now > leaked, now, leaked);
+        real_t now = information[i][i];
+        state->peak[i] = LARGER(now, state->peak[i]);
         state->frozen &= PMF_BIT(PMF_NOT(now > FREEZE * config->regularization * state->peak[i]), 1U);
         information[i][i] = now + state->mass * config->regularization * state->peak[i];
     }
@@ -106,7 +156,10 @@ PMF_INLINE whole_t judge(const pmf_recursion_config_t *config, pmf_recursion_sta
             sum += unit[j] * unit[j] * state->inverse_pivot[j];
         }
         state->estimate.variance_factor[i] = sum;
-        poor |= PMF_BIT((PMF_R(1.0) < sum * threshold * state->peak[i]) | (state->peak[i] <= TINY), PMF_POOR_EXCITATION);
+    }
+    for (i = 0; i < p; ++i) {
+        real_t part = state->estimate.variance_factor[i] * threshold * state->peak[i];
+        poor |= PMF_BIT((PMF_R(1.0) < part) | (state->peak[i] <= TINY), PMF_POOR_EXCITATION);
     }
     return poor;
 }
@@ -114,7 +167,8 @@ PMF_INLINE whole_t judge(const pmf_recursion_config_t *config, pmf_recursion_sta
 PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where)
 {
     pmf_estimate_t *estimate = &state->estimate;
-    real_t square = estimate->innovation * estimate->innovation, f = PMF_ALIKE(config->forgetting);
+    real_t square = estimate->innovation * estimate->innovation;
+    real_t f = PMF_ALIKE(config->forgetting);
     where = where & (state->started > SKIPPED_INNOVATIONS) & (state->frozen == 0U);
     if (PMF_ANY(where)) {
         state->weight = PMF_IF(where, f * state->weight + PMF_R(1.0), state->weight);
@@ -152,16 +206,29 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
     }
 }
 
-/* Spread of theta by blocks of innovations against that of white ones: an estimate by batch means of how much longer
- * or shorter than sqrt(P) times the innovations' size the error bars must be. `move` is a block's sum after the gain. */
+/* With weights w the covariance of theta is P (sum w^2) S P, S the long-run covariance of the scores, where white
+ * innovations and equal weights have P times their variance. Until there are blocks enough the difference to those counts
+ * as the innovations' that are the same for as long as the filters may make them. */
+PMF_SELDOM void inflate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where)
+{
+    real_t unequal = state->sums.squares / state->sums.weight, blocks = PMF_TO_REAL(state->blocks);
+    real_t known = PMF_IF(state->blocks < MIN_BLOCKS, blocks / (scalar_t)MIN_BLOCKS, PMF_R(1.0));
+    real_t unknown = (PMF_R(1.0) - known) * config->correlated;
+    uint32_t i;
+    for (i = 0; i < PARAMETERS(config); ++i) {
+        real_t inflation = unequal * (known * state->spread[i] + unknown);
+        state->estimate.inflation[i] = PMF_IF(where, inflation, state->estimate.inflation[i]);
+    }
+}
+
+/* Spread of theta by blocks of innovations against that of white ones (batch means). `move` is a block's sum after the
+ * gain. */
 static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                        const real_t move[N])
 {
-    real_t share = state->sums.weight / (scalar_t)config->block, keep, white, ratio, spread;
-    truth_t known;
+    real_t share = state->sums.weight / PMF_TO_REAL(state->block_updates), keep, white, ratio, spread;
     uint32_t i;
     state->blocks += PMF_BIT(where & (state->blocks < BLOCK_MEMORY), 1U);
-    known = where & (state->blocks >= MIN_BLOCKS);
     keep = PMF_R(1.0) - PMF_R(1.0) / PMF_TO_REAL(state->blocks);
     for (i = 0; i < PARAMETERS(config); ++i) {
         white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
@@ -169,8 +236,8 @@ static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state
         spread = keep * state->spread[i] + (PMF_R(1.0) - keep) * ratio;
         /* else it is beyond the number format and would stay */
         state->spread[i] = PMF_IF(where & (ratio - ratio == PMF_R(0.0)), spread, state->spread[i]);
-        state->estimate.inflation[i] = PMF_IF(known, state->spread[i], state->estimate.inflation[i]);
     }
+    inflate(config, state, where);
 }
 
 PMF_INLINE void solve(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
@@ -227,7 +294,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     real_t information[N][N], move[N], pivot, own;
     projection_t projection;
     whole_t status, compensated = PMF_W(0), unmodelled = PMF_W(0);
-    truth_t waits = state->started == 0U, moves, scored, ends;
+    truth_t waits = state->started == 0U, starts, looks, moves, scored, ends;
     uint32_t i, j;
     state->estimate.innovation = column[p];
     for (i = 0; i < p; ++i) {
@@ -247,6 +314,10 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
             compensated = subtract_noise(config, state, p, information);
         }
     }
+    looks = (state->updates & (LOOK - 1U)) == 0U;
+    if (config->half_memory != 0U && PMF_ANY(looks)) {
+        compare_sizes(config, state, column, looks, p, information);
+    }
     regularise(config, state, p, information);
     factorise(p, information, state->factor, state->inverse_pivot);
     status = judge(config, state, p) | compensated;
@@ -256,11 +327,14 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
             own = smallest_pivot(p, state->sums.square, projection.inverse);
             pivot = PMF_IF(own < pivot, own, pivot);
         }
+        starts = waits;
         waits = waits & ((state->updates < config->min_updates) | PMF_NOT(pivot > config->pivot));
+        starts = starts & PMF_NOT(waits);
         state->estimate.innovation = PMF_IF(waits, PMF_R(0.0), state->estimate.innovation);
         if (PMF_ALL(waits)) {
             return PMF_W(PMF_STARTING | PMF_POOR_EXCITATION);
         }
+        inflate(config, state, starts);
     }
     state->started += PMF_BIT(PMF_NOT(waits) & (state->started < SATURATED), 1U);
     /* else the noise alone would carry theta away in a long while */
@@ -275,13 +349,16 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     if (SCHEME(config) == PMF_CONSTANT_TRACE) {
         note_trace(config, state, PMF_NOT(waits), status);
     }
-    if (PMF_WITH_NOISE != 0 && config->unexplained > PMF_SCALAR(0.0)) {
+#if PMF_WITH_NOISE
+    if (config->unexplained > PMF_SCALAR(0.0)) {
         unmodelled = check_model(config, state, PMF_NOT(waits) & (state->started > SKIPPED_INNOVATIONS), column[p]);
     }
+#endif
     scored = PMF_NOT(waits) & (state->weight > PMF_R(0.0)) & (status == 0U);
     if (config->block > 0U && PMF_ANY(scored)) {
         note_score(config, state, scored, instrumental != 0U ? &column[p + 1U] : column, p);
-        ends = scored & (state->block_updates >= config->block);
+        /* not where sizes are compared: both in one sample would take long */
+        ends = scored & PMF_NOT(looks) & (state->block_updates >= config->block);
         if (PMF_ANY(ends)) {
             end_block(config, state, ends, p, instrumental, &projection);
         }
@@ -379,6 +456,7 @@ static void discount_sums(pmf_sums_t *sums, uint32_t p, real_t factor)
         }
     }
     sums->weight *= factor;
+    sums->squares *= factor * factor;
 }
 
 void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor)

@@ -4,11 +4,11 @@
 #ifndef PMF_SIZES_H
 #define PMF_SIZES_H
 
-#define PMF_MAX_STAGES 96
+#define PMF_MAX_STAGES 128
 #define PMF_MAX_TAPS 160
 #define PMF_MAX_PARAMETERS 8
 #define PMF_MAX_NOISE PMF_MAX_PARAMETERS
-#define PMF_MAX_COLUMNS (4 * PMF_MAX_PARAMETERS + 4)
+#define PMF_MAX_COLUMNS (5 * PMF_MAX_PARAMETERS + 4)
 #define PMF_MAX_ORDER 6 /* of the linear process that is simulated */
 #define PMF_WINDOW_BLOCKS 8 /* of a sliding window; 0 saves their memory where no window is used */
 

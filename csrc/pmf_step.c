@@ -3,7 +3,8 @@
  */
 #include "pmf.h"
 
-#define TAKE_OVER PMF_R(1.5)
+#define TAKE_OVER PMF_R(3.0)  /* times the samples, or the variance */
+#define SHORT_BAR PMF_R(0.01) /* of the mass */
 
 #ifndef PMF_LANES
 PMF_API void pmf_clear(void *memory, uint32_t size)
@@ -54,7 +55,8 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     pmf_network_step(&config->network, &state->network);
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
-        pmf_auxiliary_correct(&config->auxiliary, &state->auxiliary, state->network.column);
+        pmf_auxiliary_correct(&config->auxiliary, &state->auxiliary, config->instrument.first_column,
+                              state->network.column);
     }
 #endif
 #if PMF_LINEAR
@@ -94,19 +96,24 @@ static void borrow_estimate(const pmf_config_t *config, pmf_state_t *state)
             borrowed->theta[auxiliary->index[i]] = state->direct.estimate.theta[auxiliary->direct_index[i]];
             borrowed->variance_factor[auxiliary->index[i]] =
                 state->direct.estimate.variance_factor[auxiliary->direct_index[i]];
+            borrowed->inflation[auxiliary->index[i]] = state->direct.estimate.inflation[auxiliary->direct_index[i]];
         }
     }
-    pmf_clear(borrowed->inflation, (uint32_t)sizeof borrowed->inflation);
     borrowed->innovation = state->direct.estimate.innovation;
     borrowed->innovation_variance = state->direct.estimate.innovation_variance;
 }
 
-/* The instrumental estimate takes over once it knows the mass as well as the direct one, which has gathered longer. */
+/* The instrumental estimate takes over once it has gathered a fair part of what the direct one has, which began before, and
+ * knows the mass about as well, or well enough. */
 static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
 {
-    real_t own = state->instrument.estimate.variance_factor[config->auxiliary.index[PMF_MASS]];
-    real_t direct = state->direct.estimate.variance_factor[config->auxiliary.direct_index[PMF_MASS]];
-    return (state->instrument.started > 0U) & ((state->direct.started == 0U) | (own < TAKE_OVER * direct));
+    const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;
+    uint32_t mass = config->auxiliary.index[PMF_MASS], direct_mass = config->auxiliary.direct_index[PMF_MASS];
+    real_t small = SHORT_BAR * own->theta[mass];
+    truth_t enough = TAKE_OVER * state->instrument.sums.weight > state->direct.sums.weight;
+    enough = enough & ((own->variance_factor[mass] < TAKE_OVER * direct->variance_factor[direct_mass]) |
+                       (own->variance_factor[mass] * own->inflation[mass] * own->innovation_variance < small * small));
+    return (state->instrument.started > 0U) & ((state->direct.started == 0U) | enough);
 }
 
 /* Instrumental variables where the auxiliary model follows the plant, else the direct estimate. */

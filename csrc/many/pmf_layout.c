@@ -7,7 +7,7 @@
 
 #include <stddef.h>
 
-#define MAX_RANGES 64U
+#define MAX_RANGES 96U
 #define IN_STATE(member) (uint32_t) offsetof(pmf_state_t, member)
 #define END_IN_STATE(member) (IN_STATE(member) + (uint32_t)sizeof(((pmf_state_t *)0)->member))
 #define IN_RECURSION(member) (uint32_t) offsetof(pmf_recursion_state_t, member)
@@ -23,7 +23,8 @@ static const uint32_t whole_in_state[] = {
 };
 static const uint32_t whole_in_recursion[] = {
     IN_RECURSION(updates), IN_RECURSION(started), IN_RECURSION(block_updates), IN_RECURSION(blocks),
-    IN_RECURSION(frozen), IN_RECURSION(window_block), IN_RECURSION(window_updates)
+    IN_RECURSION(moved), IN_RECURSION(swings), IN_RECURSION(outdated), IN_RECURSION(since),
+    IN_RECURSION(unmodelled), IN_RECURSION(frozen), IN_RECURSION(window_block), IN_RECURSION(window_updates)
 };
 #define LENGTH(list) (uint32_t)(sizeof list / sizeof list[0])
 
@@ -66,12 +67,17 @@ static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_c
     leave_tail(unused, at + IN_RECURSION(sums.square), config->instrumental != 0U ? p : 0U, row);
     leave_tail(unused, at + IN_RECURSION(sums.right), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(peak), p, sizeof(scalar_t));
+    leave_tail(unused, at + IN_RECURSION(largest), p, sizeof(scalar_t));
+    leave_tail(unused, at + IN_RECURSION(before), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(factor), p, row);
     leave_tail(unused, at + IN_RECURSION(inverse_pivot), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(score), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(spread), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(reference), p, sizeof(scalar_t));
     leave_estimate(unused, at + IN_RECURSION(estimate), p);
+    if (!(config->unexplained > PMF_SCALAR(0.0))) {
+        leave_out(unused, at + IN_RECURSION(check), at + IN_RECURSION(unmodelled) + 4U);
+    }
     if (config->scheme != PMF_WINDOW) {
         leave_out(unused, at + IN_RECURSION(window), at + IN_RECURSION(window_updates) + 4U);
     }
@@ -98,6 +104,9 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
         leave_estimate(unused, IN_STATE(borrowed), config->instrument.n_parameters);
     } else {
         leave_out(unused, IN_STATE(borrowed), END_IN_STATE(borrowed));
+        leave_out(unused, IN_STATE(auxiliary), END_IN_STATE(auxiliary));
+        leave_out(unused, IN_STATE(network.node) + PMF_JUMP * (uint32_t)sizeof(scalar_t),
+                  IN_STATE(network.node) + PMF_SIGNALS * (uint32_t)sizeof(scalar_t));
     }
     if (config->linear.enabled == 0U) {
         leave_out(unused, IN_STATE(linear), END_IN_STATE(linear));

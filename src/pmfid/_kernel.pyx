@@ -50,9 +50,11 @@ cdef extern from "pmf.h":
     ctypedef struct pmf_recursion_config_t:
         uint32_t n_parameters, instrumental, first_column, min_updates, residual_updates
         real_t forgetting, regularization, pivot
-        uint32_t compensated, block, scheme, window_block
+        uint32_t compensated, block, scheme, window_block, growing, half_memory, leading
+        real_t correlated, haste, leak
+        real_t shown[PMF_MAX_PARAMETERS]
         real_t keep[PMF_MAX_PARAMETERS]
-        real_t unexplained, check_memory
+        real_t unexplained, check_samples
         real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]
         real_t target_noise[PMF_MAX_PARAMETERS]
         real_t target_power
@@ -60,6 +62,9 @@ cdef extern from "pmf.h":
         uint32_t enabled, adapt, has_initial, check_column, target_column, mass_column, trial_samples
         uint32_t direct_index[PMF_ROLES]
         uint32_t index[PMF_ROLES]
+        uint32_t sensitivities, jump_column
+        uint32_t cause[PMF_ROLES]
+        uint32_t role[PMF_ROLES]
         real_t dt, input_gain, position_gain, smoothing, memory, mismatch_limit, noise_power
         real_t initial[PMF_ROLES]
     ctypedef struct pmf_linear_config_t:
@@ -185,14 +190,19 @@ cdef _set_recursion(pmf_recursion_config_t *target, source):
     target.residual_updates, target.forgetting = source["residual_updates"], source["forgetting"]
     target.regularization, target.pivot, target.block = source["regularization"], source["pivot"], source["block"]
     target.scheme, target.window_block = source["scheme"], source["window_block"]
+    target.correlated, target.growing = source["correlated"], source.get("growing", 0)
+    target.leading = source.get("leading", 0)
+    target.haste, target.leak = source.get("haste", 1.0), source.get("leak", 1.0)
+    target.half_memory, shown = source.get("half_memory", 0), source.get("shown")
     target.compensated, noise = source.get("compensated", 0), source.get("noise")
-    target.unexplained, target.check_memory = source.get("unexplained", 0.0), source.get("check_memory", 0.0)
+    target.unexplained, target.check_samples = source.get("unexplained", 0.0), source.get("check_samples", 0.0)
     for i in range(target.n_parameters):
         for j in range(target.n_parameters):
             target.noise[i][j] = noise[i][j] if noise is not None else 0.0
     target_noise, target.target_power = source.get("target_noise"), source.get("target_power", 0.0)
     keep = source.get("keep")
     for i in range(target.n_parameters):
+        target.shown[i] = shown[i] if shown is not None and i < len(shown) else 0.0
         target.keep[i] = keep[i] if keep is not None else 1.0
         target.target_noise[i] = target_noise[i] if target_noise is not None else 0.0
 
@@ -257,6 +267,9 @@ cdef class Kernel:
             config.direct_index[role] = auxiliary["direct_index"][role]
             config.index[role] = auxiliary["index"][role]
             config.initial[role] = auxiliary["initial"][role]
+        config.jump_column, config.sensitivities = auxiliary["jump_column"], len(auxiliary["cause"])
+        for i, (cause, role) in enumerate(zip(auxiliary["cause"], auxiliary["role"], strict=True)):
+            config.cause[i], config.role[i] = cause, role
 
     cdef _set_linear(self, linear):
         cdef pmf_linear_config_t *config = &self.config.linear

@@ -11,9 +11,10 @@ from scipy.signal import lfilter
 
 from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.bcrls import BCRLS
-from pmfid.estimators.known_step import impulse_products
-from pmfid.filters.columns import ColumnBuilder
-from pmfid.filters.network import Network, Taps
+from pmfid.estimators.encoder_noise import impulse_products
+from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
+from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
+from pmfid.models.equation import STIFFNESS, Equation
 
 NO_PARAMETER = 0xFF
 #: Time constant of the slow copy of the estimate that drives the model, in filter time constants: the instruments must
@@ -21,12 +22,14 @@ NO_PARAMETER = 0xFF
 COPY_TIME_CONSTANTS = 17.0
 #: Mean square difference of model and measured velocity, as a part of the mean square, beyond which it is not trusted.
 MISMATCH_LIMIT = 0.2
+#: Signal of a term, the output as its velocity -> its place in the auxiliary model's block of signals.
+BLOCK = {**HELD, **SPLIT, "output": VELOCITY}
 #: Memory of that comparison, in filter time constants.
 CHECK_TIME_CONSTANTS = 30.0
 #: Mean square innovation, over what a white encoder error explains, beyond which the equation is called wrong on-line,
-#: and the memory of that mean in filter time constants.
+#: and the stretches of samples that it is taken over, two at a time, in filter time constants.
 UNEXPLAINED = 2.5
-MODEL_CHECK_TIME_CONSTANTS = 100.0
+MODEL_CHECK_TIME_CONSTANTS = 50.0
 
 
 def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
@@ -45,8 +48,8 @@ def _kept(estimator: Estimator, make: Callable[[Estimator], Any]) -> Any:
 
 def _make_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
     """Columns: those of the direct BCRLS, then regressors, target and instruments with the auxiliary model, then the
-    filtered velocity measured and modelled and the modelled acceleration. Returns network, columns, first
-    instrumental and first check column."""
+    filtered velocity measured and modelled, the modelled acceleration, and how the equation moves with each parameter
+    by the model's stops. Returns network, columns, first instrumental and first check column."""
     direct = direct_estimator(estimator)
     builder = ColumnBuilder(direct.equation, direct.spec)
     columns = [*builder.regressors(), builder.target(), *builder.instruments()]
@@ -55,6 +58,7 @@ def _make_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
     columns += [*builder.regressors("modelled"), builder.target("modelled"), *builder.regressors("simulated")]
     check = len(columns)
     columns += [builder.velocity(0, simulated=False), builder.velocity(0, simulated=True), builder.model_acceleration()]
+    columns += [builder.jump(i) for i in range(len(_causes(estimator.equation)))]
     return builder.network, columns, first, check
 
 
@@ -92,6 +96,9 @@ def make_auxiliary_kernel(
         "direct_index": _indices(direct.equation.roles),
         "index": _indices(estimator.equation.roles),
         "initial": role_values(estimator, initial),
+        "jump_column": check + 3,
+        "cause": _causes(estimator.equation) if adapt else [],
+        "role": [estimator.equation.roles.index(i) for i in range(p)] if adapt and _causes(estimator.equation) else [],
     }
     kernel = estimator.kernel_class(
         network.stages,
@@ -99,7 +106,9 @@ def make_auxiliary_kernel(
         estimator.encoder.kernel_config(estimator.dt),
         direct.recursion_config(len(direct.names), True, forgetting),
         2 * estimator.settle_samples,  # half-way the model is set to the measured velocity
-        estimator.recursion_config(p, True, forgetting, first) | _kept(estimator, _check_of_model),
+        estimator.recursion_config(p, True, forgetting, first)
+        | _kept(estimator, _check_of_model)
+        | {"growing": int(adapt)},
         auxiliary,
     )
     return kernel, first
@@ -112,8 +121,16 @@ def _check_of_model(estimator: Estimator) -> dict[str, Any]:
     return {
         "noise": (estimator.encoder.resolution**2 / 12 * products).tolist(),
         "unexplained": UNEXPLAINED,
-        "check_memory": math.exp(-estimator.cutoff * estimator.dt / MODEL_CHECK_TIME_CONSTANTS),
+        "check_samples": float(math.ceil(MODEL_CHECK_TIME_CONSTANTS / (estimator.cutoff * estimator.dt))),
     }
+
+
+def _causes(equation: Equation) -> list[int]:
+    """The auxiliary model's signal that each parameter multiplies; none with a spring, which would bring a deviation of
+    the velocity back: the kernel does not follow that, and the stops count as known."""
+    if equation.roles[STIFFNESS] is not None:
+        return []
+    return [ACCELERATION if t.derivative == 2 else AUXILIARY + BLOCK[t.signal] for t in equation.unknown]
 
 
 def role_values(estimator: Estimator, theta: Sequence[float] | None) -> list[float]:

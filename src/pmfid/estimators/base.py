@@ -244,6 +244,7 @@ class Estimator:
             "regularization": PROCESS_REGULARIZATION if process else REGULARIZATION,
             "pivot": PROCESS_PIVOT if process else START_PIVOT,
             "block": 2 * self.settle_samples,
+            "correlated": 2 * self.order / (self.cutoff * self.dt),
             "scheme": 0,
             "window_block": 1,
         }

@@ -23,7 +23,7 @@ from pmfid.estimators.batch import (
     long_run_covariance,
     solve_with_instruments,
 )
-from pmfid.estimators.known_step import impulse_products
+from pmfid.estimators.encoder_noise import impulse_products
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.scatter import block_scatter, raised
 from pmfid.estimators.srivc import counted, fit_process, fixed_filters, without_start

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, place_of
 from pmfid.estimators.base import Estimator, check_arrays, integer_counts
+from pmfid.estimators.encoder_noise import shown
 from pmfid.status import Status
 
 if TYPE_CHECKING:
@@ -63,6 +64,10 @@ FORGETTING_SCHEMES = {"exponential": 0, "directional": 1, "constant-trace": 2, "
 SEPARATE = 4
 #: Information that is never forgotten under constant trace, as a part of the largest seen.
 TRACE_REGULARIZATION = 1e-6
+#: What is known from larger motions than those of late is forgotten so many times as fast.
+HASTE = 8
+#: The kernel looks at the size of the motion every so many samples (csrc/pmf_forgetting.h).
+LOOK = 4
 #: The sliding window drops one of its 8 blocks at a time: it holds 7 to 8 of them.
 WINDOW_BLOCKS = 7.5
 
@@ -141,6 +146,11 @@ class RecursiveEstimator(Estimator):
         config = super().recursion_config(parameters, instrumental, forgetting, first_column)
         scheme = self.forgetting_scheme if forgetting < 1 else "exponential"
         config["scheme"] = FORGETTING_SCHEMES[scheme]
+        if forgetting < 1 and not self.equation.process:
+            config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / LOOK)
+            config["haste"], config["leak"] = forgetting**HASTE, forgetting ** (HASTE * LOOK)
+            config["shown"] = shown(self)
+            config["leading"] = self.equation.leading
         if self.forgetting_of and forgetting < 1:  # as with directional forgetting: innovations only
             config["residual_updates"] = 0
             config["scheme"] = SEPARATE
