@@ -84,8 +84,7 @@ enum {
     PMF_POSITION = 22,      /* the same times moving fraction */
     PMF_SPLIT_POSITION = 23, /* the same times the auxiliary model's moving fraction */
     PMF_MODEL_POSITION = 24, /* the auxiliary model's own, times its moving fraction */
-    PMF_JUMP = 25, /* a force for each parameter: what its change makes of the auxiliary model's stops and reversals */
-    PMF_SIGNALS = 32,
+    PMF_SIGNALS = 25,
     /* of a linear process, which has no auxiliary model: */
     PMF_ONE = PMF_AUXILIARY,       /* always 1 */
     PMF_START = PMF_AUXILIARY + 1 /* 1 in the first interval, as late as the rest: what stood in the plant at the start */
@@ -200,11 +199,12 @@ typedef struct {
     scalar_t keep[PMF_MAX_PARAMETERS]; /* root of each parameter's forgetting factor */
 #endif
     uint32_t block;        /* updates whose errors may be correlated; the spread of such blocks scales P */
-    scalar_t correlated;   /* updates whose errors are taken to be the same until there are blocks enough */
+    scalar_t correlated;   /* updates whose errors are taken to be the same until there are such blocks */
     uint32_t half_memory;  /* in looks at the size of the motion; 0: nothing is forgotten */
     uint32_t leading;      /* the parameter of the highest derivative */
     scalar_t haste, leak;  /* weights of what is outdated at the next sample, and of the peaks at the next look at them */
-    scalar_t shown[PMF_MAX_PARAMETERS]; /* inverse squares of what the encoder shows of the columns, 0 where it adds no noise */
+    scalar_t shown; /* inverse square of what the encoder shows of the leading column */
+    scalar_t outgrown; /* information in that column, over its largest square of late, from which on it is from larger motions */
 #if PMF_WITH_AUXILIARY
     uint32_t growing;      /* 1: the first samples, gathered with a model that was still wrong, count the less */
 #endif
@@ -239,7 +239,7 @@ typedef struct {
 typedef struct {
     pmf_sums_t sums;
     real_t peak[PMF_MAX_PARAMETERS];                       /* largest information seen in motions of the present size */
-    real_t largest[PMF_MAX_PARAMETERS], before[PMF_MAX_PARAMETERS]; /* squares of the columns, of this half memory and the last */
+    real_t largest, before; /* square of the leading column, in this half memory of motion and in the last */
     real_t factor[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* information = L D L^T: L below the diagonal */
     real_t inverse_pivot[PMF_MAX_PARAMETERS];              /* 1 / D */
     pmf_estimate_t estimate;
@@ -249,7 +249,6 @@ typedef struct {
     whole_t updates; /* saturating */
     whole_t started; /* updates since the first estimate, 0 before, saturating */
     real_t score[PMF_MAX_PARAMETERS];  /* sum of zeta times innovation in this block */
-    real_t spread[PMF_MAX_PARAMETERS]; /* of theta by blocks, over that of white innovations */
     whole_t block_updates, blocks;
     whole_t moved;   /* looks at samples in motion in this half memory */
     whole_t swings;  /* what these, and those of the last one, showed of the leading column, as bits */
@@ -279,10 +278,10 @@ typedef struct {
     uint32_t target_column; /* corrected by what the discrete filters make of the model's own acceleration: */
     uint32_t mass_column;   /* that of the instrument of the mass */
     uint32_t sensitivities; /* the number of parameters; 0: the model's stops and reversals count as known */
-    uint32_t jump_column;   /* PMF_JUMP, filtered, for each of them */
     uint32_t cause[PMF_ROLES], role[PMF_ROLES]; /* the model's signal that each one multiplies, and its first role */
     uint32_t trial_samples;         /* so long is a new start given before it is judged */
     scalar_t dt, input_gain;
+    scalar_t jump_gain;     /* of each of the two stages that a blow at a stop goes through */
     scalar_t position_gain; /* of the correction of the model's position, which matters with a spring only */
     scalar_t initial[PMF_ROLES];
     scalar_t smoothing;      /* per sample, of the copy */
@@ -291,10 +290,16 @@ typedef struct {
     scalar_t noise_power;    /* of the filtered measured velocity */
 } pmf_auxiliary_config_t;
 
+/* What a parameter's change makes of the model's stops. */
+typedef struct {
+    real_t momentum; /* the mass times the deviation of its velocity */
+    real_t blow, filtered; /* the force by which a stop takes that away, filtered once and twice */
+} pmf_jump_t;
+
 typedef struct {
     real_t parameter[PMF_ROLES];
     real_t velocity, position;
-    real_t sensitivity[PMF_ROLES]; /* of the velocity to each parameter */
+    pmf_jump_t jump[PMF_ROLES]; /* of each parameter */
     real_t power, mismatch;
     whole_t running; /* has parameters */
     whole_t trial;   /* samples until it is judged */

@@ -104,10 +104,7 @@ static void emit_motion(const phase_t *phase, real_t middle, real_t *signal)
 
 static void forget_sensitivity(pmf_auxiliary_state_t *state)
 {
-    uint32_t i;
-    for (i = 0; i < PMF_ROLES; ++i) {
-        state->sensitivity[i] = PMF_R(0.0);
-    }
+    pmf_clear(state->jump, (uint32_t)sizeof state->jump);
 }
 
 /* What of a deviation of velocity is left behind a stop: nothing where friction holds the body, else, as it reverses,
@@ -120,25 +117,27 @@ static real_t left_behind_stop(const body_t *body, truth_t forward)
     return PMF_IF((behind > PMF_R(0.0)) & (before > PMF_R(0.0)), behind / before, PMF_R(0.0));
 }
 
-/* m w' + d w = -signal for the deviation w of the velocity by each parameter, and at a stop the rest of w is lost, as if
- * by a blow. The sum of friction and input in the equation changes by the same blow: that is its derivative. */
+/* m w' + d w = -signal for the deviation w of the velocity by each parameter, and at a stop the rest of m w is lost, as if
+ * by a blow. The sum of friction and input in the equation changes by the same blow: that is its derivative. Behind the
+ * filters of the equation, as two stages of their delay, it is what regressors and target lack. */
 static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const body_t *body,
-                             real_t before, real_t after, real_t *signal)
+                             real_t before, real_t after, const real_t *signal)
 {
     truth_t forward = before > PMF_R(0.0), was = forward | (before < PMF_R(0.0));
     truth_t stops = was & PMF_NOT(before * after > PMF_R(0.0));
     real_t viscous = PMF_IF(forward, body->viscous[0], body->viscous[1]);
-    real_t gain = PMF_R(1.0) / (body->mass + config->dt * viscous), left = PMF_R(1.0);
-    real_t impulse = config->dt * gain, kept = body->mass * gain, blow;
+    real_t kept = body->mass / (body->mass + config->dt * viscous), left = PMF_R(1.0), lost;
     uint32_t i;
     if (PMF_ANY(stops)) {
         left = PMF_IF(stops, left_behind_stop(body, forward), left);
     }
-    blow = body->mass / config->dt * (left - PMF_R(1.0));
+    lost = (left - PMF_R(1.0)) * config->jump_gain / config->dt;
     for (i = 0; i < config->sensitivities; ++i) {
-        real_t w = kept * state->sensitivity[i] - impulse * signal[config->cause[i]];
-        signal[PMF_JUMP + i] = blow * w;
-        state->sensitivity[i] = left * w;
+        pmf_jump_t *jump = &state->jump[i];
+        real_t momentum = kept * (jump->momentum - config->dt * signal[config->cause[i]]);
+        jump->momentum = left * momentum;
+        jump->filtered += config->jump_gain * (jump->blow - jump->filtered);
+        jump->blow += lost * momentum - config->jump_gain * jump->blow;
     }
 }
 
@@ -190,7 +189,7 @@ PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const p
     uint32_t i;
     column[config->target_column] -= state->parameter[PMF_MASS] * (exact - column[config->mass_column]);
     for (i = 0; i < config->sensitivities; ++i) {
-        real_t jump = column[config->jump_column + i];
+        real_t jump = state->jump[i].filtered;
         column[first + i] -= jump;
         column[config->target_column] -= jump * state->parameter[config->role[i]];
     }
@@ -202,6 +201,7 @@ PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxil
     for (i = 0; i < PMF_ROLES; ++i) {
         state->parameter[i] = PMF_ALIKE(config->initial[i]);
     }
+    forget_sensitivity(state);
     state->running = PMF_W(config->has_initial);
     state->trusted = PMF_W(config->has_initial);
     state->trial = PMF_W(config->trial_samples);

@@ -54,14 +54,6 @@ PMF_INLINE scalar_t directions(const pmf_recursion_config_t *config)
     return SCHEME(config) == PMF_DIRECTIONAL ? (scalar_t)PARAMETERS(config) : PMF_SCALAR(1.0);
 }
 
-/* Mean square in the memory over the largest of late, from which on it is from larger motions: 1 and a margin for rounding;
- * with directional forgetting, which keeps more of what is seldom excited, the more. */
-PMF_INLINE scalar_t outgrown(const pmf_recursion_config_t *config)
-{
-    (void)config;
-    return SCHEME(config) == PMF_DIRECTIONAL ? PMF_SCALAR(3.0) : PMF_SCALAR(1.25);
-}
-
 PMF_INLINE void forget_weight(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
 {
     scalar_t kept = PMF_SCALAR(1.0) - (PMF_SCALAR(1.0) - config->forgetting) / directions(config);
@@ -114,44 +106,28 @@ PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf
 /* Only so often is the size of the motion looked at: the filters let no column change much faster. A power of two. */
 #define LOOK 4U
 
-/* Is this sample a motion that the encoder shows? */
-PMF_INLINE truth_t is_shown(const pmf_recursion_config_t *config, const real_t *column, uint32_t p)
-{
-    real_t shown = PMF_R(0.0);
-    uint32_t i;
-    for (i = 0; i < p; ++i) {
-        shown += config->shown[i] * (column[i] * column[i]);
-    }
-    return shown > PMF_R(1.0);
-}
-
 #define SPED_UP 1U
 #define SLOWED_DOWN 2U
 #define HALF_MEMORIES 4U /* the same bits of the last half memory are so many times as large */
 
-/* Did the encoder show lately how the axis sped up and slowed down? All but that, as a constant speed or running down, says
- * little, however long. `ends`: the last half memory is over. */
-PMF_INLINE truth_t note_swing(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead, truth_t moves,
-                              truth_t ends)
+/* Keeps the largest square of the acceleration in motion, of this half memory of motion and of the last. Did the encoder show
+ * lately how the axis sped up and slowed down? All but that, as a constant speed or running down, says little, however
+ * long. */
+PMF_INLINE truth_t note_swing(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead,
+                              real_t square, truth_t moves)
 {
+    truth_t ends = moves & (state->moved >= config->half_memory);
     whole_t both = PMF_W(SPED_UP | SLOWED_DOWN);
-    whole_t swing = PMF_IF(lead < PMF_R(0.0), PMF_W(SLOWED_DOWN), PMF_W(SPED_UP));
-    moves = moves & (config->shown[config->leading] * (lead * lead) > PMF_R(1.0));
-    state->swings = PMF_IF(ends, (state->swings & both) * HALF_MEMORIES, state->swings);
-    state->swings |= PMF_IF(moves, swing, PMF_W(0));
-    return ((state->swings | (state->swings >> 2)) & both) == both;
-}
-
-/* Keeps the largest square of a column in motion. Returns that of late. */
-PMF_INLINE real_t note_size(real_t *largest, real_t *before, real_t column, truth_t moves, truth_t ends)
-{
-    real_t square = column * column;
     if (PMF_ANY(ends)) {
-        *before = PMF_IF(ends, *largest, *before);
-        *largest = PMF_IF(ends, PMF_R(0.0), *largest);
+        state->moved = PMF_IF(ends, PMF_W(0), state->moved);
+        state->swings = PMF_IF(ends, (state->swings & both) * HALF_MEMORIES, state->swings);
+        state->before = PMF_IF(ends, state->largest, state->before);
+        state->largest = PMF_IF(ends, PMF_R(0.0), state->largest);
     }
-    *largest = PMF_IF(moves & (square > *largest), square, *largest);
-    return LARGER(*largest, *before);
+    state->moved += PMF_BIT(moves, 1U);
+    state->swings |= PMF_IF(moves, PMF_IF(lead < PMF_R(0.0), PMF_W(SLOWED_DOWN), PMF_W(SPED_UP)), PMF_W(0));
+    state->largest = PMF_IF(moves & (square > state->largest), square, state->largest);
+    return ((state->swings | (state->swings >> 2)) & both) == both;
 }
 
 /* With a model that follows the estimate the first samples were gathered with a poor one: until the memory is full each

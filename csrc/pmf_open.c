@@ -75,7 +75,6 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
     state->block_updates = 0U;
     for (i = 0; i < config->n_parameters; ++i) {
         state->score[i] = PMF_R(0.0);
-        state->spread[i] = PMF_R(0.0);
         state->estimate.inflation[i] = config->correlated;
     }
 }

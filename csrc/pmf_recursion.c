@@ -20,9 +20,9 @@
 #define FREEZE PMF_R(1e-3)  /* and below FREEZE times it there is nothing left worth forgetting */
 #define LEAST_CLEAN PMF_R(0.02) /* of a column's information */
 #define BLOCK_MEMORY 100U
-#define MIN_BLOCKS 8U
+#define MIN_BLOCKS 8.0
 #define SKIPPED_INNOVATIONS 4U /* innovations of a fresh estimate say nothing of the noise */
-#define JUDGED 16U /* updates between two verdicts on the model; a power of two */
+#define JUDGED 16U /* updates between two verdicts on the model, half-way between two looks; a power of two */
 #define NEGLIGIBLE PMF_R(1e-6) /* mean square part of the target that no model need explain */
 
 #if PMF_WITH_NOISE
@@ -57,7 +57,7 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
         return PMF_W(0);
     }
     note_unexplained(config, state, where, target);
-    judged = (state->updates & (JUDGED - 1U)) == 0U;
+    judged = (state->updates & (JUDGED - 1U)) == LOOK / 2U;
     if (!PMF_ANY(judged)) {
         return PMF_IF(where, state->unmodelled, PMF_W(0));
     }
@@ -101,28 +101,24 @@ PMF_INLINE whole_t subtract_noise(const pmf_recursion_config_t *config, const pm
     return poor;
 }
 
-/* In motions that excite the axis the peaks come down to what these can give. Where more is known than the largest of the
- * last memory could give for good, it is from larger ones, and forgotten in haste: a memory is one of time, whatever the
- * size of the motion. */
-PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
-                              truth_t looks, uint32_t p, real_t information[N][N])
+/* In motions that excite the axis the peaks come down to what these can give. Where more is known than the largest
+ * acceleration of the last memory could give for good, it is from larger motions, and forgotten in haste: a memory is one of
+ * time, whatever the size of the motion. */
+PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead,
+                              truth_t looks, uint32_t p, real_t known)
 {
-    scalar_t fresh = (PMF_SCALAR(1.0) - config->forgetting) / directions(config);
-    truth_t moves = looks & is_shown(config, column, p), ends, excited, outdated;
+    real_t square = lead * lead;
+    truth_t moves = looks & (config->shown * square > PMF_R(1.0)), excited;
     uint32_t i;
     if (!PMF_ANY(moves)) {
         return;
     }
-    ends = moves & (state->moved >= config->half_memory);
-    state->moved = PMF_IF(ends, PMF_W(0), state->moved) + PMF_BIT(moves, 1U);
-    excited = moves & note_swing(config, state, column[config->leading], moves, ends);
-    outdated = excited & PMF_NOT(excited);
+    excited = moves & note_swing(config, state, lead, square, moves);
     for (i = 0; i < p; ++i) {
-        real_t recent = note_size(&state->largest[i], &state->before[i], column[i], moves, ends);
-        outdated = outdated | (excited & (fresh * information[i][i] > outgrown(config) * recent));
         state->peak[i] = PMF_IF(excited, config->leak * state->peak[i], state->peak[i]);
     }
-    state->outdated = PMF_IF(outdated, PMF_W(config->half_memory * LOOK), state->outdated);
+    excited = excited & (known > config->outgrown * LARGER(state->largest, state->before));
+    state->outdated = PMF_IF(excited, PMF_W(config->half_memory * LOOK), state->outdated);
 }
 
 /* Adds the regularisation and says whether there is information left to forget. */
@@ -206,38 +202,26 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
     }
 }
 
-/* With weights w the covariance of theta is P (sum w^2) S P, S the long-run covariance of the scores, where white
- * innovations and equal weights have P times their variance. Until there are blocks enough the difference to those counts
- * as the innovations' that are the same for as long as the filters may make them. */
-PMF_SELDOM void inflate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where)
-{
-    real_t unequal = state->sums.squares / state->sums.weight, blocks = PMF_TO_REAL(state->blocks);
-    real_t known = PMF_IF(state->blocks < MIN_BLOCKS, blocks / (scalar_t)MIN_BLOCKS, PMF_R(1.0));
-    real_t unknown = (PMF_R(1.0) - known) * config->correlated;
-    uint32_t i;
-    for (i = 0; i < PARAMETERS(config); ++i) {
-        real_t inflation = unequal * (known * state->spread[i] + unknown);
-        state->estimate.inflation[i] = PMF_IF(where, inflation, state->estimate.inflation[i]);
-    }
-}
-
-/* Spread of theta by blocks of innovations against that of white ones (batch means). `move` is a block's sum after the
- * gain. */
+/* Spread of theta by blocks of innovations against that of white ones (batch means): with weights w its covariance is
+ * P (sum w^2) S P, S the long-run covariance of the scores, where white innovations and equal weights have P times their
+ * variance. What is missing to MIN_BLOCKS of them counts as blocks of innovations that are the same for as long as the
+ * filters may make them. `move` is a block's sum after the gain. */
 static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                        const real_t move[N])
 {
-    real_t share = state->sums.weight / PMF_TO_REAL(state->block_updates), keep, white, ratio, spread;
+    real_t share = state->sums.squares / PMF_TO_REAL(state->block_updates);
+    truth_t few = state->blocks < (uint32_t)MIN_BLOCKS;
+    real_t blocks;
     uint32_t i;
     state->blocks += PMF_BIT(where & (state->blocks < BLOCK_MEMORY), 1U);
-    keep = PMF_R(1.0) - PMF_R(1.0) / PMF_TO_REAL(state->blocks);
+    blocks = PMF_IF(few, PMF_R(MIN_BLOCKS), PMF_TO_REAL(state->blocks));
     for (i = 0; i < PARAMETERS(config); ++i) {
-        white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
-        ratio = PMF_IF(white > TINY, move[i] * move[i] * share / white, PMF_R(1.0));
-        spread = keep * state->spread[i] + (PMF_R(1.0) - keep) * ratio;
-        /* else it is beyond the number format and would stay */
-        state->spread[i] = PMF_IF(where & (ratio - ratio == PMF_R(0.0)), spread, state->spread[i]);
+        real_t white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
+        real_t *inflation = &state->estimate.inflation[i];
+        real_t change = move[i] * move[i] * share / white - PMF_IF(few, PMF_ALIKE(config->correlated), *inflation);
+        /* beyond the number format, or nothing over nothing, it would stay */
+        *inflation = PMF_IF(where & (change - change == PMF_R(0.0)), *inflation + change / blocks, *inflation);
     }
-    inflate(config, state, where);
 }
 
 PMF_INLINE void solve(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
@@ -316,7 +300,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     }
     looks = (state->updates & (LOOK - 1U)) == 0U;
     if (config->half_memory != 0U && PMF_ANY(looks)) {
-        compare_sizes(config, state, column, looks, p, information);
+        compare_sizes(config, state, column[config->leading], looks, p, information[config->leading][config->leading]);
     }
     regularise(config, state, p, information);
     factorise(p, information, state->factor, state->inverse_pivot);
@@ -334,7 +318,9 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
         if (PMF_ALL(waits)) {
             return PMF_W(PMF_STARTING | PMF_POOR_EXCITATION);
         }
-        inflate(config, state, starts);
+        for (i = 0; i < p; ++i) {
+            state->estimate.inflation[i] = PMF_IF(starts, PMF_ALIKE(config->correlated), state->estimate.inflation[i]);
+        }
     }
     state->started += PMF_BIT(PMF_NOT(waits) & (state->started < SATURATED), 1U);
     /* else the noise alone would carry theta away in a long while */
@@ -357,8 +343,8 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     scored = PMF_NOT(waits) & (state->weight > PMF_R(0.0)) & (status == 0U);
     if (config->block > 0U && PMF_ANY(scored)) {
         note_score(config, state, scored, instrumental != 0U ? &column[p + 1U] : column, p);
-        /* not where sizes are compared: both in one sample would take long */
-        ends = scored & PMF_NOT(looks) & (state->block_updates >= config->block);
+        /* not where sizes are compared or the model is judged: both in one sample would take long */
+        ends = scored & ((state->updates & 1U) != 0U) & (state->block_updates >= config->block);
         if (PMF_ANY(ends)) {
             end_block(config, state, ends, p, instrumental, &projection);
         }

@@ -16,7 +16,8 @@ from pmfid.monitor.detectors import DETECTORS, Cusum, Glr, PageHinkley, statisti
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, WATCHING, Alarm, Settled, StateChange, Watch
 from pmfid.monitor.scores import Blocks, ScoreFilter, make_scale, scores
 from pmfid.monitor.watch import Monitor
-from pmfid.simulation import CART, CART_DT, Schedule, resolution_of
+from pmfid.simulation import CART, CART_DT, Schedule, position_control, resolution_of
+from pmfid.simulation.scenarios import CART_CONTROL
 from pmfid.studies.monitoring.axis import changing, drive, make_riv, normal_work, random_stop_and_go
 from pmfid.studies.monitoring.false_alarms import count_alarms, poisson_interval
 
@@ -352,3 +353,22 @@ def test_lost_samples_are_no_change(calibration: Calibration) -> None:
 def test_wrong_wishes_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         Watch(**options)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_change_of_mass_is_reported_after_five_seconds_at_24_volt(calibration: Calibration, seed: int) -> None:
+    """What a violent motion told does not make it deaf to the normal one, which begins two seconds later."""
+    rng = np.random.default_rng((seed, 24))
+    violent = np.where(np.arange(500) // 25 % 2 == 0, 3.0, -3.0)
+    reference = np.concatenate([violent, np.zeros(200), random_stop_and_go(3700, rng)])
+    loaded = Schedule(((0.0, CART), (37.0, replace(CART, mass=1.31 * CART.mass))))
+    control: dict[str, Any] = {**CART_CONTROL, "u_max": 24.0, "resolution": resolution_of(INCREMENTS)}
+    motion, counts = position_control(loaded, reference, CART_DT, **control, phase=0.3 * resolution_of(INCREMENTS))
+    assert np.abs(motion.u[:500]).min() == 24.0
+    monitor = Monitor(make_riv(INCREMENTS, THETA), calibration, Watch())
+    alarms: list[Alarm] = []
+    for u, count in zip(motion.u.tolist(), counts.tolist(), strict=True):
+        alarms += [event for event in monitor.step(u, count)[1] if isinstance(event, Alarm)]
+    assert [alarm.parameter for alarm in alarms] == ["mass"]
+    assert 37.0 < alarms[0].time < 40.0
+    assert alarms[0].relative == pytest.approx(0.31, abs=0.03)

@@ -67,12 +67,9 @@ static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_c
     leave_tail(unused, at + IN_RECURSION(sums.square), config->instrumental != 0U ? p : 0U, row);
     leave_tail(unused, at + IN_RECURSION(sums.right), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(peak), p, sizeof(scalar_t));
-    leave_tail(unused, at + IN_RECURSION(largest), p, sizeof(scalar_t));
-    leave_tail(unused, at + IN_RECURSION(before), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(factor), p, row);
     leave_tail(unused, at + IN_RECURSION(inverse_pivot), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(score), p, sizeof(scalar_t));
-    leave_tail(unused, at + IN_RECURSION(spread), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(reference), p, sizeof(scalar_t));
     leave_estimate(unused, at + IN_RECURSION(estimate), p);
     if (!(config->unexplained > PMF_SCALAR(0.0))) {
@@ -105,8 +102,6 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
     } else {
         leave_out(unused, IN_STATE(borrowed), END_IN_STATE(borrowed));
         leave_out(unused, IN_STATE(auxiliary), END_IN_STATE(auxiliary));
-        leave_out(unused, IN_STATE(network.node) + PMF_JUMP * (uint32_t)sizeof(scalar_t),
-                  IN_STATE(network.node) + PMF_SIGNALS * (uint32_t)sizeof(scalar_t));
     }
     if (config->linear.enabled == 0U) {
         leave_out(unused, IN_STATE(linear), END_IN_STATE(linear));

@@ -51,8 +51,7 @@ cdef extern from "pmf.h":
         uint32_t n_parameters, instrumental, first_column, min_updates, residual_updates
         real_t forgetting, regularization, pivot
         uint32_t compensated, block, scheme, window_block, growing, half_memory, leading
-        real_t correlated, haste, leak
-        real_t shown[PMF_MAX_PARAMETERS]
+        real_t correlated, haste, leak, shown, outgrown
         real_t keep[PMF_MAX_PARAMETERS]
         real_t unexplained, check_samples
         real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]
@@ -62,7 +61,8 @@ cdef extern from "pmf.h":
         uint32_t enabled, adapt, has_initial, check_column, target_column, mass_column, trial_samples
         uint32_t direct_index[PMF_ROLES]
         uint32_t index[PMF_ROLES]
-        uint32_t sensitivities, jump_column
+        uint32_t sensitivities
+        real_t jump_gain
         uint32_t cause[PMF_ROLES]
         uint32_t role[PMF_ROLES]
         real_t dt, input_gain, position_gain, smoothing, memory, mismatch_limit, noise_power
@@ -193,7 +193,8 @@ cdef _set_recursion(pmf_recursion_config_t *target, source):
     target.correlated, target.growing = source["correlated"], source.get("growing", 0)
     target.leading = source.get("leading", 0)
     target.haste, target.leak = source.get("haste", 1.0), source.get("leak", 1.0)
-    target.half_memory, shown = source.get("half_memory", 0), source.get("shown")
+    target.half_memory = source.get("half_memory", 0)
+    target.shown, target.outgrown = source.get("shown", 0.0), source.get("outgrown", 0.0)
     target.compensated, noise = source.get("compensated", 0), source.get("noise")
     target.unexplained, target.check_samples = source.get("unexplained", 0.0), source.get("check_samples", 0.0)
     for i in range(target.n_parameters):
@@ -202,7 +203,6 @@ cdef _set_recursion(pmf_recursion_config_t *target, source):
     target_noise, target.target_power = source.get("target_noise"), source.get("target_power", 0.0)
     keep = source.get("keep")
     for i in range(target.n_parameters):
-        target.shown[i] = shown[i] if shown is not None and i < len(shown) else 0.0
         target.keep[i] = keep[i] if keep is not None else 1.0
         target.target_noise[i] = target_noise[i] if target_noise is not None else 0.0
 
@@ -267,7 +267,7 @@ cdef class Kernel:
             config.direct_index[role] = auxiliary["direct_index"][role]
             config.index[role] = auxiliary["index"][role]
             config.initial[role] = auxiliary["initial"][role]
-        config.jump_column, config.sensitivities = auxiliary["jump_column"], len(auxiliary["cause"])
+        config.jump_gain, config.sensitivities = auxiliary["jump_gain"], len(auxiliary["cause"])
         for i, (cause, role) in enumerate(zip(auxiliary["cause"], auxiliary["role"], strict=True)):
             config.cause[i], config.role[i] = cause, role
 

@@ -48,8 +48,8 @@ def _kept(estimator: Estimator, make: Callable[[Estimator], Any]) -> Any:
 
 def _make_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
     """Columns: those of the direct BCRLS, then regressors, target and instruments with the auxiliary model, then the
-    filtered velocity measured and modelled, the modelled acceleration, and how the equation moves with each parameter
-    by the model's stops. Returns network, columns, first instrumental and first check column."""
+    filtered velocity measured and modelled and the modelled acceleration. Returns network, columns, first
+    instrumental and first check column."""
     direct = direct_estimator(estimator)
     builder = ColumnBuilder(direct.equation, direct.spec)
     columns = [*builder.regressors(), builder.target(), *builder.instruments()]
@@ -58,7 +58,6 @@ def _make_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
     columns += [*builder.regressors("modelled"), builder.target("modelled"), *builder.regressors("simulated")]
     check = len(columns)
     columns += [builder.velocity(0, simulated=False), builder.velocity(0, simulated=True), builder.model_acceleration()]
-    columns += [builder.jump(i) for i in range(len(_causes(estimator.equation)))]
     return builder.network, columns, first, check
 
 
@@ -96,7 +95,7 @@ def make_auxiliary_kernel(
         "direct_index": _indices(direct.equation.roles),
         "index": _indices(estimator.equation.roles),
         "initial": role_values(estimator, initial),
-        "jump_column": check + 3,
+        "jump_gain": 1 - math.exp(-2 / estimator.order * estimator.cutoff * estimator.dt),
         "cause": _causes(estimator.equation) if adapt else [],
         "role": [estimator.equation.roles.index(i) for i in range(p)] if adapt and _causes(estimator.equation) else [],
     }

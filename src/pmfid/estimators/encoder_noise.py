@@ -44,13 +44,13 @@ def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps
     return np.array([sum(weight * nodes[node] for node, weight in taps) for taps in columns])
 
 
-def shown(estimator: Estimator) -> list[float]:
-    """(p,) the inverse squares of what the encoder shows of each regressor of the equation; 0 where it adds no error.
+def shown(estimator: Estimator) -> float:
+    """The inverse square of what the encoder shows of the regressor of the highest derivative.
 
     An error of half a step at every sample, of the sign that matters most, makes no more than the bound that this is
     `SHOWN` times of: what is beyond is a motion.
     """
     builder = ColumnBuilder(estimator.equation, estimator.spec)
-    responses = impulse_responses(estimator, builder.network, builder.regressors())
-    bounds = SHOWN * estimator.encoder.resolution / 2 * np.sum(np.abs(responses), axis=1)
-    return [1 / float(bound) ** 2 if bound > 1e-15 else 0.0 for bound in bounds]
+    column = builder.regressors()[estimator.equation.leading]
+    (response,) = impulse_responses(estimator, builder.network, [column])
+    return float((SHOWN * estimator.encoder.resolution / 2 * np.sum(np.abs(response))) ** -2)

@@ -149,8 +149,10 @@ class RecursiveEstimator(Estimator):
         if forgetting < 1 and not self.equation.process:
             config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / LOOK)
             config["haste"], config["leak"] = forgetting**HASTE, forgetting ** (HASTE * LOOK)
-            config["shown"] = shown(self)
-            config["leading"] = self.equation.leading
+            config["leading"], config["shown"] = self.equation.leading, shown(self)
+            directions = parameters if scheme == "directional" else 1
+            config["forgetting"] = forgetting**directions  # one direction at a time: only so all have the same memory
+            config["outgrown"] = directions / (1 - config["forgetting"])
         if self.forgetting_of and forgetting < 1:  # as with directional forgetting: innovations only
             config["residual_updates"] = 0
             config["scheme"] = SEPARATE

@@ -24,7 +24,6 @@ from pmfid.filters.network import (
     FORWARD,
     FORWARD_VELOCITY,
     INPUT,
-    JUMP,
     LATE_INPUT,
     LATE_POSITION,
     MODEL_POSITION,
@@ -196,10 +195,6 @@ class ColumnBuilder:
     def model_acceleration(self) -> Taps:
         """The filtered mean acceleration of the auxiliary model, exactly."""
         return self._hold(ACCELERATION)
-
-    def jump(self, i: int) -> Taps:
-        """How the filtered equation moves with parameter i by the stops of the auxiliary model."""
-        return self._hold(JUMP + i)
 
     def _hold(self, source: int) -> Taps:
         spec = self.spec

@@ -13,9 +13,7 @@ ACCELERATION = 20
 LATE_POSITION = 21
 POSITION, SPLIT_POSITION, MODEL_POSITION = 22, 23, 24
 ONE, START = AUXILIARY, AUXILIARY + 1  # of a linear process, which has no auxiliary model
-#: One signal for each parameter of the auxiliary model: the derivative of what friction and input do at its stops.
-JUMP = 25
-SIGNALS = 32
+SIGNALS = 25
 
 Taps = list[tuple[int, float]]
 
