@@ -114,7 +114,8 @@ enum {
     PMF_STANDSTILL = 64,
     PMF_RESET = 128,
     PMF_FALLBACK = 256,
-    PMF_UNMODELLED = 512
+    PMF_UNMODELLED = 512,
+    PMF_FEEDBACK = 1024
 };
 
 /* What becomes of old samples, beside the regularisation. */
@@ -284,7 +285,7 @@ typedef struct {
     scalar_t jump_gain;     /* of each of the two stages that a blow at a stop goes through */
     scalar_t position_gain; /* of the correction of the model's position, which matters with a spring only */
     scalar_t initial[PMF_ROLES];
-    scalar_t smoothing;      /* per sample, of the copy */
+    scalar_t smoothing;      /* per four samples, of the copy */
     scalar_t memory;         /* forgetting of the check, per sample */
     scalar_t mismatch_limit; /* mean square difference of the velocities, as a part of their mean square */
     scalar_t noise_power;    /* of the filtered measured velocity */
@@ -292,7 +293,7 @@ typedef struct {
 
 /* What a parameter's change makes of the model's stops. */
 typedef struct {
-    real_t momentum; /* the mass times the deviation of its velocity */
+    real_t momentum; /* the mass times the deviation of its velocity, over dt */
     real_t blow, filtered; /* the force by which a stop takes that away, filtered once and twice */
 } pmf_jump_t;
 
@@ -301,10 +302,13 @@ typedef struct {
     real_t velocity, position;
     pmf_jump_t jump[PMF_ROLES]; /* of each parameter */
     real_t power, mismatch;
+    real_t cross, innovations, changes; /* products of the innovations and the changes of the input; their squares */
     whole_t running; /* has parameters */
     whole_t trial;   /* samples until it is judged */
     whole_t trusted;
     whole_t in_charge; /* the instrumental estimate has taken over from the direct one */
+    whole_t feedback;  /* the last verdict, as a status bit */
+    whole_t turn;      /* of the samples between two steps of the copy */
 } pmf_auxiliary_state_t;
 
 #if PMF_WITH_LINEAR
@@ -457,6 +461,9 @@ PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxil
 /* Judges the model against the measured velocity; true where its instruments may be used. */
 PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                                     const real_t *column);
+/* Do the changes of the input follow the innovations? PMF_FEEDBACK or 0; `where`: the recursion has made a step. */
+PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const pmf_recursion_state_t *recursion,
+                                       truth_t where, real_t change);
 /* Moves the copy towards an estimate, whose parameters are found by `index`. */
 PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, truth_t where,
                                   const real_t *theta, const uint32_t *index);

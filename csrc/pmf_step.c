@@ -129,6 +129,8 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     PMF_WHERE(trusted & settled, &state->instrument,
               stepped = pmf_recursion_step(&config->instrument, &state->instrument, state->network.column));
     status = PMF_IF(trusted & settled, stepped, status);
+    status |= pmf_auxiliary_feedback(&state->auxiliary, &state->instrument, trusted & settled,
+                                     state->encoder.input - state->encoder.input_before);
     in_charge = trusted & (state->auxiliary.in_charge != 0U);
     if (PMF_ANY(trusted & PMF_NOT(in_charge))) {
         in_charge = in_charge | (trusted & takes_over(config, state));
@@ -145,7 +147,7 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     pmf_auxiliary_follow(auxiliary, &state->auxiliary, borrows, state->direct.estimate.theta, auxiliary->direct_index);
     PMF_WHERE(PMF_NOT(in_charge), &state->borrowed, borrow_estimate(config, state));
     direct_status = (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK;
-    return PMF_IF(in_charge, status, direct_status | (status & (PMF_RESET | PMF_UNMODELLED)));
+    return PMF_IF(in_charge, status, direct_status | (status & (PMF_RESET | PMF_UNMODELLED | PMF_FEEDBACK)));
 }
 
 #endif

@@ -18,6 +18,7 @@ class Status(IntFlag):
     RESET = 128
     FALLBACK = 256
     UNMODELLED = 512
+    FEEDBACK = 1024
 
     @property
     def advice(self) -> tuple[str, ...]:
@@ -42,5 +43,9 @@ ADVICE = {
     Status.UNMODELLED: (
         "the equation is off by more than the encoder's step explains: friction, load or delay that the model lacks, "
         "or a parameter that changes; the error bars do not cover it"
+    ),
+    Status.FEEDBACK: (
+        "the input follows what the equation leaves unexplained, as under position control through the encoder: biases "
+        "beyond the error bars are possible, the larger the coarser it is; open-loop motion is free of them"
     ),
 }

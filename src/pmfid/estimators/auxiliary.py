@@ -20,6 +20,8 @@ NO_PARAMETER = 0xFF
 #: Time constant of the slow copy of the estimate that drives the model, in filter time constants: the instruments must
 #: not follow the noise of the samples that they are multiplied with.
 COPY_TIME_CONSTANTS = 17.0
+#: The kernel takes the copy on every so many samples (csrc/pmf_auxiliary.c).
+FOLLOWED = 4
 #: Mean square difference of model and measured velocity, as a part of the mean square, beyond which it is not trusted.
 MISMATCH_LIMIT = 0.2
 #: Signal of a term, the output as its velocity -> its place in the auxiliary model's block of signals.
@@ -88,7 +90,7 @@ def make_auxiliary_kernel(
         "dt": estimator.dt,
         "input_gain": estimator.equation.input_gain,
         "position_gain": min(1.0, estimator.cutoff * estimator.dt / COPY_TIME_CONSTANTS),
-        "smoothing": min(1.0, estimator.cutoff * estimator.dt / COPY_TIME_CONSTANTS),
+        "smoothing": min(1.0, FOLLOWED * estimator.cutoff * estimator.dt / COPY_TIME_CONSTANTS),
         "memory": math.exp(-estimator.cutoff * estimator.dt / CHECK_TIME_CONSTANTS),
         "mismatch_limit": MISMATCH_LIMIT,
         "noise_power": _kept(estimator, _noise_power),

@@ -174,7 +174,7 @@ def _recursive(estimator: RecursiveEstimator, record: Record, columns: Columns, 
     theta, std = track.theta[-1], track.theta_std[-1]
     relative = _relative_error(columns, track)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
-    held = occurred | (last & ~int(Status.SETTLING | Status.UNMODELLED))  # `judge` looks closer
+    held = occurred | (last & ~int(Status.SETTLING | Status.UNMODELLED | Status.FEEDBACK))  # `judge` looks closer
     flags, notes = judge(estimator, record.u, record.counts, theta, std)
     status = (*status_names(held), *flags)
     notes = (*record.notes, *notes, *Status(held).advice)
