@@ -164,14 +164,7 @@ PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recurs
 {
     pmf_estimate_t *estimate = &state->estimate;
     real_t square = estimate->innovation * estimate->innovation;
-    real_t f = PMF_ALIKE(config->forgetting);
-#if PMF_WITH_AUXILIARY
-    real_t part = memory_of(config, state, PMF_R(1.0)); /* large ones of a poor model fade with the eighth power of time */
-    part *= part;
-    part *= part;
-    part *= part;
-    f = PMF_IF(part < f, part, f);
-#endif
+    real_t f = memory_of(config, state, PMF_ALIKE(config->forgetting)); /* as the samples themselves */
     where = where & (state->started > SKIPPED_INNOVATIONS) & (state->frozen == 0U);
     if (PMF_ANY(where)) {
         state->weight = PMF_IF(where, f * state->weight + PMF_R(1.0), state->weight);

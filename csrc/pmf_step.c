@@ -116,6 +116,15 @@ static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
     return (state->instrument.started > 0U) & ((state->direct.started == 0U) | enough);
 }
 
+/* What the instrumental estimate left unexplained on its way, by orders of magnitude more than the direct one at times, is no
+ * noise: it would stay in the error bars where nothing is forgotten. */
+static void forget_start(pmf_state_t *state, truth_t where)
+{
+    real_t limit = state->instrument.weight * state->direct.estimate.innovation_variance;
+    where = where & (limit > PMF_R(0.0)) & (state->instrument.innovation_square > limit);
+    state->instrument.innovation_square = PMF_IF(where, limit, state->instrument.innovation_square);
+}
+
 /* Instrumental variables where the auxiliary model follows the plant, else the direct estimate. */
 static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, whole_t direct_status, truth_t settled)
 {
@@ -134,6 +143,7 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     in_charge = trusted & (state->auxiliary.in_charge != 0U);
     if (PMF_ANY(trusted & PMF_NOT(in_charge))) {
         in_charge = in_charge | (trusted & takes_over(config, state));
+        forget_start(state, in_charge & (state->auxiliary.in_charge == 0U));
     }
     state->auxiliary.in_charge = PMF_BIT(in_charge, 1U);
     pmf_auxiliary_follow(auxiliary, &state->auxiliary, in_charge, state->instrument.estimate.theta, auxiliary->index);
