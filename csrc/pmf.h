@@ -43,6 +43,7 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_W(x) ((uint32_t)(x))
 #define PMF_ALIKE(x) (x)
 #define PMF_TO_REAL(x) ((real_t)(x))
+#define PMF_TO_INTEGER(x) ((integer_t)(x))
 #define PMF_IF(truth, yes, no) ((truth) ? (yes) : (no))
 #define PMF_ANY(truth) ((truth) != 0)
 #define PMF_ALL(truth) ((truth) != 0)
@@ -138,7 +139,30 @@ typedef struct {
 #if PMF_WITH_PROCESS
     uint32_t process; /* the output of a linear process: positions count from zero, and rest means nothing */
 #endif
+#if PMF_WITH_GUARD
+    uint32_t guard;      /* samples in motion that it learns from before it judges strictly; 0: none */
+    scalar_t spike;      /* an input so many times as large as any lately is suspicious */
+    scalar_t guard_leak; /* of what it has learned, per sample in motion */
+    uint32_t guard_hold; /* samples from a suspicious one on that are left out */
+#endif
 } pmf_encoder_config_t;
+
+#if PMF_WITH_GUARD
+/* Against samples that no motion explains. */
+typedef struct {
+    whole_t seen;     /* the first samples and those in motion, until it has learned */
+    whole_t suspect;  /* suspicious changes in a row */
+    whole_t doubt;    /* on the last two inputs */
+    whole_t reading;  /* the last count while it is suspicious */
+    integer_t change; /* the last one, read or predicted, that the next is predicted from */
+    real_t rate;      /* how that had changed */
+    real_t scatter;   /* what predictions missed by, beyond the encoder's step: a leaking maximum */
+    real_t peak;      /* of the input, leaking as fast */
+    real_t gain;      /* change of the change by a unit of the input's */
+    real_t missed;    /* what the last prediction missed by */
+    real_t held;      /* input that the filters had last */
+} pmf_guard_state_t;
+#endif
 
 typedef struct {
     whole_t count;
@@ -152,6 +176,9 @@ typedef struct {
     real_t direction, moving; /* of the last interval */
     real_t input, input_before;
     real_t mean_velocity; /* of the last interval */
+#if PMF_WITH_GUARD
+    pmf_guard_state_t guard;
+#endif
 } pmf_encoder_state_t;
 
 /* node[k] = b0 * node[source] + (what b1 and a left from the step before) */
@@ -366,6 +393,9 @@ typedef struct {
 typedef struct {
     whole_t status;
     whole_t settle; /* samples until the filters have forgotten their start */
+#if PMF_WITH_GUARD
+    whole_t hold; /* samples until they have forgotten what stands in place of a suspicious one */
+#endif
     pmf_encoder_state_t encoder;
     pmf_network_state_t network;
     pmf_recursion_state_t direct;
@@ -382,6 +412,8 @@ typedef struct {
 } pmf_state_t;
 
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state);
+/* The counter is set anew: it would have read `count` at the last sample. All that is known stays. */
+void pmf_rebase(pmf_state_t *state, uint32_t count);
 /* One sample: `input` is applied from now on, `count` is read now. Returns the status bits. */
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
 /* P of the estimate, with theta_cov = innovation variance times P; n x n, row by row; its diagonal alone where the

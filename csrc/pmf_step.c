@@ -31,6 +31,17 @@ PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state)
 #endif
 }
 
+#ifndef PMF_LANES
+void pmf_rebase(pmf_state_t *state, uint32_t count)
+{
+    state->encoder.count = count;
+#if PMF_WITH_GUARD
+    state->encoder.guard.reading = count;
+    state->encoder.guard.suspect = 0U;
+#endif
+}
+#endif
+
 PMF_API uint32_t pmf_parameters(const pmf_config_t *config)
 {
 #if PMF_WITH_AUXILIARY
@@ -46,6 +57,10 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     whole_t status =
         pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
     truth_t settling;
+#if PMF_WITH_GUARD
+    truth_t suspicious = (status & (PMF_INVALID_INPUT | PMF_COUNT_JUMP)) != 0U;
+    state->hold = PMF_IF(suspicious, PMF_W(config->encoder.guard_hold), state->hold - PMF_BIT(state->hold > 0U, 1U));
+#endif
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
         PMF_WHERE(state->auxiliary.running != 0U, state,
@@ -64,8 +79,7 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
         pmf_linear_step(&config->linear, &state->linear, state->network.node, state->network.column);
     }
 #endif
-    state->settle = PMF_IF((status & (PMF_INVALID_INPUT | PMF_COUNT_JUMP)) != 0U, PMF_W(config->settle_samples),
-                           state->settle);
+    state->settle = PMF_IF((status & PMF_SETTLING) != 0U, PMF_W(config->settle_samples), state->settle);
     settling = state->settle > 0U;
     if (PMF_ANY(settling)) {
 #if PMF_WITH_AUXILIARY
@@ -81,6 +95,9 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
         state->settle -= PMF_BIT(settling, 1U);
         status |= PMF_BIT(settling, PMF_SETTLING);
     }
+#if PMF_WITH_GUARD
+    status |= PMF_BIT(state->hold > 0U, PMF_SETTLING);
+#endif
     return status;
 }
 
@@ -191,14 +208,18 @@ real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32
 }
 #endif
 
-/* The recursions on the columns of this sample. */
-static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, truth_t settled)
+/* The recursions on the columns of this sample, unless it is suspicious. */
+static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, whole_t filtered)
 {
     whole_t status = PMF_BIT(state->direct.started == 0U, PMF_STARTING), stepped = PMF_W(0);
-    truth_t use = settled;
+    truth_t settled = (filtered & PMF_SETTLING) == 0U, use = settled;
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) { /* the second half of the settling is the model's */
+#if PMF_WITH_GUARD
+        use = use | ((state->hold == 0U) & (state->settle < config->settle_samples / 2U));
+#else
         use = use | (state->settle < config->settle_samples / 2U);
+#endif
     }
 #endif
     PMF_WHERE(use, &state->direct,
@@ -235,7 +256,7 @@ static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
     whole_t status = pmf_filter(config, state, input, count);
-    status |= estimate_step(config, state, (status & PMF_SETTLING) == 0U);
+    status |= estimate_step(config, state, status);
     PMF_WHERE((status & PMF_RESET) != 0U, state, restart_filters(config, state));
     state->status = status;
     return status;

@@ -36,6 +36,7 @@ typedef int32_t narrow_t __attribute__((vector_size(PMF_LANES * 4)));
 #define PMF_W(x) ((whole_t){0} + (x))
 /* All whole numbers that become real fit 32 bits, for which processors have the conversion. */
 #define PMF_TO_REAL(x) __builtin_convertvector(__builtin_convertvector((x), narrow_t), real_t)
+#define PMF_TO_INTEGER(x) __builtin_convertvector(__builtin_convertvector((x), narrow_t), integer_t)
 
 #define PMF_TYPE(yes, no) __typeof__((yes) - (no))
 #define PMF_BITS(type, x) ((truth_t)((x) - (type){0}))

@@ -14,9 +14,11 @@
 
 /* All members that are whole numbers, in the order of the structures. */
 static const uint32_t whole_in_state[] = {
-    IN_STATE(status), IN_STATE(settle),
+    IN_STATE(status), IN_STATE(settle), IN_STATE(hold),
     IN_STATE(encoder.count), IN_STATE(encoder.idle), IN_STATE(encoder.gap), IN_STATE(encoder.fast),
     IN_STATE(encoder.fast_before), IN_STATE(encoder.started), IN_STATE(encoder.change), IN_STATE(encoder.travel),
+    IN_STATE(encoder.guard.seen), IN_STATE(encoder.guard.suspect), IN_STATE(encoder.guard.reading),
+    IN_STATE(encoder.guard.doubt), IN_STATE(encoder.guard.change),
     IN_STATE(auxiliary.running), IN_STATE(auxiliary.trial), IN_STATE(auxiliary.trusted), IN_STATE(auxiliary.in_charge),
     IN_STATE(auxiliary.feedback), IN_STATE(auxiliary.turn),
     IN_STATE(linear.since), IN_STATE(linear.wait), IN_STATE(linear.age), IN_STATE(linear.unsettled),
@@ -93,6 +95,10 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
     leave_out(unused, IN_STATE(network.column) + columns * (uint32_t)sizeof(scalar_t),
               END_IN_STATE(network.column));
     leave_recursion(unused, IN_STATE(direct), &config->direct);
+    if (config->encoder.guard == 0U) {
+        leave_out(unused, IN_STATE(hold), END_IN_STATE(hold));
+        leave_out(unused, IN_STATE(encoder.guard), END_IN_STATE(encoder.guard));
+    }
     if (config->auxiliary.enabled + config->linear.enabled != 0U) {
         leave_recursion(unused, IN_STATE(instrument), &config->instrument);
     } else {

@@ -33,7 +33,8 @@ cdef extern from "pmf.h":
         PMF_MAX_ORDER
     ctypedef struct pmf_encoder_config_t:
         real_t velocity_per_count, position_per_count, position_gain, velocity_gain, smooth_end, smooth_start
-        uint32_t count_mask, max_change, standstill_samples, process
+        uint32_t count_mask, max_change, standstill_samples, process, guard, guard_hold
+        real_t spike, guard_leak
     ctypedef struct pmf_stage_t:
         uint32_t source
         real_t a, b0, b1
@@ -95,6 +96,7 @@ cdef extern from "pmf.h":
     uint32_t pmf_step(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
     uint32_t pmf_filter(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
     void pmf_open(const pmf_config_t *, pmf_state_t *, uint32_t, real_t) nogil
+    void pmf_rebase(pmf_state_t *, uint32_t) nogil
     const pmf_estimate_t *pmf_estimate(const pmf_config_t *, const pmf_state_t *) nogil
     void pmf_clear(void *, uint32_t) nogil
     void pmf_auxiliary_step(const pmf_auxiliary_config_t *, pmf_auxiliary_state_t *, real_t *) nogil
@@ -291,6 +293,11 @@ cdef class Kernel:
     def open(self, double keep, int parameter=-1):
         """Only the part keep in (0, 1] of what was gathered on a parameter (-1: on all) counts from now on; the estimate stays."""
         pmf_open(&self.config, &self.state, PMF_NO_PARAMETER if parameter < 0 else parameter, <real_t> keep ** 0.5)
+
+    def rebase(self, counts):
+        """The counter would have read `counts` at the last sample; anything but an integer raises TypeError."""
+        cdef long long count = PyLong_AsLongLong(PyNumber_Index(counts))
+        pmf_rebase(&self.state, <uint32_t> count)
 
     cdef Estimate _snapshot(self):
         cdef Estimate estimate = Estimate.__new__(Estimate)

@@ -24,6 +24,8 @@ class Encoder:
     resolution: unit of position per count, > 0. bits: width of the counter, 1 to 32; it wraps at 2**bits.
     standstill_time: without a count for so long the axis is taken to be at rest [s], > 0.
     max_speed: a larger change in one sample is a jump: flagged, not believed [unit/s], None: no check.
+    guard: samples that no motion explains (the counter set anew, a wrong reading, a spike of the input) are flagged and
+    kept out without it, too; where it goes wrong, False lets every sample in.
     Raises UsageError for a value outside these bounds.
     """
 
@@ -31,6 +33,7 @@ class Encoder:
     bits: int = 32
     standstill_time: float = 0.2
     max_speed: float | None = None
+    guard: bool = True
 
     def __post_init__(self) -> None:
         _positive("resolution", self.resolution, "unit of position per count, as on the data sheet")
@@ -53,6 +56,10 @@ class Encoder:
             "max_change": self._max_change(dt),
             "process": 0,
             "standstill_samples": max(1, round(min(self.standstill_time / dt, 2**32 - 1))),
+            "guard": 0,
+            "spike": 0.0,
+            "guard_leak": 0.0,
+            "guard_hold": 0,
             **tracker_gains(TRACKING_INDEX),
         }
 

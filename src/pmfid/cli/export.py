@@ -35,8 +35,16 @@ from pmfid.estimators import METHODS
     metavar="PARAMETER NOMINAL SHIFT",
     help="An alarm where a parameter leaves its nominal value by such a shift; may be given several times.",
 )
+@click.option("--no-guard", is_flag=True, help="Let every sample in: smaller, but a glitch spoils the estimate.")
 def export(
-    axis_file: Path, out: Path, prefix: str | None, record: Path | None, dt: float | None, alarms: Any, **options: Any
+    axis_file: Path,
+    out: Path,
+    prefix: str | None,
+    record: Path | None,
+    dt: float | None,
+    alarms: Any,
+    no_guard: bool,
+    **options: Any,
 ) -> None:
     """Write the estimator of AXIS.toml as C99 that computes the same bits on a drive.
 
@@ -48,7 +56,8 @@ def export(
     from pmfid.session.firmware import check_exportable, drive_estimator
     from pmfid.session.records import read_record
 
-    axis = load_axis(axis_file, {f"estimator.{key}": value for key, value in options.items()})
+    changes = {f"estimator.{key}": value for key, value in options.items()}
+    axis = load_axis(axis_file, changes | ({"encoder.guard": False} if no_guard else {}))
     check_exportable(axis)
     data = None if record is None else read_record(record, axis)
     estimator = drive_estimator(axis, data, dt)

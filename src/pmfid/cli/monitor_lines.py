@@ -58,6 +58,11 @@ def _clock(event: dict[str, Any]) -> str:
     return f"{event['time']:.2f} s  the clock was set by {event['jump']:+.6g} s, or the logger started again"
 
 
+def _outlier(event: dict[str, Any]) -> str:
+    what = "counts jumped" if event["signal"] == "counts" else "input jumped or was no number"
+    return f"{event['time']:.2f} s  {what}: left out, the watch goes on"
+
+
 def _write_error(event: dict[str, Any]) -> str:
     return f"{event['file']} cannot be written: {event['problem']}; the watch goes on"
 
@@ -82,6 +87,8 @@ def skipped(event: dict[str, Any]) -> list[str]:
         parts.append(f"{event['missing']} samples missing in {event['gaps']} gaps")
     if event["clock_jumps"]:
         parts.append(f"clock set {event['clock_jumps']} times")
+    if event["outliers"]:
+        parts.append(f"{event['outliers']} jump{'s' * (event['outliers'] != 1)} left out")
     return parts
 
 
@@ -94,6 +101,7 @@ _SENTENCES = {
     "repeated line": _bad_line,
     "gap": _gap,
     "clock": _clock,
+    "outlier": _outlier,
     "write error": _write_error,
     "written again": _written_again,
     "end": _end,

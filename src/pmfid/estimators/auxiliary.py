@@ -104,7 +104,7 @@ def make_auxiliary_kernel(
     kernel = estimator.kernel_class(
         network.stages,
         columns,
-        estimator.encoder.kernel_config(estimator.dt),
+        estimator.encoder_config,
         direct.recursion_config(len(direct.names), True, forgetting),
         2 * estimator.settle_samples,  # half-way the model is set to the measured velocity
         estimator.recursion_config(p, True, forgetting, first)

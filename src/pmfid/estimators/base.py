@@ -39,6 +39,14 @@ PROCESS_PIVOT = 1e-7
 #: After so many updates theta is moved by the innovation alone; without forgetting float64 never needs to.
 RESIDUAL_UPDATES = 256
 
+#: What a motion may do is learned for so many times the settling of the filters before it is taken strictly, and
+#: forgotten over so many times that; in samples in motion.
+LEARNING, LEARNED = 8, 128
+#: An input so many times the largest of late is a spike unless the counts answer or it stays; a process answers late.
+SPIKE, PROCESS_SPIKE = 8.0, 100.0
+#: Samples from a suspicious one on that are left out: then the filters have forgotten most of what stands in its place.
+HELD_OUT = 8
+
 
 @dataclass(frozen=True)
 class Estimator:
@@ -209,7 +217,13 @@ class Estimator:
     @property
     def encoder_config(self) -> dict[str, float]:
         """The encoder's part of the kernel configuration."""
-        return self.encoder.kernel_config(self.dt) | {"process": int(self.equation.process)}
+        config = self.encoder.kernel_config(self.dt) | {"process": int(self.equation.process)}
+        if self.encoder.guard:
+            config["guard"] = LEARNING * self.settle_samples
+            config["guard_leak"] = 1 / (LEARNED * self.settle_samples)
+            config["guard_hold"] = min(HELD_OUT, self.settle_samples)
+            config["spike"] = PROCESS_SPIKE if self.equation.process else SPIKE
+        return config
 
     @property
     def first_samples(self) -> int:

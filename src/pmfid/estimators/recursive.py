@@ -211,6 +211,14 @@ class RecursiveEstimator(Estimator):
             raise UsageError(f"parameter must be one of {list(self.names)} or None, got {parameter!r}")
         self._kernel.open(keep, -1 if parameter is None else self.names.index(parameter))
 
+    def rebase(self, counts: int) -> None:
+        """The counter was set anew, as in a homing: it would have read `counts` at the last sample.
+
+        What was known stays. Without this call the jump is found, flagged, and the motion in its sample lost, where it
+        is larger than what the axis itself may do (`Encoder.guard`).
+        """
+        self._kernel.rebase(counts)
+
     def reset(self) -> None:
         """Forgets all samples."""
         self._kernel.reset()

@@ -39,6 +39,7 @@ def shape_of(config: NDArray[Any]) -> Shape:
         with_auxiliary=int(config["auxiliary"]["enabled"]),
         with_linear=int(linear["enabled"]),
         with_process=int(process),
+        with_guard=int(config["encoder"]["guard"] > 0),
         with_separate=int(constants["PMF_SEPARATE"] in schemes),
         with_split=int(bool(process) or any(node in split_signals() for node in nodes)),
         with_noise=int(noise),
@@ -101,6 +102,15 @@ def load_state(kernel: Any, precision: str, data: bytes) -> None:
         raise UsageError(_FOREIGN)
     own = structures(None, precision)["pmf_state_t"]
     kernel.set_raw_state(resized(saved["state"], own).tobytes())
+
+
+def take_guard(kernel: Any, other: Any, precision: str) -> None:
+    """Gives a kernel at its start what another one of the same encoder has learned of the motion."""
+    own, known = (
+        np.frombuffer(one.raw_state(), structures(None, precision)["pmf_state_t"]).copy() for one in (kernel, other)
+    )
+    own["encoder"]["guard"] = known["encoder"]["guard"]
+    kernel.set_raw_state(own.tobytes())
 
 
 _FOREIGN = (

@@ -47,6 +47,7 @@ class Shape:
     with_auxiliary: int
     with_linear: int
     with_process: int
+    with_guard: int
     with_separate: int
     with_split: int
     with_noise: int

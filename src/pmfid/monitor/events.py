@@ -73,4 +73,12 @@ class StateChange:
     reason: str
 
 
-Event = Alarm | Settled | StateChange
+@dataclass(frozen=True)
+class Outlier:
+    """A sample that no motion explains, at time [s]: it is left out, the watch goes on. signal: "counts" or "input"."""
+
+    time: float
+    signal: str
+
+
+Event = Alarm | Settled | StateChange | Outlier

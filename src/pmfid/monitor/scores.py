@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from pmfid.estimators.auxiliary import make_auxiliary_kernel, role_values
 from pmfid.estimators.base import Estimator
+from pmfid.layout.saved import take_guard
 from pmfid.status import Status
 
 Floats = NDArray[np.float64]
@@ -91,14 +92,14 @@ def silenced(blocks: Blocks, disturbed: NDArray[np.bool_], waiting: int, wait: i
 
 
 def gather(columns: Floats, status: NDArray[np.uint32], theta: Floats, size: int) -> tuple[Blocks, NDArray[np.bool_]]:
-    """Whole blocks of `size` samples from phi, z, zeta in columns (n, 2 p + 1), and (n,) where one has unusable
-    samples, which count for nothing."""
+    """Whole blocks of `size` samples from phi, z, zeta in columns (n, 2 p + 1), and (n,) where one has none but
+    unusable samples, which count for nothing: there the filters settle, and the simulated motion has lost the plant."""
     p, n = theta.size, columns.shape[0] // size
     rows = columns[: n * size].reshape(n, size, -1)
     zeta = np.where((status[: n * size].reshape(n, size, 1) & UNUSABLE) == 0, rows[..., p + 1 : 2 * p + 1], 0.0)
     error = rows[..., p] - rows[..., :p] @ theta
     turned = zeta.transpose(0, 2, 1)
-    disturbed = np.any((status[: n * size].reshape(n, size) & UNUSABLE) != 0, axis=1)
+    disturbed = np.all((status[: n * size].reshape(n, size) & UNUSABLE) != 0, axis=1)
     return Blocks((turned @ error[..., None])[..., 0], turned @ rows[..., :p], turned @ zeta), disturbed
 
 
@@ -119,9 +120,12 @@ def scores(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.in
 class ScoreFilter:
     """The same blocks, sample by sample."""
 
-    def __init__(self, estimator: Estimator, theta: Floats) -> None:
+    def __init__(self, estimator: Estimator, theta: Floats, before: ScoreFilter | None = None) -> None:
+        """before: of the same axis with another reference, whose guard knows the motion."""
         self.theta = theta
         self._kernel, self._first = reference_kernel(estimator, list(theta))
+        if before is not None:
+            take_guard(self._kernel, before._kernel, estimator.precision)
         size = block_samples(estimator)
         self._rows = np.empty((size, 2 * theta.size + 1))
         self._status = np.empty(size, np.uint32)

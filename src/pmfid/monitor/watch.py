@@ -22,6 +22,7 @@ from pmfid.monitor.events import (
     WATCHING,
     Alarm,
     Event,
+    Outlier,
     Settled,
     StateChange,
     Watch,
@@ -43,6 +44,8 @@ CAUSE_INFORMATION, CAUSE_SHARE, CAUSE_LATEST = 4.0, 0.95, 8.0
 MOST_INFORMATION = 1.5
 #: What is kept at the first suspicion of what was gathered before.
 KEEP = 0.003
+#: What a flagged sample is told as.
+OUTLIERS = {Status.COUNT_JUMP: "counts", Status.INVALID_INPUT: "input"}
 NO_ALARM = Status.STARTING | Status.POOR_EXCITATION
 
 
@@ -70,9 +73,10 @@ class Monitor:
         self._front = like(IV, self.estimator, prefilter_zeros=None)
         self._noise = self._front.noise()
         self._scale = self.calibration.scale
+        self._filter = ScoreFilter(self._front, self.calibration.theta)
         self._refer(self.calibration.theta)
         self._sum = Blocks(np.zeros((1, p)), np.zeros((1, p, p)), np.zeros((1, p, p)))
-        self._counts, self._zero, self._lost = 0, 0, False
+        self._counts, self._zero, self._lost, self._flagged = 0, 0, False, Status(0)
         self._silent_blocks = max(SILENT_BLOCKS, round(SILENT_TIME / self._block_time))
 
     @property
@@ -98,7 +102,18 @@ class Monitor:
         estimate = self.estimator.step(u, counts)
         self.samples += 1
         block = self._filter.step(u, counts)
-        return estimate, [] if block is None else self._on_block(block, estimate)
+        events = [] if lost else self._outliers(Status(estimate.status))
+        return estimate, events if block is None else events + self._on_block(block, estimate)
+
+    def rebase(self, counts: int) -> None:
+        """The counter was set anew: it would have read `counts` at the last sample."""
+        self._zero = self._counts - counts
+
+    def _outliers(self, status: Status) -> list[Event]:
+        """Once for what lasts over several samples."""
+        found = [signal for bit, signal in OUTLIERS.items() if bit in status and bit not in self._flagged]
+        self._flagged = status
+        return [Outlier(self._time, signal) for signal in found]
 
     def skip(self, samples: int) -> list[Event]:
         """Samples that were lost: the filters settle anew, and time goes on. What there is to tell."""
@@ -113,7 +128,7 @@ class Monitor:
         first = self.calibration.theta
         size = np.sqrt(float(theta @ self._noise @ theta) / max(float(first @ self._noise @ first), 1e-300))
         self._scale = replace(self.calibration.scale, sigma=self.calibration.scale.sigma * size)
-        self._filter = ScoreFilter(self._front, theta)
+        self._filter = ScoreFilter(self._front, theta, self._filter)
         self._tolerance = self.watch.tolerance * np.abs(theta) / self._scale.sigma
         self._detection = self._detector.start(theta.shape)
         self._recent: deque[Blocks] = deque(maxlen=LOOK_BACK)

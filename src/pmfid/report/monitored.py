@@ -69,6 +69,8 @@ def _verdict(setup: Setup, run: Run) -> Section:
         lines.append(f"{run.bad_lines} lines could not be used, {run.repeated_lines} came again or too late.")
     if run.clock_jumps:
         lines.append(f"The clock was set {run.clock_jumps} times.")
+    if run.outliers:
+        lines.append(f"{run.outliers} jumps of the counts or the input were left out.")
     if run.problem:
         lines.append(f"The run ended: {run.problem}.")
     if run.missing:

@@ -94,6 +94,7 @@ class EncoderConfig(FileSection):
     )
     standstill_time: Positive = Field(0.2, description="the time in s without a new count that means standstill")
     max_speed: Positive | None = Field(None, description="the highest possible speed in unit of y per s")
+    guard: bool = Field(True, description="true, or false to let samples in that no motion explains")
 
 
 class UnknownTerm(FileSection):

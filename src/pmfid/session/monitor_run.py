@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pmfid.errors import UsageError
-from pmfid.monitor.events import Event, Settled, StateChange
+from pmfid.monitor.events import Event, Outlier, Settled, StateChange
 from pmfid.monitor.watch import Monitor
 from pmfid.session.sinks import Sink
 from pmfid.session.timeline import BAD, COMMENT, REPEATED, Found, Sample, Skipped
@@ -49,8 +49,9 @@ class History:
 @dataclass
 class Run:
     """Totals of a run and its first KEPT events, as for JSON. bad_lines: that could not be used; repeated_lines: that
-    came twice or too late; comments: with headers that came again; missing: samples that the times leave out, in so
-    many gaps; clock_jumps: how often the clock was set; problem: what ended the run before its time, or ""."""
+    came twice or too late; comments: with headers that came again; missing: samples that the times leave out,
+    in so many gaps; clock_jumps: how often the clock was set; outliers: samples that no motion explains;
+    problem: what ended the run before its time, or ""."""
 
     samples: int = 0
     bad_lines: int = 0
@@ -59,6 +60,7 @@ class Run:
     gaps: int = 0
     missing: int = 0
     clock_jumps: int = 0
+    outliers: int = 0
     problem: str = ""
     events: list[dict[str, Any]] = field(default_factory=list)
 
@@ -68,7 +70,7 @@ class Run:
 
     def totals(self) -> dict[str, int]:
         """All counts, by name."""
-        names = ("samples", "bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_jumps")
+        names = ("samples", "bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_jumps", "outliers")
         return {**{name: getattr(self, name) for name in names}, "alarms": len(self.alarms)}
 
 
@@ -103,6 +105,10 @@ def _step(sample: Sample, monitor: Monitor, run: Run, sink: Sink, tell: Tell, ob
     for observe in observers:
         observe(sample, estimate, monitor.state)
     for event in [*events, *now]:
+        if isinstance(event, Outlier):
+            run.outliers += 1
+            if run.outliers > TOLD:
+                continue
         shift = sample.time - (monitor.samples - 1) * monitor.estimator.dt
         told = event_object(event, monitor.estimator.names, shift)
         if len(run.events) < KEPT:
@@ -148,6 +154,8 @@ def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> di
             for name, value, std, before in rows
         }
         return {"event": "settled", "time": event.time + shift, "parameters": values}
+    if isinstance(event, Outlier):
+        return {"event": "outlier", "time": event.time + shift, "signal": event.signal}
     return {
         "event": "alarm",
         "time": event.time + shift,

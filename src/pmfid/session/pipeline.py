@@ -76,7 +76,10 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
     options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
     if issubclass(cls, RecursiveEstimator):
         options |= {"forgetting": config.forgetting, "forgetting_scheme": config.forgetting_scheme}
-    encoder = Encoder(record.resolution, standstill_time=axis.encoder.standstill_time, max_speed=axis.encoder.max_speed)
+    known = axis.encoder
+    encoder = Encoder(
+        record.resolution, standstill_time=known.standstill_time, max_speed=known.max_speed, guard=known.guard
+    )
     estimator = cls(model, encoder, record.dt, config.cutoff, **options)
     if cls.instrumental and config.prefilter_zeros is None:
         zeros = choose_prefilter_zeros(estimator, record.u, record.counts)

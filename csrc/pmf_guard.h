@@ -1,0 +1,211 @@
+/* Samples that no motion explains: a counter set anew, a wrong reading, a spike of the input. For pmf_encoder.c alone, which see.
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * A change of the counts is predicted from the last one, from how that had changed, and from what the input does. What
+ * predictions missed by so far, as a leaking maximum, says what a motion may do; at rest, and with an input larger than any
+ * lately, in proportion to the input. A change beyond that is left out and the predicted one taken in its place. The next
+ * sample says what it was:
+ *   it changes as predicted: the counter was set anew, its zero has moved and all goes on;
+ *   it comes back: a wrong reading;
+ *   it goes on from the suspicious one: a blow, say, so what was held back is added, and nothing is lost.
+ * An input far beyond the largest one lately is judged before the filters get it, two samples later: by then the counts have
+ * answered, or it has stayed; else the last one counts in its place. Nothing here touches a sample that is not suspicious.
+ */
+#ifndef PMF_GUARD_H
+#define PMF_GUARD_H
+
+#include "pmf.h"
+
+#if PMF_WITH_GUARD
+
+#define FIRST_SAMPLES 4U             /* a record may begin in motion */
+#define STEP PMF_R(4.0)              /* by which the encoder's step alone spoils a prediction */
+#define REST_EDGE PMF_R(6.0)         /* less than that is never suspicious: at rest */
+#define MOTION_EDGE PMF_R(8.0)       /* and in motion */
+#define CAUTION PMF_R(3.0)           /* times what was missed so far */
+#define EARLY_CAUTION PMF_R(30.0)    /* while little is known */
+#define EARLY_SPIKE PMF_R(1e6)       /* times the largest input */
+#define PEAK_MARGIN PMF_R(1.25)           /* times the leaking peak: else an input that stays would move it in every sample */
+#define NEW_SIZE PMF_R(2.0)          /* times the peak: what a motion may do grows with such an input, at most by */
+#define LARGEST_GROWTH PMF_R(100.0)
+#define SWINGS PMF_R(0.25)           /* part of the largest input: less of a change says little of its effect */
+#define GAIN_STEP PMF_R(0.03125)     /* of the normalised gradient */
+#define MOST_SUSPECTS 3U             /* in a row; then it is what the axis does */
+#define LEAST_PEAK PMF_R(1e-12)      /* of an input that is one: its inverse squared is a number */
+#define LARGEST_RATE PMF_R(1e9)      /* of a predicted change: it has to fit an integer */
+#define ANY_SHARE PMF_R(1e20)
+#define DOUBTS 3U                    /* on the last two inputs, as bits; that before the last has the higher one */
+
+/* What seldom runs stays out of the way of the rest. */
+#if defined(__GNUC__)
+#define PMF_APART __attribute__((cold, noinline)) static
+#else
+#define PMF_APART static
+#endif
+
+static real_t size_of(real_t x)
+{
+    return PMF_IF(x < PMF_R(0.0), -x, x);
+}
+
+/* From a sample that is believed. */
+PMF_APART void learn_scatter(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t where, real_t missed)
+{
+    real_t excess = size_of(missed) - (guard->scatter + STEP);
+    where = where & (excess > PMF_R(0.0)) & (guard->doubt == 0U) & (guard->seen >= FIRST_SAMPLES);
+    excess = PMF_IF(guard->seen >= config->guard, PMF_R(0.5) * excess, excess);
+    guard->scatter = PMF_IF(where, guard->scatter + excess, guard->scatter);
+}
+
+/* What an input does, from a sample that nobody doubts. */
+PMF_APART void learn_gain(pmf_guard_state_t *guard, truth_t where, real_t swing, real_t missed)
+{
+    real_t gain = guard->gain + GAIN_STEP * missed * (swing / guard->peak) / guard->peak;
+    where = where & (guard->peak > LEAST_PEAK) & (guard->seen >= FIRST_SAMPLES);
+    guard->gain = PMF_IF(where, gain, guard->gain);
+}
+
+/* By how much a prediction may miss; `open`: by anything, for nothing is known yet. */
+static real_t limit_of(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, truth_t *open)
+{
+    const pmf_guard_state_t *guard = &state->guard;
+    truth_t learned = guard->seen >= config->guard, moves = state->moving > PMF_R(0.0);
+    real_t last = size_of(state->input), reach = size_of(state->input_before), share;
+    reach = PMF_IF(last > reach, last, reach);
+    share = PMF_IF(guard->peak > LEAST_PEAK, reach / guard->peak, PMF_IF(reach > PMF_R(0.0), ANY_SHARE, PMF_R(0.0)));
+    *open = (guard->seen < FIRST_SAMPLES) | (PMF_NOT(learned | (guard->scatter > PMF_R(0.0))) & (moves | (share > PMF_R(0.0))));
+    last = guard->scatter + PMF_IF(share > NEW_SIZE, STEP, PMF_R(0.0));
+    share = PMF_IF(moves & (share < PMF_R(1.0)), PMF_R(1.0), share);
+    return PMF_IF(moves, MOTION_EDGE, REST_EDGE) + PMF_IF(learned, CAUTION, EARLY_CAUTION) * last * share;
+}
+
+/* Decides on a change from the accepted count where it or one before is suspicious. A doubtful input counts as none. */
+PMF_APART whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, whole_t count, truth_t apart,
+                            integer_t *change)
+{
+    pmf_guard_state_t *guard = &state->guard;
+    uint32_t mask = config->count_mask;
+    truth_t suspected = guard->suspect != 0U, back, anew, real, sound, open;
+    integer_t read = PMF_IF(suspected, signed_count(mask, (count - guard->reading) & mask), *change), foreseen;
+    real_t driven = PMF_IF((guard->doubt & 1U) == 0U, state->input,
+                           PMF_IF((guard->doubt & 2U) == 0U, state->input_before, guard->held));
+    real_t predicted = guard->rate + guard->gain * (driven - guard->held), before = PMF_TO_REAL(guard->change);
+    real_t part = PMF_TO_REAL(read) - before, whole = PMF_TO_REAL(*change) - before, pending = whole - part;
+    real_t missed = part - predicted, missed_whole = whole - predicted, size = size_of(missed), most, limit, rate;
+    limit = limit_of(config, state, &open);
+    back = (size_of(missed_whole) <= limit) | open | apart;
+    anew = suspected & PMF_NOT(back) & (size <= limit) & (size < size_of(missed - pending));
+    real = suspected & PMF_NOT(back | anew) &
+           ((size_of(missed - PMF_R(1.5) * pending) <= size_of(pending) + limit) | (guard->suspect >= MOST_SUSPECTS));
+    sound = back | anew | real;
+    guard->missed = missed;
+    most = CAUTION * guard->scatter + MOTION_EDGE;
+    most = PMF_IF(real & (size > most), most, missed);
+    learn_scatter(config, guard, sound & PMF_NOT(apart), PMF_IF(back, missed_whole, most));
+    /* while more are suspicious the predicted change stays the same */
+    rate = PMF_IF(suspected | (size_of(predicted) > LARGEST_RATE), PMF_R(0.0), predicted);
+    foreseen = PMF_TO_INTEGER(rate + PMF_IF(rate < PMF_R(0.0), PMF_R(-0.5), PMF_R(0.5)));
+    foreseen = signed_count(0xffffffffU, ((whole_t)guard->change + (whole_t)foreseen) & 0xffffffffU);
+    rate = PMF_IF(sound, PMF_IF(back, whole, PMF_IF(real, part - pending, part)), rate);
+    guard->rate = PMF_IF(apart, PMF_R(0.0), rate);
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) { /* its output has a zero that cannot move */
+        anew = anew & PMF_NOT(anew);
+    }
+#endif
+    *change = PMF_IF(sound, PMF_IF(anew, read, *change), foreseen);
+    guard->change = PMF_IF(apart, guard->change, PMF_IF(sound & PMF_NOT(back), read, *change));
+    guard->reading = count;
+    guard->suspect = PMF_IF(sound, PMF_W(0), guard->suspect + 1U);
+    state->count = PMF_IF(sound, count, (state->count + (whole_t)*change) & 0xffffffffU);
+    return PMF_BIT(PMF_NOT(sound), PMF_COUNT_JUMP);
+}
+
+/* The largest input, and with it what a motion may do. */
+PMF_APART void grow(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t where, real_t size)
+{
+    truth_t scales = where & (guard->seen >= config->guard) & (guard->peak > LEAST_PEAK) & (size > NEW_SIZE * guard->peak);
+    real_t growth = PMF_IF(size < LARGEST_GROWTH * guard->peak, size / guard->peak, LARGEST_GROWTH);
+    guard->scatter = PMF_IF(scales, (guard->scatter + STEP) * growth - STEP, guard->scatter);
+    guard->peak = PMF_IF(where, size, guard->peak);
+}
+
+/* Decides on the input that the filters get now, where it was doubtful. */
+static void judge_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t missed_before, truth_t large)
+{
+    pmf_guard_state_t *guard = &state->guard;
+    truth_t doubtful = (guard->doubt & 2U) != 0U, stays = large & ((guard->doubt & 1U) != 0U);
+    real_t now = size_of(guard->missed), answer = size_of(missed_before), size = size_of(state->input_before);
+    real_t expected = size * (guard->scatter / guard->peak + size_of(guard->gain));
+    truth_t real;
+    answer = PMF_IF(now > answer, now, answer);
+    real = doubtful & (stays | (answer > MOTION_EDGE + PMF_R(0.25) * expected));
+    state->input_before = PMF_IF(doubtful & PMF_NOT(real), guard->held, state->input_before);
+    grow(config, guard, real & (size > guard->peak), size);
+}
+
+/* The input that comes: does it set a new size, or is it doubtful? */
+PMF_APART truth_t meet_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t missed_before, real_t size)
+{
+    pmf_guard_state_t *guard = &state->guard;
+    real_t spike = PMF_IF(guard->seen >= config->guard, PMF_ALIKE(config->spike), EARLY_SPIKE);
+    truth_t large = (guard->peak > LEAST_PEAK) & (size > spike * guard->peak);
+    judge_input(config, state, missed_before, large);
+    large = (guard->peak > LEAST_PEAK) & (size > spike * guard->peak);
+    grow(config, guard, (size > guard->peak) & PMF_NOT(large), size);
+    guard->doubt = ((guard->doubt << 1) & DOUBTS) | PMF_BIT(large, 1U);
+    return large;
+}
+
+/* The input that comes, and the one that the filters get now. */
+static whole_t guard_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t missed_before, real_t input)
+{
+    pmf_guard_state_t *guard = &state->guard;
+    real_t margin = PEAK_MARGIN * guard->peak;
+    truth_t large = input * input > margin * margin, moves = state->moving > PMF_R(0.0), learns = guard->seen < config->guard;
+    if (PMF_ANY(large | (guard->doubt != 0U))) {
+        large = meet_input(config, state, missed_before, size_of(input));
+    }
+    guard->held = state->input_before;
+    if (PMF_ANY(moves)) {
+        real_t leak = PMF_IF(moves, PMF_ALIKE(config->guard_leak), PMF_R(0.0));
+        guard->scatter -= leak * guard->scatter;
+        guard->peak -= leak * guard->peak;
+    }
+    if (PMF_ANY(learns)) {
+        guard->seen += PMF_BIT(learns & (moves | (guard->seen < FIRST_SAMPLES)), 1U);
+    }
+    return PMF_BIT(large, PMF_INVALID_INPUT);
+}
+
+/* A sample: `change`, from the accepted count, becomes what is to be believed, and so does state->input_before. `apart`:
+ * max_speed has judged the change. Returns status bits. */
+static whole_t pmf_guard(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input, whole_t count,
+                         truth_t apart, integer_t *change)
+{
+    pmf_guard_state_t *guard = &state->guard;
+    real_t swing = state->input - guard->held, rate = PMF_TO_REAL(*change) - PMF_TO_REAL(guard->change);
+    real_t missed = rate - (guard->rate + guard->gain * swing), missed_before = guard->missed;
+    real_t edge = REST_EDGE + PMF_IF(state->moving > PMF_R(0.0), CAUTION * guard->scatter, PMF_R(0.0));
+    truth_t plain = (missed * missed <= edge * edge) & ((guard->suspect | guard->doubt) == 0U) & PMF_NOT(apart);
+    real_t beyond = guard->scatter + STEP, least = SWINGS * guard->peak;
+    whole_t status = PMF_W(0);
+    if (PMF_ALL(plain)) {
+        if (PMF_ANY(missed * missed > beyond * beyond)) {
+            learn_scatter(config, guard, plain, missed);
+        }
+        guard->missed = missed;
+        guard->rate = rate;
+        guard->change = *change;
+        state->count = count;
+    } else {
+        status = judge_change(config, state, count, apart, change);
+    }
+    if (PMF_ANY(swing * swing > least * least)) {
+        learn_gain(guard, plain & (swing * swing > least * least), swing, missed);
+    }
+    return status | guard_input(config, state, missed_before, input);
+}
+
+#endif
+#endif

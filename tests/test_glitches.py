@@ -1,0 +1,301 @@
+"""Samples that no motion explains: flagged there, kept out, survived; and everything else left as it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import pmfid
+from pmfid import BCRLS, IV, LS, RIV, RLS, Drive, Encoder, Status
+from pmfid.cli.main import main
+from pmfid.monitor.calibration import Calibration, calibrate
+from pmfid.monitor.events import Alarm, Outlier, Watch
+from pmfid.monitor.watch import Monitor
+from pmfid.simulation import CART, CART_DT, Schedule, make_scenario, quantize, resolution_of, simulate_drive
+from pmfid.simulation.scenarios import SCENARIOS
+from pmfid.simulation.signals import prbs
+from pmfid.studies.glitches import AXES, KINDS, SUSPICIOUS, effects, healthy, spoil
+from pmfid.studies.machines import machine_record
+from pmfid.studies.monitoring.axis import changing, make_riv, normal_work
+from tests.conftest import TRUTH, cart_run
+from tests.firmware.build import GCC, M4F, Target, command
+from tests.firmware.footprint import flash
+from tests.firmware.replay import difference, exported
+from tests.test_many import WAYS
+
+METHODS = (RIV, BCRLS, RLS)
+DT, CUTOFF, FORGETTING = 0.01, 50.0, 0.998
+
+
+def estimator(cls: Any, resolution: float, **options: Any) -> Any:
+    encoder = Encoder(resolution, **{key: options.pop(key) for key in ("guard", "bits") if key in options})
+    return cls(Drive(2.0), encoder, DT, CUTOFF, **({"forgetting": FORGETTING} | options))
+
+
+def the_same(a: Any, b: Any) -> bool:
+    names = ("theta", "variance_factor", "inflation", "innovation", "innovation_variance", "status")
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
+
+
+# --- line 2 of the promise, small: `python -m pmfid.studies.glitches` has all of it -----------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("axis", ["cart", "gantry"])
+def test_it_is_flagged_at_its_sample_and_forgotten_after_two_memories(axis: str, kind: str) -> None:
+    found = [one for _, one in effects(axis, kind, 2, seed=3)]
+    assert len(found) >= 24
+    assert sum(one.missed for one in found) <= 0.001 * sum(one.faults for one in found)
+    assert max(one.after for one in found) < (0.05 if kind == "1 % glitches" else 0.02)
+    if "glitch" in kind:
+        assert max(one.largest for one in found) < (0.05 if kind == "glitch" else 0.1)
+
+
+@pytest.mark.parametrize("cls", METHODS)
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_after_a_jump_it_goes_on_from_the_new_zero(cls: Any, precision: str) -> None:
+    run = cart_run(9, samples=3000)
+    counts = run.counts + 123_456 * (np.arange(3000) >= 2000)
+    track = estimator(cls, run.encoder.resolution, precision=precision).run(run.u, counts)
+    assert np.flatnonzero(track.flagged(Status.COUNT_JUMP)).tolist() == [2000]
+    assert track.flagged(Status.SETTLING)[2000:].sum() <= 8
+    np.testing.assert_allclose(track.theta[2000:], np.broadcast_to(TRUTH, (1000, 3)), rtol=0.05)
+
+
+def test_a_wrong_input_does_not_turn_directional_forgetting_over() -> None:
+    run = cart_run(9, samples=3000)
+    u = run.u.copy()
+    u[2000] = 1e8
+    track = estimator(RLS, run.encoder.resolution, forgetting_scheme="directional").run(u, run.counts)
+    assert track.flagged(Status.INVALID_INPUT)[2000]
+    np.testing.assert_allclose(track.theta[2000:], np.broadcast_to(TRUTH, (1000, 3)), rtol=0.05)
+
+
+@pytest.mark.parametrize("bits", [10, 16])
+def test_a_narrow_counter_wraps_through_it(bits: int) -> None:
+    run = cart_run(9, samples=3000)
+    counts = run.counts + 300 * (np.arange(3000) >= 2000)
+    counts[1500] -= 333
+    whole = estimator(BCRLS, run.encoder.resolution).run(run.u, counts)
+    narrow = estimator(BCRLS, run.encoder.resolution, bits=bits).run(run.u, counts % 2**bits)
+    assert np.flatnonzero(narrow.flagged(Status.COUNT_JUMP)).tolist() == [1500, 2000]
+    assert the_same(whole, narrow)
+
+
+# --- what is healthy stays as it is -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("increments", [4096, 64])
+def test_what_nobody_spoiled_keeps_its_bits(name: str, increments: int) -> None:
+    run = make_scenario(name, seed=8, increments=increments)
+    with_guard, without = (
+        estimator(RIV, run.resolution, guard=on).run(run.motion.u, run.counts) for on in (True, False)
+    )
+    assert the_same(with_guard, without)
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_no_machine_is_suspected(axis: str) -> None:
+    assert healthy(axis)[0] == 0
+
+
+@pytest.mark.parametrize("factor", [0.01, 0.1, 10.0, 100.0])
+@pytest.mark.parametrize("increments", [4096, 256])
+def test_another_amplitude_of_the_input_passes(factor: float, increments: int) -> None:
+    """At most a few samples are left out, and nothing of the motion is."""
+    u = prbs(4000, clock=10, amplitude=1.0, rng=np.random.default_rng(4)) * np.r_[np.ones(2000), np.full(2000, factor)]
+    u *= 3.0 / min(1.0, factor)
+    counts = quantize(simulate_drive(CART, u, DT).x, resolution_of(increments))
+    with_guard, without = (estimator(RIV, resolution_of(increments), guard=on).run(u, counts) for on in (True, False))
+    assert np.sum(with_guard.flagged(SUSPICIOUS)) <= 4
+    np.testing.assert_allclose(with_guard.theta[2500:], without.theta[2500:], rtol=0.01)
+
+
+def test_a_blow_is_flagged_and_nothing_of_it_is_lost() -> None:
+    """The velocity jumps: the sample is suspicious, the next one confirms it."""
+    u = prbs(4000, clock=10, amplitude=3.0, rng=np.random.default_rng(4))
+    late = (np.arange(4000) - 2500) * DT
+    after_blow = np.where(late > 0, 0.5 / 12 * (1 - np.exp(-12 * np.maximum(late, 0.0))), 0.0)
+    counts = quantize(simulate_drive(CART, u, DT).x + after_blow, resolution_of(4096))
+    with_guard, without = (estimator(RLS, resolution_of(4096), guard=on) for on in (True, False))
+    track = with_guard.run(u, counts)
+    without.run(u, counts)
+    assert np.flatnonzero(track.flagged(Status.COUNT_JUMP)).tolist() == [2501]
+    position = [one.make_kernel().filter(u, counts)[0].sum(axis=0) for one in (with_guard, without)]
+    np.testing.assert_allclose(position[0], position[1], rtol=1e-6)
+
+
+def test_a_step_of_a_process_is_put_back() -> None:
+    """The zero of a process cannot move: what was held back comes with the next sample."""
+    u = np.random.default_rng(2).choice([-1.0, 1.0], 300).repeat(10)
+    y = np.zeros(u.size)
+    for k in range(1, u.size):
+        y[k] = 0.98 * y[k - 1] + 0.02 * u[k - 1]
+    counts = np.floor(1e5 * y).astype(np.int64)
+    model, encoder = pmfid.TransferFunction(1, 0, offset=True), Encoder(1e-5)
+    clean = pmfid.RSRIVC(model, encoder, DT, 2.0, forgetting=0.998)
+    truth = clean.run(u, counts).theta[-1]
+    u[1500], counts[1800], counts[2100:] = 1e30, counts[1800] + 10**8, counts[2100:] + 10**6
+    track = pmfid.RSRIVC(model, encoder, DT, 2.0, forgetting=0.998).run(u, counts)
+    assert track.flagged(SUSPICIOUS)[[1500, 1800, 2100]].all()
+    assert np.all(np.abs(track.theta[1500:2100, :2] / truth[:2] - 1) < 0.02)
+
+
+# --- a counter that is set on purpose ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cls", METHODS)
+@pytest.mark.parametrize("guard", [True, False])
+def test_a_known_homing_changes_nothing(cls: Any, guard: bool) -> None:
+    run = cart_run(3, samples=1500)
+    whole = estimator(cls, run.encoder.resolution, guard=guard).run(run.u, run.counts)
+    homed = estimator(cls, run.encoder.resolution, guard=guard)
+    homed.run(run.u[:1000], run.counts[:1000])
+    homed.rebase(int(run.counts[999]) - 98_765)
+    rest = homed.run(run.u[1000:], run.counts[1000:] - 98_765)
+    assert np.array_equal(rest.theta, whole.theta[1000:])
+    assert np.array_equal(rest.status, whole.status[1000:])
+
+
+# --- the other builds of the kernel -----------------------------------------------------------------------------------
+
+
+def spoiled_fleet(axes: int, samples: int = 1500) -> tuple[np.ndarray, np.ndarray]:
+    rng, rows = np.random.default_rng(1), []
+    for axis in range(axes):
+        run = cart_run(axis, increments=(4096, 256, 64)[axis % 3], samples=samples)
+        spoiled = spoil(KINDS[(0, 2, 3, 4)[axis % 4]], np.r_[run.u, run.u], np.r_[run.counts, run.counts], rng)
+        assert spoiled is not None
+        rows.append((spoiled.u[samples // 2 :][:samples], spoiled.counts[samples // 2 :][:samples]))
+    return np.stack([u for u, _ in rows]), np.stack([counts for _, counts in rows])
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("cls", [RIV, BCRLS])
+def test_side_by_side_each_axis_has_its_own_bits(cls: Any, precision: str, way: int, monkeypatch: Any) -> None:
+    u, counts = spoiled_fleet(13)
+    one = estimator(cls, resolution_of(1024), precision=precision)
+    fleet = pmfid.Fleet(one, 13, workers=1)
+    monkeypatch.setattr(fleet, "_way", way)
+    tracks = fleet.run(u, counts, every=1)
+    for axis in range(13):
+        one.reset()
+        alone = one.run(u[axis], counts[axis])
+        assert np.array_equal(tracks.theta[axis], alone.theta)
+        assert np.array_equal(tracks.status[axis], alone.status)
+        assert alone.flagged(SUSPICIOUS).any()
+
+
+@pytest.mark.parametrize("target", [GCC, M4F], ids=lambda target: target.name)
+@pytest.mark.parametrize("guard", [True, False])
+@pytest.mark.parametrize("cls", [RIV, BCRLS])
+def test_firmware_has_the_same_bits(cls: Any, guard: bool, target: Target, tmp_path: Path) -> None:
+    if target.missing:
+        pytest.skip(target.missing)
+    u, counts = spoiled_fleet(4)
+    one = estimator(cls, resolution_of(1024), precision="float32", guard=guard)
+    folder = exported(one, tmp_path, np.concatenate(u), np.concatenate(counts))
+    assert difference(folder, target, "-O2") is None
+    assert f"#define PMF_WITH_GUARD {int(guard)}" in (folder / "pmf_sizes.h").read_text()
+
+
+def test_without_the_guard_firmware_is_as_small_as_before(tmp_path: Path) -> None:
+    if M4F.missing:
+        pytest.skip(M4F.missing)
+    size = {}
+    for guard in (True, False):
+        folder = tmp_path / str(guard)
+        pmfid.export_firmware(estimator(BCRLS, 1e-4, precision="float32", guard=guard), folder)
+        size[guard] = flash(folder, "axis", M4F)
+    assert 500 < size[True] - size[False] < 2300
+
+
+def test_export_leaves_it_out_on_request(tmp_path: Path) -> None:
+    cart = Path(__file__).parents[1] / "examples" / "cart.toml"
+    options = ["export", str(cart), "--method", "bcrls", "--dt", "0.01", "--precision", "float32"]
+    for name, more in (("with", []), ("without", ["--no-guard"])):
+        result = CliRunner().invoke(main, [*options, "--out", str(tmp_path / name), *more])
+        assert result.exit_code == 0, result.output
+    assert "PMF_WITH_GUARD 1" in (tmp_path / "with" / "pmf_sizes.h").read_text()
+    assert "PMF_WITH_GUARD 0" in (tmp_path / "without" / "pmf_sizes.h").read_text()
+
+
+def test_firmware_can_be_homed(tmp_path: Path) -> None:
+    if GCC.missing:
+        pytest.skip(GCC.missing)
+    pmfid.export_firmware(estimator(BCRLS, 1e-4), tmp_path)
+    (tmp_path / "homing.c").write_text(
+        '#include "axis.h"\nint main(void)\n{\n    axis_t axis;\n    axis_init(&axis);\n'
+        "    (void)axis_step(&axis, PMF_R(0.0), 70000U);\n    axis_rebase(&axis, 0U);\n"
+        "    return (int)(axis_step(&axis, PMF_R(0.0), 1U) & PMF_COUNT_JUMP);\n}\n"
+    )
+    sources = [path.name for path in tmp_path.glob("pmf_*.c")]
+    flags = ["-std=c99", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror"]
+    built = command(["gcc", *flags, *sources, "axis_config.c", "homing.c", "-o", "homing"], tmp_path)
+    assert built.returncode == 0, built.stderr
+    assert command(["./homing"], tmp_path).returncode == 0
+
+
+# --- off-line ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cls", [LS, IV])
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "jump at rest"])
+def test_off_line_they_are_left_out_as_well(cls: Any, kind: str) -> None:
+    record = machine_record(AXES["rotary"], "nothing", "prbs", 1024, 4)
+    axis = AXES["rotary"]
+    method = cls(Drive(axis.drive.input_gain), Encoder(record.resolution), axis.dt, 0.5 / axis.dt)
+    spoiled = spoil(kind, record.u, record.counts, np.random.default_rng(3))
+    assert spoiled is not None
+    clean, fit = method.fit(record.u, record.counts), method.fit(spoiled.u, spoiled.counts)
+    assert fit.status & SUSPICIOUS
+    np.testing.assert_allclose(fit.theta, clean.theta, rtol=0.02)
+
+
+# --- the monitor ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    u, counts = normal_work(7, 1024, 0.2)
+    return calibrate(make_riv(1024), TRUTH, u, counts, hours=4.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_monitor_watches_on(calibration: Calibration, kind: str) -> None:
+    """No alarm but that of the mass, ten seconds later."""
+    step = Schedule(((0.0, CART), (25.0, replace(CART, mass=1.2 * CART.mass))))
+    u, counts = changing(step, 4, 1024, 40.0)
+    spoiled = spoil(kind, u[:3500], counts[:3500], np.random.default_rng(6))
+    assert spoiled is not None
+    counts = np.r_[spoiled.counts, counts[3500:] + spoiled.counts[-1] - counts[3499]]
+    u = np.r_[spoiled.u, u[3500:]]
+    monitor = Monitor(make_riv(1024, TRUTH), calibration, Watch())
+    events = [event for a, b in zip(u.tolist(), counts.tolist(), strict=True) for event in monitor.step(a, b)[1]]
+    (alarm,) = [event for event in events if isinstance(event, Alarm)]
+    assert alarm.parameter == "mass"
+    assert alarm.relative == pytest.approx(0.2, abs=0.05)
+    assert 25.0 < alarm.time < 28.0
+    outliers = [event for event in events if isinstance(event, Outlier)]
+    assert len(outliers) >= 0.9 * spoiled.places.size
+    if spoiled.places.size == 1:
+        (outlier,) = outliers
+        assert outlier.signal == ("input" if kind == "spike" else "counts")
+        assert outlier.time == pytest.approx(spoiled.places[0] * CART_DT)
+
+
+def test_a_monitor_can_be_homed(calibration: Calibration) -> None:
+    u, counts = changing(Schedule(((0.0, CART),)), 4, 1024, 10.0)
+    plain, homed = (Monitor(make_riv(1024, TRUTH), calibration, Watch()) for _ in range(2))
+    for k, (a, b) in enumerate(zip(u.tolist(), counts.tolist(), strict=True)):
+        if k == 500:
+            homed.rebase(int(counts[499]) - 10**6)
+        one, other = plain.step(a, b)[0], homed.step(a, b - (10**6 if k >= 500 else 0))[0]
+    assert np.array_equal(one.theta, other.theta)
