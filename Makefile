@@ -66,6 +66,7 @@ study: .venv/installed
 	.venv/bin/python -m pmfid.studies.monitoring --out docs/monitoring.md
 	.venv/bin/python -m pmfid.studies.laboratory --out docs/laboratory.md --images docs/images
 	.venv/bin/python -m pmfid.studies.black_box --out docs/black_box.md
+	.venv/bin/python -m pmfid.studies.glitches --out docs/glitches.md
 	.venv/bin/python -m tests.hostile.study --out docs/hostile.md
 
 images: .venv/installed

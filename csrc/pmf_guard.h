@@ -115,7 +115,7 @@ PMF_APART whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_s
 #endif
     *change = PMF_IF(sound, PMF_IF(anew, read, *change), foreseen);
     guard->change = PMF_IF(apart, guard->change, PMF_IF(sound & PMF_NOT(back), read, *change));
-    guard->reading = count;
+    guard->reading = PMF_IF(sound, guard->reading, count);
     guard->suspect = PMF_IF(sound, PMF_W(0), guard->suspect + 1U);
     state->count = PMF_IF(sound, count, (state->count + (whole_t)*change) & 0xffffffffU);
     return PMF_BIT(PMF_NOT(sound), PMF_COUNT_JUMP);
@@ -145,14 +145,15 @@ static void judge_input(const pmf_encoder_config_t *config, pmf_encoder_state_t 
 }
 
 /* The input that comes: does it set a new size, or is it doubtful? */
-PMF_APART truth_t meet_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t missed_before, real_t size)
+PMF_APART truth_t meet_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, truth_t grows,
+                             real_t missed_before, real_t size)
 {
     pmf_guard_state_t *guard = &state->guard;
     real_t spike = PMF_IF(guard->seen >= config->guard, PMF_ALIKE(config->spike), EARLY_SPIKE);
     truth_t large = (guard->peak > LEAST_PEAK) & (size > spike * guard->peak);
     judge_input(config, state, missed_before, large);
     large = (guard->peak > LEAST_PEAK) & (size > spike * guard->peak);
-    grow(config, guard, (size > guard->peak) & PMF_NOT(large), size);
+    grow(config, guard, grows & (size > guard->peak) & PMF_NOT(large), size);
     guard->doubt = ((guard->doubt << 1) & DOUBTS) | PMF_BIT(large, 1U);
     return large;
 }
@@ -164,7 +165,7 @@ static whole_t guard_input(const pmf_encoder_config_t *config, pmf_encoder_state
     real_t margin = PEAK_MARGIN * guard->peak;
     truth_t large = input * input > margin * margin, moves = state->moving > PMF_R(0.0), learns = guard->seen < config->guard;
     if (PMF_ANY(large | (guard->doubt != 0U))) {
-        large = meet_input(config, state, missed_before, size_of(input));
+        large = meet_input(config, state, large, missed_before, size_of(input));
     }
     guard->held = state->input_before;
     if (PMF_ANY(moves)) {

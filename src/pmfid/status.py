@@ -35,8 +35,13 @@ ADVICE = {
     Status.COMPENSATION_HELD: (
         "the pre-filtered input says too little to compensate the bias: held; try other prefilter_zeros"
     ),
-    Status.INVALID_INPUT: "an input was not finite: the last one was used and the filters settle again",
-    Status.COUNT_JUMP: "the counts jumped further than max_speed allows: check the wiring and the counter's bits",
+    Status.INVALID_INPUT: (
+        "an input was not finite, or far beyond all others: unless the counts answer, or it stays, the last one counts"
+    ),
+    Status.COUNT_JUMP: (
+        "the counts jumped as no motion does, or further than max_speed allows: left out; if nobody set the counter "
+        "anew, check the wiring and the counter's bits"
+    ),
     Status.STANDSTILL: "no counts within standstill_time: the axis is taken to be at rest",
     Status.RESET: "a number left the range of the format: the estimator started again",
     Status.FALLBACK: ("the simulated motion does not follow the plant: this is the estimate of the simpler method"),

@@ -8,6 +8,7 @@ import re
 import subprocess
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,11 @@ def page() -> str:
             if name == "cart":
                 costs.append(cost_row(estimator, Path(folder)))
                 print(costs[-1], flush=True)
+        if name == "cart":
+            bare = replace(estimator, encoder=replace(estimator.encoder, guard=False))
+            with tempfile.TemporaryDirectory() as folder:
+                exported(bare, Path(folder), u, counts)
+                costs.append(cost_row(bare, Path(folder)))
     names = ", ".join(f"{target.name} {level}" for target, level in RUNS)
     return PAGE.format(compilers=compilers(), footprint="\n".join(costs), bits="\n".join(bits), runs=names)
 
@@ -97,7 +103,8 @@ def cost_row(estimator: RecursiveEstimator, folder: Path) -> str:
     sizes = structures(shape, estimator.precision)
     ram, saved = sizes["pmf_state_t"].itemsize, sizes["pmf_saved_t"].itemsize
     values = (measured.flash, ram, saved, measured.stack, measured.mean, measured.most)
-    return f"| {estimator.method} | {estimator.precision} | " + " | ".join(map(str, values)) + " |"
+    name = estimator.method + ("" if estimator.encoder.guard else ", no guard")
+    return f"| {name} | {estimator.precision} | " + " | ".join(map(str, values)) + " |"
 
 
 def compilers() -> str:

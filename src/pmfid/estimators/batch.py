@@ -238,7 +238,9 @@ def check_identifiable(
     """Raises NotIdentifiableError where a column is zero or a combination of the others, naming the parameter.
     simulated: the equation holds while a simulated motion moves, and says nothing while that rests."""
     if columns.z.size <= 2 * len(names) and columns.status & Status.COUNT_JUMP:
-        raise NotIdentifiableError("the counts jump further than max_speed allows all the time; correct max_speed")
+        raise NotIdentifiableError(
+            "the counts jump all the time: check the wiring and the counter's bits, or correct max_speed"
+        )
     if columns.z.size <= 2 * len(names):
         raise NotIdentifiableError(
             f"only {columns.z.size} samples are left after the filters have settled, too few for {len(names)} "

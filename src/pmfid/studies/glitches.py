@@ -165,7 +165,8 @@ def page(places: int) -> str:
             "# Samples that no motion explains",
             "",
             f"Written by `python -m pmfid.studies.glitches`. `{'`, `'.join(METHODS)}` with a memory of {MEMORY} "
-            f"samples, filter time constant {1 / CUTOFF:g} T, {' and '.join(MOTIONS)}, encoders of {INCREMENTS} increments, "
+            f"samples, filter time constant {1 / CUTOFF:g} T, {' and '.join(MOTIONS)}, encoders of {INCREMENTS} "
+            "increments, "
             f"{places} places each, sizes of 100 to 1e9 counts ({REST_JUMP} at rest) and 30 to 1e30 times the largest "
             "input, drawn evenly in their logarithm. Deviation: of the worst parameter from the track without the "
             f"fault, in percent of the parameter, or of {STDS:g} of its standard deviations where they are more, at "
