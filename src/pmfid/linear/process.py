@@ -18,6 +18,8 @@ Complex = NDArray[np.complex128]
 
 #: Standard deviations over which the spread of a root is measured.
 INTERVAL = 2.0
+#: Name and unit of what a constant input makes in the end: the output, its speed, its acceleration.
+GAINS = (("gain", ""), ("velocity gain", "1/s"), ("acceleration gain", "1/s^2"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +88,23 @@ class Process:
             return float("inf")
         slope[0], slope[self.a.size] = -self.b[0] / self.a[0] ** 2, 1 / self.a[0]
         return float(np.sqrt(slope @ self.cov @ slope))
+
+    @property
+    def integrators(self) -> int:
+        """How many poles are known to be at 0."""
+        return int(np.argmax(np.r_[self.a, 1.0] != 0))
+
+    @property
+    def slope(self) -> tuple[str, float, float, str]:
+        """What a constant input makes in the end, of the derivative that then is constant: s^k G(s) at 0 with k
+        integrators. Its name, value and standard deviation, and its unit beside those of output over input."""
+        k, slope = self.integrators, np.zeros(self.cov.shape[0])
+        bottom = np.r_[self.a, 1.0][k]
+        if k < self.a.size:
+            slope[k] = -self.b[0] / bottom**2
+        slope[self.a.size] = 1 / bottom
+        name, unit = (*GAINS, (f"gain of derivative {k}", f"s^-{k}"))[min(k, len(GAINS))]
+        return name, float(self.b[0] / bottom), float(np.sqrt(slope @ self.cov @ slope)), unit
 
     @property
     def time_constants(self) -> Floats:
@@ -169,9 +188,11 @@ class Process:
         )
 
     def __repr__(self) -> str:
-        rows = [str(self), "", f"gain {_value(self.gain, self.gain_std)}"]
+        name, value, std, unit = self.slope
+        rows = [str(self), "", f"{name} {_value(value, std)} {unit}".rstrip()]
         for pole, std, tau in zip(self.poles, self.poles_std, self.time_constants, strict=True):
-            rows.append(f"pole {_complex(pole, std)} rad/s, time constant {tau:.4g} s")
+            known = "pole 0, an integrator"
+            rows.append(f"pole {_complex(pole, std)} rad/s, time constant {tau:.4g} s" if pole else known)
         rows += [f"zero {_complex(zero, std)} rad/s" for zero, std in zip(self.zeros, self.zeros_std, strict=True)]
         return "\n".join(rows)
 
