@@ -73,6 +73,18 @@ def test_a_dead_time_of_any_length_known_and_estimated(dead_time, hold):
     np.testing.assert_allclose(found, [*truth, dead_time], rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_no_dead_time_at_all_is_one_that_can_be_estimated(seed):
+    """Noise would have it negative: at its bound the iteration never settled, "the model does not follow"."""
+    rng = np.random.default_rng(seed)
+    u = rng.choice([-1.0, 1.0], 267).repeat(3)
+    y = simulate_process((2.0, 1.0), (1.0, 1.2, 6.6), u, DT)
+    record = Experiment(u, y + 0.1 * np.std(y) * rng.standard_normal(u.size), dt=DT)
+    fit = SRIVC(TransferFunction(2, 1, dead_time="estimate"), Encoder(1.0), DT, 3.0).fit_experiments([record])
+    assert fit["dead_time"] == pytest.approx(0.0, abs=0.1 * DT)
+    assert fit["a0"] == pytest.approx(6.6, abs=0.1)
+
+
 def test_a_dead_time_between_uneven_samples():
     rng = np.random.default_rng(4)
     times, u = np.cumsum(DT * rng.uniform(0.5, 1.5, 500)), rng.choice([-1.0, 1.0], 500)

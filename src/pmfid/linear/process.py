@@ -87,7 +87,7 @@ class Process:
         if not self.a[0]:
             return float("inf")
         slope[0], slope[self.a.size] = -self.b[0] / self.a[0] ** 2, 1 / self.a[0]
-        return float(np.sqrt(slope @ self.cov @ slope))
+        return _deviation(slope, self.cov)
 
     @property
     def integrators(self) -> int:
@@ -104,7 +104,7 @@ class Process:
             slope[k] = -self.b[0] / bottom**2
         slope[self.a.size] = 1 / bottom
         name, unit = (*GAINS, (f"gain of derivative {k}", f"s^-{k}"))[min(k, len(GAINS))]
-        return name, float(self.b[0] / bottom), float(np.sqrt(slope @ self.cov @ slope)), unit
+        return name, float(self.b[0] / bottom), _deviation(slope, self.cov), unit
 
     @property
     def time_constants(self) -> Floats:
@@ -223,13 +223,19 @@ class Process:
     def _moved(self, coefficients: Floats, root: complex, slope: Floats, cov: Floats) -> Floats:
         """(2,) of real and imaginary part, along cov slope."""
         with np.errstate(all="ignore"):
-            linear = max(0.0, float(slope @ cov @ slope)) ** 0.5
+            linear = _deviation(slope, cov)
             step = np.zeros(coefficients.size)
             step[: cov.shape[0]] = INTERVAL * (cov @ slope) / linear if linear > 0 else 0.0
-        if not np.all(np.isfinite(step)):
+        if not np.all(np.isfinite([*step, linear])):
             return np.full(2, np.inf)
         ends = [_nearest(_roots(coefficients + sign * step), root) - root for sign in (1.0, -1.0)]
         return np.asarray(np.max(np.abs([[end.real, end.imag] for end in ends]), axis=0) / INTERVAL)
+
+
+def _deviation(slope: Floats, cov: Floats) -> float:
+    """Of slope @ parameters; infinite where rounding leaves a negative variance: nothing is known then."""
+    variance = float(slope @ cov @ slope)
+    return variance**0.5 if variance >= 0 else float("inf")
 
 
 def _real(name: str, values: ArrayLike) -> Floats:
