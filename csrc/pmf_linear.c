@@ -27,6 +27,7 @@
 #define LEAST PMF_R(2.0)        /* over the samples so far: a copy must decay so fast */
 #define IN_TIME PMF_R(4.5)      /* ... and its filters, to settle in as many samples again */
 #define RATE PMF_R(30.0)        /* ... and those of data, where its own would not: the faster, the more samples are left */
+#define AGAIN PMF_R(3.0)        /* times the samples */
 #define DOUBTFUL PMF_R(0.05)    /* of what was gathered behind filters that became too slow */
 #define PART PMF_R(0.3)         /* of the direct estimate's samples */
 #define LONGER PMF_R(4.0)       /* error bars, squared */
@@ -240,26 +241,6 @@ static void go_behind_fast(const pmf_linear_config_t *config, pmf_linear_state_t
     state->damped = 1U;
 }
 
-/* Moves the copy towards an estimate, as far as that is stable, where the filters are about to be computed anew. If it turns
- * out that they would not settle in time, data leave them; 1: that is now. */
-static uint32_t follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, real_t samples)
-{
-    real_t a[M];
-    uint32_t leaving;
-    if (state->wait != 0U) {
-        return 0U;
-    }
-    scaled(config, theta, a);
-    leaving = state->damped == 0U && decays(config, a, IN_TIME / samples) == 0U ? 1U : 0U;
-    if (leaving != 0U) {
-        go_behind_fast(config, state, samples);
-    }
-    if (state->damped == 0U || damp(config, a, LEAST / samples) != 0U) {
-        (void)take(config, state, theta, a, config->smoothing);
-    }
-    return leaving;
-}
-
 /* A model from an estimate, and filters for data that settle in as many samples again as there were: its own where they
  * do. Any others of the same order will do, and lose little (the equation holds behind every filter), if the instruments
  * keep the model's: where it rings for long, or noise makes it unstable, they are those of a more damped one. */
@@ -281,6 +262,33 @@ static uint32_t begin(const pmf_linear_config_t *config, pmf_linear_state_t *sta
     (void)take(config, state, theta, a, PMF_R(1.0));
     go_behind_fast(config, state, samples);
     return 1U;
+}
+
+/* Moves the copy towards an estimate, as far as that is stable, where the filters are about to be computed anew. If it turns
+ * out that they would not settle in time, data leave them; 1: that is now. Where nothing is forgotten, fast ones are made
+ * anew once there is time for slower ones, which tell more of the noise. */
+static uint32_t follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, real_t samples,
+                       uint32_t forgets)
+{
+    real_t a[M];
+    uint32_t leaving;
+    if (state->wait != 0U) {
+        return 0U;
+    }
+    if (state->damped != 0U && forgets == 0U && samples > AGAIN * (real_t)state->since) {
+        state->since = (whole_t)samples;
+        go_behind_fast(config, state, samples);
+        return 0U;
+    }
+    scaled(config, theta, a);
+    leaving = state->damped == 0U && decays(config, a, IN_TIME / samples) == 0U ? 1U : 0U;
+    if (leaving != 0U) {
+        go_behind_fast(config, state, samples);
+    }
+    if (state->damped == 0U || damp(config, a, LEAST / samples) != 0U) {
+        (void)take(config, state, theta, a, config->smoothing);
+    }
+    return leaving;
 }
 
 /* While the direct estimate is in charge, the model starts from it; and again, if that did not lead to a refined one
@@ -338,7 +346,8 @@ uint32_t pmf_linear_estimate(const pmf_config_t *config, pmf_state_t *state, uin
     }
     if (state->linear.in_charge != 0U) {
         real_t samples = (real_t)state->direct.started;
-        if (follow(linear, &state->linear, state->instrument.estimate.theta, samples) != 0U) {
+        uint32_t forgets = config->instrument.forgetting < PMF_SCALAR(1.0) ? 1U : 0U;
+        if (follow(linear, &state->linear, state->instrument.estimate.theta, samples, forgets) != 0U) {
             pmf_recursion_discount(&config->instrument, &state->instrument, DOUBTFUL);
         }
         return status;
