@@ -217,8 +217,8 @@ static uint32_t take(const pmf_linear_config_t *config, pmf_linear_state_t *stat
 static void scaled(const pmf_linear_config_t *config, const real_t *theta, real_t *a)
 {
     uint32_t i;
-    for (i = 0; i < config->n; ++i) {
-        a[i] = theta[i] * config->scale[i];
+    for (i = 0; i < M; ++i) {
+        a[i] = i < config->n ? theta[i] * config->scale[i] : PMF_R(0.0);
     }
 }
 
