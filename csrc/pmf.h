@@ -355,19 +355,32 @@ typedef struct {
     scalar_t memory;                   /* forgetting of the comparison with the output, per sample */
 } pmf_linear_config_t;
 
+/* The filters s^i / A(s), time in samples. */
 typedef struct {
-    real_t parameter[PMF_MAX_PARAMETERS];           /* the copy */
-    real_t a[PMF_MAX_ORDER], b[PMF_MAX_PARAMETERS]; /* as the filters have them, time in samples */
-    real_t inverse;
-    real_t step[PMF_MAX_ORDER][PMF_MAX_ORDER], gain[PMF_MAX_ORDER];
-    real_t held[PMF_MAX_ORDER], one[PMF_MAX_ORDER];           /* 1 / A of the input and of a constant */
-    real_t measured[PMF_MAX_ORDER], simulated[PMF_MAX_ORDER]; /* and of the outputs */
+    real_t a[PMF_MAX_ORDER];
+    real_t inverse;                                                /* of a trapezoidal step */
+    real_t step[PMF_MAX_ORDER][PMF_MAX_ORDER], gain[PMF_MAX_ORDER]; /* of a held signal */
+} pmf_linear_filter_t;
+
+/* Signals behind such a filter. */
+typedef struct {
+    real_t held[PMF_MAX_ORDER], one[PMF_MAX_ORDER]; /* the input and a constant */
+    real_t measured[PMF_MAX_ORDER], simulated[PMF_MAX_ORDER];
+} pmf_linear_signals_t;
+
+typedef struct {
+    real_t parameter[PMF_MAX_PARAMETERS]; /* the copy */
+    real_t b[PMF_MAX_PARAMETERS];         /* as the simulation has it */
+    pmf_linear_filter_t own, fast;        /* of the copy; more damped, for data, where that would settle too late */
+    pmf_linear_signals_t behind_own, behind_fast;
+    pmf_linear_signals_t bent; /* how the coefficients of these signals differ where time goes in samples */
     real_t settling[PMF_MAX_ORDER];
     real_t output, power, mismatch;
     real_t discount; /* of what was gathered with other filters; 1 where they did not change */
     whole_t since;   /* updates of the direct estimate at the start */
     whole_t wait, age, unsettled, settled;
     whole_t running, in_charge;
+    whole_t damped; /* data go behind the fast filters */
 } pmf_linear_state_t;
 #endif
 

@@ -6,190 +6,89 @@
  * The filters of y and x are trapezoidal and those of u exact behind its hold: with F_T = 1 / A(s_T) the equation
  * A(s_T) F_T y = sum b_j ZOH{s^j / A} u holds without any error of the discretisation at the true A.
  *
+ * Any other filters would do as well: the equation holds behind each. Where 1 / A rings for too long, data go behind those of
+ * a more damped polynomial, which stay, and the instruments alone keep 1 / A: for a resonance that costs at most a factor 2
+ * of the variance, however fast they are, and nothing that data have to forget comes with them or with a step of the copy.
+ * Behind them the equation holds exactly with the coefficients of the copy's sampled form (`bend`).
+ *
  * Time counts in samples: state j is dt^(j-n) s^j / A(s) of its signal, and A has the coefficients a_i dt^(n-i). States
  * move by increments, which keeps float32 accurate where poles are slow. When A moves they are carried over. The matrix
  * exponential is a Taylor polynomial after six halvings, for no libm gives the same bits everywhere; it is computed once
  * in update_samples, the rest is the same for every sample.
  */
-#include "pmf.h"
+#include "pmf_linear_filters.h"
 
 #if PMF_LINEAR
-#define M PMF_MAX_ORDER
-#define HALVINGS 6
-#define TAYLOR 10U
 #define SETTLED PMF_R(0.05)
+#define SETTLED_FAST PMF_R(0.01) /* behind filters that data go through for good, and that forget soon */
 #define DISCOUNT PMF_R(2.0)
-#define WORST PMF_R(1.0) /* mean square error of the model over the mean square output: it explains nothing */
-#define PART PMF_R(0.3)       /* of the direct estimate's samples */
-#define LONGER PMF_R(4.0)     /* error bars, squared */
-#define SHORT_BAR PMF_R(0.01) /* of the parameter */
+#define WORST PMF_R(1.0)        /* mean square error of the model over the mean square output: it explains nothing */
+#define WORST_DAMPED PMF_R(2.0) /* ... without any correlation, at the same power */
+#define LEAST PMF_R(2.0)        /* over the samples so far: a copy must decay so fast */
+#define IN_TIME PMF_R(4.5)      /* ... and its filters, to settle in as many samples again */
+#define RATE PMF_R(30.0)        /* ... and those of data, where its own would not: the faster, the more samples are left */
+#define AGAIN PMF_R(3.0)        /* times the samples */
+#define DOUBTFUL PMF_R(0.05)    /* of what was gathered behind filters that became too slow */
+#define PART PMF_R(0.3)         /* of the direct estimate's samples */
+#define LONGER PMF_R(4.0)       /* error bars, squared */
+#define SHORT_BAR PMF_R(0.01)   /* of the parameter */
 
-/* Are all roots in the left half-plane (Routh 1877), and none faster than the samples can show? */
-static uint32_t plausible(const pmf_linear_config_t *config, const real_t *a)
+/* Behind filters that are not its own a process obeys the equation of its sampled form, exactly; that is the one of its
+ * parameters but for these differences. */
+static void bend(const pmf_linear_config_t *config, pmf_linear_state_t *state)
 {
-    real_t row[2][M + 2]; /* two rows of the table, in turn */
-    uint32_t n = config->n, i, k;
-    for (i = 0; i < M + 2U; ++i) {
-        row[0][i] = row[1][i] = PMF_R(0.0);
+    real_t row[M], one = config->offset != 0U ? state->b[config->m + 1U] * config->scale[0] : PMF_R(0.0);
+    uint32_t i;
+    for (i = 0; i < config->n; ++i) {
+        row[i] = i <= config->m ? state->b[i] * config->scale[i] : PMF_R(0.0);
     }
-    for (i = 0; i <= n; ++i) { /* from the highest power on, every other one */
-        row[i % 2U][i / 2U] = i == 0U ? PMF_R(1.0) : a[n - i];
-        if (i < n && !(a[i] > PMF_R(0.0) && a[i] < config->limit[i])) {
-            return 0U;
-        }
+    sampled_form(&state->own, config->n, row, one, state->bent.measured, state->bent.held, state->bent.one);
+    for (i = 0; i < config->n; ++i) {
+        state->bent.measured[i] -= state->own.a[i];
+        state->bent.held[i] -= row[i];
     }
-    for (k = 0; k + 1U < n; ++k) {
-        real_t *upper = row[k % 2U];
-        const real_t *lower = row[(k + 1U) % 2U];
-        real_t ratio = upper[0] / lower[0];
-        for (i = 0; i + 1U < M + 2U; ++i) {
-            upper[i] = upper[i + 1U] - ratio * lower[i + 1U];
-        }
-        upper[M + 1] = PMF_R(0.0);
-        if (!(upper[0] > PMF_R(0.0))) {
-            return 0U;
-        }
-    }
-    return 1U;
-}
-
-/* matrix = companion * matrix, times a factor. */
-static void companion(const real_t *a, uint32_t n, real_t factor, real_t matrix[M][M])
-{
-    uint32_t i, j;
-    for (j = 0; j < n; ++j) {
-        real_t last = PMF_R(0.0);
-        for (i = 0; i < n; ++i) {
-            last -= a[i] * matrix[i][j];
-        }
-        for (i = 0; i + 1U < n; ++i) {
-            matrix[i][j] = factor * matrix[i + 1U][j];
-        }
-        matrix[n - 1U][j] = factor * last;
-    }
-}
-
-/* From half the time to the whole: E = 2 E + E^2, g = 2 g + E g. */
-static void twice(uint32_t n, real_t step[M][M], real_t gain[M])
-{
-    real_t square[M][M], moved[M];
-    uint32_t i, j, k;
-    for (i = 0; i < n; ++i) {
-        moved[i] = PMF_R(2.0) * gain[i];
-        for (j = 0; j < n; ++j) {
-            moved[i] += step[i][j] * gain[j];
-            square[i][j] = PMF_R(2.0) * step[i][j];
-            for (k = 0; k < n; ++k) {
-                square[i][j] += step[i][k] * step[k][j];
-            }
-        }
-    }
-    for (i = 0; i < n; ++i) {
-        gain[i] = moved[i];
-        for (j = 0; j < n; ++j) {
-            step[i][j] = square[i][j];
-        }
-    }
-}
-
-/* step = exp(companion) - 1 and gain = the integral of exp(companion t) over one sample, last column. */
-static void discretise(pmf_linear_state_t *state, uint32_t n)
-{
-    real_t h = PMF_R(1.0), sum[M][M];
-    uint32_t i, j, k;
-    for (k = 0; k < HALVINGS; ++k) {
-        h *= PMF_R(0.5);
-    }
-    for (i = 0; i < n; ++i) {
-        for (j = 0; j < n; ++j) {
-            sum[i][j] = i == j ? PMF_R(1.0) : PMF_R(0.0);
-        }
-    }
-    for (k = TAYLOR; k >= 2U; --k) { /* 1 + A h / 2 (1 + A h / 3 (...)) */
-        companion(state->a, n, h / (real_t)k, sum);
-        for (i = 0; i < n; ++i) {
-            sum[i][i] += PMF_R(1.0);
-        }
-    }
-    for (i = 0; i < n; ++i) {
-        state->gain[i] = h * sum[i][n - 1U];
-    }
-    companion(state->a, n, h, sum);
-    for (i = 0; i < n; ++i) {
-        for (j = 0; j < n; ++j) {
-            state->step[i][j] = sum[i][j];
-        }
-    }
-    for (k = 0; k < HALVINGS; ++k) {
-        twice(n, state->step, state->gain);
-    }
+    state->bent.one[0] -= one;
 }
 
 /* The filters of the copy, and how much less what was gathered with the ones before counts: early ones may have been
- * lightly damped and have large columns. */
+ * lightly damped and have large columns. Where data go behind filters that stay, only the instruments were worse. */
 static void adopt(const pmf_linear_config_t *config, pmf_linear_state_t *state)
 {
-    real_t divisor = PMF_R(1.0), part = PMF_R(1.0), largest = PMF_R(0.0);
+    real_t largest = PMF_R(0.0), a[M];
     uint32_t i;
     for (i = config->n; i-- > 0U;) {
-        real_t a = state->parameter[i] * config->scale[i], change = a - state->a[i];
-        change = (change < PMF_R(0.0) ? -change : change) / a;
+        real_t change;
+        a[i] = state->parameter[i] * config->scale[i];
+        change = a[i] - state->own.a[i];
+        change = (change < PMF_R(0.0) ? -change : change) / (state->damped != 0U ? state->fast.a[i] : a[i]);
         largest = change > largest ? change : largest;
-        part *= PMF_R(0.5);
-        divisor += a * part;
-        state->a[i] = a;
     }
     for (i = 0; i + config->n < PMF_MAX_PARAMETERS; ++i) {
         state->b[i] = state->parameter[config->n + i];
     }
     state->discount = PMF_R(1.0) / (PMF_R(1.0) + DISCOUNT * largest);
-    state->inverse = PMF_R(1.0) / divisor;
-    discretise(state, config->n);
+    make_filter(&state->own, config->n, a, 1U);
+    if (state->damped != 0U) {
+        bend(config, state);
+    }
     state->wait = config->update_samples;
 }
 
-/* x += E x + g u: exact for a held u. */
-static void held(const pmf_linear_state_t *state, uint32_t n, real_t u, real_t x[M])
+/* The filters that data go behind. */
+static const pmf_linear_filter_t *data_filter(const pmf_linear_state_t *state)
 {
-    real_t moved[M];
-    uint32_t i, j;
-    for (i = 0; i < n; ++i) {
-        moved[i] = state->gain[i] * u;
-        for (j = 0; j < n; ++j) {
-            moved[i] += state->step[i][j] * x[j];
-        }
-    }
-    for (i = 0; i < n; ++i) {
-        x[i] += moved[i];
-    }
+    return state->damped != 0U ? &state->fast : &state->own;
 }
 
-/* The trapezoidal rule with the mean of a signal over the sample: the middle of the states, c + q / 2^(n-i) with the last
- * one's increment q, is each one's increment but for the one above. */
-static void trapezoidal(const pmf_linear_state_t *state, uint32_t n, real_t mean, real_t w[M])
-{
-    real_t middle[M + 1], q = mean;
-    uint32_t i;
-    middle[n] = PMF_R(0.0);
-    for (i = n; i-- > 0U;) {
-        middle[i] = w[i] + PMF_R(0.5) * middle[i + 1U];
-        q -= state->a[i] * middle[i];
-    }
-    middle[n] = q * state->inverse;
-    for (i = n; i-- > 0U;) {
-        middle[i] = w[i] + PMF_R(0.5) * middle[i + 1U];
-        w[i] += middle[i + 1U];
-    }
-}
-
-/* Has the step response of 1 / A stayed at its end? A transient of the size of the change of A decays with it. */
+/* Has the step response of the data's 1 / A stayed at its end? A transient of the size of the change of A decays with it. */
 static void note_settling(const pmf_linear_config_t *config, pmf_linear_state_t *state)
 {
-    real_t off;
-    trapezoidal(state, config->n, PMF_R(1.0), state->settling);
-    off = state->a[0] * state->settling[0] - PMF_R(1.0);
+    const pmf_linear_filter_t *filter = data_filter(state);
+    real_t off, within = state->damped != 0U ? SETTLED_FAST : SETTLED;
+    trapezoidal(filter, config->n, PMF_R(1.0), state->settling);
+    off = filter->a[0] * state->settling[0] - PMF_R(1.0);
     state->age += state->age < 0x7fffffffU ? 1U : 0U;
-    if (off > SETTLED || off < -SETTLED) {
+    if (off > within || off < -within) {
         state->unsettled = state->age;
     } else if (state->age / 3U * 2U > state->unsettled + config->settle_samples) {
         state->settled = 1U;
@@ -197,35 +96,71 @@ static void note_settling(const pmf_linear_config_t *config, pmf_linear_state_t 
 }
 
 /* Regressors of the process in one direction of the data: the output's, the input's, the constant's. */
-static void emit(const pmf_linear_config_t *config, const pmf_linear_state_t *state, const real_t *output, real_t *column)
+static void emit(const pmf_linear_config_t *config, const pmf_linear_signals_t *signals, const real_t *output,
+                 real_t *column)
 {
     uint32_t i;
     for (i = 0; i < config->n; ++i) {
         column[i] = config->scale[i] * output[i];
     }
     for (i = 0; i <= config->m; ++i) {
-        column[config->n + i] = -config->scale[i] * state->held[i];
+        column[config->n + i] = -config->scale[i] * signals->held[i];
     }
     if (config->offset != 0U) {
-        column[config->n + config->m + 1U] = -config->scale[0] * state->one[0];
+        column[config->n + config->m + 1U] = -config->scale[0] * signals->one[0];
     }
 }
 
-/* Output of the model at the end of the interval. */
+/* B / A of the input, and the constant's part, at the end of the interval. */
 static real_t model_output(const pmf_linear_config_t *config, const pmf_linear_state_t *state)
 {
+    const pmf_linear_signals_t *signals = &state->behind_own;
     real_t output = PMF_R(0.0);
     uint32_t i;
     for (i = 0; i <= config->m; ++i) {
-        output += state->b[i] * config->scale[i] * state->held[i];
+        output += state->b[i] * config->scale[i] * signals->held[i];
     }
-    return config->offset != 0U ? output + state->b[config->m + 1U] * config->scale[0] * state->one[0] : output;
+    return config->offset != 0U ? output + state->b[config->m + 1U] * config->scale[0] * signals->one[0] : output;
+}
+
+/* One sample of all signals behind the copy's filters; the simulated output at its end. */
+static real_t simulate(const pmf_linear_config_t *config, pmf_linear_state_t *state, real_t input)
+{
+    pmf_linear_signals_t *signals = &state->behind_own;
+    real_t model;
+    held(&state->own, config->n, input, signals->held);
+    if (config->offset != 0U) {
+        held(&state->own, config->n, PMF_R(1.0), signals->one);
+    }
+    model = model_output(config, state);
+    trapezoidal(&state->own, config->n, PMF_R(0.5) * (model + state->output), signals->simulated);
+    state->output = model;
+    return model;
+}
+
+/* The same of the data behind the fast ones; what to take from the target, for the copy's equation to hold. */
+static real_t bent(const pmf_linear_config_t *config, pmf_linear_state_t *state, real_t input)
+{
+    pmf_linear_signals_t *signals = &state->behind_fast;
+    real_t left = PMF_R(0.0);
+    uint32_t i;
+    trapezoidal(&state->fast, config->n, input, signals->held);
+    if (config->offset != 0U) {
+        trapezoidal(&state->fast, config->n, PMF_R(1.0), signals->one);
+    }
+    for (i = 0; i < config->n; ++i) {
+        left += state->bent.measured[i] * signals->measured[i] - state->bent.held[i] * signals->held[i] -
+                state->bent.one[i] * signals->one[i];
+    }
+    return left;
 }
 
 void pmf_linear_step(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *node, real_t *column)
 {
     real_t mean = node[PMF_LATE_POSITION], end = mean + config->half_dt * node[PMF_LATE_VELOCITY], model, target = -end;
     uint32_t n = config->n, p = n + config->m + 1U + (config->offset != 0U ? 1U : 0U), i;
+    const pmf_linear_filter_t *filter = data_filter(state);
+    pmf_linear_signals_t *data = state->damped != 0U ? &state->behind_fast : &state->behind_own;
     if (state->running == 0U) {
         return;
     }
@@ -234,42 +169,43 @@ void pmf_linear_step(const pmf_linear_config_t *config, pmf_linear_state_t *stat
         adopt(config, state);
     }
     state->wait -= 1U;
-    held(state, n, node[config->input_node], state->held);
-    if (config->offset != 0U) {
-        held(state, n, PMF_R(1.0), state->one);
-    }
-    model = model_output(config, state);
-    trapezoidal(state, n, mean, state->measured);
-    trapezoidal(state, n, PMF_R(0.5) * (model + state->output), state->simulated);
-    state->output = model;
+    model = simulate(config, state, node[config->input_node]);
+    trapezoidal(filter, n, mean, data->measured);
     note_settling(config, state);
     for (i = 0; i < n; ++i) {
-        target += state->a[i] * state->measured[i];
+        target += filter->a[i] * data->measured[i];
     }
-    emit(config, state, state->measured, &column[config->first_column]);
+    if (state->damped != 0U) {
+        target -= bent(config, state, node[config->input_node]);
+    }
+    emit(config, data, data->measured, &column[config->first_column]);
     column[config->first_column + p] = target;
-    emit(config, state, state->simulated, &column[config->first_column + p + 1U]);
+    emit(config, &state->behind_own, state->behind_own.simulated, &column[config->first_column + p + 1U]);
     state->power = config->memory * state->power + end * end;
     state->mismatch = config->memory * state->mismatch + (end - model) * (end - model);
 }
 
-/* Does its output explain nothing of the measured one? */
+/* Does its output explain nothing of the measured one? Before it has built up less is expected. */
 static uint32_t is_lost(const pmf_linear_state_t *state)
 {
-    return state->settled != 0U && state->mismatch > WORST * state->power ? 1U : 0U;
+    real_t worst = state->damped != 0U ? WORST_DAMPED : WORST;
+    return state->settled != 0U && state->mismatch > worst * state->power ? 1U : 0U;
 }
 
-static uint32_t take(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, real_t part)
+/* Moves the copy by a part of the way to theta with these a, if that is stable. */
+static uint32_t take(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, const real_t *a,
+                     real_t part)
 {
-    real_t next[PMF_MAX_PARAMETERS], a[M];
+    real_t next[PMF_MAX_PARAMETERS], next_a[M];
     uint32_t i;
     for (i = 0; i < PMF_MAX_PARAMETERS; ++i) {
-        next[i] = state->parameter[i] + part * (theta[i] - state->parameter[i]);
+        real_t target = i < config->n && state->damped != 0U ? a[i] / config->scale[i] : theta[i];
+        next[i] = state->parameter[i] + part * (target - state->parameter[i]);
     }
     for (i = 0; i < config->n; ++i) {
-        a[i] = next[i] * config->scale[i];
+        next_a[i] = next[i] * config->scale[i];
     }
-    if (plausible(config, a) == 0U) { /* the last stable copy stays */
+    if (plausible(config, next_a) == 0U) { /* the last stable copy stays */
         return 0U;
     }
     for (i = 0; i < PMF_MAX_PARAMETERS; ++i) {
@@ -278,36 +214,112 @@ static uint32_t take(const pmf_linear_config_t *config, pmf_linear_state_t *stat
     return 1U;
 }
 
-/* Moves the copy towards an estimate, as far as that is stable, where the filters are about to be computed anew. */
-static void follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta)
+static void scaled(const pmf_linear_config_t *config, const real_t *theta, real_t *a)
 {
-    if (state->wait == 0U) {
-        (void)take(config, state, theta, config->smoothing);
+    uint32_t i;
+    for (i = 0; i < M; ++i) {
+        a[i] = i < config->n ? theta[i] * config->scale[i] : PMF_R(0.0);
     }
 }
 
+/* Filters other than those before have to forget their start. */
+static void settle_anew(pmf_linear_state_t *state)
+{
+    state->age = state->unsettled = state->settled = 0U;
+    pmf_clear(state->settling, (uint32_t)sizeof state->settling);
+}
+
+/* Data go behind filters of the copy, damped until they settle in as many samples again as there were. */
+static void go_behind_fast(const pmf_linear_config_t *config, pmf_linear_state_t *state, real_t samples)
+{
+    real_t a[M];
+    scaled(config, state->parameter, a);
+    (void)damp(config, a, RATE / samples);
+    make_filter(&state->fast, config->n, a, 0U);
+    pmf_clear(&state->behind_fast, (uint32_t)sizeof state->behind_fast);
+    settle_anew(state);
+    state->damped = 1U;
+}
+
+/* A model from an estimate, and filters for data that settle in as many samples again as there were: its own where they
+ * do. Any others of the same order will do, and lose little (the equation holds behind every filter), if the instruments
+ * keep the model's: where it rings for long, or noise makes it unstable, they are those of a more damped one. */
+static uint32_t begin(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, real_t samples)
+{
+    real_t a[M];
+    scaled(config, theta, a);
+    if (decays(config, a, IN_TIME / samples) != 0U) {
+        if (state->damped != 0U) {
+            settle_anew(state);
+            state->damped = 0U;
+        }
+        return take(config, state, theta, a, PMF_R(1.0));
+    }
+    if (damp(config, a, LEAST / samples) == 0U) {
+        return 0U;
+    }
+    state->damped = 1U;
+    (void)take(config, state, theta, a, PMF_R(1.0));
+    go_behind_fast(config, state, samples);
+    return 1U;
+}
+
+/* Moves the copy towards an estimate, as far as that is stable, where the filters are about to be computed anew. If it turns
+ * out that they would not settle in time, data leave them; 1: that is now. Where nothing is forgotten, fast ones are made
+ * anew once there is time for slower ones, which tell more of the noise. */
+static uint32_t follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, real_t samples,
+                       uint32_t forgets)
+{
+    real_t a[M];
+    uint32_t leaving;
+    if (state->wait != 0U) {
+        return 0U;
+    }
+    if (state->damped != 0U && forgets == 0U && samples > AGAIN * (real_t)state->since) {
+        state->since = (whole_t)samples;
+        go_behind_fast(config, state, samples);
+        return 0U;
+    }
+    scaled(config, theta, a);
+    leaving = state->damped == 0U && decays(config, a, IN_TIME / samples) == 0U ? 1U : 0U;
+    if (leaving != 0U) {
+        go_behind_fast(config, state, samples);
+    }
+    if (state->damped == 0U || damp(config, a, LEAST / samples) != 0U) {
+        (void)take(config, state, theta, a, config->smoothing);
+    }
+    return leaving;
+}
+
 /* While the direct estimate is in charge, the model starts from it; and again, if that did not lead to a refined one
- * within twice the samples: the first copy may have been far off, with filters that settle too slowly. */
+ * within twice the samples: the first copy may have been far off. */
 static void start(const pmf_linear_config_t *config, pmf_linear_state_t *state, const pmf_recursion_state_t *direct)
 {
     uint32_t wait = 2U * state->since;
     wait = wait > config->start_updates ? wait : config->start_updates;
-    if (direct->started > wait && take(config, state, direct->estimate.theta, PMF_R(1.0)) != 0U) {
+    if (direct->started > wait && begin(config, state, direct->estimate.theta, (real_t)direct->started) != 0U) {
         state->running = 1U;
         state->wait = 0U;
         state->since = direct->started;
     }
 }
 
+/* A squared error bar. */
+static real_t bar(const pmf_estimate_t *estimate, uint32_t i, uint32_t inflated)
+{
+    real_t inflation = inflated != 0U && estimate->inflation[i] > PMF_R(0.0) ? estimate->inflation[i] : PMF_R(1.0);
+    return estimate->variance_factor[i] * estimate->innovation_variance * inflation;
+}
+
 /* The refined estimate takes over once it has gathered a fair part of what the direct one has, if its error bars are not
- * much longer, or short enough. */
+ * much longer, or short enough. Behind filters that are not its own innovations are not white. */
 static uint32_t refined_enough(const pmf_config_t *config, const pmf_state_t *state)
 {
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;
     uint32_t i, enough = state->instrument.sums.weight > PART * state->direct.sums.weight ? 1U : 0U;
     for (i = 0; i < config->linear.n; ++i) {
-        real_t bar = own->variance_factor[i] * own->innovation_variance, small = SHORT_BAR * own->theta[i];
-        if (!(bar < LONGER * direct->variance_factor[i] * direct->innovation_variance + small * small)) {
+        real_t small = SHORT_BAR * own->theta[i];
+        if (!(bar(own, i, state->linear.damped) < LONGER * bar(direct, i, state->linear.damped) + small * small)) {
             enough = 0U;
         }
     }
@@ -333,7 +345,11 @@ uint32_t pmf_linear_estimate(const pmf_config_t *config, pmf_state_t *state, uin
         state->linear.in_charge = refined_enough(config, state);
     }
     if (state->linear.in_charge != 0U) {
-        follow(linear, &state->linear, state->instrument.estimate.theta);
+        real_t samples = (real_t)state->direct.started;
+        uint32_t forgets = config->instrument.forgetting < PMF_SCALAR(1.0) ? 1U : 0U;
+        if (follow(linear, &state->linear, state->instrument.estimate.theta, samples, forgets) != 0U) {
+            pmf_recursion_discount(&config->instrument, &state->instrument, DOUBTFUL);
+        }
         return status;
     }
     if ((direct_status & PMF_POOR_EXCITATION) == 0U) {

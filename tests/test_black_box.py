@@ -37,7 +37,7 @@ def test_what_is_said_has_numbers():
     assert [task[0] for task in tasks] == ["open", "closed"]
     results = {task: study.work(*task) for task in tasks}
     page = "\n".join(study.write(1, results))
-    assert "feedback" not in results[tasks[0]]["right"]
-    assert "feedback" in results[tasks[1]]
+    assert "feedback" not in results[tasks[0]]["right"].status
+    assert "feedback" in results[tasks[1]].status
     assert "| prbs |" in page
     assert " nan " not in page

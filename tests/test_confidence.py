@@ -121,6 +121,16 @@ def test_near_poles_have_the_bars_of_both():
     np.testing.assert_allclose(apart.poles_std[:, 0], 0.005, rtol=0.02)  # as the delta method has it
 
 
+def test_a_variance_that_rounding_makes_negative_is_no_small_bar():
+    """It was a bar of nothing for the pole, and NaN with a warning for the gain."""
+    cov = np.array([[1e6, 1.0, 0.0], [1.0, 1e-7, 0.0], [0.0, 0.0, 1e-8]])
+    process = Process(np.array([2.0, 3.0]), np.array([1.0]), cov)
+    assert np.all(process.poles_std[:, 0] > np.abs(process.poles))
+    worse = Process(np.array([2.0, 3.0]), np.array([1.0]), np.diag([-1e-12, -1e-12, -1e-12]))
+    assert worse.gain_std == np.inf
+    assert np.all(np.isinf(worse.poles_std[:, 0]))
+
+
 # --- what the residual knows of the input, and the input of the noise -------------------------------------------------
 
 

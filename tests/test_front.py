@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -192,3 +195,16 @@ def test_reproduce_tells_how_far_it_is(tmp_path: Path) -> None:
     paper.reproduce(["2"], tmp_path, seeds=1, jobs=1, done=done.append)
     assert done == sorted(done)
     assert done[-1] == 1.0
+
+
+def test_small_matrices_get_one_thread_before_numpy_is_there():
+    """`pmfid order` took 18 s with two threads where one took 4."""
+    code = "import os, sys; from pmfid.cli.main import main; main.callback(); print('numpy' in sys.modules, "
+    code += "os.environ['OPENBLAS_NUM_THREADS'], os.environ['OMP_NUM_THREADS'])"
+    clean = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", code], env=clean, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "1", "1"]
+    kept = subprocess.run(
+        [sys.executable, "-c", code], env=clean | {"OMP_NUM_THREADS": "3"}, capture_output=True, text=True, check=True
+    )
+    assert kept.stdout.split()[-1] == "3"

@@ -15,6 +15,7 @@ from pmfid.estimators.srivc import by_descent, fit_process, fixed_filters
 from pmfid.linear.bounded import respond_bounded
 from pmfid.linear.process import Process
 from pmfid.linear.propagate import Grid, respond
+from pmfid.report.process import dynamics_rows
 from pmfid.simulation.process import Controller, simulate_late, simulate_loop, simulate_process
 from pmfid.studies.real_processes import CASES, work
 
@@ -70,6 +71,18 @@ def test_a_dead_time_of_any_length_known_and_estimated(dead_time, hold):
     np.testing.assert_allclose(known, truth, rtol=1e-6)
     found = fitted(TransferFunction(2, 0, dead_time="estimate"), record)
     np.testing.assert_allclose(found, [*truth, dead_time], rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_no_dead_time_at_all_is_one_that_can_be_estimated(seed):
+    """Noise would have it negative: at its bound the iteration never settled, "the model does not follow"."""
+    rng = np.random.default_rng(seed)
+    u = rng.choice([-1.0, 1.0], 267).repeat(3)
+    y = simulate_process((2.0, 1.0), (1.0, 1.2, 6.6), u, DT)
+    record = Experiment(u, y + 0.1 * np.std(y) * rng.standard_normal(u.size), dt=DT)
+    fit = SRIVC(TransferFunction(2, 1, dead_time="estimate"), Encoder(1.0), DT, 3.0).fit_experiments([record])
+    assert fit["dead_time"] == pytest.approx(0.0, abs=0.1 * DT)
+    assert fit["a0"] == pytest.approx(6.6, abs=0.1)
 
 
 def test_a_dead_time_between_uneven_samples():
@@ -252,3 +265,15 @@ def test_integrators_alone_have_no_pole_to_find():
     model = TransferFunction(n=1, m=0, integrators=1)
     fit = SRIVC(model, Encoder(1.0), DT, cutoff=5.0).fit_experiments([Experiment(u, y, dt=DT)])
     assert fit["b0"] == pytest.approx(2.0, rel=0.02)
+
+
+def test_a_process_with_integrators_has_the_gain_of_a_derivative():
+    """It printed "gain inf ± inf"."""
+    one = Process(np.array([0.0, 4.0]), np.array([8.0]), np.diag([0.0, 0.04**2, 0.08**2]))
+    assert one.slope == ("velocity gain", 2.0, pytest.approx(np.hypot(0.02, 0.02)), "1/s")
+    assert "velocity gain 2 ± 0.028 1/s" in repr(one)
+    two = Process(np.zeros(2), np.array([3.0]), np.diag([0.0, 0.0, 0.1**2]))
+    assert two.slope == ("acceleration gain", 3.0, pytest.approx(0.1), "1/s^2")
+    plain = Process(np.array([4.0]), np.array([8.0]), np.diag([0.04**2, 0.08**2]))
+    assert plain.slope[:3] == ("gain", plain.gain, pytest.approx(plain.gain_std))
+    assert "inf" not in repr(one) + repr(two) + str(dynamics_rows(one))

@@ -22,7 +22,7 @@ static const uint32_t whole_in_state[] = {
     IN_STATE(auxiliary.running), IN_STATE(auxiliary.trial), IN_STATE(auxiliary.trusted), IN_STATE(auxiliary.in_charge),
     IN_STATE(auxiliary.feedback), IN_STATE(auxiliary.turn),
     IN_STATE(linear.since), IN_STATE(linear.wait), IN_STATE(linear.age), IN_STATE(linear.unsettled),
-    IN_STATE(linear.settled), IN_STATE(linear.running), IN_STATE(linear.in_charge)
+    IN_STATE(linear.settled), IN_STATE(linear.running), IN_STATE(linear.in_charge), IN_STATE(linear.damped)
 };
 static const uint32_t whole_in_recursion[] = {
     IN_RECURSION(updates), IN_RECURSION(started), IN_RECURSION(block_updates), IN_RECURSION(blocks),

@@ -3,6 +3,7 @@
 theta solves sum zeta error = 0, so theta - truth = (zeta^T phi)^-1 zeta^T v with the noise v. As zeta is given, the
 covariance of zeta^T v is zeta^T R zeta with the noise's covariance matrix R: from an autoregressive model of the
 residual (`noise.py`), which needs no window and, unlike products of the scores, has nothing of the scores' own chance.
+Of an input that repeats, what the residual does again in every period adds up over the periods (`periods.py`).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.linear.noise import Places, fit_noise
+from pmfid.linear.periods import phases_of, repeats, split
 from pmfid.linear.solve import Point, Problem
 
 Floats = NDArray[np.float64]
@@ -46,5 +48,22 @@ def covariance(point: Point, problem: Problem) -> Floats:
     size = np.linalg.norm(point.zeta, axis=0)
     zeta = point.zeta / size
     inverse = np.linalg.inv(zeta.T @ (point.phi / size))
-    spread = score_covariance(zeta, point.error, places(problem))
+    spread = _spread(zeta, point.error, problem)
     return np.asarray(inverse @ spread @ inverse.T / np.outer(size, size))
+
+
+def residual_repeats(problem: Problem, point: Point) -> bool:
+    """Is some of what a point leaves the same in every period of the input, by more than chance?"""
+    unknowns = point.zeta.shape[1]
+    phases = phases_of(problem.stretches, unknowns)
+    return phases is not None and repeats(point.error, point.zeta, problem.stretches, phases, places(problem))
+
+
+def _spread(zeta: Floats, error: Floats, problem: Problem) -> Floats:
+    """(p, p) of the scores, of what repeats apart from what does not, where it does."""
+    place, unknowns = places(problem), zeta.shape[1]
+    phases = phases_of(problem.stretches, unknowns)
+    if phases is None or not repeats(error, zeta, problem.stretches, phases, place):
+        return score_covariance(zeta, error, place)
+    again, rest = split(error, phases)
+    return score_covariance(zeta, rest, place) + score_covariance(phases.sum(zeta), again)

@@ -18,6 +18,8 @@ Complex = NDArray[np.complex128]
 
 #: Standard deviations over which the spread of a root is measured.
 INTERVAL = 2.0
+#: Name and unit of what a constant input makes in the end: the output, its speed, its acceleration.
+GAINS = (("gain", ""), ("velocity gain", "1/s"), ("acceleration gain", "1/s^2"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,24 @@ class Process:
         if not self.a[0]:
             return float("inf")
         slope[0], slope[self.a.size] = -self.b[0] / self.a[0] ** 2, 1 / self.a[0]
-        return float(np.sqrt(slope @ self.cov @ slope))
+        return _deviation(slope, self.cov)
+
+    @property
+    def integrators(self) -> int:
+        """How many poles are known to be at 0."""
+        return int(np.argmax(np.r_[self.a, 1.0] != 0))
+
+    @property
+    def slope(self) -> tuple[str, float, float, str]:
+        """What a constant input makes in the end, of the derivative that then is constant: s^k G(s) at 0 with k
+        integrators. Its name, value and standard deviation, and its unit beside those of output over input."""
+        k, slope = self.integrators, np.zeros(self.cov.shape[0])
+        bottom = np.r_[self.a, 1.0][k]
+        if k < self.a.size:
+            slope[k] = -self.b[0] / bottom**2
+        slope[self.a.size] = 1 / bottom
+        name, unit = (*GAINS, (f"gain of derivative {k}", f"s^-{k}"))[min(k, len(GAINS))]
+        return name, float(self.b[0] / bottom), _deviation(slope, self.cov), unit
 
     @property
     def time_constants(self) -> Floats:
@@ -169,9 +188,11 @@ class Process:
         )
 
     def __repr__(self) -> str:
-        rows = [str(self), "", f"gain {_value(self.gain, self.gain_std)}"]
+        name, value, std, unit = self.slope
+        rows = [str(self), "", f"{name} {_value(value, std)} {unit}".rstrip()]
         for pole, std, tau in zip(self.poles, self.poles_std, self.time_constants, strict=True):
-            rows.append(f"pole {_complex(pole, std)} rad/s, time constant {tau:.4g} s")
+            known = "pole 0, an integrator"
+            rows.append(f"pole {_complex(pole, std)} rad/s, time constant {tau:.4g} s" if pole else known)
         rows += [f"zero {_complex(zero, std)} rad/s" for zero, std in zip(self.zeros, self.zeros_std, strict=True)]
         return "\n".join(rows)
 
@@ -202,13 +223,19 @@ class Process:
     def _moved(self, coefficients: Floats, root: complex, slope: Floats, cov: Floats) -> Floats:
         """(2,) of real and imaginary part, along cov slope."""
         with np.errstate(all="ignore"):
-            linear = max(0.0, float(slope @ cov @ slope)) ** 0.5
+            linear = _deviation(slope, cov)
             step = np.zeros(coefficients.size)
             step[: cov.shape[0]] = INTERVAL * (cov @ slope) / linear if linear > 0 else 0.0
-        if not np.all(np.isfinite(step)):
+        if not np.all(np.isfinite([*step, linear])):
             return np.full(2, np.inf)
         ends = [_nearest(_roots(coefficients + sign * step), root) - root for sign in (1.0, -1.0)]
         return np.asarray(np.max(np.abs([[end.real, end.imag] for end in ends]), axis=0) / INTERVAL)
+
+
+def _deviation(slope: Floats, cov: Floats) -> float:
+    """Of slope @ parameters; infinite where rounding leaves a negative variance: nothing is known then."""
+    variance = float(slope @ cov @ slope)
+    return variance**0.5 if variance >= 0 else float("inf")
 
 
 def _real(name: str, values: ArrayLike) -> Floats:

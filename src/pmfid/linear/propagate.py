@@ -72,8 +72,11 @@ def transition(F: Floats, g: Floats, grid: Grid) -> Transition:
 
 
 def respond(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, *, held: bool) -> Floats:
-    """States (n, channels, N) under w (channels, N) from start (n, channels); held: w is constant within a step."""
+    """States (n, channels, N) under w (channels, N) from start (n, channels); held: w is constant within a step. Not a
+    number where a step of the process leaves the range of numbers, as one that is far off may."""
     step = transition(F, g, grid)
+    if not np.all(np.isfinite(step.phi)):
+        return np.full((*start.shape, w.shape[1]), np.nan)
     if not grid.uniform:
         forced = step.now.T[:, None, :] * w[:, :-1]
         if not held:

@@ -121,6 +121,26 @@ def step_from(point: Point, phi: Floats) -> Floats:
         return np.full(size.size, np.nan)
 
 
+def movable(problem: Problem, point: Point, step: Floats) -> Floats:
+    """(p,) which parameters may move: all, but for a dead time at its bound that the step (p,) would take beyond it."""
+    free, latest = np.ones(step.size, bool), problem.structure.latest
+    if latest is not None:
+        free[-1] = not (point.theta[-1] <= 0.0 and step[-1] < 0.0) and not (
+            point.theta[-1] >= latest and step[-1] > 0.0
+        )
+    return free
+
+
+def _possible_step(problem: Problem, point: Point, phi: Floats) -> Floats:
+    """The step from a point, a dead time that would leave its bounds kept there."""
+    step = step_from(point, phi)
+    free = movable(problem, point, step)
+    if not np.all(free):
+        step = np.zeros(step.size)
+        step[free] = step_from(replace(point, zeta=point.zeta[:, free]), phi[:, free])
+    return step
+
+
 def filtered(problem: Problem, pole: float) -> Point:
     """All signals behind 1/(s + pole)^n, pole in units of the problem (state variable filters)."""
     structure = problem.structure
@@ -159,7 +179,7 @@ def refine(problem: Problem, start: Point, settled: float = SETTLED, most: int =
     """Instruments and filter follow the estimate; the best point on the way, where it does not settle."""
     point = best = start
     for passes in range(1, most + 1):
-        step = step_from(point, point.phi)
+        step = _possible_step(problem, point, point.phi)
         if _small(point, step, settled):
             return Solution(replace(point, theta=point.theta + step), True, passes)
         if not np.all(np.isfinite(step)):
@@ -179,8 +199,10 @@ def descend(problem: Problem, start: Point, settled: float = SETTLED) -> Solutio
         size = np.maximum(np.linalg.norm(point.zeta, axis=0), 1e-300)
         scaled = point.zeta / size
         normal, slope = scaled.T @ scaled, scaled.T @ point.error
-        if _small(point, last := step_from(point, point.zeta), settled):
+        if _small(point, last := _possible_step(problem, point, point.zeta), settled):
             return Solution(replace(point, theta=point.theta + last), True, passes)
+        slope = np.where(last == 0.0, 0.0, slope)
+        normal = np.where((last == 0.0) | (last == 0.0)[:, None], 0.0, normal)
         while damping < 1e12:
             step = np.linalg.solve(normal + damping * np.eye(size.size), slope) / size
             if not np.all(np.isfinite(step)):

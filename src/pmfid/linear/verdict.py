@@ -7,19 +7,20 @@ import numpy as np
 from pmfid.linear.assess import Assessment
 from pmfid.linear.process import Process
 
-#: A pole with a standard deviation of more than this part of its size is not known.
-UNKNOWN = 0.5
+#: A pole with a standard deviation of more than this part of its size is not known. A real one has at most half of it:
+#: bars are measured over two standard deviations, and it does not move beyond 0.
+UNKNOWN = 0.4
 
 
 def flags_on(checks: Assessment, process: Process, referenced: bool = False, held: bool = False) -> tuple[str, ...]:
     """Names for the status. feedback: the input has the noise in it, unless the method uses a reference; unmodelled:
-    the residual has the input in it; unstable: a pole in the right half-plane that no controller is
-    known to hold (held); uncertain: a pole is not known to half
-    its size, not needed, or elsewhere with the colour of the noise in mind."""
+    the residual has the input in it, is less with the other hold, or repeats with the input; unstable: a pole in the
+    right half-plane that no controller is known to hold (held); uncertain: a pole is not known to half its size, not
+    needed, or elsewhere with the colour of the noise in mind."""
     unknown = np.any(np.hypot(*process.poles_std.T) > UNKNOWN * np.abs(process.poles))
     found = {
         "feedback": checks.feedback and not referenced,
-        "unmodelled": checks.unmodelled,
+        "unmodelled": checks.unmodelled or checks.other_hold or checks.repeats,
         "unstable": bool(np.any(process.poles.real > 0)) and not held,
         "uncertain": checks.second.surplus or checks.second.moved or bool(unknown),
     }

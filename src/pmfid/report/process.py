@@ -57,10 +57,12 @@ def _parameters(result: ProcessResult) -> Section:
 
 def dynamics_rows(process: Process) -> list[list[str]]:
     """Poles, zeros and gain, each with its standard deviation."""
-    rows = [["gain", f"{process.gain:.5g}", f"{process.gain_std:.2g}", ""]]
+    name, value, std, unit = process.slope
+    rows = [[name, f"{value:.5g}", f"{std:.2g}", unit]]
     taus = zip(process.time_constants, process.time_constants_std, strict=True)
     for (pole, std), (tau, tau_std) in zip(zip(process.poles, process.poles_std, strict=True), taus, strict=True):
-        rows.append(["pole", _number(pole), _spread(*std), f"time constant {tau:.4g} ± {tau_std:.2g} s"])
+        time = f"time constant {tau:.4g} ± {tau_std:.2g} s" if pole else "integrator"
+        rows.append(["pole", _number(pole), _spread(*std) if pole else "", time])
     for zero, std in zip(process.zeros, process.zeros_std, strict=True):
         rows.append(["zero", _number(zero), _spread(*std), ""])
     if process.delay:

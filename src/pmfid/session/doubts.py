@@ -73,6 +73,16 @@ def notes_on(
             "the input explains some of the residual: another dead time, more poles or zeros, or another hold may "
             "explain more; the error bars leave out what this moves the estimate by"
         )
+    if checks.repeats:
+        found.append(
+            "the residual does the same in every period of the input: that is an error of the model, not noise, and "
+            "the error bars allow for one like it; another structure may explain it"
+        )
+    if checks.other_hold:
+        found.append(
+            'with the other hold of the input the model follows the records better: hold = "zoh" is for one that a '
+            'converter holds, "foh" for one that runs on between the samples; try the other, it moves the estimate'
+        )
     if checks.second.surplus:
         found.append(
             "one pole and one zero less explain the record as well: it does not tell where they are, and their error "

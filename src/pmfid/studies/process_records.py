@@ -102,6 +102,17 @@ def open_record(
 
 def closed_record(plant: RandomPlant, kind: str, noise: str, samples: int, rng: np.random.Generator) -> Experiment:
     """Under proportional and integral control with a gain margin; the reference is not told."""
+    return _closed(plant, kind, noise, samples, rng)[0]
+
+
+def loop_noise(plant: RandomPlant, kind: str, noise: str, samples: int, rng: np.random.Generator) -> float:
+    """Standard deviation of the noise in that record; the reference has about one unit."""
+    return _closed(plant, kind, noise, samples, rng)[1]
+
+
+def _closed(
+    plant: RandomPlant, kind: str, noise: str, samples: int, rng: np.random.Generator
+) -> tuple[Experiment, float]:
     keep, move = _sampled(plant)
     row = np.zeros(keep.shape[0])
     row[: plant.b.size] = plant.b[::-1]
@@ -111,7 +122,7 @@ def closed_record(plant: RandomPlant, kind: str, noise: str, samples: int, rng: 
     r, v = make_input(kind, samples, plant, rng), make_noise(noise, samples, rng)
     quiet = _run(keep, move, row, strength, slow, r, np.zeros(samples))[1]
     size = float(np.std(quiet)) * 10 ** (-rng.uniform(*CLOSED_SNR) / 20)
-    return Experiment(*_run(keep, move, row, strength, slow, r, size * v), dt=plant.dt)
+    return Experiment(*_run(keep, move, row, strength, slow, r, size * v), dt=plant.dt), size
 
 
 def _sampled(plant: RandomPlant) -> tuple[Floats, Floats]:
