@@ -31,6 +31,8 @@ SIMULATION_ERROR = 1e-5
 START_COUNTS = 3.0
 #: Square root of the information [1/counts] of a sample with a white encoder error.
 WHITE = math.sqrt(12.0)
+#: Least mass, as a part of that of the start: without any the motion has no equation.
+LEAST_MASS = 1e-3
 #: Part of a sensitivity that must not follow from the others.
 APART = 1e-3
 
@@ -104,7 +106,7 @@ class Difference:
         """Bounds of q: a mass above zero, frictions of at least zero."""
         lower = np.full(self.scale.size, -np.inf)
         lower[: len(self.equation.names)][np.array(self.equation.positive)] = 0.0
-        lower[self.equation.leading] = 1e-3
+        lower[self.equation.leading] = LEAST_MASS
         return lower
 
 

@@ -18,7 +18,7 @@ from pmfid.estimators.batch import (
     Fit,
     check_identifiable,
 )
-from pmfid.estimators.difference import STEP, Difference, inverted, least, rms, without_nuisance
+from pmfid.estimators.difference import LEAST_MASS, STEP, Difference, inverted, least, rms, without_nuisance
 from pmfid.estimators.iv import IV
 from pmfid.estimators.likelihood import Best, best_of
 from pmfid.estimators.phases import phase_scatter
@@ -26,6 +26,8 @@ from pmfid.estimators.rough import on_every_width
 from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.srivc import by_descent, counted, fit_process, without_start
 
+#: A mass of less than so many of the least that the fit may have is one that the fit would rather not have.
+AT_BOUND = 3.0
 #: A larger part of the motion left unexplained is no fit.
 WORST_FIT = 0.5
 #: The high-pass lets white noise grow by less than this: where more is left behind it, the counts are not explained.
@@ -191,7 +193,14 @@ class OE(BatchEstimator):
         return difference, np.maximum(np.r_[theta, y[0], v0] / scale, difference.lower)
 
     def result(self, difference: Difference, q: Floats, q_cov: Floats, status: int) -> Fit:
-        """The `Fit` at q with the scaled covariance (p, p). Raises NotIdentifiableError where it is no fit."""
+        """The `Fit` at q with the scaled covariance (p, p). Raises NotIdentifiableError where it is no fit, or one
+        without a mass: what the bound leaves of it is no estimate."""
+        leading = difference.equation.leading
+        if q[leading] < AT_BOUND * LEAST_MASS:
+            raise NotIdentifiableError(
+                f"{self.names[leading]} comes out as nothing: this record does not carry it, or an input that is logged "
+                "late hides it; record stronger accelerations, and check the times of the columns against each other"
+            )
         residual = difference(q)
         motion = difference.filtered(difference.y - np.mean(difference.y)) / difference.resolution
         relative = rms(residual) / rms(motion)
