@@ -24,10 +24,10 @@ def chirp(viscous: float, top: float, increments: int) -> tuple[np.ndarray, np.n
 
 @pytest.mark.parametrize("cls", [OE, IntervalML])
 @pytest.mark.parametrize(("viscous", "top", "increments"), [(0.02, 2.0, 256), (0.03, 1.0, 1024)])
-def test_a_mass_at_its_bound_is_no_estimate(cls, viscous, top, increments, times=60.0):
+def test_a_mass_at_its_bound_is_no_estimate(cls, viscous, top, increments):
     u, counts, step = chirp(viscous, top, increments)
     method = cls(pmfid.Drive(0.4), pmfid.Encoder(step), DT, 20.0)
-    start = np.array([times * INERTIA, viscous, 0.02])  # instrumental variables do not settle here and leave any start
+    start = np.array([60.0 * INERTIA, viscous, 0.02])  # instrumental variables do not settle here and leave any start
     with pytest.raises(NotIdentifiableError, match="mass"):
         method.by_squares(method.best(u, counts, start)) if cls is OE else method.fit_of(method.best(u, counts, start))
 
