@@ -198,8 +198,8 @@ class OE(BatchEstimator):
         leading = difference.equation.leading
         if q[leading] < AT_BOUND * LEAST_MASS:
             raise NotIdentifiableError(
-                f"{self.names[leading]} comes out as nothing: this record does not carry it, or an input logged late "
-                "hides it; record stronger accelerations, and check the times of the columns against each other"
+                f"{self.names[leading]} comes out as nothing: this record cannot identify it, or an input logged "
+                "late hides it; record stronger accelerations, and check the times of the columns against each other"
             )
         residual = difference(q)
         motion = difference.filtered(difference.y - np.mean(difference.y)) / difference.resolution
