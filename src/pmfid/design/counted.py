@@ -15,7 +15,7 @@ import numpy as np
 from pmfid.design.encoder_error import log_of_room
 from pmfid.design.least_range import Distances, middle_of, widest
 from pmfid.design.problem import Float
-from pmfid.design.ridges import along_ridges
+from pmfid.design.ridges import Allowed, along_ridges
 from pmfid.design.walkers import inside, walk
 
 __all__ = ["Open", "what_is_open"]
@@ -87,7 +87,7 @@ def what_is_open(
     true = float(np.median([widest(distances(q)) for q in samples[::CHECKED]])) / 2.0
     if true - wide > LOST:
         unexplained = max(unexplained, true - wide)
-    flat = along_ridges(distances, flat, middle, half, lower, rng)
+    flat = along_ridges(Allowed(distances, half, lower, root), flat, middle, rng)
     return Open(flat.mean(axis=0), np.atleast_2d(np.cov(flat.T)), np.quantile(flat, WITHIN, axis=0).T, unexplained)
 
 

@@ -7,12 +7,14 @@ shows. Such a ridge is followed on the motions themselves, step by step along it
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from pmfid.design.least_range import Distances, least_range, widest
 from pmfid.design.problem import Float
 
-__all__ = ["along_ridges"]
+__all__ = ["Allowed", "along_ridges"]
 
 #: A ridge goes on where a place so many deviations from the middle along an axis is still possible.
 BEYOND = 4.0
@@ -24,36 +26,52 @@ BACK = 30.0
 SHORTEST = 1 / 8
 
 
-def along_ridges(
-    distances: Distances, samples: Float, middle: Float, half: float, lower: Float, rng: np.random.Generator
-) -> Float:
+@dataclass(frozen=True, eq=False)
+class Allowed:
+    """What is possible, and how much: room within counts of width 2 half [counts] for the distances of q (p,), at
+    least `lower` (p,), times the prior with the root (p, p) of its information, centred on 1."""
+
+    distances: Distances
+    half: float
+    lower: Float
+    root: Float
+
+    def room(self, q: Float) -> float:
+        """By how much the motion at q may be moved within its counts [counts], 0 where it may not."""
+        return max(2.0 * self.half - widest(self.distances(q)), 0.0) if np.all(q >= self.lower) else 0.0
+
+    def doubt(self, q: Float) -> float:
+        """Minus the logarithm of the prior."""
+        return 0.5 * float(np.sum((self.root @ (q - 1.0)) ** 2))
+
+
+def along_ridges(allowed: Allowed, samples: Float, middle: Float, rng: np.random.Generator) -> Float:
     """Samples (n, p) of what is left open, spread along the ridges that go on beyond them; as they are where none does.
 
-    middle (p,): of the samples, inside; half: width of a count over 2 [counts]; lower (p,): least values.
+    middle (p,): of the samples, possible.
     """
     size, axes = np.linalg.eigh(np.atleast_2d(np.cov(samples.T)))
     steps, spread = axes * np.sqrt(np.maximum(size, 0.0)), samples
     for k, axis in enumerate(axes.T):
-        ends = [_followed(distances, middle, steps, k, sign, half, lower) for sign in (-1.0, 1.0)]
+        ends = [_followed(allowed, middle, steps, k, sign) for sign in (-1.0, 1.0)]
         if any(len(end) for end in ends):
             chain = np.array([*ends[0][::-1], middle, *ends[1]])
-            along, drawn = (spread - middle) @ axis, _drawn(distances, chain, half, len(samples), rng) - middle
+            along, drawn = (spread - middle) @ axis, _drawn(allowed, chain, len(samples), rng) - middle
             if np.std(drawn @ axis) > np.std(along):
                 spread = spread - np.outer(along, axis) + drawn
     return spread
 
 
-def _followed(
-    distances: Distances, middle: Float, steps: Float, k: int, sign: float, half: float, lower: Float
-) -> list[Float]:
+def _followed(allowed: Allowed, middle: Float, steps: Float, k: int, sign: float) -> list[Float]:
     """Places (p,) on the ridge along column k of steps (p, p), from the middle outwards; none where it ends within the
     samples."""
-    beside = np.delete(steps, k, axis=1)
+    beside, doubt = np.delete(steps, k, axis=1), allowed.doubt(middle) + BEYOND**2 / 2.0
     first = sign * BEYOND * steps[:, k]
     place, step, found = middle, first, []
     for _ in range(MOST_STEPS):
-        trial = least_range(distances, place + step, beside, lower, BACK)
-        if np.all(trial >= lower) and widest(distances(trial)) < 2.0 * half:
+        ahead = np.maximum(place + step, allowed.lower)
+        trial = least_range(allowed.distances, ahead, beside, allowed.lower, BACK)
+        if allowed.room(trial) > 0.0 and allowed.doubt(trial) < doubt:
             place, step = trial, LONGER * (trial - place)
             found.append(trial)
         elif not found or np.linalg.norm(step) < SHORTEST * np.linalg.norm(first):
@@ -63,12 +81,12 @@ def _followed(
     return found
 
 
-def _drawn(distances: Distances, chain: Float, half: float, count: int, rng: np.random.Generator) -> Float:
-    """Places (count, p) on a chain (m, p), by the room that is left there: the density at the ridge's middle times the
-    volume across it, which falls with each of the other directions."""
-    room = np.array([max(2.0 * half - widest(distances(q)), 0.0) for q in chain])
+def _drawn(allowed: Allowed, chain: Float, count: int, rng: np.random.Generator) -> Float:
+    """Places (count, p) on a chain (m, p), by the prior and the room that is left there: the density at the ridge's
+    middle times the volume across it, which falls with each of the other directions."""
+    room, doubt = (np.array([of(q) for q in chain]) for of in (allowed.room, allowed.doubt))
     way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))]
     fine = np.linspace(0.0, way[-1], 50 * len(chain))
-    weight = np.interp(fine, way, room) ** chain.shape[1]
+    weight = np.interp(fine, way, room) ** chain.shape[1] * np.exp(doubt.min() - np.interp(fine, way, doubt))
     at = rng.choice(fine, size=count, p=weight / weight.sum())
     return np.column_stack([np.interp(at, way, column) for column in chain.T])
