@@ -11,7 +11,7 @@ import pmfid
 from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.batch import Columns, check_identifiable, inverse_of
-from pmfid.estimators.output_error import least
+from pmfid.estimators.difference import least
 from pmfid.monitor.validity import judge
 from pmfid.session.config import Axis
 from pmfid.session.pipeline import estimate, identify

@@ -8,27 +8,22 @@ its deviation, however the error repeats along the motion; nothing of it is line
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
 
 from pmfid.design.encoder_error import log_of_room
+from pmfid.design.least_range import Distances, middle_of, widest
 from pmfid.design.problem import Float
+from pmfid.design.ridges import Allowed, along_ridges
 from pmfid.design.walkers import inside, walk
 
 __all__ = ["Open", "what_is_open"]
-
-#: q (p,) -> for each run the simulated less the measured position, in counts, (N,).
-Distances = Callable[[Float], list[Float]]
 
 #: Half a count, and how often what is missing to explain all counts is added to it.
 HALF, MISSING = 0.5, 2.0
 #: Room that the right model leaves at least, in counts times samples: less in one run of a hundred.
 LEAST_ROOM = 0.25
-#: Steps towards the middle, and the part of it by which the last one still narrows the range.
-STEPS, SETTLED = 20, 1e-4
 WALKERS = 48
 #: Of so many walkers one is checked.
 CHECKED = 4
@@ -64,9 +59,9 @@ def what_is_open(
     A motion that misses counts widens all of them: what is missing is an error of the model, and no noise.
     """
     steps = np.asarray(np.linalg.cholesky(scatter), float)
-    middle = _middle(distances, start, steps, lower)
+    middle = middle_of(distances, start, steps, lower)
     errors = distances(middle)
-    narrowest = _widest(errors) / 2.0
+    narrowest = widest(errors) / 2.0
     unexplained = max(0.0, narrowest - HALF)
     # a set that all but vanished is the mark of a model that is all but refuted, and no accuracy
     least_room = LEAST_ROOM / max(e.size for e in errors)
@@ -76,7 +71,7 @@ def what_is_open(
     for spread, counted in ROUNDS:
         quadratic = _Quadratic.around(distances, middle, steps, lower)
         # at a bound the map is not around the middle itself, and may just lose it
-        wide = max(half, _widest(quadratic(middle)) / 2.0 + least_room)
+        wide = max(half, widest(quadratic(middle)) / 2.0 + least_room)
 
         def density(q: Float, quadratic: _Quadratic = quadratic, wide: float = wide) -> Float:
             prior = (q - 1.0) @ root.T
@@ -89,10 +84,11 @@ def what_is_open(
         steps = np.asarray(np.linalg.cholesky(covariance), float)
         middle = flat[np.argmax(density(flat))]
     # the map is smooth; a motion that comes to rest is not: what it promises is held against some motions themselves
-    true = float(np.median([_widest(distances(q)) for q in samples[::CHECKED]])) / 2.0
+    true = float(np.median([widest(distances(q)) for q in samples[::CHECKED]])) / 2.0
     if true - wide > LOST:
         unexplained = max(unexplained, true - wide)
-    return Open(flat.mean(axis=0), covariance, np.quantile(flat, WITHIN, axis=0).T, unexplained)
+    flat = along_ridges(Allowed(distances, half, lower, root), flat, middle, rng)
+    return Open(flat.mean(axis=0), np.atleast_2d(np.cov(flat.T)), np.quantile(flat, WITHIN, axis=0).T, unexplained)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,53 +123,3 @@ class _Quadratic:
         crossed = [z[..., i] * z[..., j] for i in range(p) for j in range(i)]
         terms = np.concatenate([z, z**2, *(each[..., None] for each in crossed)], axis=-1)
         return [here + terms @ slopes for here, slopes in self.runs]
-
-
-def _middle(distances: Distances, q: Float, steps: Float, lower: Float) -> Float:
-    """Where the widest range of the distances of a run is the least: linear programs, each in a smaller neighbourhood
-    where the last one promised too much."""
-    now, reach = _widest(distances(q)), 8.0
-    for _ in range(STEPS):
-        trial = _least_range(distances, q, steps, lower, reach)
-        new = _widest(distances(trial))
-        if new < now:
-            gain, q, now = now - new, trial, new
-            if gain < SETTLED * now:
-                break
-        else:
-            reach /= 4.0
-            if reach < 1e-4:
-                break
-    return q
-
-
-def _widest(errors: Sequence[Float]) -> float:
-    return max(float(e.max() - e.min()) for e in errors)
-
-
-def _least_range(distances: Distances, q: Float, steps: Float, lower: Float, reach: float) -> Float:
-    """The same for distances that are linear, within `reach` steps: variables z (p,), then lowest and highest of each
-    run, then the widest range."""
-    p, here = len(q), distances(q)
-    moves = []
-    for i in range(p):
-        up, down = np.maximum(q + steps[:, i], lower), np.maximum(q - steps[:, i], lower)
-        part = np.linalg.norm(up - down) / np.linalg.norm(steps[:, i])
-        moves.append([(a - b) / part for a, b in zip(distances(up), distances(down), strict=True)])
-    R = len(here)
-    rows, right = [], []
-    for r, e in enumerate(here):
-        A = np.column_stack([move[r] for move in moves])
-        for sign, place in ((1.0, p + 2 * r + 1), (-1.0, p + 2 * r)):
-            block = np.zeros((e.size, p + 2 * R + 1))
-            block[:, :p], block[:, place] = sign * A, -sign
-            rows.append(block)
-            right.append(-sign * e)
-        width = np.zeros((1, p + 2 * R + 1))
-        width[0, [p + 2 * r + 1, p + 2 * r, -1]] = 1.0, -1.0, -1.0
-        rows.append(width)
-        right.append(np.zeros(1))
-    cost = np.r_[np.zeros(p + 2 * R), 1.0]
-    bounds = [(-reach, reach)] * p + [(None, None)] * (2 * R + 1)
-    found = linprog(cost, np.vstack(rows), np.concatenate(right), bounds=bounds, method="highs")
-    return q if found.x is None else np.asarray(np.maximum(q + steps @ found.x[:p], lower))

@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.batch import Columns, Fit, solve_with_instruments
-from pmfid.estimators.interval import IntervalML, cost, expected_information, likeliest
+from pmfid.estimators.difference import Difference, rms, without_nuisance
+from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Lack, lacks
-from pmfid.estimators.output_error import Difference, rms, without_nuisance
+from pmfid.estimators.likelihood import Best, cost, expected_information
 from pmfid.estimators.phases import phase_scatter
 from pmfid.estimators.scatter import TINY, block_scatter
 
@@ -42,7 +43,7 @@ class Adequacy:
     """What the counts say on the model, at its best fit to them.
 
     difference, q: the fit; noise: standard deviation beside the encoder's step [counts], of a fit within the counts,
-    else None; follows: is it within the counts? lacks: k forces; z: (k,) how many standard deviations their scores
+    else None; lacks: k forces; z: (k,) how many standard deviations their scores
     are from zero; size, size_std: (k,) coefficients that the counts ask for, to first order, and their standard
     deviations; moves: (p, k) by how much the parameters of that fit move for a unit of each.
     """
@@ -50,12 +51,16 @@ class Adequacy:
     difference: Difference
     q: Floats
     noise: float | None
-    follows: bool
     lacks: tuple[Lack, ...]
     z: Floats
     size: Floats
     size_std: Floats
     moves: Floats
+
+    @property
+    def follows(self) -> bool:
+        """Is the fit within the counts?"""
+        return self.noise is not None
 
     @property
     def adequate(self) -> bool:
@@ -112,21 +117,16 @@ def examine(estimator: Estimator, u: ArrayLike, counts: ArrayLike, start: Floats
     Raises NotIdentifiableError where no fit can be found at all.
     """
     method = like(IntervalML, estimator, prefilter_zeros=None, precision="float64")
-    difference, q, _ = method.followed(u, counts, start)
-    return weigh(difference, q)
+    return weigh(method.best(u, counts, start))
 
 
-def weigh(difference: Difference, q: Floats) -> Adequacy:
-    """The same for the least squares q of a difference."""
-    follows = difference.pole == 0 and rms(difference(q)) <= difference.explained
-    noise = None
-    if follows:
-        q, noise = likeliest(difference, q)
-    error = difference(q)
-    if noise is None:
+def weigh(best: Best) -> Adequacy:
+    """The same for the motion that fits best."""
+    error = best.difference(best.q)
+    if best.noise is None:
         information = 1 / max(float(np.mean(error**2)), 1 / 12)
-        return _tested(difference, q, noise, follows, information, error * information)
-    return _tested(difference, q, noise, follows, mean_information(noise), cost(error, noise)[1])
+        return _tested(best, information, error * information)
+    return _tested(best, mean_information(best.noise), cost(error, best.noise)[1])
 
 
 def mean_information(noise: float) -> float:
@@ -134,10 +134,9 @@ def mean_information(noise: float) -> float:
     return float(np.mean(expected_information(np.linspace(-0.5, 0.5, 1001), noise)))
 
 
-def _tested(
-    difference: Difference, q: Floats, noise: float | None, follows: bool, information: float, slope: Floats
-) -> Adequacy:
+def _tested(best: Best, information: float, slope: Floats) -> Adequacy:
     """The score tests; information: of a sample, slope (n,): of the negative log-likelihood by the difference."""
+    difference, q, noise = best.difference, best.q, best.noise
     p = len(difference.equation.names)
     sensitivity = -difference.jacobian(q)
     own = without_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:])
@@ -151,11 +150,11 @@ def _tested(
     alone, moves = alone[:, apart], -shift[:, apart] * difference.scale[:p, None]
     score, expected = alone.T @ slope, np.sum(alone**2, axis=0) * information
     variance = np.maximum(expected, block_scatter(alone * slope[:, None], difference.recovery))
-    if follows:
+    if noise is not None:
         variance = np.maximum(variance, phase_scatter(difference, q, alone, noise))
     z, size, std = score / np.sqrt(variance), score / expected, np.sqrt(variance) / expected
     found = tuple(lack for lack, there in zip(candidates, apart, strict=True) if there)
-    return Adequacy(difference, q, noise, follows, found, z, size, std, moves)
+    return Adequacy(difference, q, noise, found, z, size, std, moves)
 
 
 def _effect(difference: Difference, q: Floats, lack: Lack) -> Floats:

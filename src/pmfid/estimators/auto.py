@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.adequacy import contradicted, examine
+from pmfid.estimators.adequacy import Adequacy, contradicted, weigh
 from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.batch import BCLS, LS, BatchEstimator, Fit
 from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.likelihood import Best
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.status import Status
@@ -37,7 +38,25 @@ def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: f
 
 
 def first_fit(configured: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[Estimator, str, Fit]:
-    """The best off-line method that a record carries, a line that says why, and its fit; u, counts: (n,).
+    """The best off-line method that a record carries, a line that says why, and its fit: those of `first_choice`, which
+    says what it raises; u, counts: (n,)."""
+    found = first_choice(configured, u, counts)
+    return found.estimator, found.reason, found.fit
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A method, a line that says why it was chosen, its fit, and what the counts say on the model, where that was
+    asked."""
+
+    estimator: BatchEstimator
+    reason: str
+    fit: Fit
+    adequacy: Adequacy | None
+
+
+def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: Best | None = None) -> Choice:
+    """The best off-line method that a record carries; u, counts: (n,). best: the motion that fits, where it is known.
 
     The interval likelihood where the model explains every count, and what it may lack without showing stays within
     the error bars; else instrumental variables, which ask less of the model, or where they do not settle output
@@ -45,9 +64,10 @@ def first_fit(configured: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[E
     Raises NotIdentifiableError where none of them can identify every parameter.
     """
     refused: list[str] = []
-    sharp = None if configured.equation.without_simulation else _sharp(configured, u, counts, refused)
+    sharp = None if configured.equation.without_simulation else _sharp(configured, u, counts, best, refused)
     if sharp is not None and not sharp.doubt:
-        return sharp.method, "interval: the model explains every count", sharp.fit
+        return sharp.chosen("the model explains every count")
+    adequacy = sharp.adequacy if sharp else None
     doubt = sharp.doubt if sharp else ""
     for cls, reason in _CANDIDATES:
         if cls.simulates and configured.equation.without_simulation:
@@ -58,10 +78,10 @@ def first_fit(configured: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[E
         except NotIdentifiableError as error:
             refused.append(f"{cls.method}: {error}")
             continue
-        if sharp is not None and sharp.adequate and (cls is not IV or contradicted(fit, sharp.fit, sharp.spread)):
-            return sharp.method, f"interval: the model explains every count, and {cls.method} contradicts it", sharp.fit
+        if sharp and sharp.adequate and (cls is not IV or contradicted(fit, sharp.fit, sharp.adequacy.spread())):
+            return sharp.chosen(f"the model explains every count, and {cls.method} contradicts it")
         if fit.theta[candidate.equation.leading] > 0:
-            return candidate, f"{cls.method}: {reason}{doubt}", fit
+            return Choice(candidate, f"{cls.method}: {reason}{doubt}", fit, adequacy)
     if not refused:
         raise NotIdentifiableError("the mass comes out negative: check sign and scale of the input and the encoder")
     raise NotIdentifiableError(refused[0].partition(": ")[2])
@@ -69,21 +89,29 @@ def first_fit(configured: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[E
 
 @dataclass(frozen=True)
 class _Sharp:
-    """The interval likelihood on a record, whether its model is enough, by how much (p,) what it may lack unseen would
-    move it, and why that is not the estimate to believe."""
+    """The interval likelihood on a record, what the counts say on its model, and why that is not the estimate to
+    believe."""
 
     method: IntervalML
     fit: Fit
-    adequate: bool
-    spread: NDArray[np.float64]
+    adequacy: Adequacy
     doubt: str
 
+    @property
+    def adequate(self) -> bool:
+        return self.adequacy.adequate and not self.fit.status & Status.FALLBACK
 
-def _sharp(configured: Estimator, u: ArrayLike, counts: ArrayLike, refused: list[str]) -> _Sharp | None:
+    def chosen(self, reason: str) -> Choice:
+        return Choice(self.method, f"{self.method.method}: {reason}", self.fit, self.adequacy)
+
+
+def _sharp(
+    configured: Estimator, u: ArrayLike, counts: ArrayLike, best: Best | None, refused: list[str]
+) -> _Sharp | None:
     method = like(IntervalML, configured, prefilter_zeros=None)
     try:
-        fit = method.fit(u, counts)
-        found = examine(method, u, counts, fit.theta)
+        best = best or method.best(u, counts)
+        fit, found = method.fit_of(best), weigh(best)
     except NotIdentifiableError as error:
         refused.append(f"{method.method}: {error}")
         return None
@@ -94,7 +122,7 @@ def _sharp(configured: Estimator, u: ArrayLike, counts: ArrayLike, refused: list
         doubt = f", and {found.says}"
     elif np.any(spread > fit.theta_std):
         doubt = "; the error bars of interval leave out what the model may lack without showing it here"
-    return _Sharp(method, fit, found.adequate and not fit.status & Status.FALLBACK, spread, doubt)
+    return _Sharp(method, fit, found, doubt)
 
 
 def _candidate(cls: type[BatchEstimator], configured: Estimator, u: ArrayLike, counts: ArrayLike) -> BatchEstimator:

@@ -104,7 +104,8 @@ class BatchEstimator(Estimator):
 
             u, counts = check_arrays(u, counts)
             return fit_exactly(self, u, self.encoder.position(counts))
-        return self._result(columns, *self._solve(columns))
+        theta, gain = self._solve(columns)
+        return self._result(columns, theta, self._covariance(columns, theta, gain))
 
     def fit_output(self, u: ArrayLike, y: ArrayLike) -> Fit:
         """Estimates from an output (n,) that is measured as a number; no encoder counts, and its resolution is not
@@ -120,14 +121,14 @@ class BatchEstimator(Estimator):
         encoder, counts = fine_counts(y)
         return replace(self, encoder=encoder).fit(u, counts)
 
-    def _result(self, columns: Columns, theta: NDArray[np.float64], gain: NDArray[np.float64]) -> Fit:
+    def _result(self, columns: Columns, theta: NDArray[np.float64], covariance: NDArray[np.float64]) -> Fit:
         residual = columns.z - columns.phi @ theta
         relative = float(np.linalg.norm(residual) / np.linalg.norm(columns.z))
         return Fit(
             self.names,
             self.units,
             theta,
-            self._covariance(columns, theta, gain),
+            covariance,
             residual.size,
             residual,
             relative,

@@ -163,7 +163,7 @@ def fit_exactly(estimator: BatchEstimator, u: Floats, y: Floats) -> Fit:
     last = found.last
     target = last.error[used] + last.phi[used] @ found.theta
     columns = Columns(last.phi[used], target, last.zeta[used], np.arange(y.size) >= used.start, found.status)
-    return estimator._result(columns, found.theta, found.gain)
+    return estimator._result(columns, found.theta, estimator._covariance(columns, found.theta, found.gain))
 
 
 def refined(estimator: BatchEstimator, u: Floats, y: Floats) -> Refined:

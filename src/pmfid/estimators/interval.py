@@ -2,34 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import log_ndtr
 
 from pmfid.estimators.batch import Fit
-from pmfid.estimators.output_error import OE, Difference, Floats, inverted, rms
+from pmfid.estimators.difference import inverted
+from pmfid.estimators.likelihood import Best, cost, expected_information
+from pmfid.estimators.output_error import OE
+from pmfid.estimators.phases import likelihood_covariance
 from pmfid.status import Status
-
-#: Least standard deviation of the position's own noise, in counts: below, the likelihood is a box without slopes.
-NOISE_FLOOR = 0.02
-#: Relative accuracy of that noise: the likelihood is flat around its top.
-NOISE_TOLERANCE = 1e-3
-#: Noise beyond the floor by this factor may be that of a local maximum,
-GIVEN_AWAY = 1.5
-#: which is left by starts this many standard deviations around, with this noise [counts] on the way.
-AROUND = 1.5
-SHRINKING = (0.3, 0.1, 0.04)
-MAX_ITERATIONS = 100
-TOLERANCE = 1e-6
-MAX_DAMPING = 1e8
-#: Noise, in counts, from which on the edges of the counts no longer show.
-WIDE = 3.0
-TINY = 1e-300
-HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
 
 
 @dataclass(frozen=True)
@@ -53,115 +37,17 @@ class IntervalML(OE):
     def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
         NotIdentifiableError where the record cannot identify every parameter, or the simulation does not follow."""
-        difference, q, status = self.followed(u, counts)
-        if difference.pole > 0 or rms(difference(q)) > difference.explained:
-            return self.by_squares(difference, q, status | int(Status.FALLBACK))
-        from pmfid.estimators.phases import score_covariance
+        return self.fit_of(self.best(u, counts))
 
-        q, noise = likeliest(difference, q)
+    def fit_of(self, best: Best) -> Fit:
+        """The result at the motion that fits best."""
+        if best.noise is None:
+            return self.by_squares(replace(best, status=best.status | int(Status.FALLBACK)))
+        difference, q, noise = best.difference, best.q, best.noise
         error = difference(q)
         root = np.sqrt(expected_information(error, noise))
         own = self.own_sensitivity(difference, q, root)
-        weighted = own * root[:, None]
-        inverse, slope = inverted(weighted, self.names), cost(error, noise)[1]
-        spread = score_covariance(difference, q, own, noise, weighted.T @ weighted, own * slope[:, None])
-        return self.result(difference, q, inverse @ spread @ inverse, status)
-
-
-def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
-    """q (q,) and noise [counts] of the largest likelihood, from the least squares q.
-
-    With few counts there are local maxima, and a noise beyond the floor gives them away: then the search starts again
-    from around q, with a noise that shrinks step by step, and the best counts.
-    """
-    best = climb(difference, q, None)
-    if best[2] <= GIVEN_AWAY * NOISE_FLOOR:
-        return best[1], best[2]
-    for start in (q, *_around(difference, q)):
-        place = start
-        for noise in SHRINKING:
-            place = climb(difference, place, noise)[1]
-        best = min(best, climb(difference, place, None), key=lambda found: found[0])
-        if best[2] <= GIVEN_AWAY * NOISE_FLOOR:
-            break
-    return best[1], best[2]
-
-
-def _around(difference: Difference, q: Floats) -> list[Floats]:
-    """Starts (q,) one and a half standard deviations of least squares to either side of q, along its main axes."""
-    jacobian = difference.jacobian(q)
-    _, size, axes = np.linalg.svd(jacobian, full_matrices=False)
-    spread = np.sqrt(np.mean(difference(q) ** 2)) / np.maximum(size, 1e-6 * size[0])
-    steps = [AROUND * side * length * axis for length, axis in zip(spread, axes, strict=True) for side in (1.0, -1.0)]
-    return [np.maximum(q + step, difference.lower) for step in steps]
-
-
-def climb(difference: Difference, q: Floats, fixed: float | None) -> tuple[float, Floats, float]:
-    """Negative log-likelihood, q (q,) and noise [counts] at a maximum near q: damped Newton steps, with the best noise
-    after each or a fixed one."""
-    damping, step = 1e-3, np.inf
-    e, jacobian = difference(q), difference.jacobian(q)
-    noise = fixed or likeliest_noise(e)
-    for _ in range(MAX_ITERATIONS):
-        now, slope, curvature = cost(e, noise)
-        hessian = jacobian.T @ (curvature[:, None] * jacobian)
-        # counts far from their edges have no curvature: without the last term a step would leave them
-        hessian += damping * (np.diag(np.diagonal(hessian)) + jacobian.T @ jacobian)
-        trial = np.maximum(q - np.linalg.lstsq(hessian, jacobian.T @ slope)[0], difference.lower)
-        e_trial = difference(trial)
-        if cost(e_trial, noise)[0] < now:
-            step, q, e, damping = float(np.max(np.abs(trial - q))), trial, e_trial, damping / 10
-            noise, jacobian = fixed or likeliest_noise(e), difference.jacobian(q)
-        else:
-            damping *= 10
-        if step < TOLERANCE or damping > MAX_DAMPING:
-            break
-    return cost(e, noise)[0], q, noise
-
-
-def likeliest_noise(e: Floats) -> float:
-    """Noise [counts] of the largest likelihood for the differences e (n,) [counts]."""
-    from scipy.optimize import minimize_scalar  # slow to import, and only this needs it
-
-    bounds = (math.log(NOISE_FLOOR), math.log(1 + 2 * float(np.max(np.abs(e)))))
-    apart = np.abs(e)
-    search = minimize_scalar(
-        lambda log: -np.sum(log_probability(apart, math.exp(log))),
-        bounds=bounds,
-        method="bounded",
-        options={"xatol": NOISE_TOLERANCE},
-    )
-    return math.exp(search.x)
-
-
-def cost(e: Floats, noise: float) -> tuple[float, Floats, Floats]:
-    """Negative log-likelihood, and its first and second derivative by each of the differences e (n,) [counts]."""
-    log_p, slope, bend = count_likelihood(np.abs(e), noise)
-    return -float(np.sum(log_p)), np.sign(e) * slope, np.maximum(slope**2 + bend, 0.0)
-
-
-def expected_information(e: Floats, noise: float) -> Floats:
-    """Fisher information (n,) on the position [counts] at differences e (n,), mean over the counts that may come."""
-    if noise > WIDE:
-        return np.full(e.size, 1 / (noise**2 + 1 / 12))  # Sheppard's correction
-    reach, total = math.ceil(6 * noise), np.zeros(e.size)
-    for count in range(-reach, reach + 1):
-        log_p, slope, _ = count_likelihood(np.abs(e - np.round(e) + count), noise)
-        total += np.exp(log_p) * slope**2
-    return total
-
-
-def count_likelihood(apart: Floats, noise: float) -> tuple[Floats, Floats, Floats]:
-    """Logarithm of the probability P of a count whose middle is `apart` >= 0 (n,) [counts] from the position, with
-    -P'/P and P''/P negative. All from logarithms: far outside the count P itself is zero in floating point."""
-    log_p = log_probability(apart, noise)
-    inner, outer = (0.5 - apart) / noise, (-0.5 - apart) / noise
-    at_inner, at_outer = (np.exp(-0.5 * edge**2 - HALF_LOG_2_PI - log_p) for edge in (inner, outer))
-    return log_p, (at_inner - at_outer) / noise, (inner * at_inner - outer * at_outer) / noise**2
-
-
-def log_probability(apart: Floats, noise: float) -> Floats:
-    """Logarithm of the probability of a count whose middle is `apart` >= 0 (n,) [counts] from the position."""
-    log_inner = log_ndtr((0.5 - apart) / noise)
-    log_outer = log_ndtr((-0.5 - apart) / noise)
-    return np.asarray(log_inner + np.log(-np.expm1(np.minimum(log_outer - log_inner, -TINY))))
+        weighted, slope = own * root[:, None], cost(error, noise)[1]
+        inverted(weighted, self.names)
+        covariance = likelihood_covariance(best, weighted, own * slope[:, None])
+        return self.result(difference, q, self.with_drift(best, covariance), best.status)

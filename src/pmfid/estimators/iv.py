@@ -20,12 +20,12 @@ from pmfid.estimators.batch import (
     Fit,
     check_identifiable,
     inverse_of,
-    long_run_covariance,
     solve_with_instruments,
 )
 from pmfid.estimators.encoder_noise import impulse_products
+from pmfid.estimators.lattice import lattice_scatter
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.estimators.scatter import block_scatter, raised
+from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.srivc import counted, fit_process, fixed_filters, without_start
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, STIFFNESS, Equation
 from pmfid.status import Status
@@ -44,6 +44,9 @@ START_PART = 0.05
 REST_SAMPLES = 5
 #: Relative step of the differences for the covariance.
 JACOBIAN_STEP = 1e-3
+#: Blocks that fade in and out hold the noise behind the filters apart from what lasts from so many times on that these
+#: take to settle.
+LASTING = 4
 
 
 @dataclass(frozen=True)
@@ -74,8 +77,9 @@ class IV(BatchEstimator):
         NotIdentifiableError where the record cannot identify every parameter, or no iteration settles."""
         if self.equation.process:
             return fit_process(self, [counted(self, u, counts)], fixed_filters)
+        u, counts = check_arrays(u, counts)
         columns, theta = self.settled(u, counts)
-        return self._result(columns, theta, self._gain(columns, theta, u, counts))
+        return self._result(columns, theta, self._bars(columns, theta, u, counts))
 
     def settled(self, u: ArrayLike, counts: ArrayLike) -> tuple[Columns, NDArray[np.float64]]:
         """The columns of the last turn and theta (p,): `fit` without the covariance, and with its errors."""
@@ -97,14 +101,16 @@ class IV(BatchEstimator):
             "`initial`"
         )
 
-    def _covariance(
-        self, columns: Columns, theta: NDArray[np.float64], gain: NDArray[np.float64]
+    def _bars(
+        self, columns: Columns, theta: NDArray[np.float64], u: NDArray[np.float64], counts: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """As for every off-line method, but with what the scores scatter in blocks on every scale, where that is more:
-        friction that the model lacks lasts longer than the filters."""
-        scores = self._scores(columns, theta)
-        spread = raised(long_run_covariance(scores, self.settle_samples), block_scatter(scores, self.settle_samples))
-        return np.asarray(gain @ spread @ gain.T)
+        """Covariance (p, p) of theta (p,): what its scores scatter in blocks on every scale beyond that of the filters,
+        behind which the encoder's error cancels, and friction that the model lacks does not; or what the encoder does
+        along this motion, where that is more."""
+        gain = self._gain(columns, theta, u, counts)
+        in_blocks = scatter(self._scores(columns, theta) @ gain.T, LASTING * self.settle_samples)
+        along = lattice_scatter(self, theta, u, counts, lambda read: self.columns_at(theta, u, read), gain)
+        return raised(in_blocks, along)
 
     def _gain(
         self, columns: Columns, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.estimators.output_error import Difference, rms
+from pmfid.estimators.difference import Difference, rms
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import lfilter
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import check_arrays, held, like
@@ -18,25 +17,17 @@ from pmfid.estimators.batch import (
     BatchEstimator,
     Fit,
     check_identifiable,
-    parts_of_their_own,
 )
+from pmfid.estimators.difference import LEAST_MASS, STEP, Difference, inverted, least, rms, without_nuisance
 from pmfid.estimators.iv import IV
+from pmfid.estimators.likelihood import Best, best_of
+from pmfid.estimators.phases import phase_scatter
 from pmfid.estimators.rough import on_every_width
 from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.srivc import by_descent, counted, fit_process, without_start
-from pmfid.models.equation import Equation
 
-#: Step of the difference quotients as a part of a parameter: far above the kinks that stops and reversals leave in
-#: the simulated position, far below what makes the position bend.
-STEP = 1e-4
-MAX_EVALUATIONS = 200
-TOLERANCE = 1e-10
-#: A stop of the model that comes and goes puts kinks into the sum of squares, at which the last digits never settle.
-ROUGH_TOLERANCE = 1e-7
-#: Root mean square of the difference, in counts, up to which the encoder explains it; rounding down alone gives 0.29.
-ENCODER_ALONE = 0.5
-#: Accuracy of the simulated position, as a part of the travel.
-SIMULATION_ERROR = 1e-5
+#: A mass of less than so many of the least that the fit may have is one that the fit would rather not have.
+AT_BOUND = 3.0
 #: A larger part of the motion left unexplained is no fit.
 WORST_FIT = 0.5
 #: The high-pass lets white noise grow by less than this: where more is left behind it, the counts are not explained.
@@ -45,87 +36,8 @@ HOPELESS = 2.5
 FAR = 10.0
 #: High-passes on the way to none, as parts of the first.
 SLOWER = (1 / 4, 1 / 16, 1 / 64, 0.0)
-#: Counts within a filter time constant by which the start velocity may be off.
-START_COUNTS = 3.0
-#: Square root of the information [1/counts] of a sample with a white encoder error.
-WHITE = math.sqrt(12.0)
-#: Part of a sensitivity that must not follow from the others.
-APART = 1e-3
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Difference:
-    """Position of the counts minus simulated position, in counts, as a function of q = (theta, x0, v0) / scale.
-
-    equation: its roles say what the simulation takes of theta; u, y: (n,), dt [s]; resolution; scale: (q,);
-    pole: of the high-pass on the difference [rad/s], 0: none.
-    """
-
-    equation: Equation
-    dt: float
-    u: Floats
-    y: Floats
-    resolution: float
-    scale: Floats
-    pole: float
-
-    def __call__(self, q: Floats) -> Floats:
-        return self.filtered(self.y - self.motion(q)[0]) / self.resolution
-
-    def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
-        """Simulated position at the samples and mean velocity between them, each (n,); force (n,): on top of that of
-        the input [unit of the equation]."""
-        from pmfid import _kernel64
-
-        *theta, x0, v0 = q * self.scale
-        gain = self.equation.input_gain
-        u = self.u if force is None else self.u + force / gain
-        start = float(v0), float(x0 - self.y[0])  # a spring's length counts from the first count
-        velocity = _kernel64.simulate(self.roles_of(theta), gain, self.dt, u, *start)[0]
-        return x0 + np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt, velocity
-
-    def roles_of(self, theta: Sequence[float]) -> list[float]:
-        """The parameters (p,) as the simulation takes them, 0 for what the equation lacks."""
-        return [0.0 if index is None else float(theta[index]) for index in self.equation.roles]
-
-    def filtered(self, signal: Floats) -> Floats:
-        """The high-pass, from rest: white noise on top of a random walk leaves it white."""
-        if self.pole == 0:
-            return signal
-        return np.asarray(lfilter([1.0, -1.0], [1.0, -math.exp(-self.pole * self.dt)], signal))
-
-    def jacobian(self, q: Floats, width: float = STEP) -> Floats:
-        """Derivatives by q, (n, q), as central differences that stay above the bounds."""
-        columns = []
-        for step in width * np.eye(q.size):
-            low = np.maximum(q - step, self.lower)
-            columns.append((self(q + step) - self(low)) / np.sum(q + step - low))
-        return np.column_stack(columns)
-
-    @property
-    def start_velocity_std(self) -> float:
-        """What the start velocity is known to, in the unit of q: some counts within a filter time constant."""
-        return START_COUNTS * self.resolution / float(self.scale[-2])
-
-    @property
-    def recovery(self) -> int:
-        """Samples after which the high-pass has forgotten a step; 1 without one."""
-        return math.ceil(1 / (self.pole * self.dt)) if self.pole > 0 else 1
-
-    @property
-    def explained(self) -> float:
-        """Root mean square [counts] that the encoder and the simulation explain."""
-        return ENCODER_ALONE + SIMULATION_ERROR * float(np.ptp(self.y)) / self.resolution
-
-    @property
-    def lower(self) -> Floats:
-        """Bounds of q: a mass above zero, frictions of at least zero."""
-        lower = np.full(self.scale.size, -np.inf)
-        lower[: len(self.equation.names)][np.array(self.equation.positive)] = 0.0
-        lower[self.equation.leading] = 1e-3
-        return lower
 
 
 @dataclass(frozen=True)
@@ -167,7 +79,11 @@ class OE(BatchEstimator):
         NotIdentifiableError where the record cannot identify every parameter, or the simulation does not follow."""
         if self.equation.process:
             return fit_process(self, [counted(self, u, counts)], by_descent)
-        return self.by_squares(*self.followed(u, counts))
+        return self.by_squares(self.best(u, counts))
+
+    def best(self, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> Best:
+        """The motion that fits a record best; arguments and errors of `followed`."""
+        return best_of(*self.followed(u, counts, start))
 
     def followed(self, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> tuple[Difference, Floats, int]:
         """The difference as it is to be judged, its least squares q, and the status bits of the record.
@@ -201,22 +117,31 @@ class OE(BatchEstimator):
             pass
         return q
 
-    def by_squares(self, difference: Difference, q: Floats, status: int) -> Fit:
-        """The result at the least squares q."""
-        from pmfid.estimators.phases import phase_scatter
+    def by_squares(self, best: Best) -> Fit:
+        """The result of the least squares."""
+        difference, q = best.difference, best.least
+        moves, covariance = self._scattered(difference, q)
+        covariance = on_every_width(covariance, lambda width: self._scattered(difference, q, width)[1])
+        if best.noise is not None:
+            # the motion that explains every count rests where the axis did: a controller parks it beside an edge
+            covariance = raised(covariance, phase_scatter(difference, best.q, moves, None))
+        return self.result(difference, q, self.with_drift(best, covariance), best.status)
 
-        error = difference(q)
-        phases = difference.pole == 0 and rms(error) <= difference.explained
+    def _scattered(self, difference: Difference, q: Floats, width: float = STEP) -> tuple[Floats, Floats]:
+        """(n, p) by how much an error of each sample moves the parameters, and their covariance (p, p) by how what is
+        left scatters; width: of the difference quotients."""
+        sensitivity = self.own_sensitivity(difference, q, width=width)
+        moves = sensitivity @ inverted(sensitivity, self.names)
+        return moves, scatter(moves * difference(q)[:, None], difference.recovery)
 
-        def at(width: float) -> Floats:
-            sensitivity = self.own_sensitivity(difference, q, width=width)
-            inverse = inverted(sensitivity, self.names)
-            spread = scatter(sensitivity * error[:, None], difference.recovery)
-            if phases and width == STEP:
-                spread = raised(spread, phase_scatter(difference, q, sensitivity, None))
-            return np.asarray(inverse @ spread @ inverse)
-
-        return self.result(difference, q, on_every_width(at(STEP), at), status)
+    def with_drift(self, best: Best, covariance: Floats) -> Floats:
+        """A covariance (p, p) with variances of at least those behind the high-pass, where there is more in the
+        position than the encoder's error: what the model lacks adds up in it to a drift, of which one record under half
+        a count shows too little to tell its scatter by."""
+        if best.noise is None or best.clean:
+            return covariance
+        behind = replace(best.difference, pole=self.cutoff)
+        return raised(covariance, np.diagonal(self._scattered(behind, best.q)[1]))
 
     def own_sensitivity(
         self, difference: Difference, q: Floats, root: Floats | None = None, width: float = STEP
@@ -256,9 +181,9 @@ class OE(BatchEstimator):
         inertia = max(mass, drag * dt)  # less of it shows within a sample only
         natural = np.array([inertia, drag, drag, force, force, force, force / travel])
         size = np.abs(theta)
-        for index, least in zip(self.equation.roles, 0.01 * natural, strict=True):
+        for index, smallest in zip(self.equation.roles, 0.01 * natural, strict=True):
             if index is not None:
-                size[index] = max(size[index], least)
+                size[index] = max(size[index], smallest)
         scale, pole = np.r_[size, travel, travel * self.cutoff], self.drift_cutoff or self.cutoff
         difference = Difference(self.equation, dt, u, y, self.encoder.resolution, scale, pole)
         near = min(y.size - 1, math.ceil(1 / (self.cutoff * dt)))
@@ -268,7 +193,14 @@ class OE(BatchEstimator):
         return difference, np.maximum(np.r_[theta, y[0], v0] / scale, difference.lower)
 
     def result(self, difference: Difference, q: Floats, q_cov: Floats, status: int) -> Fit:
-        """The `Fit` at q with the scaled covariance (p, p). Raises NotIdentifiableError where it is no fit."""
+        """The `Fit` at q with the scaled covariance (p, p). Raises NotIdentifiableError where it is no fit, or one
+        without a mass: what the bound leaves of it is no estimate."""
+        leading = difference.equation.leading
+        if q[leading] < AT_BOUND * LEAST_MASS:
+            raise NotIdentifiableError(
+                f"{self.names[leading]} comes out as nothing: this record cannot identify it, or an input logged "
+                "late hides it; record stronger accelerations, and check the times of the columns against each other"
+            )
         residual = difference(q)
         motion = difference.filtered(difference.y - np.mean(difference.y)) / difference.resolution
         relative = rms(residual) / rms(motion)
@@ -281,66 +213,3 @@ class OE(BatchEstimator):
         theta, cov = q[: scale.size] * scale, q_cov * np.outer(scale, scale)
         residual = residual * difference.resolution
         return Fit(self.names, self.units, theta, cov, residual.size, residual, relative, status)
-
-
-def rms(signal: Floats) -> float:
-    """Root mean square of a signal (n,)."""
-    return float(np.sqrt(np.mean(signal**2)))
-
-
-def least(difference: Difference, q: Floats) -> Floats:
-    """Least squares from q (q,). Raises NotIdentifiableError where the iteration does not settle."""
-    from scipy.optimize import least_squares  # slow to import, and only this needs it
-
-    for tolerance in (TOLERANCE, ROUGH_TOLERANCE):
-        try:
-            with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
-                found = least_squares(
-                    difference,
-                    q,
-                    difference.jacobian,
-                    bounds=(difference.lower, np.inf),
-                    x_scale="jac",
-                    ftol=tolerance,
-                    xtol=tolerance,
-                    gtol=tolerance,
-                    max_nfev=MAX_EVALUATIONS,
-                )
-        except ValueError:  # sensitivities that are not finite
-            raise NotIdentifiableError(
-                "the simulated position leaves the range of numbers: it does not follow the record; use iv, or in "
-                "Python give `initial`"
-            ) from None
-        q = np.maximum(found.x, difference.lower)
-        if found.status > 0 or rms(difference(q)) <= difference.explained:
-            return np.asarray(q)
-    raise NotIdentifiableError(
-        f"the iteration did not settle within {MAX_EVALUATIONS} simulations: the simulated position does not "
-        "follow the record closely; use iv, or in Python give `initial`"
-    )
-
-
-def without_nuisance(difference: Difference, columns: Floats, nuisance: Floats, root: Floats | None = None) -> Floats:
-    """Effects (n, k) [counts] less what the start position and velocity, nuisance (n, 2), can do as well.
-
-    root: (n,) square roots of the samples' information, None: that of a white encoder error. The start velocity is
-    taken for known to a few counts in a filter time constant: from rest it moves nothing, and must not be made up.
-    """
-    weight = np.full((columns.shape[0], 1), WHITE) if root is None else root[:, None]
-    prior = np.array([[0.0, 1 / difference.start_velocity_std]])
-    weighted, targets = np.r_[weight * nuisance, prior], np.r_[weight * columns, np.zeros((1, columns.shape[1]))]
-    return np.asarray(columns - nuisance @ np.linalg.lstsq(weighted, targets)[0])
-
-
-def inverted(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
-    """(S^T S)^-1 (p, p) of the sensitivities S (n, p). Raises NotIdentifiableError where one of them is zero or a
-    combination of the others, naming the parameter."""
-    parts, inverse = parts_of_their_own(sensitivity)
-    worst = int(np.argmin(parts))
-    if not parts[worst] > APART:
-        raise NotIdentifiableError(
-            f"the position depends on {names[worst]} hardly, or just as on the others: too little excitation; record "
-            "reversals, and speeds and accelerations that vary"
-        )
-    size = np.linalg.norm(sensitivity, axis=0)
-    return np.asarray(inverse @ inverse.T / np.outer(size, size))

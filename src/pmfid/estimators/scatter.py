@@ -1,9 +1,13 @@
 """How much a sum of scores scatters: what the error bars of an off-line estimate are made of.
 
-A score is what one sample says that the parameters be moved by. Their sum is zero at the estimate; the estimate is as
-uncertain as that sum would scatter from record to record. Neighbouring scores say nearly the same where something
+A score is what one sample says that the parameters be moved by: by the parameter, not before the inverse that makes
+one out of the sums, for what scatters most there may move no parameter. Their sum is zero at the estimate; the estimate
+is as uncertain as that sum would scatter from record to record. Neighbouring scores say nearly the same where something
 slow is unexplained, friction above all, and noise of the counts on top of it hides that from a look at neighbours: so
 sums over blocks are looked at, on every scale, and the largest scatter counts.
+
+The blocks fade in and out. Behind a filter that differentiates, the noise of the counts cancels over a block but for
+its two ends, and blocks with sharp ends would show nothing else.
 """
 
 from __future__ import annotations
@@ -19,8 +23,9 @@ TINY = 1e-300
 
 
 def block_scatter(scores: Floats, shortest: int = 1) -> Floats:
-    """Variances (p,) of the sum of scores (n, p), as the scatter of their sums over blocks says (batch means: Fishman
-    1978): the largest over blocks of `shortest`, twice that, and so on, as long as 24 of them are left.
+    """Variances (p,) of the sum of scores (n, p), as the scatter of their sums over blocks says (tapered segments that
+    overlap by half: Welch 1967): the largest over blocks of `shortest`, twice that, and so on, as long as 24 of them
+    are left.
 
     shortest: samples over which scores cancel each other, as the differences of a coarse count do.
     """
@@ -28,7 +33,7 @@ def block_scatter(scores: Floats, shortest: int = 1) -> Floats:
     length = max(1, min(shortest, n // FEWEST))
     largest = np.zeros(scores.shape[1])
     while length == 1 or n // length >= FEWEST:
-        largest = np.maximum(largest, _blocks(scores, length).var(axis=0, ddof=1) * (n / length))
+        largest = np.maximum(largest, np.mean(_blocks(scores, length) ** 2, axis=0) * (n**2 / (n - length)))
         length *= 2
     return largest
 
@@ -37,16 +42,21 @@ def scatter(scores: Floats, shortest: int = 1) -> Floats:
     """Covariance (p, p) of the sum of scores (n, p): variances of `block_scatter`, correlations of its middle scale."""
     n = scores.shape[0]
     length = max(1, min(shortest, n // FEWEST), round(np.sqrt(n / FEWEST)))
-    covariance = np.atleast_2d(np.cov(_blocks(scores, length), rowvar=False)) * (n / length)
+    sums = _blocks(scores, length)
+    covariance = sums.T @ sums * (n / sums.shape[0])
     diagonal = np.maximum(np.diagonal(covariance), TINY)
     factor = np.sqrt(block_scatter(scores, shortest) / diagonal)
     return np.asarray(covariance * np.outer(factor, factor))
 
 
 def _blocks(scores: Floats, length: int) -> Floats:
-    """Sums (count, p) over blocks of `length` samples."""
-    count = scores.shape[0] // length
-    return np.asarray(scores[: count * length].reshape(count, length, -1).sum(axis=1))
+    """Sums (count, p) of scores less their mean over blocks of `length` samples, each beginning in the middle of the
+    one before, with weights that are zero at their ends and of squares that add up to 1."""
+    weight = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
+    weight /= np.linalg.norm(weight)
+    around = scores - scores.mean(axis=0)
+    windows = np.lib.stride_tricks.sliding_window_view(around, length, axis=0)[:: max(1, length // 2)]
+    return np.asarray(windows @ weight)
 
 
 def raised(covariance: Floats, variances: Floats) -> Floats:

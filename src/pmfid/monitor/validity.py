@@ -38,6 +38,7 @@ def judge(
     counts: NDArray[np.int64],
     theta: NDArray[np.float64],
     std: NDArray[np.float64],
+    adequacy: Adequacy | None = None,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Flags and sentences on an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,).
 
@@ -47,8 +48,9 @@ def judge(
     what it may lack, and that would move a parameter beyond its error bar; feedback: what is unexplained comes back
     through the input; count_jump: one change of the counts is no motion; coarse_motion: too few counts per sample for
     a method that takes the encoder's error for white noise. With a memory the last three of it are judged.
+    adequacy: what `examine` says of the whole record, where that is known already.
     """
-    residual = [*_model(estimator, u, counts, theta, std), *_feedback(estimator, u, counts, theta)]
+    residual = [*_model(estimator, u, counts, theta, std, adequacy), *_feedback(estimator, u, counts, theta)]
     # where the model is wrong, methods differ because they weigh its error differently: only large differences count
     limit = 10 * BIASED if any(flag == "unmodelled" for flag, _ in residual) else 2 * BIASED
     found = [
@@ -186,6 +188,7 @@ def _model(
     counts: NDArray[np.int64],
     theta: NDArray[np.float64],
     std: NDArray[np.float64],
+    adequacy: Adequacy | None,
 ) -> Iterator[Finding]:
     """Does the motion that the model simulates explain the counts, and what could it lack that they do not show?"""
     if estimator.equation.without_simulation:
@@ -199,7 +202,8 @@ def _model(
     theta, std = theta[: len(estimator.equation.names)], std[: len(estimator.equation.names)]
     at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
     try:
-        found = examine(estimator, u, counts, at if at[estimator.equation.leading] > 0 else None)
+        start = at if at[estimator.equation.leading] > 0 else None
+        found = adequacy or examine(estimator, u, counts, start)
     except NotIdentifiableError as error:
         yield "unmodelled", f"{UNMODELLED}: no motion of the model follows the counts ({error})"
         return

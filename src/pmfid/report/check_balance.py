@@ -12,8 +12,8 @@ from scipy.signal import lfilter
 
 from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.batch import long_run_covariance
+from pmfid.estimators.difference import rms
 from pmfid.estimators.iv import IV
-from pmfid.estimators.output_error import rms
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,

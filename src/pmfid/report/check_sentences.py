@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pmfid.estimators.batch import long_run_covariance
-from pmfid.estimators.output_error import rms
+from pmfid.estimators.difference import rms
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, OFFSET
 from pmfid.report.check_balance import Balance, Binned
 from pmfid.report.check_numbers import correlations

@@ -10,7 +10,7 @@ import numpy as np
 
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.auto import AUTO, choose
+from pmfid.estimators.auto import AUTO, Choice, choose, first_choice
 from pmfid.estimators.base import Estimator, like, status_names
 from pmfid.estimators.batch import LS, BatchEstimator, Columns, Fit, check_identifiable
 from pmfid.estimators.iv import RIV
@@ -111,10 +111,13 @@ def explained(error: NotIdentifiableError, mistake: str) -> NotIdentifiableError
 
 def estimate(record: Record, axis: Axis, progress: Progress | None = None) -> Result:
     """As `identify`, and raises as that does, but looks for no mistake in the columns."""
-    estimator, reason = make_estimator(axis, record), ""
-    if axis.estimator.method == AUTO:
+    estimator, reason, choice = make_estimator(axis, record), "", None
+    if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
+        choice = first_choice(estimator, record.u, record.counts)
+        estimator, reason = choice.estimator, choice.reason
+    elif axis.estimator.method == AUTO:
         estimator, reason = choose(estimator, record.u, record.counts, axis.estimator.forgetting)
-    result = _identify(estimator, record, axis, progress)
+    result = _identify(estimator, record, axis, progress, choice)
     _check_known(result)
     return replace(result, notes=(f"auto chose {reason}", *result.notes)) if reason else result
 
@@ -140,14 +143,17 @@ def _check_known(result: Result) -> None:
         raise NotIdentifiableError(f"this record does not fit the model: {advice}")
 
 
-def _identify(estimator: Estimator, record: Record, axis: Axis, progress: Progress | None) -> Result:
+def _identify(
+    estimator: Estimator, record: Record, axis: Axis, progress: Progress | None, choice: Choice | None
+) -> Result:
     batch = _batch_twin(estimator)
     columns = batch.columns(record.u, record.counts)
     check_identifiable(columns, batch.names, batch.least_part)
     if isinstance(estimator, RecursiveEstimator):
         return _recursive(estimator, record, columns, progress)
-    fit = batch.fit(record.u, record.counts)
-    flags, notes = judge(estimator, record.u, record.counts, fit.theta, fit.theta_std)
+    fit = choice.fit if choice else batch.fit(record.u, record.counts)
+    known = choice.adequacy if choice else None
+    flags, notes = judge(estimator, record.u, record.counts, fit.theta, fit.theta_std, known)
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
         notes = (*notes, f"{estimator.method} is an off-line method: forgetting is not used")
     notes = (*record.notes, *notes, *Status(fit.status).advice)

@@ -24,6 +24,8 @@ from pmfid.simulation import (
 from pmfid.studies.truth import Record
 
 MOTIONS = ("prbs", "stop-and-go", "multisine")
+#: By which part the stroke of one experiment differs from that of the next.
+OTHERWISE = 0.02
 TONES = (0.3, 0.7, 1.3, 2.1)  # of the reference, over the frequency of a move and its rest
 
 
@@ -114,7 +116,9 @@ def machine_record(axis: Axis, wrong: str, motion: str, increments: int, seed: i
             return Record(u, quantize(simulate_drive(axis.drive, u, axis.dt).x, resolution, phase), resolution)
         return Record(u, drive_machine(machine, u, axis.dt, resolution, phase=phase).counts, resolution)
     if motion == "stop-and-go":
-        reference = stop_and_go(axis.samples, axis.dt, axis.stroke, axis.move, axis.dwell)
+        # a controller parks the axis at the same edge of the lattice after the same move, whatever its phase
+        stroke = axis.stroke * (1 + OTHERWISE * rng.uniform(-1, 1))
+        reference = stop_and_go(axis.samples, axis.dt, stroke, axis.move, axis.dwell)
     else:
         tones = np.array(TONES) / (axis.move + axis.dwell)
         reference = multisine(axis.samples, axis.dt, tones, axis.stroke / 2, rng)

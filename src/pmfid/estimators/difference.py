@@ -1,0 +1,173 @@
+"""The position of the counts less the simulated one, as the methods that simulate the whole record see it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.batch import parts_of_their_own
+from pmfid.models.equation import Equation
+
+Floats = NDArray[np.float64]
+
+#: Step of the difference quotients as a part of a parameter: far above the kinks that stops and reversals leave in
+#: the simulated position, far below what makes the position bend.
+STEP = 1e-4
+MAX_EVALUATIONS = 200
+TOLERANCE = 1e-10
+#: A stop of the model that comes and goes puts kinks into the sum of squares, at which the last digits never settle.
+ROUGH_TOLERANCE = 1e-7
+#: Root mean square of the difference, in counts, up to which the encoder explains it; rounding down alone gives 0.29.
+ENCODER_ALONE = 0.5
+#: Accuracy of the simulated position, as a part of the travel.
+SIMULATION_ERROR = 1e-5
+#: Counts within a filter time constant by which the start velocity may be off.
+START_COUNTS = 3.0
+#: Square root of the information [1/counts] of a sample with a white encoder error.
+WHITE = math.sqrt(12.0)
+#: Least mass, as a part of that of the start: without any the motion has no equation.
+LEAST_MASS = 1e-3
+#: Part of a sensitivity that must not follow from the others.
+APART = 1e-3
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Position of the counts minus simulated position, in counts, as a function of q = (theta, x0, v0) / scale.
+
+    equation: its roles say what the simulation takes of theta; u, y: (n,), dt [s]; resolution; scale: (q,);
+    pole: of the high-pass on the difference [rad/s], 0: none.
+    """
+
+    equation: Equation
+    dt: float
+    u: Floats
+    y: Floats
+    resolution: float
+    scale: Floats
+    pole: float
+
+    def __call__(self, q: Floats) -> Floats:
+        return self.filtered(self.y - self.motion(q)[0]) / self.resolution
+
+    def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
+        """Simulated position at the samples and mean velocity between them, each (n,); force (n,): on top of that of
+        the input [unit of the equation]."""
+        from pmfid import _kernel64
+
+        *theta, x0, v0 = q * self.scale
+        gain = self.equation.input_gain
+        u = self.u if force is None else self.u + force / gain
+        start = float(v0), float(x0 - self.y[0])  # a spring's length counts from the first count
+        velocity = _kernel64.simulate(self.roles_of(theta), gain, self.dt, u, *start)[0]
+        return x0 + np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt, velocity
+
+    def roles_of(self, theta: Sequence[float]) -> list[float]:
+        """The parameters (p,) as the simulation takes them, 0 for what the equation lacks."""
+        return [0.0 if index is None else float(theta[index]) for index in self.equation.roles]
+
+    def filtered(self, signal: Floats) -> Floats:
+        """The high-pass, from rest: white noise on top of a random walk leaves it white."""
+        if self.pole == 0:
+            return signal
+        return np.asarray(lfilter([1.0, -1.0], [1.0, -math.exp(-self.pole * self.dt)], signal))
+
+    def jacobian(self, q: Floats, width: float = STEP) -> Floats:
+        """Derivatives by q, (n, q), as central differences that stay above the bounds."""
+        columns = []
+        for step in width * np.eye(q.size):
+            low = np.maximum(q - step, self.lower)
+            columns.append((self(q + step) - self(low)) / np.sum(q + step - low))
+        return np.column_stack(columns)
+
+    @property
+    def start_velocity_std(self) -> float:
+        """What the start velocity is known to, in the unit of q: some counts within a filter time constant."""
+        return START_COUNTS * self.resolution / float(self.scale[-2])
+
+    @property
+    def recovery(self) -> int:
+        """Samples after which the high-pass has forgotten a step; 1 without one."""
+        return math.ceil(1 / (self.pole * self.dt)) if self.pole > 0 else 1
+
+    @property
+    def explained(self) -> float:
+        """Root mean square [counts] that the encoder and the simulation explain."""
+        return ENCODER_ALONE + SIMULATION_ERROR * float(np.ptp(self.y)) / self.resolution
+
+    @property
+    def lower(self) -> Floats:
+        """Bounds of q: a mass above zero, frictions of at least zero."""
+        lower = np.full(self.scale.size, -np.inf)
+        lower[: len(self.equation.names)][np.array(self.equation.positive)] = 0.0
+        lower[self.equation.leading] = LEAST_MASS
+        return lower
+
+
+def rms(signal: Floats) -> float:
+    """Root mean square of a signal (n,)."""
+    return float(np.sqrt(np.mean(signal**2)))
+
+
+def least(difference: Difference, q: Floats) -> Floats:
+    """Least squares from q (q,). Raises NotIdentifiableError where the iteration does not settle."""
+    from scipy.optimize import least_squares  # slow to import, and only this needs it
+
+    for tolerance in (TOLERANCE, ROUGH_TOLERANCE):
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
+                found = least_squares(
+                    difference,
+                    q,
+                    difference.jacobian,
+                    bounds=(difference.lower, np.inf),
+                    x_scale="jac",
+                    ftol=tolerance,
+                    xtol=tolerance,
+                    gtol=tolerance,
+                    max_nfev=MAX_EVALUATIONS,
+                )
+        except ValueError:  # sensitivities that are not finite
+            raise NotIdentifiableError(
+                "the simulated position leaves the range of numbers: it does not follow the record; use iv, or in "
+                "Python give `initial`"
+            ) from None
+        q = np.maximum(found.x, difference.lower)
+        if found.status > 0 or rms(difference(q)) <= difference.explained:
+            return np.asarray(q)
+    raise NotIdentifiableError(
+        f"the iteration did not settle within {MAX_EVALUATIONS} simulations: the simulated position does not "
+        "follow the record closely; use iv, or in Python give `initial`"
+    )
+
+
+def without_nuisance(difference: Difference, columns: Floats, nuisance: Floats, root: Floats | None = None) -> Floats:
+    """Effects (n, k) [counts] less what the start position and velocity, nuisance (n, 2), can do as well.
+
+    root: (n,) square roots of the samples' information, None: that of a white encoder error. The start velocity is
+    taken for known to a few counts in a filter time constant: from rest it moves nothing, and must not be made up.
+    """
+    weight = np.full((columns.shape[0], 1), WHITE) if root is None else root[:, None]
+    prior = np.array([[0.0, 1 / difference.start_velocity_std]])
+    weighted, targets = np.r_[weight * nuisance, prior], np.r_[weight * columns, np.zeros((1, columns.shape[1]))]
+    return np.asarray(columns - nuisance @ np.linalg.lstsq(weighted, targets)[0])
+
+
+def inverted(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
+    """(S^T S)^-1 (p, p) of the sensitivities S (n, p). Raises NotIdentifiableError where one of them is zero or a
+    combination of the others, naming the parameter."""
+    parts, inverse = parts_of_their_own(sensitivity)
+    worst = int(np.argmin(parts))
+    if not parts[worst] > APART:
+        raise NotIdentifiableError(
+            f"the position depends on {names[worst]} hardly, or just as on the others: too little excitation; record "
+            "reversals, and speeds and accelerations that vary"
+        )
+    size = np.linalg.norm(sensitivity, axis=0)
+    return np.asarray(inverse @ inverse.T / np.outer(size, size))

@@ -1,0 +1,80 @@
+"""Error bars off-line against repeated experiments: neither far too long nor far too short."""
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid.estimators import output_error
+from pmfid.estimators.interval import IntervalML
+from pmfid.estimators.output_error import OE
+from pmfid.estimators.scatter import block_scatter
+from pmfid.studies.machines import AXES, machine_record, truth
+
+SEEDS = 8
+
+
+def errors_and_bars(cls, name: str, motion: str, increments: int) -> tuple[np.ndarray, np.ndarray]:
+    """Errors and error bars (SEEDS, 3) of the right model."""
+    axis, errors, bars = AXES[name], [], []
+    for seed in range(SEEDS):
+        record = machine_record(axis, "nothing", motion, increments, seed)
+        drive, encoder = pmfid.Drive(axis.drive.input_gain), pmfid.Encoder(record.resolution)
+        fit = cls(drive, encoder, axis.dt, 1 / (3 * axis.dt)).fit(record.u, record.counts)
+        errors.append(fit.theta - truth(axis))
+        bars.append(fit.theta_std)
+    return np.array(errors), np.array(bars)
+
+
+@pytest.mark.parametrize(
+    ("cls", "name", "motion", "increments"),
+    [
+        (
+            IntervalML,
+            "cart",
+            "stop-and-go",
+            4096,
+        ),  # 9 to 11 times too long, of scores beside the edges of parked counts
+        (IntervalML, "rotary", "stop-and-go", 4096),  # 4
+        (pmfid.IV, "heavy", "multisine", 4096),  # 3 to 8: blocks with sharp ends
+        (pmfid.IV, "rotary", "prbs", 32),
+        (OE, "rotary", "stop-and-go", 4096),  # 2.4: scatter taken before the inverse
+        (OE, "heavy", "prbs", 32),
+    ],
+    ids=str,
+)
+def test_bars_are_those_of_repeated_experiments(cls, name, motion, increments):
+    errors, bars = errors_and_bars(cls, name, motion, increments)
+    ratio = np.sqrt(np.mean(bars**2, axis=0) / np.mean(errors**2, axis=0))
+    assert np.all(ratio < 2.2), ratio  # of eight experiments: the deviation is known to a quarter
+    assert np.all(ratio > 0.45), ratio
+
+
+def test_bars_of_instruments_cover_what_repeats_in_every_stroke():
+    errors, bars = errors_and_bars(pmfid.IV, "cart", "stop-and-go", 512)
+    assert np.sqrt(np.mean((errors / bars) ** 2)) < 2.0
+
+
+def test_noise_that_cancels_over_a_block_is_no_scatter():
+    rng = np.random.default_rng(2)
+    noise = rng.standard_normal((60, 3002))
+    scores = np.diff(noise, n=2, axis=1)
+    observed = np.mean(scores.sum(axis=1) ** 2)  # of the two ends alone: 4 or so
+    found = np.mean([block_scatter(series[:, None], 25)[0] for series in scores])
+    sharp = np.mean([np.var(series.reshape(-1, 25).sum(axis=1)) * 120 for series in scores])
+    assert found < sharp / 10
+    assert 0.5 * observed < found
+
+
+def test_the_motion_that_fits_is_looked_for_once(tmp_path, monkeypatch):
+    from pmfid.session.config import load_axis
+    from pmfid.session.pipeline import identify
+    from pmfid.session.records import Record
+
+    searches, search = [], output_error.best_of
+    monkeypatch.setattr(output_error, "best_of", lambda *args: searches.append(1) or search(*args))
+    axis, text = AXES["cart"], '[record]\ninput = "u"\noutput = "c"\noutput_kind = "counts"\ndt = 0.01\n'
+    record = machine_record(axis, "nothing", "prbs", 512, 0)
+    text += f"[encoder]\nresolution = {record.resolution}\n[model]\ninput_gain = 2.0\n[estimator]\ncutoff = 30.0\n"
+    (tmp_path / "axis.toml").write_text(text + 'method = "auto"\n')
+    identify(Record(record.u, record.counts, 0.01, record.resolution, (), "cart"), load_axis(tmp_path / "axis.toml"))
+    assert len(searches) == 1
