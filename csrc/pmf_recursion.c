@@ -20,7 +20,6 @@
 #define FREEZE PMF_R(1e-3)  /* and below FREEZE times it there is nothing left worth forgetting */
 #define PEAK_LEAK PMF_R(0.01)
 #define LEAST_CLEAN PMF_R(0.02) /* of a column's information */
-#define BLOCK_MEMORY 100U
 #define MIN_BLOCKS 8U
 #define SKIPPED_INNOVATIONS 4U /* innovations of a fresh estimate say nothing of the noise */
 #define NEGLIGIBLE PMF_R(1e-6) /* mean square part of the target that no model need explain */
@@ -160,7 +159,7 @@ static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state
     real_t share = state->sums.weight / (scalar_t)config->block, keep, white, ratio, spread;
     truth_t known;
     uint32_t i;
-    state->blocks += PMF_BIT(where & (state->blocks < BLOCK_MEMORY), 1U);
+    state->blocks += PMF_BIT(where & (state->blocks < PMF_BLOCK_MEMORY), 1U);
     known = where & (state->blocks >= MIN_BLOCKS);
     keep = PMF_R(1.0) - PMF_R(1.0) / PMF_TO_REAL(state->blocks);
     for (i = 0; i < PARAMETERS(config); ++i) {

@@ -66,6 +66,9 @@ uint32_t pmf_load(const pmf_config_t *config, const pmf_saved_t *saved, pmf_stat
     if (saved->config != pmf_crc32(0U, config, (uint32_t)sizeof *config)) {
         return PMF_OTHER_CONFIG;
     }
+    if (pmf_plausible(config, &saved->state) == 0U) {
+        return PMF_IMPLAUSIBLE_STATE;
+    }
     copy_state(&saved->state, state);
     return PMF_LOADED;
 }

@@ -211,7 +211,8 @@ class RecursiveEstimator(Estimator):
         return save_state(self._kernel, self.precision)
 
     def set_state(self, state: bytes) -> None:
-        """Continues from a saved state. Raises UsageError for one of another configuration or a damaged one."""
+        """Continues from a saved state. Raises UsageError, and stays as it was, for one of another configuration, a
+        damaged one, and numbers that no sample could have made, whatever their checksum."""
         from pmfid.layout.saved import load_state
 
         load_state(self._kernel, self.precision, state)
