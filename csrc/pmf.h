@@ -59,6 +59,11 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #else
 #define PMF_LINEAR PMF_WITH_LINEAR
 #endif
+#ifdef PMF_FLOAT32
+#define PMF_ENDLESS PMF_WITH_ENDLESS
+#else
+#define PMF_ENDLESS 0 /* no sum of float64 is ever full */
+#endif
 #define PMF_NOT(truth) ((truth) == 0)
 #define PMF_BIT(truth, bit) PMF_IF(truth, PMF_W(bit), PMF_W(0))
 

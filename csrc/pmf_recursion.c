@@ -367,19 +367,6 @@ PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_rec
 }
 
 #if PMF_LINEAR
-static void discount_sums(pmf_sums_t *sums, uint32_t p, real_t factor)
-{
-    uint32_t i, j;
-    for (i = 0; i < p; ++i) {
-        sums->right[i] *= factor;
-        for (j = 0; j < p; ++j) {
-            sums->cross[i][j] *= factor;
-            sums->square[i][j] *= factor;
-        }
-    }
-    sums->weight *= factor;
-}
-
 void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor)
 {
 #if PMF_WINDOW_BLOCKS > 0

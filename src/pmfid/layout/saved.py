@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from pmfid.errors import UsageError
 from pmfid.layout.structures import Shape, Structures, constants_of, layout_number, resized, structures
 
+#: Forgetting from which on a sum of float32 may be full, and the samples that it then holds.
+LONG_MEMORY, MOST_WEIGHT = 0.999999, 2**19
+
 
 def configuration(kernel: Any, precision: str) -> NDArray[Any]:
     """The kernel's configuration, at the module's own sizes."""
@@ -42,6 +45,7 @@ def shape_of(config: NDArray[Any]) -> Shape:
         with_linear=int(linear["enabled"]),
         with_process=int(process),
         with_separate=int(constants["PMF_SEPARATE"] in schemes),
+        with_endless=int(any(long_memory(recursion) for recursion in recursions)),
         with_split=int(bool(process) or any(node in split_signals() for node in nodes)),
         with_noise=int(noise),
     )
@@ -51,6 +55,11 @@ def recursions_of(config: NDArray[Any]) -> list[NDArray[Any]]:
     """The recursions that a configuration uses."""
     two = config["auxiliary"]["enabled"] or config["linear"]["enabled"]
     return [config["direct"], config["instrument"]] if two else [config["direct"]]
+
+
+def long_memory(recursion: NDArray[Any]) -> bool:
+    """Whether a recursion of float32 forgets so slowly that its sums may be full (csrc/pmf_forgetting.h)."""
+    return recursion["forgetting"].dtype == np.float32 and bool(recursion["forgetting"] >= np.float32(LONG_MEMORY))
 
 
 def columns_of(config: NDArray[Any]) -> int:

@@ -48,6 +48,7 @@ class Shape:
     with_linear: int
     with_process: int
     with_separate: int
+    with_endless: int
     with_split: int
     with_noise: int
 
