@@ -2,7 +2,7 @@
 """Thin binding of the C kernel; compiled twice, as `_kernel64` and `_kernel32`."""
 
 from cpython.bytes cimport PyBytes_FromStringAndSize
-from cpython.long cimport PyLong_AsLongLong
+from cpython.long cimport PyLong_AsUnsignedLongLongMask
 from cpython.number cimport PyNumber_Index
 from libc.stdint cimport int64_t, uint32_t, uint64_t
 from libc.string cimport memcpy
@@ -296,8 +296,8 @@ cdef class Kernel:
         return estimate
 
     def step(self, double u, counts):
-        """One sample in, one `Estimate` out; counts is an integer, anything else raises TypeError."""
-        cdef long long count = PyLong_AsLongLong(PyNumber_Index(counts))
+        """One sample in, one `Estimate` out; counts is an integer of any size, anything else raises TypeError."""
+        cdef uint64_t count = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
         pmf_step(&self.config, &self.state, <real_t> u, <uint32_t> count)
         return self._snapshot()
 

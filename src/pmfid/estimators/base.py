@@ -322,6 +322,10 @@ def integer_counts(counts: ArrayLike) -> NDArray[Any]:
         )
     if not np.array_equal(given, np.round(given)):
         raise UsageError("counts must be integers; use pmfid.quantize(position, resolution) for a position")
+    if np.any(np.abs(given) >= 2.0**63):
+        raise UsageError(
+            f"counts reach {np.max(np.abs(given)):.3g}, beyond 64 bits: give them modulo 2^bits, as integers"
+        )
     return np.round(given).astype(np.int64)
 
 

@@ -219,7 +219,7 @@ def _numbers(name: str, values: object) -> Floats:
     """A copy as numbers of float64."""
     try:
         if values is not None and np.asarray(values).dtype.kind in "biufO":
-            return np.array(values, float)
+            return np.array(np.ma.filled(np.ma.asarray(values, float), np.nan))  # what is masked is missing
     except (TypeError, ValueError):
         pass
     raise UsageError(f"{name} must be an array of numbers, NaN where one is missing")
