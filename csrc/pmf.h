@@ -430,6 +430,8 @@ uint32_t pmf_arithmetic(void);
 
 /* Byte-wise, so that padding is zero too and two states can be compared. */
 PMF_API void pmf_clear(void *memory, uint32_t size);
+/* Byte-wise, too: an assignment need not copy the padding, which a checksum covers. */
+void pmf_copy(const void *from, void *to, uint32_t size);
 
 /* The parts; `signal` has PMF_SIGNALS entries. */
 PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,

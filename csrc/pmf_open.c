@@ -105,7 +105,6 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
                            real_t root)
 {
     real_t keep = root * root;
-    uint32_t i;
     if (state->started == 0U) {
         return;
     }
@@ -122,18 +121,16 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
 #if PMF_WINDOW_BLOCKS > 0
     if (config->scheme == PMF_WINDOW) { /* what is left counts as the newest block */
         pmf_clear(state->window, (uint32_t)sizeof state->window);
-        state->window[state->window_block] = state->sums;
+        pmf_copy(&state->sums, &state->window[state->window_block], (uint32_t)sizeof state->sums);
     }
 #endif
     state->weight *= keep; /* the innovations since the change say nothing of the noise */
     state->innovation_square *= keep;
     state->blocks = 0U; /* nor of how white it is */
     state->block_updates = 0U;
-    for (i = 0; i < config->n_parameters; ++i) {
-        state->score[i] = PMF_R(0.0);
-        state->spread[i] = PMF_R(0.0);
-        state->estimate.inflation[i] = PMF_R(0.0);
-    }
+    pmf_clear(state->score, (uint32_t)sizeof state->score);
+    pmf_clear(state->spread, (uint32_t)sizeof state->spread);
+    pmf_clear(state->estimate.inflation, (uint32_t)sizeof state->estimate.inflation);
 }
 
 #if PMF_WITH_AUXILIARY

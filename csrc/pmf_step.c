@@ -16,6 +16,18 @@ PMF_API void pmf_clear(void *memory, uint32_t size)
 }
 #endif
 
+#ifndef PMF_LANES
+void pmf_copy(const void *from, void *to, uint32_t size)
+{
+    const unsigned char *source = (const unsigned char *)from;
+    volatile unsigned char *target = (volatile unsigned char *)to; /* else compilers call memcpy of the C library */
+    uint32_t i;
+    for (i = 0; i < size; ++i) {
+        target[i] = source[i];
+    }
+}
+#endif
+
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_clear(state, (uint32_t)sizeof *state);
