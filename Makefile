@@ -4,7 +4,7 @@ FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppch
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.py' -o -name '*.pyi' -o -name '*.pyx' -o -name '*.[ch]' -o -name '*.j2')
 
-.PHONY: demo test check format bench study firmware firmware-tools images clean
+.PHONY: demo test check format bench study hostile firmware firmware-tools images clean
 
 .venv/installed: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	test -x .venv/bin/python || $(PYTHON) -m venv .venv
@@ -68,6 +68,10 @@ study: .venv/installed
 	.venv/bin/python -m pmfid.studies.black_box --out docs/black_box.md
 	.venv/bin/python -m pmfid.studies.glitches --out docs/glitches.md
 	.venv/bin/python -m tests.hostile.study --out docs/hostile.md
+
+# Attacks at length, an hour at most: crafted states under the sanitizers, openings, names in exports, calls, pipes.
+hostile: .venv/installed
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.hostile.campaign $(PARTS)
 
 images: .venv/installed
 	.venv/bin/python -m pmfid.studies.demo --images docs/images

@@ -60,8 +60,20 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #else
 #define PMF_LINEAR PMF_WITH_LINEAR
 #endif
+#ifdef PMF_FLOAT32
+#define PMF_ENDLESS PMF_WITH_ENDLESS
+#else
+#define PMF_ENDLESS 0 /* no sum of float64 is ever full */
+#endif
 #define PMF_NOT(truth) ((truth) == 0)
 #define PMF_BIT(truth, bit) PMF_IF(truth, PMF_W(bit), PMF_W(0))
+
+/* What runs seldom is compiled for size. */
+#if defined(__GNUC__)
+#define PMF_SELDOM __attribute__((cold, noinline)) static
+#else
+#define PMF_SELDOM static
+#endif
 
 /* Signals of one sampling interval. A block of eight comes from the counts (nodes 0..7) and one from the auxiliary
  * model (nodes 8..15). All but the velocity from the counts are one sample late, because the direction of an interval
@@ -118,6 +130,20 @@ enum {
     PMF_UNMODELLED = 512,
     PMF_FEEDBACK = 1024
 };
+#define PMF_STATUS_BITS (2 * PMF_FEEDBACK - 1) /* all of them */
+
+/* Limits of what a state may hold. */
+#define PMF_FAST_SAMPLES 3U    /* after two counts in one sample or more */
+#define PMF_BLOCK_MEMORY 100U  /* blocks of innovations */
+#define PMF_LOOK 4U            /* updates between two looks at the size of the motion: no column changes much faster */
+#define PMF_SWING_BITS 15U     /* what they may show, in this half memory and in the last */
+#define PMF_GUARD_SUSPECTS 3U  /* suspicious changes in a row; then it is what the axis does */
+#define PMF_GUARD_DOUBTS 3U    /* on the last two inputs, as bits; that before the last has the higher one */
+#ifdef PMF_FLOAT32
+#define PMF_LARGEST_INPUT PMF_R(1e15)
+#else
+#define PMF_LARGEST_INPUT PMF_R(1e100)
+#endif
 
 /* What becomes of old samples, beside the regularisation. */
 enum {
@@ -458,11 +484,13 @@ typedef struct {
     pmf_state_t state;
 } pmf_saved_t;
 
-enum { PMF_LOADED = 0, PMF_NOT_A_STATE, PMF_DAMAGED_STATE, PMF_OTHER_VERSION, PMF_OTHER_CONFIG };
+enum { PMF_LOADED = 0, PMF_NOT_A_STATE, PMF_DAMAGED_STATE, PMF_OTHER_VERSION, PMF_OTHER_CONFIG, PMF_IMPLAUSIBLE_STATE };
 
 void pmf_save(const pmf_config_t *config, const pmf_state_t *state, pmf_saved_t *saved);
 /* PMF_LOADED, or why not; then the state is as before. */
 uint32_t pmf_load(const pmf_config_t *config, const pmf_saved_t *saved, pmf_state_t *state);
+/* 1: these can be the numbers of a state, 0: no sample could have made them, whatever their checksum. */
+uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state);
 /* CRC-32 of ISO 3309 (Ethernet, zlib) of more data; crc: of the data before, 0 at the start. */
 uint32_t pmf_crc32(uint32_t crc, const void *data, uint32_t size);
 
@@ -491,6 +519,8 @@ uint32_t pmf_arithmetic(void);
 
 /* Byte-wise, so that padding is zero too and two states can be compared. */
 PMF_API void pmf_clear(void *memory, uint32_t size);
+/* Byte-wise, too: an assignment need not copy the padding, which a checksum covers. */
+void pmf_copy(const void *from, void *to, uint32_t size);
 
 /* The parts; `signal` has PMF_SIGNALS entries. */
 PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,

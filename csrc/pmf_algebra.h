@@ -15,13 +15,6 @@
 #define PMF_INLINE static inline
 #endif
 
-/* What runs seldom is compiled for size. */
-#if defined(__GNUC__)
-#define PMF_SELDOM __attribute__((cold, noinline)) static
-#else
-#define PMF_SELDOM static
-#endif
-
 #define N PMF_MAX_PARAMETERS
 #ifdef PMF_FLOAT32
 #define PIVOT_FLOOR PMF_R(1e-6)

@@ -16,13 +16,7 @@
 #endif
 
 #define FAST_COUNTS 2U /* counts in one sample from which on the tracker is trusted */
-#define FAST_SAMPLES 3U
 #define CLOSE 3U
-#ifdef PMF_FLOAT32
-#define LARGEST_INPUT PMF_R(1e15)
-#else
-#define LARGEST_INPUT PMF_R(1e100)
-#endif
 
 static whole_t magnitude(integer_t x)
 {
@@ -66,7 +60,7 @@ static real_t late_direction(const pmf_encoder_config_t *config, const pmf_encod
 
 static whole_t next_fast(whole_t fast, whole_t counts)
 {
-    return PMF_IF(counts >= FAST_COUNTS, PMF_W(FAST_SAMPLES), PMF_IF(fast > 0U, fast - 1U, PMF_W(0)));
+    return PMF_IF(counts >= FAST_COUNTS, PMF_W(PMF_FAST_SAMPLES), PMF_IF(fast > 0U, fast - 1U, PMF_W(0)));
 }
 
 /* Counts and the pauses between them. A pause much longer than the last ones is a standstill. Where counts came at
@@ -111,7 +105,7 @@ static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state
 static whole_t check(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t *input,
                      integer_t *change)
 {
-    truth_t invalid = PMF_NOT(*input * *input <= LARGEST_INPUT * LARGEST_INPUT); /* NaN, or its square may be infinite */
+    truth_t invalid = PMF_NOT(*input * *input <= PMF_LARGEST_INPUT * PMF_LARGEST_INPUT); /* NaN, or its square may be infinite */
     whole_t status = PMF_W(0);
     if (PMF_ANY(invalid)) {
         *input = PMF_IF(invalid, state->input, *input);

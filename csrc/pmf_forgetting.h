@@ -103,9 +103,6 @@ PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf
 
 #define LARGER(a, b) PMF_IF((a) > (b), a, b)
 
-/* Only so often is the size of the motion looked at: the filters let no column change much faster. A power of two. */
-#define LOOK 4U
-
 #define SPED_UP 1U
 #define SLOWED_DOWN 2U
 #define HALF_MEMORIES 4U /* the same bits of the last half memory are so many times as large */
@@ -201,6 +198,47 @@ static void slide_window(const pmf_recursion_config_t *config, pmf_recursion_sta
 }
 #endif
 
+#if PMF_LINEAR || PMF_ENDLESS
+PMF_SELDOM void discount_sums(pmf_sums_t *sums, uint32_t p, real_t factor)
+{
+    uint32_t i, j;
+    for (i = 0; i < p; ++i) {
+        sums->right[i] *= factor;
+        for (j = 0; j < p; ++j) {
+            sums->cross[i][j] *= factor;
+            sums->square[i][j] *= factor;
+        }
+    }
+    sums->weight *= factor;
+    sums->squares *= factor * factor;
+}
+
+#endif
+
+#if PMF_ENDLESS
+#define MOST_WEIGHT PMF_R(524288.0)     /* 2^19 samples in a sum */
+#define LONG_MEMORY PMF_SCALAR(0.999999) /* forgetting from which on there may be so many */
+
+/* A sum of float32 takes in nothing that is below 2^-24 of it. So what was gathered counts by half before that, again
+ * and again: never forgetting means the last millions of samples. Only a sample with more than its share makes it so,
+ * for at rest nothing is gathered that needs room. */
+PMF_INLINE void make_room(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t first, real_t own,
+                          uint32_t p)
+{
+    truth_t full = (state->sums.weight >= MOST_WEIGHT) & (first * first * state->sums.weight > own);
+    uint32_t i;
+    if (SCHEME(config) != PMF_EXPONENTIAL || config->forgetting < LONG_MEMORY || !PMF_ANY(full)) {
+        return;
+    }
+    PMF_WHERE(full, &state->sums, discount_sums(&state->sums, p, PMF_R(0.5)));
+    for (i = 0; i < p; ++i) {
+        state->peak[i] *= PMF_IF(full, PMF_R(0.5), PMF_R(1.0));
+    }
+    state->weight *= PMF_IF(full, PMF_R(0.5), PMF_R(1.0));
+    state->innovation_square *= PMF_IF(full, PMF_R(0.5), PMF_R(1.0));
+}
+#endif
+
 PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                               const real_t *column, uint32_t p, uint32_t instrumental)
 {
@@ -228,6 +266,10 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
         }
         forget_weight(config, state);
     }
+#if PMF_ENDLESS
+    make_room(config, state, column[instrumental != 0U ? p + 1U : 0U],
+              instrumental != 0U ? state->sums.square[0][0] : state->sums.cross[0][0], p);
+#endif
     add_sample(&state->sums, f, column, p, instrumental, state->started <= config->residual_updates); /* later nobody reads it */
 #if PMF_WINDOW_BLOCKS > 0
     if (SCHEME(config) == PMF_WINDOW) {

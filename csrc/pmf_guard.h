@@ -30,11 +30,9 @@
 #define LARGEST_GROWTH PMF_R(100.0)
 #define SWINGS PMF_R(0.25)           /* part of the largest input: less of a change says little of its effect */
 #define GAIN_STEP PMF_R(0.03125)     /* of the normalised gradient */
-#define MOST_SUSPECTS 3U             /* in a row; then it is what the axis does */
 #define LEAST_PEAK PMF_R(1e-12)      /* of an input that is one: its inverse squared is a number */
 #define LARGEST_RATE PMF_R(1e9)      /* of a predicted change: it has to fit an integer */
 #define ANY_SHARE PMF_R(1e20)
-#define DOUBTS 3U                    /* on the last two inputs, as bits; that before the last has the higher one */
 
 /* What seldom runs stays out of the way of the rest. */
 #if defined(__GNUC__)
@@ -96,7 +94,7 @@ PMF_APART whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_s
     back = (size_of(missed_whole) <= limit) | open | apart;
     anew = suspected & PMF_NOT(back) & (size <= limit) & (size < size_of(missed - pending));
     real = suspected & PMF_NOT(back | anew) &
-           ((size_of(missed - PMF_R(1.5) * pending) <= size_of(pending) + limit) | (guard->suspect >= MOST_SUSPECTS));
+           ((size_of(missed - PMF_R(1.5) * pending) <= size_of(pending) + limit) | (guard->suspect >= PMF_GUARD_SUSPECTS));
     sound = back | anew | real;
     guard->missed = missed;
     most = CAUTION * guard->scatter + MOTION_EDGE;
@@ -154,7 +152,7 @@ PMF_APART truth_t meet_input(const pmf_encoder_config_t *config, pmf_encoder_sta
     judge_input(config, state, missed_before, large);
     large = (guard->peak > LEAST_PEAK) & (size > spike * guard->peak);
     grow(config, guard, grows & (size > guard->peak) & PMF_NOT(large), size);
-    guard->doubt = ((guard->doubt << 1) & DOUBTS) | PMF_BIT(large, 1U);
+    guard->doubt = ((guard->doubt << 1) & PMF_GUARD_DOUBTS) | PMF_BIT(large, 1U);
     return large;
 }
 

@@ -3,6 +3,18 @@
  */
 #include "pmf.h"
 
+#ifdef PMF_FLOAT32
+#define FAINT PMF_R(1e-6) /* of a number, little more than its rounding */
+#else
+#define FAINT PMF_R(1e-14)
+#endif
+
+/* What the known noise of the columns adds to their products. */
+static real_t feigned(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, uint32_t i, uint32_t j)
+{
+    return PMF_WITH_NOISE != 0 && config->compensated != 0U ? state->sums.weight * config->noise[i][j] : PMF_R(0.0);
+}
+
 /* W, Z and v by the same factor: theta = W^-1 v stays, P grows by 1 / keep. */
 static void open_all(uint32_t p, pmf_recursion_state_t *state, real_t keep)
 {
@@ -19,10 +31,39 @@ static void open_all(uint32_t p, pmf_recursion_state_t *state, real_t keep)
     state->sums.squares *= keep * keep;
 }
 
-/* One parameter alone: R = L D L^T becomes R - (1 - keep) r r^T / R_ii, r = R e_i, so that what is known of the others
- * for given theta_i stays. With instruments R = W^T Z^-1 W, and W - (1 - sqrt keep) W e_i r^T / R_ii has that R. */
-static void open_one(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t one, real_t keep,
-                     real_t root)
+/* One parameter alone: the information R = W or W^T Z^-1 W becomes R - (1 - keep) r r^T / R_ii with r = R e_i, so that
+ * what is known of the others for given theta_i stays: in L D L^T with parameter i in front only its pivot shrinks.
+ *
+ * Least squares take R from the sums as they are. The factors of the last step hold the regularisation as well, which
+ * may be more than the part that is kept: its diagonal would become negative. */
+static void open_squares(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t one, real_t keep)
+{
+    uint32_t p = config->n_parameters, i, j;
+    real_t r[PMF_MAX_PARAMETERS], own = state->sums.cross[one][one] - feigned(config, state, one, one);
+    if (!(own > FAINT * state->sums.cross[one][one])) { /* nothing is known of it that could be left out */
+        return;
+    }
+    for (i = 0; i < p; ++i) {
+        r[i] = (i < one ? state->sums.cross[one][i] : state->sums.cross[i][one]) - feigned(config, state, i, one);
+    }
+    for (i = 0; i < p; ++i) {
+        real_t before = state->sums.cross[i][i] - feigned(config, state, i, i), after;
+        for (j = 0; j <= i; ++j) {
+            real_t less = i == one || j == one ? r[i == one ? j : i] : r[i] * r[j] / own;
+            state->sums.cross[i][j] -= (PMF_R(1.0) - keep) * less;
+        }
+        after = state->sums.cross[i][i] - feigned(config, state, i, i);
+        if (!(after > FAINT * before)) { /* all that was known of it hung on the other: the rounding is left */
+            after = before > PMF_R(0.0) ? FAINT * before : PMF_R(0.0);
+            state->sums.cross[i][i] = after + feigned(config, state, i, i);
+        }
+        state->peak[i] *= before > after ? after / before : PMF_R(1.0);
+    }
+}
+
+/* With instruments W - (1 - sqrt keep) W e_i r^T / R_ii has that R; it is one for any r. */
+static void open_instruments(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t one,
+                             real_t keep, real_t root)
 {
     uint32_t p = config->n_parameters, i, j, k;
     real_t r[PMF_MAX_PARAMETERS], column[PMF_MAX_PARAMETERS];
@@ -36,45 +77,60 @@ static void open_one(const pmf_recursion_config_t *config, pmf_recursion_state_t
     }
     for (i = 0; i < p; ++i) {
         for (j = 0; j < p; ++j) {
-            state->sums.cross[i][j] -= config->instrumental != 0U ? (PMF_R(1.0) - root) * column[i] * r[j] / r[one]
-                                                             : (PMF_R(1.0) - keep) * r[i] * r[j] / r[one];
-        }
-    }
-    for (i = 0; i < p; ++i) {
-        state->sums.right[i] = PMF_R(0.0);
-        for (j = 0; j < p; ++j) {
-            state->sums.right[i] += (config->instrumental == 0U && j > i ? state->sums.cross[j][i] : state->sums.cross[i][j]) *
-                               state->estimate.theta[j];
+            state->sums.cross[i][j] -= (PMF_R(1.0) - root) * column[i] * r[j] / r[one];
         }
     }
     state->peak[one] *= keep;
+}
+
+/* The right-hand side for which theta stays. */
+static void hold_estimate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
+{
+    uint32_t p = config->n_parameters, i, j;
+    for (i = 0; i < p; ++i) {
+        real_t right = PMF_R(0.0);
+        for (j = 0; j < p; ++j) {
+            real_t own = config->instrumental == 0U && j > i ? state->sums.cross[j][i] : state->sums.cross[i][j];
+            right += (own - feigned(config, state, i, j)) * state->estimate.theta[j];
+        }
+#if PMF_WITH_PROCESS
+        if (config->compensated != 0U) {
+            right += state->sums.weight * config->target_noise[i];
+        }
+#endif
+        state->sums.right[i] = right;
+    }
 }
 
 static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t parameter,
                            real_t root)
 {
     real_t keep = root * root;
-    uint32_t i;
     if (state->started == 0U) {
         return;
     }
     if (parameter == PMF_NO_PARAMETER) {
         open_all(config->n_parameters, state, keep);
     } else {
-        open_one(config, state, parameter, keep, root);
+        if (config->instrumental != 0U) {
+            open_instruments(config, state, parameter, keep, root);
+        } else {
+            open_squares(config, state, parameter, keep);
+        }
+        hold_estimate(config, state);
     }
 #if PMF_WINDOW_BLOCKS > 0
     if (config->scheme == PMF_WINDOW) { /* what is left counts as the newest block */
         pmf_clear(state->window, (uint32_t)sizeof state->window);
-        state->window[state->window_block] = state->sums;
+        pmf_copy(&state->sums, &state->window[state->window_block], (uint32_t)sizeof state->sums);
     }
 #endif
     state->weight *= keep; /* the innovations since the change say nothing of the noise */
     state->innovation_square *= keep;
     state->blocks = 0U; /* nor of how white it is */
     state->block_updates = 0U;
+    pmf_clear(state->score, (uint32_t)sizeof state->score);
     for (i = 0; i < config->n_parameters; ++i) {
-        state->score[i] = PMF_R(0.0);
         state->estimate.inflation[i] = config->correlated;
     }
 }

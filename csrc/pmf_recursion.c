@@ -19,7 +19,6 @@
 #define POOR PMF_R(50.0)    /* information below POOR times the regularisation is called poor */
 #define FREEZE PMF_R(1e-3)  /* and below FREEZE times it there is nothing left worth forgetting */
 #define LEAST_CLEAN PMF_R(0.02) /* of a column's information */
-#define BLOCK_MEMORY 100U
 #define MIN_BLOCKS 8.0
 #define SKIPPED_INNOVATIONS 4U /* innovations of a fresh estimate say nothing of the noise */
 #define JUDGED 16U /* updates between two verdicts on the model, half-way between two looks; a power of two */
@@ -57,7 +56,7 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
         return PMF_W(0);
     }
     note_unexplained(config, state, where, target);
-    judged = (state->updates & (JUDGED - 1U)) == LOOK / 2U;
+    judged = (state->updates & (JUDGED - 1U)) == PMF_LOOK / 2U;
     if (!PMF_ANY(judged)) {
         return PMF_IF(where, state->unmodelled, PMF_W(0));
     }
@@ -118,7 +117,7 @@ PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursio
         state->peak[i] = PMF_IF(excited, config->leak * state->peak[i], state->peak[i]);
     }
     excited = excited & (known > config->outgrown * LARGER(state->largest, state->before));
-    state->outdated = PMF_IF(excited, PMF_W(config->half_memory * LOOK), state->outdated);
+    state->outdated = PMF_IF(excited, PMF_W(config->half_memory * PMF_LOOK), state->outdated);
 }
 
 /* Adds the regularisation and says whether there is information left to forget. */
@@ -213,7 +212,7 @@ static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state
     truth_t few = state->blocks < (uint32_t)MIN_BLOCKS;
     real_t blocks;
     uint32_t i;
-    state->blocks += PMF_BIT(where & (state->blocks < BLOCK_MEMORY), 1U);
+    state->blocks += PMF_BIT(where & (state->blocks < PMF_BLOCK_MEMORY), 1U);
     blocks = PMF_IF(few, PMF_R(MIN_BLOCKS), PMF_TO_REAL(state->blocks));
     for (i = 0; i < PARAMETERS(config); ++i) {
         real_t white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
@@ -298,7 +297,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
             compensated = subtract_noise(config, state, p, information);
         }
     }
-    looks = (state->updates & (LOOK - 1U)) == 0U;
+    looks = (state->updates & (PMF_LOOK - 1U)) == 0U;
     if (config->half_memory != 0U && PMF_ANY(looks)) {
         compare_sizes(config, state, column[config->leading], looks, p, information[config->leading][config->leading]);
     }
@@ -431,20 +430,6 @@ PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_rec
 }
 
 #if PMF_LINEAR
-static void discount_sums(pmf_sums_t *sums, uint32_t p, real_t factor)
-{
-    uint32_t i, j;
-    for (i = 0; i < p; ++i) {
-        sums->right[i] *= factor;
-        for (j = 0; j < p; ++j) {
-            sums->cross[i][j] *= factor;
-            sums->square[i][j] *= factor;
-        }
-    }
-    sums->weight *= factor;
-    sums->squares *= factor * factor;
-}
-
 void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor)
 {
 #if PMF_WINDOW_BLOCKS > 0

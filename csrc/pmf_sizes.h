@@ -18,6 +18,7 @@
 #define PMF_WITH_PROCESS 1   /* an output that no encoder's friction holds: its start and its own noise */
 #define PMF_WITH_SEPARATE 1  /* forgetting by parameter */
 #define PMF_WITH_GUARD 1     /* against samples that no motion explains */
+#define PMF_WITH_ENDLESS 1   /* float32 that forgets nothing, or so slowly that its sums may be full */
 #define PMF_WITH_SPLIT 1     /* signals beyond input, velocity and direction */
 #define PMF_WITH_NOISE 1     /* known covariance of the noise */
 

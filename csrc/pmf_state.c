@@ -30,17 +30,6 @@ static uint32_t checksum(const pmf_saved_t *saved)
     return pmf_crc32(pmf_crc32(0U, head, (uint32_t)sizeof head), &saved->state, (uint32_t)sizeof saved->state);
 }
 
-/* Byte by byte: an assignment need not copy the padding, which the checksum covers. */
-static void copy_state(const pmf_state_t *from, pmf_state_t *to)
-{
-    const unsigned char *source = (const unsigned char *)from;
-    volatile unsigned char *target = (volatile unsigned char *)to; /* else compilers call memcpy of the C library */
-    uint32_t i;
-    for (i = 0; i < (uint32_t)sizeof *to; ++i) {
-        target[i] = source[i];
-    }
-}
-
 void pmf_save(const pmf_config_t *config, const pmf_state_t *state, pmf_saved_t *saved)
 {
     saved->magic = PMF_STATE_MAGIC;
@@ -48,7 +37,7 @@ void pmf_save(const pmf_config_t *config, const pmf_state_t *state, pmf_saved_t 
     saved->layout = PMF_LAYOUT;
     saved->size = (uint32_t)sizeof *saved;
     saved->config = pmf_crc32(0U, config, (uint32_t)sizeof *config);
-    copy_state(state, &saved->state);
+    pmf_copy(state, &saved->state, (uint32_t)sizeof *state);
     saved->checksum = checksum(saved);
 }
 
@@ -66,7 +55,10 @@ uint32_t pmf_load(const pmf_config_t *config, const pmf_saved_t *saved, pmf_stat
     if (saved->config != pmf_crc32(0U, config, (uint32_t)sizeof *config)) {
         return PMF_OTHER_CONFIG;
     }
-    copy_state(&saved->state, state);
+    if (pmf_plausible(config, &saved->state) == 0U) {
+        return PMF_IMPLAUSIBLE_STATE;
+    }
+    pmf_copy(&saved->state, state, (uint32_t)sizeof *state);
     return PMF_LOADED;
 }
 

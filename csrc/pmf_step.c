@@ -17,6 +17,18 @@ PMF_API void pmf_clear(void *memory, uint32_t size)
 }
 #endif
 
+#ifndef PMF_LANES
+void pmf_copy(const void *from, void *to, uint32_t size)
+{
+    const unsigned char *source = (const unsigned char *)from;
+    volatile unsigned char *target = (volatile unsigned char *)to; /* else compilers call memcpy of the C library */
+    uint32_t i;
+    for (i = 0; i < size; ++i) {
+        target[i] = source[i];
+    }
+}
+#endif
+
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_clear(state, (uint32_t)sizeof *state);
@@ -199,12 +211,13 @@ const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t
 real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter)
 {
     const pmf_estimate_t *estimate = pmf_estimate(config, state);
-    real_t inflation = estimate->inflation[parameter];
+    real_t inflation = estimate->inflation[parameter], variance;
     if (!(estimate->innovation_variance > PMF_R(0.0))) {
         return PMF_UNKNOWN;
     }
-    return estimate->variance_factor[parameter] * estimate->innovation_variance *
-           (inflation > PMF_R(0.0) ? inflation : PMF_R(1.0));
+    variance = estimate->variance_factor[parameter] * estimate->innovation_variance *
+               (inflation > PMF_R(0.0) ? inflation : PMF_R(1.0));
+    return variance < PMF_UNKNOWN ? variance : PMF_UNKNOWN; /* it may leave the number format, too */
 }
 #endif
 

@@ -2,15 +2,16 @@
 """Thin binding of the C kernel; compiled twice, as `_kernel64` and `_kernel32`."""
 
 from cpython.bytes cimport PyBytes_FromStringAndSize
-from cpython.long cimport PyLong_AsLongLong
+from cpython.long cimport PyLong_AsUnsignedLongLongMask
 from cpython.number cimport PyNumber_Index
-from hashlib import sha256
 from libc.stdint cimport int64_t, uint32_t, uint64_t
 from libc.string cimport memcpy
 cimport numpy as cnp
 import numpy as np
 
 from pmfid.errors import place_of
+
+IMPLAUSIBLE = "these numbers are no state of this configuration, whatever their checksum says"
 
 cnp.import_array()
 
@@ -95,6 +96,7 @@ cdef extern from "pmf.h":
     void pmf_init(const pmf_config_t *, pmf_state_t *) nogil
     uint32_t pmf_step(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
     uint32_t pmf_filter(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
+    uint32_t pmf_plausible(const pmf_config_t *, const pmf_state_t *) nogil
     void pmf_open(const pmf_config_t *, pmf_state_t *, uint32_t, real_t) nogil
     void pmf_rebase(pmf_state_t *, uint32_t) nogil
     const pmf_estimate_t *pmf_estimate(const pmf_config_t *, const pmf_state_t *) nogil
@@ -295,8 +297,8 @@ cdef class Kernel:
         pmf_open(&self.config, &self.state, PMF_NO_PARAMETER if parameter < 0 else parameter, <real_t> keep ** 0.5)
 
     def rebase(self, counts):
-        """The counter would have read `counts` at the last sample; anything but an integer raises TypeError."""
-        cdef long long count = PyLong_AsLongLong(PyNumber_Index(counts))
+        """The counter would have read `counts` at the last sample; counts is an integer of any size, anything else raises TypeError."""
+        cdef uint64_t count = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
         pmf_rebase(&self.state, <uint32_t> count)
 
     cdef Estimate _snapshot(self):
@@ -314,8 +316,8 @@ cdef class Kernel:
         return estimate
 
     def step(self, double u, counts):
-        """One sample in, one `Estimate` out; counts is an integer, anything else raises TypeError."""
-        cdef long long count = PyLong_AsLongLong(PyNumber_Index(counts))
+        """One sample in, one `Estimate` out; counts is an integer of any size, anything else raises TypeError."""
+        cdef uint64_t count = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
         pmf_step(&self.config, &self.state, <real_t> u, <uint32_t> count)
         return self._snapshot()
 
@@ -371,10 +373,17 @@ cdef class Kernel:
         return PyBytes_FromStringAndSize(<char *> &self.state, sizeof(pmf_state_t))
 
     def set_raw_state(self, bytes state):
-        """Takes the bytes that `raw_state` of the same configuration gave. Raises ValueError for another number."""
+        """Takes the bytes that `raw_state` of the same configuration gave.
+
+        Raises ValueError, and stays as it was, for another number of bytes or values that no sample could have made.
+        """
+        cdef pmf_state_t taken
         if len(state) != sizeof(pmf_state_t):
             raise ValueError(f"a state has {sizeof(pmf_state_t)} bytes, got {len(state)}")
-        memcpy(&self.state, <char *> state, sizeof(pmf_state_t))
+        memcpy(&taken, <char *> state, sizeof(pmf_state_t))
+        if pmf_plausible(&self.config, &taken) == 0:
+            raise ValueError(IMPLAUSIBLE)
+        memcpy(&self.state, &taken, sizeof(pmf_state_t))
 
 
 cdef _set_rows(pmf_rows_t *rows, cnp.ndarray table):
@@ -404,7 +413,7 @@ cdef class ManyKernel:
 
     cdef pmf_config_t config
     cdef pmf_layout_t layout
-    cdef object _fingerprint, _start
+    cdef object _start
     cdef readonly object states
 
     fastest_way = pmf_many_way()
@@ -415,24 +424,33 @@ cdef class ManyKernel:
             raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/many/pmf_many.h")
         cdef cnp.ndarray own = np.zeros(self.layout.packed_size, np.uint8)
         pmf_pack(&self.layout, &kernel.state, <unsigned char *> cnp.PyArray_DATA(own))
-        self._fingerprint, self._start = sha256(kernel.raw_config()).digest(), own
+        self._start = own
         self.states = np.tile(own, (axes, 1))
 
     def reset(self):
         """Back to the states at the beginning."""
         self.states[:] = self._start
 
-    def get_state(self):
-        """All states as bytes, after a fingerprint of the configuration that they belong to."""
-        return self._fingerprint + self.states.tobytes()
+    def raw_config(self):
+        """The bytes of the configuration, as a `pmf_config_t` of this module's sizes."""
+        return PyBytes_FromStringAndSize(<char *> &self.config, sizeof(pmf_config_t))
 
-    def set_state(self, bytes state):
-        """Restores what `get_state` gave; raises ValueError for another configuration or number of axes."""
-        own = self._fingerprint
-        if len(state) != len(own) + self.states.nbytes or state[:len(own)] != own:
-            raise ValueError("these bytes are not the states of this fleet; take them from one with the same estimator "
-                             "and number of axes")
-        self.states[:] = np.frombuffer(state, np.uint8, offset=len(own)).reshape(self.states.shape)
+    def set_states(self, states):
+        """Takes states (axes, bytes) uint8 of the same configuration.
+
+        Raises ValueError, and stays as it was, for another shape or values that no sample could have made.
+        """
+        cdef const unsigned char[:, ::1] taken = np.array(states, np.uint8, order="C")
+        cdef Py_ssize_t axis
+        cdef pmf_state_t state
+        if np.shape(states) != self.states.shape:
+            raise ValueError(f"the states have the shape {self.states.shape}, got {np.shape(states)}")
+        pmf_clear(&state, sizeof(state))
+        for axis in range(taken.shape[0]):
+            pmf_unpack(&self.layout, &taken[axis, 0], &state)
+            if pmf_plausible(&self.config, &state) == 0:
+                raise ValueError(IMPLAUSIBLE)
+        self.states[:] = taken
 
     @property
     def side_by_side(self):

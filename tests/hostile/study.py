@@ -26,6 +26,11 @@ bytes; names with control characters. Every warning counts as an error.
 | data that cannot identify the parameters, exit code 3 | {refused} |
 | a traceback, a warning, another exit code | {broken} |
 | a number that is not finite, output beside an error, a control character | {faulty} |
+
+`make hostile` attacks at length (`tests/hostile/campaign.py`): 300 000 crafted states with valid checksums, loaded and
+stepped under AddressSanitizer and UBSan as Python, a fleet and an export have them; 10 000 openings of the memory; 1000
+hostile names and units through an export; 20 000 of the calls above; the files of tests on pipes, files and signals.
+`make hostile PARTS="states openings"` takes some of it, `PARTS=--quick` a look at all.
 """
 
 

@@ -52,6 +52,7 @@ def export(
     """
     from pmfid.export.alarm import Alarm
     from pmfid.export.firmware import export_firmware
+    from pmfid.layout.saved import LONG_MEMORY, MOST_WEIGHT
     from pmfid.session.config import load_axis
     from pmfid.session.firmware import check_exportable, drive_estimator
     from pmfid.session.records import read_record
@@ -66,4 +67,9 @@ def export(
     watched = [Alarm(*alarm) for alarm in alarms]
     export_firmware(estimator, out, prefix=name, record=samples, alarms=watched)
     click.echo(f"{estimator.method}, {estimator.precision}, every {estimator.dt:.9g} s: {out / name}.h")
+    if estimator.precision == "float32" and estimator.forgetting >= LONG_MEMORY:
+        click.echo(
+            f"float32 with forgetting = {estimator.forgetting:.9g} remembers at most the last {MOST_WEIGHT} samples, "
+            f"{MOST_WEIGHT * estimator.dt:.3g} s: its sums would take in no more; float64 forgets nothing"
+        )
     click.echo(f"the same bits? make -C {out} selftest && {out / 'selftest'}")

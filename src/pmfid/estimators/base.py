@@ -26,6 +26,8 @@ SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
 MAX_SETTLE_SAMPLES = 10**8
 #: Sample periods that anything has [s].
 SHORTEST, LONGEST = 1e-12, 1e12
+#: In place of a smaller cutoff * dt, which is refused: numbers beyond float64 would come of it.
+LEAST_PRODUCT = 1e-300
 #: Information that is never forgotten, as a part of the largest seen: P stays below 1e4 times its best.
 REGULARIZATION = 1e-4
 #: The discretisation that is refined from pass to pass with the estimate.
@@ -240,7 +242,7 @@ class Estimator:
     @property
     def settle_samples(self) -> int:
         constants = SETTLE_TIME_CONSTANTS.get(self.order, 2.0 + 2.0 * self.order)
-        return math.ceil(constants / (self.cutoff * self.dt)) + 3
+        return math.ceil(constants / max(self.cutoff * self.dt, LEAST_PRODUCT)) + 3
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
@@ -335,6 +337,10 @@ def integer_counts(counts: ArrayLike) -> NDArray[Any]:
         )
     if not np.array_equal(given, np.round(given)):
         raise UsageError("counts must be integers; use pmfid.quantize(position, resolution) for a position")
+    if np.any(np.abs(given) >= 2.0**63):
+        raise UsageError(
+            f"counts reach {np.max(np.abs(given)):.3g}, beyond 64 bits: give them modulo 2^bits, as integers"
+        )
     return np.round(given).astype(np.int64)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.encoder import fine_counts
 from pmfid.errors import NotIdentifiableError, UsageError, place_of
-from pmfid.estimators.base import EXACT, START_PIVOT, Estimator, check_arrays, check_size
+from pmfid.estimators.base import EXACT, START_PIVOT, Estimator, check_arrays, check_size, integer_counts
 from pmfid.status import Status
 
 #: A target closer than this to one regressor alone, relative to its size, identifies nothing else.
@@ -96,7 +96,39 @@ class BatchEstimator(Estimator):
 
     def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
-        NotIdentifiableError where the record cannot identify every parameter, naming the one and the reason."""
+        NotIdentifiableError where the record cannot identify every parameter, naming the one and the reason.
+
+        A process with a constant is filtered from its first output on: far from zero the filters would remember for
+        long that they began there. The constant is given for the output itself.
+        """
+        first = self._first_count(counts)
+        if first == 0:
+            return self._fit(u, counts)
+        return self._lifted(self._fit(u, integer_counts(counts) - first), first * self.encoder.resolution)
+
+    def _first_count(self, counts: ArrayLike) -> int:
+        """The first count, with its sign, where the equation is as true of what was counted since; else 0."""
+        signals = {term.signal for term in self.equation.unknown}
+        known = {term.signal for term in self.equation.known}
+        if not {"constant", "process_output"} <= signals or "start" in signals or "constant" in known:
+            return 0
+        given = integer_counts(counts)
+        half = 2 ** (self.encoder.bits - 1)
+        return (int(given[0]) + half) % (2 * half) - half if given.ndim == 1 and given.size else 0
+
+    def _lifted(self, fit: Fit, first: float) -> Fit:
+        """The fit of y - first in the parameters of y: A(0) first is part of the constant."""
+        kinds = [(term.signal, term.derivative) for term in self.equation.unknown]
+        lift = np.eye(len(kinds))
+        if ("process_output", 0) in kinds:
+            lowest, constant = (
+                self.equation.unknown[kinds.index((kind, 0))] for kind in ("process_output", "constant")
+            )
+            ratio = -lowest.coefficient / constant.coefficient
+            lift[kinds.index(("constant", 0)), kinds.index(("process_output", 0))] = ratio * first
+        return replace(fit, theta=lift @ fit.theta, theta_cov=lift @ fit.theta_cov @ lift.T)
+
+    def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         columns = self.columns(u, counts)
         check_identifiable(columns, self.names, self.least_part)
         if self.discretization == EXACT:

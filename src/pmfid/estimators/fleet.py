@@ -107,18 +107,18 @@ class Fleet:
         self._kernel.reset()
 
     def get_state(self) -> bytes:
-        """The states of all axes; `set_state` of a fleet of as many with the same configuration continues from them."""
-        state: bytes = self._kernel.get_state()
-        return state
+        """The states of all axes, with a version and checksums; `set_state` of a fleet of as many with the same
+        configuration continues from them."""
+        from pmfid.layout.saved import save_fleet
+
+        return save_fleet(self._kernel, self.estimator.precision)
 
     def set_state(self, state: bytes) -> None:
-        """Continues from saved states. Raises UsageError for those of another configuration or number of axes."""
-        if not isinstance(state, bytes):
-            raise UsageError(f"a state is the bytes that get_state gave, got {type(state).__name__}")
-        try:
-            self._kernel.set_state(state)
-        except ValueError as error:
-            raise UsageError(str(error)) from None
+        """Continues from saved states. Raises UsageError, and stays as it was, for those of another configuration or
+        number of axes, damaged ones, and numbers that no sample could have made."""
+        from pmfid.layout.saved import load_fleet
+
+        load_fleet(self._kernel, self.estimator.precision, state)
 
     def _check(self, u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
         u_table, counts_table = numbers("u", u), integer_counts(counts)

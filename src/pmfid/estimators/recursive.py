@@ -76,7 +76,9 @@ WINDOW_BLOCKS = 7.5
 class RecursiveEstimator(Estimator):
     """An `Estimator` that runs sample by sample.
 
-    forgetting: weight of the past per sample, 0 < forgetting <= 1; the memory is dt / (1 - forgetting).
+    forgetting: weight of the past per sample, 0 < forgetting <= 1; the memory is dt / (1 - forgetting). With 1 float64
+    forgets nothing; a sum of float32 would take in no more after some millions of samples, so there what was gathered
+    counts by half whenever it is 2^19 samples.
     forgetting_scheme, none of which winds up without excitation:
     "exponential": every sample is forgotten alike; a small part of the largest information is never forgotten, and
     theta is held where that is all there is (Levenberg-Marquardt, Ljung and Soderstrom 1983);
@@ -231,7 +233,8 @@ class RecursiveEstimator(Estimator):
         return save_state(self._kernel, self.precision)
 
     def set_state(self, state: bytes) -> None:
-        """Continues from a saved state. Raises UsageError for one of another configuration or a damaged one."""
+        """Continues from a saved state. Raises UsageError, and stays as it was, for one of another configuration, a
+        damaged one, and numbers that no sample could have made, whatever their checksum."""
         from pmfid.layout.saved import load_state
 
         load_state(self._kernel, self.precision, state)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,9 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.layout.structures import Shape, Structures, constants_of, layout_number, resized, structures
+
+#: Forgetting from which on a sum of float32 may be full, and the samples that it then holds.
+LONG_MEMORY, MOST_WEIGHT = 0.999999, 2**19
 
 
 def configuration(kernel: Any, precision: str) -> NDArray[Any]:
@@ -41,6 +46,7 @@ def shape_of(config: NDArray[Any]) -> Shape:
         with_process=int(process),
         with_guard=int(config["encoder"]["guard"] > 0),
         with_separate=int(constants["PMF_SEPARATE"] in schemes),
+        with_endless=int(any(long_memory(recursion) for recursion in recursions)),
         with_split=int(bool(process) or any(node in split_signals() for node in nodes)),
         with_noise=int(noise),
     )
@@ -50,6 +56,11 @@ def recursions_of(config: NDArray[Any]) -> list[NDArray[Any]]:
     """The recursions that a configuration uses."""
     two = config["auxiliary"]["enabled"] or config["linear"]["enabled"]
     return [config["direct"], config["instrument"]] if two else [config["direct"]]
+
+
+def long_memory(recursion: NDArray[Any]) -> bool:
+    """Whether a recursion of float32 forgets so slowly that its sums may be full (csrc/pmf_forgetting.h)."""
+    return recursion["forgetting"].dtype == np.float32 and bool(recursion["forgetting"] >= np.float32(LONG_MEMORY))
 
 
 def columns_of(config: NDArray[Any]) -> int:
@@ -97,11 +108,12 @@ def load_state(kernel: Any, precision: str, data: bytes) -> None:
         raise UsageError(_FOREIGN)
     saved = np.frombuffer(data, types["pmf_saved_t"])[0]
     if saved["checksum"] != _checksum(data, types):
-        raise UsageError("these bytes are not a state or are damaged: the checksum is wrong; start from an older state")
+        raise UsageError(_DAMAGED)
     if any(saved[name] != expected[name] for name in ("magic", "version", "layout", "size", "config")):
         raise UsageError(_FOREIGN)
     own = structures(None, precision)["pmf_state_t"]
-    kernel.set_raw_state(resized(saved["state"], own).tobytes())
+    with _refused_in_one_sentence():
+        kernel.set_raw_state(resized(saved["state"], own).tobytes())
 
 
 def take_guard(kernel: Any, other: Any, precision: str) -> None:
@@ -112,6 +124,58 @@ def take_guard(kernel: Any, other: Any, precision: str) -> None:
     own["encoder"]["guard"] = known["encoder"]["guard"]
     kernel.set_raw_state(own.tobytes())
 
+
+#: What stands before the states of a fleet; checksum: CRC-32 of the words before it and the states.
+FLEET_HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
+FLEET_MAGIC, FLEET_VERSION = 0x46464D50, 1  # "PMFF"
+
+
+def save_fleet(kernel: Any, precision: str) -> bytes:
+    """The bytes of all axes of a `ManyKernel`, behind what says whose they are."""
+    head = _fleet_head(kernel, precision)
+    states: bytes = kernel.states.tobytes()
+    head["checksum"] = zlib.crc32(states, zlib.crc32(head.tobytes()[:-4]))
+    return head.tobytes() + states
+
+
+def load_fleet(kernel: Any, precision: str, data: bytes) -> None:
+    """Sets the states of a `ManyKernel` to what `save_fleet` wrote. Raises UsageError for anything else."""
+    if not isinstance(data, bytes | bytearray | memoryview):
+        raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
+    data, place = bytes(data), FLEET_HEAD.itemsize
+    expected = _fleet_head(kernel, precision)
+    if len(data) != place + kernel.states.nbytes:
+        raise UsageError(_FOREIGN_FLEET)
+    head = np.frombuffer(data[:place], FLEET_HEAD)[0]
+    if head["checksum"] != zlib.crc32(data[place:], zlib.crc32(data[: place - 4])):
+        raise UsageError(_DAMAGED)
+    if head.tobytes()[:-4] != expected.tobytes()[:-4]:
+        raise UsageError(_FOREIGN_FLEET)
+    with _refused_in_one_sentence():
+        kernel.set_states(np.frombuffer(data, np.uint8, offset=place).reshape(kernel.states.shape))
+
+
+def _fleet_head(kernel: Any, precision: str) -> NDArray[Any]:
+    head = np.zeros((), FLEET_HEAD)
+    head["magic"], head["version"] = FLEET_MAGIC, FLEET_VERSION
+    head["layout"] = layout_number(structures(None, precision)["pmf_state_t"])
+    head["config"] = zlib.crc32(kernel.raw_config())
+    head["axes"], head["size"] = kernel.states.shape
+    return head
+
+
+@contextmanager
+def _refused_in_one_sentence() -> Iterator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise UsageError(f"{error}; start from an older state, or from none") from None
+
+
+_DAMAGED = "these bytes are not a state or are damaged: the checksum is wrong; start from an older state"
+_FOREIGN_FLEET = (
+    "these bytes are not the states of this fleet; take them from one with the same estimator and number of axes"
+)
 
 _FOREIGN = (
     "these bytes are not a state of this configuration; take it from an estimator with the same method, model, "

@@ -49,6 +49,7 @@ class Shape:
     with_process: int
     with_guard: int
     with_separate: int
+    with_endless: int
     with_split: int
     with_noise: int
 

@@ -102,8 +102,9 @@ class Experiment:
         if self.reference is None:
             return None
         known = np.isfinite(self.u)
+        reference = self.reference * _shrinking(self.reference)  # the impulse response grows by as much
         length = max(1, min(RESPONSE, self.u.size // SAMPLES_PER_COEFFICIENT))
-        lagged = np.lib.stride_tricks.sliding_window_view(np.r_[np.zeros(length - 1), self.reference], length)
+        lagged = np.lib.stride_tricks.sliding_window_view(np.r_[np.zeros(length - 1), reference], length)
         columns = np.column_stack([np.ones(self.u.size), lagged[:, ::-1]])  # the latest first
         kept = _supported(columns[known], self.u[known])
         response = np.linalg.lstsq(columns[known, :kept], self.u[known], rcond=None)[0]
@@ -197,8 +198,15 @@ class Experiment:
         return Stretch(Grid(np.diff(grid_t), grid_t.size), np.array(inputs), filled, rows_of[rows], part[rows], held)
 
 
+def _shrinking(signal: Floats) -> float:
+    """A power of two that brings a signal to about one, so that its squares stay in the number format."""
+    largest = float(np.max(np.abs(signal), initial=0.0))
+    return math.ldexp(1.0, -min(max(math.frexp(largest)[1], -1000), 1000))
+
+
 def _supported(columns: Floats, target: Floats) -> int:
     """How many of the first columns (N, p), two or more, explain target (N,) best by Schwarz's criterion."""
+    target = target * _shrinking(target)
     size = np.linalg.norm(columns, axis=0)
     Q, _ = np.linalg.qr(columns / np.where(size > 0, size, 1.0))
     left = float(target @ target) - np.cumsum((Q.T @ target) ** 2)
@@ -211,7 +219,7 @@ def _numbers(name: str, values: object) -> Floats:
     """A copy as numbers of float64."""
     try:
         if values is not None and np.asarray(values).dtype.kind in "biufO":
-            return np.array(values, float)
+            return np.array(np.ma.filled(np.ma.asarray(values, float), np.nan))  # what is masked is missing
     except (TypeError, ValueError):
         pass
     raise UsageError(f"{name} must be an array of numbers, NaN where one is missing")

@@ -243,7 +243,7 @@ def _hidden(
             f"count has {best[worst]:.4g}; under control through a coarse encoder its error comes back through the "
             "input, and interval or output-error are the ones to use",
         )
-    for name, value, own, bar in zip(estimator.names, theta, spread, std, strict=True):
+    for name, value, own, bar in zip(estimator.equation.names, theta, spread, std, strict=True):
         if own > bar:
             yield (
                 "model_spread",

@@ -16,8 +16,8 @@ from pmfid.estimators.base import Estimator
 from pmfid.monitor.calibration import Calibration, Tail, calibrate
 from pmfid.monitor.scores import Floats, Scale
 
-#: To be raised with every change of what a calibration computes.
-VERSION = 3
+#: To be raised with every change of what a calibration computes, or of its file.
+VERSION = 4
 
 
 def cache_dir() -> Path:
@@ -54,15 +54,22 @@ def _write(path: Path, calibration: Calibration) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}")
-        part.write_text(text)
+        part.write_text(f"{_digest(text)}\n{text}", encoding="utf-8")
         part.replace(path)  # another run may write the same one
     except OSError:
         return
 
 
+def _digest(text: str) -> str:
+    return sha256(text.encode()).hexdigest()
+
+
 def _read(path: Path) -> Calibration | None:
     try:
-        raw: dict[str, Any] = json.loads(path.read_text())
+        digest, _, text = path.read_text(encoding="utf-8").partition("\n")
+        if digest != _digest(text):
+            return None  # damaged: numbers may have changed and still be numbers
+        raw: dict[str, Any] = json.loads(text)
         return Calibration(
             np.array(raw["theta"]),
             Scale(**{name: np.array(value) for name, value in raw["scale"].items()}),
@@ -73,4 +80,4 @@ def _read(path: Path) -> Calibration | None:
             raw["record_hours"],
         )
     except (OSError, ValueError, TypeError, KeyError):
-        return None  # not there, or not whole: made anew
+        return None  # not there, or not what this version writes: made anew

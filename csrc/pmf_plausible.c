@@ -1,0 +1,194 @@
+/* Can these numbers be a state of this configuration?
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * A checksum says that a state was not damaged, not that it is one: whoever can write the bytes can compute it. So before
+ * a state is taken, every whole number is compared with what the configuration lets it become (one of them is an
+ * index), and every real one must be finite and where it has a sign, have it. What passes may still be wrong; it cannot
+ * write where it should not, hold the estimator still, or be not a number.
+ */
+#include "pmf.h"
+
+#ifdef PMF_FLOAT32
+#define LARGEST PMF_R(3.402823466e38)
+#else
+#define LARGEST PMF_R(1.7976931348623157e308)
+#endif
+#define MOST_COUNTS PMF_R(1e15) /* of the tracker: far more than a counter of 32 bits makes of it */
+#define REALS(member) ((uint32_t)(sizeof(member) / (sizeof(real_t)))) /* of an array, or a structure of reals alone */
+
+/* Not for what is no number, either. */
+PMF_SELDOM uint32_t within(const real_t *number, uint32_t numbers, real_t least, real_t most)
+{
+    uint32_t i, fine = 1U;
+    for (i = 0; i < numbers; ++i) {
+        if (!(number[i] >= least && number[i] <= most)) {
+            fine = 0U;
+        }
+    }
+    return fine;
+}
+
+PMF_SELDOM uint32_t finite(const real_t *number, uint32_t numbers)
+{
+    return within(number, numbers, -LARGEST, LARGEST);
+}
+
+PMF_SELDOM uint32_t not_negative(const real_t *number, uint32_t numbers)
+{
+    return within(number, numbers, PMF_R(0.0), LARGEST);
+}
+
+PMF_SELDOM uint32_t at_most(uint32_t number, uint32_t most)
+{
+    return number <= most ? 1U : 0U;
+}
+
+#if PMF_WITH_GUARD
+PMF_SELDOM uint32_t check_guard(const pmf_encoder_config_t *config, const pmf_guard_state_t *state)
+{
+    return at_most(state->seen, config->guard) &
+           at_most(state->suspect, PMF_GUARD_SUSPECTS) & at_most(state->doubt, PMF_GUARD_DOUBTS) &
+           within(&state->rate, 1U, -MOST_COUNTS, MOST_COUNTS) & not_negative(&state->scatter, 1U) &
+           within(&state->peak, 1U, PMF_R(0.0), PMF_LARGEST_INPUT) & finite(&state->gain, 1U) &
+           finite(&state->missed, 1U) & within(&state->held, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT);
+}
+#endif
+
+PMF_SELDOM uint32_t check_encoder(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state)
+{
+    return at_most(state->idle, config->standstill_samples) & at_most(state->gap > 0U ? state->gap - 1U : 0U, config->standstill_samples) &
+           at_most(state->fast, PMF_FAST_SAMPLES) & at_most(state->fast_before, PMF_FAST_SAMPLES) &
+           at_most(state->started, 2U) & within(&state->position, 1U, -MOST_COUNTS, MOST_COUNTS) &
+           within(&state->velocity, 1U, -MOST_COUNTS, MOST_COUNTS) &
+           within(&state->velocity_before, 1U, -MOST_COUNTS, MOST_COUNTS) &
+           within(&state->innovation, 1U, -MOST_COUNTS, MOST_COUNTS) &
+           within(&state->direction, 1U, PMF_R(-1.0), PMF_R(1.0)) &
+           within(&state->moving, 1U, PMF_R(0.0), PMF_R(1.0)) &
+           within(&state->input, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) &
+           within(&state->input_before, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) & finite(&state->mean_velocity, 1U)
+#if PMF_WITH_GUARD
+           & check_guard(config, &state->guard)
+#endif
+        ;
+}
+
+/* The diagonals are sums of squares. */
+PMF_SELDOM uint32_t check_sums(const pmf_recursion_config_t *config, const pmf_sums_t *sums)
+{
+    uint32_t i, fine = finite((const real_t *)(const void *)sums, REALS(*sums)) & not_negative(&sums->weight, 1U) &
+                       not_negative(&sums->squares, 1U);
+    for (i = 0; i < config->n_parameters; ++i) {
+        fine &= not_negative(config->instrumental != 0U ? &sums->square[i][i] : &sums->cross[i][i], 1U);
+    }
+    return fine;
+}
+
+PMF_SELDOM uint32_t check_estimate(const pmf_estimate_t *estimate)
+{
+    return finite(estimate->theta, REALS(estimate->theta)) &
+           not_negative(estimate->variance_factor, REALS(estimate->variance_factor)) &
+           not_negative(estimate->inflation, REALS(estimate->inflation)) & finite(&estimate->innovation, 1U) &
+           not_negative(&estimate->innovation_variance, 1U);
+}
+
+PMF_SELDOM uint32_t check_window(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
+{
+    uint32_t fine = 1U;
+#if PMF_WINDOW_BLOCKS > 0
+    uint32_t block;
+    for (block = 0; block < PMF_WINDOW_BLOCKS; ++block) {
+        fine &= check_sums(config, &state->window[block]);
+    }
+    fine &= at_most(state->window_block, PMF_WINDOW_BLOCKS - 1U);
+#else
+    (void)config;
+    (void)state;
+#endif
+    return fine;
+}
+
+#if PMF_WITH_NOISE
+PMF_SELDOM uint32_t check_check(const pmf_check_t *check)
+{
+    return not_negative(&check->weight, 1U) & not_negative(&check->innovation, 1U) & not_negative(&check->target, 1U);
+}
+#endif
+
+/* What says how large the motion is, and was. */
+PMF_SELDOM uint32_t check_scale(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
+{
+    return not_negative(state->peak, REALS(state->peak)) & not_negative(&state->largest, 1U) &
+           not_negative(&state->before, 1U) & at_most(state->moved, config->half_memory) &
+           at_most(state->swings, PMF_SWING_BITS) & at_most(state->outdated, config->half_memory * PMF_LOOK) &
+           at_most(state->frozen, 1U);
+}
+
+PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
+{
+    return check_sums(config, &state->sums) & check_estimate(&state->estimate) & check_window(config, state) &
+           check_scale(config, state) & finite(&state->factor[0][0], REALS(state->factor)) &
+           not_negative(state->inverse_pivot, REALS(state->inverse_pivot)) &
+           within(&state->mass, 1U, PMF_R(0.0), PMF_R(1.0)) & not_negative(&state->weight, 1U) &
+           not_negative(&state->innovation_square, 1U) & at_most(state->started, state->updates) &
+           finite(state->score, REALS(state->score)) & at_most(state->blocks, PMF_BLOCK_MEMORY) &
+           /* a block may end some updates late, and of those without a status */
+           at_most(state->block_updates, state->updates) &
+#if PMF_WITH_NOISE
+           check_check(&state->check) & check_check(&state->check_before) &
+           at_most(state->unmodelled, PMF_UNMODELLED) &
+#endif
+           not_negative(state->reference, REALS(state->reference)) & not_negative(&state->trace, 1U);
+}
+
+#if PMF_WITH_AUXILIARY
+PMF_SELDOM uint32_t check_auxiliary(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state)
+{
+    return finite(state->parameter, REALS(state->parameter)) & finite(&state->velocity, 1U) &
+           finite(&state->position, 1U) & not_negative(&state->power, 1U) & not_negative(&state->mismatch, 1U) &
+           at_most(state->running, 1U) & at_most(state->trial, config->trial_samples) & at_most(state->trusted, 1U) &
+           at_most(state->in_charge, 1U) & finite((const real_t *)(const void *)state->jump, REALS(state->jump)) &
+           finite(&state->cross, 1U) & not_negative(&state->innovations, 1U) & not_negative(&state->changes, 1U) &
+           at_most(state->feedback, PMF_FEEDBACK);
+}
+#endif
+
+#if PMF_WITH_LINEAR
+PMF_SELDOM uint32_t check_linear(const pmf_linear_config_t *config, const pmf_linear_state_t *state)
+{
+    return finite(state->parameter, REALS(state->parameter)) & finite(state->b, REALS(state->b)) &
+           finite((const real_t *)(const void *)&state->own, REALS(state->own)) &
+           finite((const real_t *)(const void *)&state->fast, REALS(state->fast)) &
+           finite((const real_t *)(const void *)&state->behind_own, REALS(state->behind_own)) &
+           finite((const real_t *)(const void *)&state->behind_fast, REALS(state->behind_fast)) &
+           finite((const real_t *)(const void *)&state->bent, REALS(state->bent)) & at_most(state->damped, 1U) &
+           finite(state->settling, REALS(state->settling)) & finite(&state->output, 1U) &
+           not_negative(&state->power, 1U) & not_negative(&state->mismatch, 1U) &
+           within(&state->discount, 1U, PMF_R(0.0), PMF_R(1.0)) & at_most(state->wait, config->update_samples) &
+           at_most(state->age, 0x7fffffffU) & at_most(state->unsettled, state->age) & at_most(state->settled, 1U) &
+           at_most(state->running, 1U) & at_most(state->in_charge, 1U);
+}
+#endif
+
+uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
+{
+    uint32_t settle = config->settle_samples, fine;
+#if PMF_WITH_PROCESS
+    settle = config->first_samples > settle ? config->first_samples : settle;
+#endif
+    fine = at_most(state->status, PMF_STATUS_BITS) & at_most(state->settle, settle) &
+#if PMF_WITH_GUARD
+           at_most(state->hold, config->encoder.guard_hold) &
+#endif
+           check_encoder(&config->encoder, &state->encoder) & finite((const real_t *)(const void *)&state->network, REALS(state->network)) &
+           check_recursion(&config->direct, &state->direct);
+#if PMF_WITH_AUXILIARY
+    fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->borrowed);
+#endif
+#if PMF_WITH_LINEAR
+    fine &= check_linear(&config->linear, &state->linear);
+#endif
+#if PMF_WITH_AUXILIARY + PMF_WITH_LINEAR
+    fine &= check_recursion(&config->instrument, &state->instrument);
+#endif
+    return fine;
+}

@@ -1,0 +1,98 @@
+"""Forgetting nothing in float32: after millions of samples the estimate still takes in new ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import pmfid
+from pmfid.cli.main import main
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.layout.saved import MOST_WEIGHT, configuration, shape_of
+from pmfid.layout.structures import structures
+from pmfid.simulation import CART, CART_DT
+from pmfid.simulation.drive import quantize, simulate_drive
+from tests.conftest import cart_run
+
+SAMPLES, REPEATED = 20_000, 50
+HEAVY = replace(CART, mass=1.3)
+
+
+@cache
+def motion(heavy: bool) -> tuple[np.ndarray, np.ndarray]:
+    """u, counts (1, n): a cart's run over and over."""
+    run = cart_run(3, samples=SAMPLES, increments=1024)
+    moved = quantize(simulate_drive(HEAVY if heavy else CART, run.u, CART_DT).x, run.encoder.resolution)
+    distance = int(moved[-1] - moved[0])
+    counts = np.concatenate([moved + k * distance for k in range(REPEATED)])
+    return np.tile(run.u, REPEATED)[None], counts[None]
+
+
+def after_millions(cls: type[RecursiveEstimator], precision: str) -> RecursiveEstimator:
+    """The estimator as it is when it has gathered what 20 million samples like the first ones give."""
+    run = cart_run(3, samples=SAMPLES, increments=1024)
+    estimator = cls(pmfid.Drive(2.0), run.encoder, 0.01, 30.0, precision=precision)
+    estimator.run(run.u, run.counts)
+    state = np.frombuffer(estimator._kernel.raw_state(), structures(None, precision)["pmf_state_t"]).copy()
+    sums = state[0]["direct"]
+    for part in (sums["sums"]["cross"], sums["sums"]["square"], sums["sums"]["right"], sums["peak"]):
+        part *= 1000
+    state[0]["direct"]["sums"]["weight"] *= 1000
+    estimator._kernel.set_raw_state(state.tobytes())
+    return estimator
+
+
+@pytest.mark.parametrize("cls", [pmfid.RLS, pmfid.BCRLS])
+def test_float32_still_gathers(cls: type[RecursiveEstimator]) -> None:
+    fleet = pmfid.Fleet(after_millions(cls, "float32"), 1)
+    last = fleet.run(*motion(heavy=True))
+    assert last["mass"][0, -1] == pytest.approx(HEAVY.mass, rel=0.05)
+    assert last.status[0, -1] == 0
+
+
+@pytest.mark.parametrize("cls", [pmfid.RLS, pmfid.BCRLS])
+def test_float32_agrees_with_float64_after_two_million_samples(cls: type[RecursiveEstimator]) -> None:
+    u, counts = motion(heavy=False)
+    single, double = (
+        cls(pmfid.Drive(2.0), cart_run(3, increments=1024).encoder, 0.01, 30.0, precision=precision)
+        for precision in ("float32", "float64")
+    )
+    fleets = [pmfid.Fleet(single, 1), pmfid.Fleet(double, 1)]
+    for start in (0, counts[0, -1]):
+        ends = [fleet.run(u, counts + start).theta[0, -1] for fleet in fleets]
+    np.testing.assert_allclose(*ends, rtol=1e-3)
+
+
+def test_rest_costs_no_information() -> None:
+    estimator = after_millions(pmfid.BCRLS, "float32")
+    u, counts = motion(heavy=False)
+    moved = pmfid.Fleet(estimator, 1)
+    before = moved.run(u[:, :10_000], counts[:, :10_000])
+    rest = moved.run(np.zeros((1, 3 * MOST_WEIGHT)), np.full((1, 3 * MOST_WEIGHT), counts[0, 10_000]))
+    assert np.all(rest.variance_factor[0, -1] < 3 * before.variance_factor[0, -1])
+    np.testing.assert_allclose(rest.theta[0, -1], before.theta[0, -1], rtol=1e-3)
+
+
+def test_only_long_memories_of_float32_carry_the_code() -> None:
+    encoder = pmfid.Encoder(1e-5)
+    found = [
+        shape_of(configuration(one._kernel, one.precision)).with_endless
+        for precision in ("float32", "float64")
+        for forgetting in (1.0, 0.999)
+        for one in [pmfid.BCRLS(pmfid.Drive(2.0), encoder, 0.01, 30.0, forgetting=forgetting, precision=precision)]
+    ]
+    assert found == [1, 0, 0, 0]
+
+
+@pytest.mark.parametrize(("forgetting", "told"), [("1", True), ("0.999", False)])
+def test_export_says_how_long_float32_remembers(forgetting: str, told: bool, tmp_path: Path) -> None:
+    axis = Path(__file__).parents[1] / "examples" / "cart.toml"
+    options = ["--out", str(tmp_path / "c"), "--precision", "float32", "--method", "bcrls", "--dt", "0.01"]
+    result = CliRunner().invoke(main, ["export", str(axis), *options, "--forgetting", forgetting])
+    assert result.exit_code == 0, result.output
+    assert ("remembers at most the last 524288 samples" in result.output) == told

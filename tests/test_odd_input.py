@@ -1,0 +1,98 @@
+"""Numbers of odd sizes and kinds, and files that are not what they were."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid.errors import UsageError
+from pmfid.linear.experiment import Experiment, _supported
+from pmfid.monitor.calibration import Calibration
+from pmfid.session import calibrations
+from tests.conftest import cart_run
+
+
+def rls() -> pmfid.RLS:
+    return pmfid.RLS(pmfid.Drive(2.0), pmfid.Encoder(1e-4), 0.01, 30.0, forgetting=0.99)
+
+
+@pytest.mark.parametrize("turns", [2**63, 2**64, -(2**70)])
+def test_a_count_of_any_size_is_taken_modulo_the_counter(turns: int) -> None:
+    run = cart_run(1, samples=300)
+    near, far = rls(), rls()
+    for u, count in zip(run.u, run.counts.tolist(), strict=True):
+        near.step(u, count)
+        far.step(u, count + turns)
+    assert near.get_state()[100:] == far.get_state()[100:]
+    assert np.array_equal(near.estimate.theta, far.estimate.theta)
+
+
+@pytest.mark.parametrize("counts", [[0, 1e30], [0, 2**70], [0.0, -9.3e18]])
+def test_counts_beyond_64_bits_are_refused_in_one_sentence(counts: list[float]) -> None:
+    with pytest.raises(UsageError, match=r"beyond 64 bits: give them modulo 2\^bits"):
+        rls().run(np.zeros(2), counts)
+    with pytest.raises(UsageError, match="beyond 64 bits"):
+        pmfid.Fleet(rls(), 1).run(np.zeros(2), [counts])
+
+
+def test_what_is_masked_is_missing() -> None:
+    y = np.ma.array(np.arange(30.0), mask=np.arange(30) == 7)
+    experiment = Experiment(u=np.ones(30), y=y, dt=0.1)
+    assert np.flatnonzero(np.isnan(experiment.y)).tolist() == [7]
+
+
+def test_a_reference_beyond_the_squares_of_the_number_format() -> None:
+    """Its unit does not matter, and no warning comes of it."""
+    rng = np.random.default_rng(2)
+    r = rng.standard_normal(400)
+    u, y = 0.7 * r + 0.1 * rng.standard_normal(400), np.cumsum(r)
+    plain, huge = (Experiment(u=u, y=y, dt=0.1, reference=scale * r).explained_input for scale in (1.0, 1e200))
+    np.testing.assert_allclose(huge, plain, rtol=1e-6, atol=1e-9)
+    assert _supported(np.column_stack([r, u, y]), 1e200 * r) == _supported(np.column_stack([r, u, y]), r)
+
+
+@pytest.mark.parametrize("cutoff", [1e-320, 5e-324, 1e-310])
+def test_a_cutoff_below_the_number_format_is_refused(cutoff: float) -> None:
+    with pytest.raises(UsageError, match=r"too low for dt = 0\.01 s"):
+        pmfid.RLS(pmfid.Drive(2.0), pmfid.Encoder(1e-4), 0.01, cutoff)
+
+
+def test_a_damaged_calibration_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where it is still JSON, of other numbers or of another kind."""
+    made: list[int] = []
+    plain = Calibration(
+        np.ones(3), calibrations.Scale(*(np.ones(3) for _ in SCALE)), ((1.0, 2.0),), {}, np.ones(2), 1.0, 1.0
+    )
+    monkeypatch.setattr(calibrations, "calibrate", lambda *_, **__: made.append(1) or plain)
+    monkeypatch.setenv("PMFID_CACHE", str(tmp_path))
+
+    def get() -> bool:
+        return calibrations.cached_calibration(rls(), np.ones(3), np.ones(9), None, 1.0)[2]
+
+    assert not get()
+    assert get()
+    (path,) = tmp_path.iterdir()
+    text = path.read_text()
+    head, _, body = text.partition("\n")
+    other = json.dumps(json.loads(body) | {"hours": 7.0})
+    for damaged in (
+        text[:-5],
+        "",
+        "[]",
+        f"{head}\n{other}",
+        f"{head}\n[1, 2]",
+        "\0" * 50,
+        body,
+        head + "\n" + 10**5 * "[",
+    ):
+        path.write_text(damaged)
+        assert not get(), damaged[:40]
+        assert get()
+    assert len(made) == 9
+
+
+SCALE = calibrations.Scale.__dataclass_fields__

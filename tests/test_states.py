@@ -1,0 +1,158 @@
+"""A saved state with a right checksum is still a stranger's: what no sample could have made is refused, and what is
+refused changes nothing."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.layout.saved import FLEET_HEAD, _checksum, configuration, shape_of
+from pmfid.layout.structures import structures
+from tests.firmware.build import GCC
+from tests.hostile.crafted import LAGS, attack, estimators, folder_of, leaves, program
+from tests.test_export import needs
+from tests.test_many import AXES, fleet_record, make
+
+PRECISIONS = ("float32", "float64")
+#: Whole numbers that any number may stand for: registers, sums modulo 2^32, and counters that saturate.
+FREE = {"encoder.count", "encoder.change", "encoder.travel", "updates", "window_updates", "linear.since"}
+CASES = {name: (cls, options) for name, cls, options in [
+    ("bcrls", pmfid.BCRLS, {}),
+    ("window", pmfid.RLS, {"forgetting_scheme": "window"}),
+    ("riv", pmfid.RIV, {"model": pmfid.Drive(2.0, offset=True)}),
+    ("known-step", pmfid.RKnownStep, {}),
+    ("rsrivc", pmfid.RSRIVC, LAGS),
+]}  # fmt: skip
+
+
+def used(name: str, precision: str) -> RecursiveEstimator:
+    """An estimator with the state that a run has left."""
+    cls, options = CASES[name]
+    estimator = make(cls, precision, **options)
+    u, counts = fleet_record()
+    estimator.run(u[0], counts[0])
+    return estimator
+
+
+def forged(estimator: RecursiveEstimator, field: str, value: float, element: int = 0) -> bytes:
+    """The state with one number changed, and the checksum that belongs to it."""
+    types = structures(shape_of(configuration(estimator._kernel, estimator.precision)), estimator.precision)
+    data = bytearray(estimator.get_state())
+    start = types["pmf_saved_t"].fields["state"][1]  # type: ignore[index]
+    places = [(kind, start + at) for name, kind, at in leaves(types["pmf_state_t"]) if name == field]
+    kind, place = places[element]
+    number = np.array(value, estimator.precision) if kind == "f" else np.array(int(value) % 2**32, "<u4")
+    data[place : place + number.nbytes] = number.tobytes()
+    checksum = types["pmf_saved_t"].fields["checksum"][1]  # type: ignore[index]
+    data[checksum : checksum + 4] = int(_checksum(bytes(data), types)).to_bytes(4, "little")
+    return bytes(data)
+
+
+def fields(estimator: RecursiveEstimator) -> Iterator[tuple[str, str]]:
+    types = structures(shape_of(configuration(estimator._kernel, estimator.precision)), estimator.precision)
+    yield from dict.fromkeys((name, kind) for name, kind, _ in leaves(types["pmf_state_t"]))
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("name", CASES)
+def test_every_field_has_its_limits(name: str, precision: str) -> None:
+    """Each real one is finite, each whole one within what the configuration lets it become: a new field needs a line
+    in csrc/pmf_plausible.c, or here."""
+    estimator = used(name, precision)
+    before = estimator.get_state()
+    for number, (field, kind) in enumerate(fields(estimator)):
+        state = forged(estimator, field, (np.nan, np.inf, -np.inf)[number % 3] if kind == "f" else 2**32 - 1)
+        if field.rpartition("direct.")[2].rpartition("instrument.")[2] in FREE:
+            estimator.set_state(state)
+            estimator.set_state(before)
+            continue
+        with pytest.raises(pmfid.UsageError, match=r"no state of this configuration.*start from an older state"):
+            estimator.set_state(state)
+        assert estimator.get_state() == before, field
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "value"),
+    [
+        ("window", "direct.window_block", 65536),
+        ("window", "direct.window_block", 8),
+        ("bcrls", "direct.blocks", 101),
+        ("bcrls", "settle", 10**6),
+        ("riv", "auxiliary.trial", 2**31),
+        ("riv", "instrument.mass", 1.5),
+        ("known-step", "direct.estimate.variance_factor", -1.0),
+        ("known-step", "direct.sums.cross", -1.0),
+        ("bcrls", "direct.sums.square", -1.0),
+        ("bcrls", "encoder.velocity", 1e30),
+        ("bcrls", "encoder.input", 1e29),
+        ("bcrls", "direct.started", 2**20),
+    ],
+)
+def test_a_field_beyond_its_range_is_refused(name: str, field: str, value: float) -> None:
+    estimator = used(name, "float32")
+    before = estimator.get_state()
+    with pytest.raises(pmfid.UsageError, match="no state of this configuration"):
+        estimator.set_state(forged(estimator, field, value))
+    assert estimator.get_state() == before
+
+
+def test_a_fleet_has_a_checksum_and_the_same_limits() -> None:
+    u, counts = fleet_record()
+    fleet = pmfid.Fleet(make(pmfid.BCRLS), AXES)
+    fleet.run(u, counts)
+    state = fleet.get_state()
+    rng = np.random.default_rng(0)
+    for place in rng.integers(0, len(state), 300):
+        flipped = bytearray(state)
+        flipped[place] ^= 1 << rng.integers(8)
+        with pytest.raises(pmfid.UsageError, match="checksum is wrong"):
+            fleet.set_state(bytes(flipped))
+        assert fleet.get_state() == state
+    with pytest.raises(pmfid.UsageError, match="not the states of this fleet"):
+        fleet.set_state(state[:-1])
+
+
+def test_numbers_that_no_fleet_has_are_refused_with_a_right_checksum() -> None:
+    u, counts = fleet_record()
+    fleet = pmfid.Fleet(make(pmfid.BCRLS), AXES)
+    fleet.run(u, counts)
+    state, start = fleet.get_state(), FLEET_HEAD.itemsize
+    packed = fleet._kernel.states.shape[1]
+    for axis, word, value in ((0, 0, np.nan), (AXES - 1, 3, np.inf), (7, 0, -np.inf)):
+        data = bytearray(state)
+        at = start + axis * packed + 8 * word
+        data[at : at + 8] = np.float64(value).tobytes()
+        data[start - 4 : start] = zlib.crc32(data[start:], zlib.crc32(data[: start - 4])).to_bytes(4, "little")
+        with pytest.raises(pmfid.UsageError, match="no state of this configuration"):
+            fleet.set_state(bytes(data))
+        assert fleet.get_state() == state
+    fleet.set_state(state)
+
+
+@pytest.mark.parametrize(("name", "estimator"), list(estimators())[::3])
+def test_a_state_that_samples_made_is_taken(name: str, estimator: RecursiveEstimator) -> None:
+    """After every part of a hostile record."""
+    rng = np.random.default_rng(len(name))
+    u = rng.choice([0.0, 1.0, -3.0, 1e15, 1e30, np.nan], 400, p=[0.3, 0.3, 0.3, 0.05, 0.03, 0.02])
+    counts = np.cumsum(rng.choice([0, 1, -3, 40, 2**31], 400, p=[0.4, 0.3, 0.2, 0.08, 0.02]))
+    for part in np.split(np.arange(400), 40):
+        estimator.run(u[part], counts[part])
+        state = estimator.get_state()
+        estimator.set_state(state)
+        assert estimator.get_state() == state
+
+
+@pytest.mark.parametrize("name", ["8-bcrls-float32", "5-rls-float64"])
+@needs(GCC)
+def test_crafted_states_harm_no_export(name: str, tmp_path: Path) -> None:
+    """The whole of it, Python's and the fleet's kernel as well: `make hostile`."""
+    estimator = dict(estimators())[name]
+    outcome = attack(program(estimator, "export", tmp_path), folder_of(estimator, "export", tmp_path / "files"), 300, 1)
+    assert outcome.report == ""
+    assert 100 < outcome.taken < 300
