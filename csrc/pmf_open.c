@@ -106,6 +106,7 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
                            real_t root)
 {
     real_t keep = root * root;
+    uint32_t i;
     if (state->started == 0U) {
         return;
     }
