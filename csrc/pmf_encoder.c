@@ -6,7 +6,7 @@
  * by one step). With less than two counts per sample the tracker would only follow the staircase: there the
  * direction is that of the last count.
  */
-#include "pmf.h"
+#include "pmf_guard.h"
 
 /* All branches and no loop: on a microcontroller the smaller code is the faster one as well. */
 #if defined(PMF_PARAMETERS) && defined(__GNUC__)
@@ -29,8 +29,6 @@ static integer_t signed_count(uint32_t mask, whole_t count)
     uint32_t half = (mask >> 1) + 1U;
     return PMF_IF(count < half, (integer_t)count, ~(integer_t)(mask - count));
 }
-
-#include "pmf_guard.h"
 
 /* Signed moving fraction of an interval from the velocities at its start and end. */
 static real_t signed_fraction(real_t start, real_t end)
@@ -103,7 +101,7 @@ static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state
 
 /* What needs no knowledge of the motion; the filters settle again. */
 static whole_t check(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t *input,
-                     integer_t *change)
+                     integer_t *change, whole_t *counts)
 {
     truth_t invalid = PMF_NOT(*input * *input <= PMF_LARGEST_INPUT * PMF_LARGEST_INPUT); /* NaN, or its square may be infinite */
     whole_t status = PMF_W(0);
@@ -112,8 +110,9 @@ static whole_t check(const pmf_encoder_config_t *config, const pmf_encoder_state
         status |= PMF_BIT(invalid, PMF_INVALID_INPUT | PMF_SETTLING);
     }
     if (config->max_change > 0U) {
-        truth_t jump = magnitude(*change) > config->max_change;
+        truth_t jump = *counts > config->max_change;
         *change = PMF_IF(jump, 0, *change);
+        *counts = PMF_IF(jump, PMF_W(0), *counts);
         status |= PMF_BIT(jump, PMF_COUNT_JUMP | PMF_SETTLING);
     }
     return status;
@@ -162,23 +161,23 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     uint32_t mask = config->count_mask;
     truth_t started = state->started != 0U;
     integer_t change = PMF_IF(started, signed_count(mask, (count - state->count) & mask), 0);
-    whole_t status = check(config, state, &input, &change), suspicious = PMF_W(0), fast;
+    whole_t counts = magnitude(change), status = check(config, state, &input, &change, &counts), fast;
     real_t changed, predicted, innovation;
 #if PMF_WITH_GUARD
     if (config->guard != 0U) {
-        suspicious = pmf_guard(config, state, input, count, (status & PMF_COUNT_JUMP) != 0U, &change);
+        status |= pmf_guard(config, state, input, count, (status & PMF_COUNT_JUMP) != 0U, &change);
+        counts = magnitude(change);
     } else {
         state->count = count;
     }
 #else
     state->count = count;
 #endif
-    fast = next_fast(state->fast, magnitude(change));
+    fast = next_fast(state->fast, counts);
     /* Position of the axis within the new count, in counts; a count says "in the middle". */
     changed = PMF_TO_REAL(change);
     predicted = PMF_IF(started, state->position + state->velocity - changed, PMF_R(0.5));
     innovation = PMF_R(0.5) - predicted;
-    status |= suspicious;
 
     emit_interval(config, state,
                   state->moving * late_direction(config, state, innovation, fast, state->velocity_before), signal);

@@ -41,6 +41,8 @@
 #define PMF_APART static
 #endif
 
+static integer_t signed_count(uint32_t mask, whole_t count); /* of pmf_encoder.c */
+
 static real_t size_of(real_t x)
 {
     return PMF_IF(x < PMF_R(0.0), -x, x);
@@ -71,6 +73,12 @@ static real_t limit_of(const pmf_encoder_config_t *config, const pmf_encoder_sta
     real_t last = size_of(state->input), reach = size_of(state->input_before), share;
     reach = PMF_IF(last > reach, last, reach);
     share = PMF_IF(guard->peak > LEAST_PEAK, reach / guard->peak, PMF_IF(reach > PMF_R(0.0), ANY_SHARE, PMF_R(0.0)));
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) { /* its output is no motion: it may step by right, so only what it never did is suspicious */
+        *open = PMF_NOT(learned | (guard->seen > config->guard >> 3));
+        return REST_EDGE + EARLY_CAUTION * (guard->scatter + STEP) * PMF_IF(share < PMF_R(1.0), PMF_R(1.0), share);
+    }
+#endif
     *open = (guard->seen < FIRST_SAMPLES) | (PMF_NOT(learned | (guard->scatter > PMF_R(0.0))) & (moves | (share > PMF_R(0.0))));
     last = guard->scatter + PMF_IF(share > NEW_SIZE, STEP, PMF_R(0.0));
     share = PMF_IF(moves & (share < PMF_R(1.0)), PMF_R(1.0), share);

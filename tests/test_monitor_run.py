@@ -77,7 +77,7 @@ def test_a_record_with_a_heavier_load(folder: Path) -> None:
     assert CHANGE < alarm["time"] < CHANGE + 3
     (settled,) = events(text, "settled")
     assert settled["parameters"]["mass"]["change"] == pytest.approx(0.2, abs=0.01)
-    nothing = dict.fromkeys(SKIPPED, 0) | {"rows_lost": 0, "problem": ""}
+    nothing = dict.fromkeys(SKIPPED, 0) | {"outliers": 0, "rows_lost": 0, "problem": ""}
     assert events(text, "end") == [{"event": "end", "samples": 4000, "alarms": 1, **nothing}]
     table = pl.read_parquet(folder / "out.parquet")
     assert table.height == 4000

@@ -46,7 +46,7 @@ def test_anything_else_is_refused(text: str) -> None:
 
 def test_the_header_has_the_sizes() -> None:
     constants = constants_of(None)
-    assert constants["PMF_MAX_COLUMNS"] == 4 * constants["PMF_MAX_PARAMETERS"] + 4
+    assert constants["PMF_MAX_COLUMNS"] == 5 * constants["PMF_MAX_PARAMETERS"] + 4
     assert constants["PMF_STATE_MAGIC"] == 0x53464D50
     assert constants["PMF_OTHER_CONFIG"] == 4
     assert "PMF_UNKNOWN" not in constants

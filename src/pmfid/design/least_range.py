@@ -44,6 +44,8 @@ def least_range(distances: Distances, q: Float, steps: Float, lower: Float, reac
     """The same for distances that are linear, within `reach` of the steps (p, k): variables z (k,), then lowest and
     highest of each run, then the widest range."""
     p, here = steps.shape[1], distances(q)
+    if p == 0:
+        return q
     moves = []
     for i in range(p):
         up, down = np.maximum(q + steps[:, i], lower), np.maximum(q - steps[:, i], lower)

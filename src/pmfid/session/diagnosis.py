@@ -74,15 +74,15 @@ def diagnose(record: Record, axis: Axis) -> str:
     u, counts = _liveliest(record.u, record.counts)
     as_it_stands = Reading(u, counts, encoder, "", "")
     least = _unexplained(estimator, as_it_stands)
-    if least < CLEARLY:
-        return ""
+    jump = count_jump(record.counts) if axis.encoder.max_speed is None else ""  # what that keeps out is no mistake
+    if least < CLEARLY:  # with the jump left out
+        return jump
     for reading in (*_exchanges(as_it_stands, axis), _loaded(as_it_stands, axis)):
         unexplained = _unexplained(estimator, reading)
         if unexplained < min(FOLLOWS, BETTER * least):
             return _sentence(reading, unexplained)
-    jump = count_jump(record.counts)
-    if jump:  # an integral would smooth it away and follow; what max_speed keeps out is no mistake
-        return jump if axis.encoder.max_speed is None else ""
+    if jump or count_jump(record.counts):  # an integral would smooth it away and follow
+        return jump
     velocity = _velocity(as_it_stands, record.dt, axis)
     unexplained = _unexplained(estimator, velocity)
     if unexplained < CLEARLY:  # an integral follows anything more easily: a load or a dead time must not do as well
