@@ -424,6 +424,13 @@ def test_a_jump_of_the_counter_is_flagged_and_left_out(tmp_path: Path, cart: Car
     assert values(printed)["mass"] == pytest.approx(CART.mass, rel=0.02)
 
 
+def test_a_homing_in_a_record_is_told_once(tmp_path: Path, cart: Cart) -> None:
+    homed = pl.when(pl.col.t > 15).then(7000).otherwise(0)
+    printed = good(written(tmp_path, cart.frame.with_columns(pl.col.counts + homed)), "--method", "iv")
+    assert printed["status"].count("count_jump") == 1
+    assert len(printed["notes"]) == len(set(printed["notes"]))
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_out_writes_the_report_the_numbers_and_the_track(tmp_path: Path, cart: Cart, method: str) -> None:
     out = tmp_path / "new" / "folder"

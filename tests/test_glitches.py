@@ -299,3 +299,8 @@ def test_a_monitor_can_be_homed(calibration: Calibration) -> None:
             homed.rebase(int(counts[499]) - 10**6)
         one, other = plain.step(a, b)[0], homed.step(a, b - (10**6 if k >= 500 else 0))[0]
     assert np.array_equal(one.theta, other.theta)
+
+
+def test_a_monitor_is_homed_to_whole_counts_alone(calibration: Calibration) -> None:
+    with pytest.raises(TypeError):
+        Monitor(make_riv(1024, TRUTH), calibration, Watch()).rebase(1.5)  # type: ignore[arg-type]

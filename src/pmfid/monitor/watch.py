@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -106,8 +107,8 @@ class Monitor:
         return estimate, events if block is None else events + self._on_block(block, estimate)
 
     def rebase(self, counts: int) -> None:
-        """The counter was set anew: it would have read `counts` at the last sample."""
-        self._zero = self._counts - counts
+        """The counter was set anew: it would have read `counts` at the last sample. Raises TypeError for no integer."""
+        self._zero = self._counts - index(counts)
 
     def _outliers(self, status: Status) -> list[Event]:
         """Once for what lasts over several samples."""

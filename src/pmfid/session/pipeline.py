@@ -101,7 +101,7 @@ def identify(record: Record, axis: Axis, progress: Progress | None = None) -> Re
     except NotIdentifiableError as error:
         raise explained(error, diagnose(record, axis)) from None
     mistake = diagnose(record, axis) if SUSPICIOUS & set(result.status) else ""
-    return replace(result, notes=(mistake, *result.notes)) if mistake else result
+    return replace(result, notes=tuple(dict.fromkeys((mistake, *result.notes)))) if mistake else result
 
 
 def explained(error: NotIdentifiableError, mistake: str) -> NotIdentifiableError:
@@ -157,7 +157,7 @@ def _identify(
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
         notes = (*notes, f"{estimator.method} is an off-line method: forgetting is not used")
     notes = (*record.notes, *notes, *Status(fit.status).advice)
-    status = (*status_names(fit.status), *flags)
+    status = tuple(dict.fromkeys((*status_names(fit.status), *flags)))  # both may tell of a jump
     return Result(estimator, record, fit.theta, fit.theta_std, fit.relative_error, status, notes, fit=fit)
 
 
@@ -185,7 +185,7 @@ def _recursive(estimator: RecursiveEstimator, record: Record, columns: Columns, 
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
     held = occurred | (last & ~int(Status.SETTLING | Status.UNMODELLED | Status.FEEDBACK))  # `judge` looks closer
     flags, notes = judge(estimator, record.u, record.counts, theta, std)
-    status = (*status_names(held), *flags)
+    status = tuple(dict.fromkeys((*status_names(held), *flags)))
     notes = (*record.notes, *notes, *Status(held).advice)
     return Result(estimator, record, theta, std, relative, status, notes, track=track)
 
