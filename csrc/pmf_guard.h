@@ -71,6 +71,7 @@ static real_t limit_of(const pmf_encoder_config_t *config, const pmf_encoder_sta
     const pmf_guard_state_t *guard = &state->guard;
     truth_t learned = guard->seen >= config->guard, moves = state->moving > PMF_R(0.0);
     real_t last = size_of(state->input), reach = size_of(state->input_before), share;
+    truth_t missed;
     reach = PMF_IF(last > reach, last, reach);
     share = PMF_IF(guard->peak > LEAST_PEAK, reach / guard->peak, PMF_IF(reach > PMF_R(0.0), ANY_SHARE, PMF_R(0.0)));
 #if PMF_WITH_PROCESS
@@ -79,8 +80,10 @@ static real_t limit_of(const pmf_encoder_config_t *config, const pmf_encoder_sta
         return REST_EDGE + EARLY_CAUTION * (guard->scatter + STEP) * PMF_IF(share < PMF_R(1.0), PMF_R(1.0), share);
     }
 #endif
-    *open = (guard->seen < FIRST_SAMPLES) | (PMF_NOT(learned | (guard->scatter > PMF_R(0.0))) & (moves | (share > PMF_R(0.0))));
-    last = guard->scatter + PMF_IF(share > NEW_SIZE, STEP, PMF_R(0.0));
+    missed = learned | (guard->scatter > PMF_R(0.0)); /* or a smooth motion, of which all was foreseen */
+    *open = (guard->seen < FIRST_SAMPLES)
+        | (PMF_NOT(missed | (guard->seen > config->guard >> 3)) & (moves | (share > PMF_R(0.0))));
+    last = guard->scatter + PMF_IF((share > NEW_SIZE) | PMF_NOT(missed), STEP, PMF_R(0.0));
     share = PMF_IF(moves & (share < PMF_R(1.0)), PMF_R(1.0), share);
     return PMF_IF(moves, MOTION_EDGE, REST_EDGE) + PMF_IF(learned, CAUTION, EARLY_CAUTION) * last * share;
 }
