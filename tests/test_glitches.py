@@ -32,6 +32,10 @@ METHODS = (RIV, BCRLS, RLS)
 DT, CUTOFF, FORGETTING = 0.01, 50.0, 0.998
 
 
+#: A rotary axis: kg m2, N m s, N m, N m/V.
+SMALL = {"mass": 2e-3, "viscous_friction": 0.02, "coulomb_friction": 0.05, "input_gain": 0.2}
+
+
 def estimator(cls: Any, resolution: float, **options: Any) -> Any:
     encoder = Encoder(resolution, **{key: options.pop(key) for key in ("guard", "bits") if key in options})
     return cls(Drive(2.0), encoder, DT, CUTOFF, **({"forgetting": FORGETTING} | options))
@@ -74,6 +78,22 @@ def test_a_wrong_input_does_not_turn_directional_forgetting_over() -> None:
     track = estimator(RLS, run.encoder.resolution, forgetting_scheme="directional").run(u, run.counts)
     assert track.flagged(Status.INVALID_INPUT)[2000]
     np.testing.assert_allclose(track.theta[2000:], np.broadcast_to(TRUTH, (1000, 3)), rtol=0.05)
+
+
+@pytest.mark.parametrize("place", [120, 250])
+def test_a_wrong_count_early_in_a_smooth_motion_hides_no_later_ones(place: int) -> None:
+    """All of a smooth motion is foreseen, so there was nothing to learn from: the first wrong count was let in, and
+    with it any other."""
+    t = np.arange(4000) * 0.005
+    u = 1.2 * np.sin(1.4 * t) + 0.8 * np.sin(3.8 * t + 1.0) + 0.5 * np.sin(8.2 * t + 2.0)
+    resolution = 2 * np.pi / 4096
+    counts = quantize(simulate_drive(replace(CART, **SMALL), u, 0.005).x, resolution)
+    counts[place] += 100_000
+    jumps = np.arange(1000, 4000, 200)
+    counts += 20_000 * np.searchsorted(jumps, np.arange(4000), side="right")
+    track = RIV(Drive(SMALL["input_gain"]), Encoder(resolution), 0.005, 50.0, forgetting=0.998).run(u, counts)
+    assert track.flagged(Status.COUNT_JUMP)[[place, *jumps]].all()
+    assert track.theta[-1, 0] == pytest.approx(SMALL["mass"], rel=0.01)
 
 
 @pytest.mark.parametrize("bits", [10, 16])
