@@ -11,7 +11,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.linear.causality import Signals, fed_back, noise_beside, unexplained
 from pmfid.linear.confidence import residual_repeats
 from pmfid.linear.experiment import Stretch
-from pmfid.linear.hold import other_hold_is_better
+from pmfid.linear.hold import Hold, look_at_hold
 from pmfid.linear.necessity import Second, depends_on_input, second_look
 from pmfid.linear.propagate import Grid, transition
 from pmfid.linear.sensitivity import companion, simulate
@@ -43,8 +43,9 @@ class Assessment:
     unmodelled: does the input of now and before explain some of the residual? feedback: do inputs yet to come? Then the
     input has the noise in it, as a controller feeds it back (`causality.py`). depends: does the output depend on the
     input by more than chance? second: would a pole and a zero less do as well, and does the
-    colour of the noise move the estimate (`necessity.py`)? other_hold: would the input with the other hold explain
-    more (`hold.py`)? repeats: is some of the residual the same in every period of the input (`periods.py`)?
+    colour of the noise move the estimate (`necessity.py`)? hold: would the input with the other hold explain
+    more, and does it matter (`hold.py`)? repeats: is some of the residual the same in every period of the input
+    (`periods.py`)?
     """
 
     fit: float
@@ -60,7 +61,7 @@ class Assessment:
     feedback: bool
     depends: bool
     second: Second
-    other_hold: bool
+    hold: Hold
     repeats: bool
 
     @property
@@ -126,8 +127,8 @@ def assess(problem: Problem, theta: Floats, delay: int = 0) -> Assessment:
 
 def _doubts(
     problem: Problem, point: Point, residual: list[Floats], delay: int
-) -> tuple[bool, bool, bool, Second, bool, bool]:
-    """unmodelled, feedback, depends, second, other_hold, repeats. The input is looked at when it comes, not `delay`
+) -> tuple[bool, bool, bool, Second, Hold, bool]:
+    """unmodelled, feedback, depends, second, hold, repeats. The input is looked at when it comes, not `delay`
     samples later."""
     parts, kept = [], []
     for stretch, error in zip(problem.stretches, residual, strict=True):
@@ -140,7 +141,7 @@ def _doubts(
         fed_back(parts, known, _direct(problem, point)).chance < FALSE_ALARM,
         depends_on_input(problem, point),
         second_look(problem, point),
-        other_hold_is_better(problem, point, noise_beside(parts, known)),
+        look_at_hold(problem, point, noise_beside(parts, known)),
         residual_repeats(problem, point),
     )
 

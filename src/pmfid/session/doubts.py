@@ -78,10 +78,15 @@ def notes_on(
             "the residual does the same in every period of the input: that is an error of the model, not noise, and "
             "the error bars allow for one like it; another structure may explain it"
         )
-    if checks.other_hold:
+    if checks.hold.better:
         found.append(
             'with the other hold of the input the model follows the records better: hold = "zoh" is for one that a '
             'converter holds, "foh" for one that runs on between the samples; try the other, it moves the estimate'
+        )
+    if checks.hold.hidden and not checks.second.surplus:
+        found.append(
+            "the record does not tell whether its input is held between the samples or runs on, and that moves a "
+            'parameter beyond its error bar: make sure of [record] hold, "zoh" or "foh", or sample faster'
         )
     if checks.second.surplus:
         found.append(
