@@ -132,6 +132,8 @@ enum {
 };
 #define PMF_STATUS_BITS (2 * PMF_FEEDBACK - 1) /* all of them */
 
+#define PMF_FOLLOWED 4U /* so often is the slow copy of the estimate taken on; a power of two */
+
 /* Limits of what a state may hold. */
 #define PMF_FAST_SAMPLES 3U    /* after two counts in one sample or more */
 #define PMF_BLOCK_MEMORY 100U  /* blocks of innovations */

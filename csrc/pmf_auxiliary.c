@@ -12,7 +12,6 @@
 #if PMF_WITH_AUXILIARY
 
 #define NEWTON_TURNS 3
-#define FOLLOWED 4U /* so often is the slow copy of the estimate taken on; a power of two */
 #define FEEDBACK_MEMORY PMF_R(0.999)
 #define FEEDBACK_STARTS 250U /* innovations of a young estimate are large and say nothing; as many more make a verdict */
 #define FEEDBACK_TURNS 16U /* so many updates in turn are looked at, and not: that costs half */
@@ -278,7 +277,7 @@ PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxi
         return;
     }
     state->turn += PMF_BIT(where, 1U);
-    where = where & ((state->running == 0U) | ((state->turn & (FOLLOWED - 1U)) == 0U));
+    where = where & ((state->running == 0U) | ((state->turn & (PMF_FOLLOWED - 1U)) == 0U));
     if (!PMF_ANY(where)) {
         return;
     }

@@ -34,13 +34,6 @@
 #define LARGEST_RATE PMF_R(1e9)      /* of a predicted change: it has to fit an integer */
 #define ANY_SHARE PMF_R(1e20)
 
-/* What seldom runs stays out of the way of the rest. */
-#if defined(__GNUC__)
-#define PMF_APART __attribute__((cold, noinline)) static
-#else
-#define PMF_APART static
-#endif
-
 static integer_t signed_count(uint32_t mask, whole_t count); /* of pmf_encoder.c */
 
 static real_t size_of(real_t x)
@@ -49,7 +42,7 @@ static real_t size_of(real_t x)
 }
 
 /* From a sample that is believed. */
-PMF_APART void learn_scatter(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t where, real_t missed)
+PMF_SELDOM void learn_scatter(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t where, real_t missed)
 {
     real_t excess = size_of(missed) - (guard->scatter + STEP);
     where = where & (excess > PMF_R(0.0)) & (guard->doubt == 0U) & (guard->seen >= FIRST_SAMPLES);
@@ -58,7 +51,7 @@ PMF_APART void learn_scatter(const pmf_encoder_config_t *config, pmf_guard_state
 }
 
 /* What an input does, from a sample that nobody doubts. */
-PMF_APART void learn_gain(pmf_guard_state_t *guard, truth_t where, real_t swing, real_t missed)
+PMF_SELDOM void learn_gain(pmf_guard_state_t *guard, truth_t where, real_t swing, real_t missed)
 {
     real_t gain = guard->gain + GAIN_STEP * missed * (swing / guard->peak) / guard->peak;
     where = where & (guard->peak > LEAST_PEAK) & (guard->seen >= FIRST_SAMPLES);
@@ -89,7 +82,7 @@ static real_t limit_of(const pmf_encoder_config_t *config, const pmf_encoder_sta
 }
 
 /* Decides on a change from the accepted count where it or one before is suspicious. A doubtful input counts as none. */
-PMF_APART whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, whole_t count, truth_t apart,
+PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, whole_t count, truth_t apart,
                             integer_t *change)
 {
     pmf_guard_state_t *guard = &state->guard;
@@ -131,7 +124,7 @@ PMF_APART whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_s
 }
 
 /* The largest input, and with it what a motion may do. */
-PMF_APART void grow(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t where, real_t size)
+PMF_SELDOM void grow(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t where, real_t size)
 {
     truth_t scales = where & (guard->seen >= config->guard) & (guard->peak > LEAST_PEAK) & (size > NEW_SIZE * guard->peak);
     real_t growth = PMF_IF(size < LARGEST_GROWTH * guard->peak, size / guard->peak, LARGEST_GROWTH);
@@ -154,7 +147,7 @@ static void judge_input(const pmf_encoder_config_t *config, pmf_encoder_state_t 
 }
 
 /* The input that comes: does it set a new size, or is it doubtful? */
-PMF_APART truth_t meet_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, truth_t grows,
+PMF_SELDOM truth_t meet_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, truth_t grows,
                              real_t missed_before, real_t size)
 {
     pmf_guard_state_t *guard = &state->guard;

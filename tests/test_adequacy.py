@@ -8,7 +8,7 @@ import pytest
 
 import pmfid
 from pmfid.estimators.adequacy import examine
-from pmfid.estimators.auto import first_fit
+from pmfid.estimators.auto import first_choice
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.phases import phase_scatter
@@ -116,9 +116,10 @@ def test_nothing_is_confident_and_wrong_with_stribeck_friction(name, motion):
     truth = np.array([axis.drive.mass, axis.drive.viscous_friction, axis.drive.coulomb_friction])
     for counts in (2000.0, 150.0):
         u, read, resolution = record(axis, "stribeck", motion, counts)
-        chosen, _, fit = first_fit(estimator(pmfid.IV, axis, resolution), u, read)
+        found = first_choice(estimator(pmfid.IV, axis, resolution), u, read)
+        fit = found.fit
         off = np.max(np.abs(fit.theta - truth) / fit.theta_std)
-        assert off < 3.5 or judge(chosen, u, read, fit.theta, fit.theta_std)[0], (counts, off)
+        assert off < 3.5 or judge(found.estimator, u, read, fit.theta, fit.theta_std)[0], (counts, off)
 
 
 @pytest.mark.parametrize("parts", [2, 20, 100])
@@ -167,11 +168,11 @@ def test_auto_does_not_trust_instruments_where_the_counts_contradict_them():
     u, read, resolution = record(axis, "right", "stop-and-go", 300.0)
     method = estimator(pmfid.IV, axis, resolution)
     fit = method.fit(u, read)
-    chosen, reason, best = first_fit(method, u, read)
+    found = first_choice(method, u, read)
     assert abs(fit["mass"] / HEAVY.mass - 1) > 0.03
-    assert (chosen.method, "contradicts" in reason) == ("interval", True)
+    assert (found.estimator.method, "contradicts" in found.reason) == ("interval", True)
     assert "biased" in judge(method, u, read, fit.theta, fit.theta_std)[0]
-    assert abs(best["mass"] / HEAVY.mass - 1) < 0.03
+    assert abs(found.fit["mass"] / HEAVY.mass - 1) < 0.03
 
 
 def test_the_likelihood_leaves_local_maxima():

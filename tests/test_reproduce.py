@@ -14,7 +14,7 @@ from matplotlib.colors import to_hex
 
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
-from pmfid.estimators.auto import choose, first_fit
+from pmfid.estimators.auto import choose, first_choice
 from pmfid.report.figures import COLOURS, MAGENTA
 from pmfid.simulation import CART, make_scenario
 from pmfid.studies import laboratory
@@ -86,9 +86,10 @@ def test_table_reads_back(tmp_path: Path) -> None:
 def test_auto_is_what_is_chosen() -> None:
     record = record_of(make_scenario("moves", seed=1, increments=512, duration=8.0))
     plain = make_estimator("ls", record)
-    estimator, reason, fit = first_fit(plain, record.u, record.counts)
+    found = first_choice(plain, record.u, record.counts)
+    estimator, reason, fit = found.estimator, found.reason, found.fit
     assert (estimator.method, reason) == (choose(plain, record.u, record.counts, 1.0)[0].method, reason)
-    assert fit.theta.tolist() == estimator.fit(record.u, record.counts).theta.tolist()  # type: ignore[attr-defined]
+    assert fit.theta.tolist() == estimator.fit(record.u, record.counts).theta.tolist()
     assert mass_of("auto", record, 3) == (fit.theta[0], fit.theta_std[0])
     riv, auto = (track_of(m, record, 3, 0.99) for m in ("riv", "auto"))
     np.testing.assert_array_equal(auto.theta, riv.theta)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from pmfid.estimators.auxiliary import FOLLOWED
+from pmfid.estimators.recursive import LOOK
 from pmfid.layout.structures import constants_of, value
 
 
@@ -49,4 +51,5 @@ def test_the_header_has_the_sizes() -> None:
     assert constants["PMF_MAX_COLUMNS"] == 5 * constants["PMF_MAX_PARAMETERS"] + 4
     assert constants["PMF_STATE_MAGIC"] == 0x53464D50
     assert constants["PMF_OTHER_CONFIG"] == 4
+    assert (constants["PMF_LOOK"], constants["PMF_FOLLOWED"]) == (LOOK, FOLLOWED)
     assert "PMF_UNKNOWN" not in constants

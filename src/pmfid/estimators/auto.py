@@ -26,7 +26,7 @@ def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: f
     """The best method that a record carries, and a line that says why; u, counts: (n,).
 
     With a memory: recursive instrumental variables, which fall back on BCRLS by themselves. Without: that of
-    `first_fit`, which says what it raises.
+    `first_choice`, which says what it raises.
     """
     if forgetting < 1 and configured.equation.without_simulation:
         return like(
@@ -34,14 +34,8 @@ def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: f
         ), "bcrls: parameters may change, and nothing can simulate this"
     if forgetting < 1:
         return like(RIV, configured, prefilter_zeros=None, forgetting=forgetting), "riv: parameters may change"
-    return first_fit(configured, u, counts)[:2]
-
-
-def first_fit(configured: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[Estimator, str, Fit]:
-    """The best off-line method that a record carries, a line that says why, and its fit: those of `first_choice`, which
-    says what it raises; u, counts: (n,)."""
     found = first_choice(configured, u, counts)
-    return found.estimator, found.reason, found.fit
+    return found.estimator, found.reason
 
 
 @dataclass(frozen=True)

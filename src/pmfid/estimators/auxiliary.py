@@ -20,7 +20,7 @@ NO_PARAMETER = 0xFF
 #: Time constant of the slow copy of the estimate that drives the model, in filter time constants: the instruments must
 #: not follow the noise of the samples that they are multiplied with.
 COPY_TIME_CONSTANTS = 17.0
-#: The kernel takes the copy on every so many samples (csrc/pmf_auxiliary.c).
+#: The kernel takes the copy on every so many samples (PMF_FOLLOWED of csrc/pmf.h).
 FOLLOWED = 4
 #: Mean square difference of model and measured velocity, as a part of the mean square, beyond which it is not trusted.
 MISMATCH_LIMIT = 0.2

@@ -110,6 +110,15 @@ class Difference:
         return lower
 
 
+def first_speed(y: Floats | NDArray[np.int64], dt: float, cutoff: float, resolution: float) -> float:
+    """Start velocity [unit of y per s] of a position y (n,) sampled every dt [s], from its rise within a filter time
+    constant 1 / cutoff [s]. From rest within stiction a small one changes nothing: only a motion of more than the
+    resolution gives it one."""
+    near = min(y.size - 1, math.ceil(1 / (cutoff * dt)))
+    rise = float(y[near] - y[0])
+    return rise / (near * dt) if abs(rise) > 1.5 * resolution else 0.0
+
+
 def rms(signal: Floats) -> float:
     """Root mean square of a signal (n,)."""
     return float(np.sqrt(np.mean(signal**2)))

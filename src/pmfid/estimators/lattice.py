@@ -7,7 +7,6 @@ lattice that is shifted under it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.base import Estimator, held
 from pmfid.estimators.batch import Columns
+from pmfid.estimators.difference import first_speed
 
 Floats = NDArray[np.float64]
 
@@ -44,9 +44,7 @@ def _simulated(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[n
     """The simulated position (n,) [counts], with the start velocity of the counts."""
     from pmfid import _kernel64
 
-    near = min(counts.size - 1, math.ceil(1 / (estimator.cutoff * estimator.dt)))
-    rise = float(counts[near] - counts[0])
-    start = rise / (near * estimator.dt) if abs(rise) > 1 else 0.0
+    start = first_speed(counts, estimator.dt, estimator.cutoff, 1.0)
     step, gain = estimator.encoder.resolution, estimator.equation.input_gain
     roles = role_values(estimator, list(theta))
     velocity = _kernel64.simulate(roles, gain, estimator.dt, held(u), start * step, 0.0)[0]

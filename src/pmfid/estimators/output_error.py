@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -18,7 +17,16 @@ from pmfid.estimators.batch import (
     Fit,
     check_identifiable,
 )
-from pmfid.estimators.difference import LEAST_MASS, STEP, Difference, inverted, least, rms, without_nuisance
+from pmfid.estimators.difference import (
+    LEAST_MASS,
+    STEP,
+    Difference,
+    first_speed,
+    inverted,
+    least,
+    rms,
+    without_nuisance,
+)
 from pmfid.estimators.iv import IV
 from pmfid.estimators.likelihood import Best, best_of
 from pmfid.estimators.phases import phase_scatter
@@ -186,10 +194,7 @@ class OE(BatchEstimator):
                 size[index] = max(size[index], smallest)
         scale, pole = np.r_[size, travel, travel * self.cutoff], self.drift_cutoff or self.cutoff
         difference = Difference(self.equation, dt, u, y, self.encoder.resolution, scale, pole)
-        near = min(y.size - 1, math.ceil(1 / (self.cutoff * dt)))
-        rise = y[near] - y[0]
-        # from rest within stiction a small v0 changes nothing: only a motion that shows gives it a start
-        v0 = rise / (near * dt) if abs(rise) > 1.5 * self.encoder.resolution else 0.0
+        v0 = first_speed(y, dt, self.cutoff, self.encoder.resolution)
         return difference, np.maximum(np.r_[theta, y[0], v0] / scale, difference.lower)
 
     def result(self, difference: Difference, q: Floats, q_cov: Floats, status: int) -> Fit:

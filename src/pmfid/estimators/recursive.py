@@ -66,7 +66,7 @@ SEPARATE = 4
 TRACE_REGULARIZATION = 1e-6
 #: What is known from larger motions than those of late is forgotten so many times as fast.
 HASTE = 8
-#: The kernel looks at the size of the motion every so many samples (csrc/pmf_forgetting.h).
+#: The kernel looks at the size of the motion every so many samples (PMF_LOOK of csrc/pmf.h).
 LOOK = 4
 #: The sliding window drops one of its 8 blocks at a time: it holds 7 to 8 of them.
 WINDOW_BLOCKS = 7.5

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.auto import AUTO, choose, first_fit
+from pmfid.estimators.auto import AUTO, choose, first_choice
 from pmfid.estimators.base import default_zeros
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.recursive import RecursiveEstimator, Track
@@ -57,7 +57,7 @@ def mass_of(method: str, record: Record, time_constant: float) -> tuple[float, f
     estimator = make_estimator("ls" if method == AUTO else method, record, time_constant)
     try:
         if method == AUTO:
-            fit = first_fit(estimator, record.u, record.counts)[2]
+            fit = first_choice(estimator, record.u, record.counts).fit
         elif isinstance(estimator, BatchEstimator):
             fit = estimator.fit(record.u, record.counts)
         else:
