@@ -85,6 +85,7 @@ def test_a_record_with_a_heavier_load(folder: Path) -> None:
     assert {"watching", "suspicious", "settling"} <= set(table["state"])
     page = (folder / "page.html").read_text()
     assert "mass +" in page
+    assert "mathdefault" not in page  # formulas are not typeset, for units may have a $
     assert "<svg" in page
     assert not re.search(r"(src|href)=\"http", page)
 

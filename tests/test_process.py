@@ -325,6 +325,7 @@ def test_identify_several_records_and_report(records, tmp_path):
     assert "G(s) =" in printed
     page = (tmp_path / "report.html").read_text()
     assert all(word in page for word in ("Frequency response", "Step response", "time constant"))
+    assert "mathdefault" not in page
     assert json.loads((tmp_path / "result.json").read_text())["samples"] == 2 * SECOND.samples
 
 
@@ -340,7 +341,9 @@ def test_order_command(records, tmp_path, monkeypatch):
     monkeypatch.setattr("pmfid.session.process.DELAYS", (0, 1))
     found = json.loads(run("order", records[0], "--config", str(CONFIG), "--json", "--out", str(tmp_path)))
     assert found["best"] == {"n": 2, "m": 0, "delay": 0}
-    assert "Criterion" in (tmp_path / "order.html").read_text()
+    page = (tmp_path / "order.html").read_text()
+    assert "Criterion" in page
+    assert "mathdefault" not in page
     assert "best: --n 2 --m 0 --delay 0" in run("order", records[0], "--config", str(CONFIG))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,8 @@ RIDGE = 1e-6
 TRANSITION = 2
 #: Information, in average blocks, that is left for the size where they are left out.
 LEAST_INFORMATION = 2.0
+#: Two sizes contradict each other from so many standard deviations of their difference on.
+CONTRADICTED = 2.0
 #: Neighbours that a block's deviation goes with.
 LAGS = 2
 
@@ -63,12 +65,44 @@ def explain(
     total = max(float(S[start] @ np.linalg.solve(Z[start], S[start])), np.finfo(float).tiny)
     which = int(np.argmax(gain[start]))
     size, std = _size(blocks, scale, directions[which], start)
-    share = float(gain[start, which]) / total
-    if which < theta.size:
-        return Cause(names[which], size, std, size / abs(float(theta[which])), start, share)
+    name, share = (*names, INPUT_GAIN)[which], float(gain[start, which]) / total
+    return _told(Cause(name, 0.0, 0.0, 0.0, start, share), size, std, theta, names, input_gain)
+
+
+def sized(
+    cause: Cause, estimate: Floats, covariance: Floats, theta: Floats, names: Sequence[str], input_gain: float
+) -> Cause:
+    """The same cause, its size compared with the one that an estimate (p,) with covariance (p, p), of the time since
+    the change, gives it if nothing else has changed; theta: (p,) reference. As it is where the estimate knows no size.
+
+    The blocks are those of a motion simulated with the reference: reversals come at other instants in the changed
+    plant, which they take for a part of the change, while the estimate's own motion has them where they are. But the
+    estimate remembers some of the time before, more of it the larger the motion was. So it counts where the two
+    contradict each other, and half of their difference is in the error bar.
+    """
+    direction = theta if cause.name == INPUT_GAIN else np.eye(theta.size)[list(names).index(cause.name)]
+    try:
+        weight = np.linalg.solve(covariance, direction)
+    except np.linalg.LinAlgError:
+        return cause
+    known = float(direction @ weight)
+    size = float((estimate - theta) @ weight) / known if known > 0 else 0.0
+    if not known * size**2 > 1:
+        return cause
+    other = _told(cause, size, known**-0.5, theta, names, input_gain)
+    apart = abs(other.change - cause.change)
+    chosen = other if apart > CONTRADICTED * np.hypot(other.std, cause.std) else cause
+    return replace(chosen, std=float(np.hypot(chosen.std, apart / 2)))
+
+
+def _told(cause: Cause, size: float, std: float, theta: Floats, names: Sequence[str], input_gain: float) -> Cause:
+    """The cause with its size along its direction in terms of what has changed."""
+    if cause.name != INPUT_GAIN:
+        reference = abs(float(theta[list(names).index(cause.name)]))
+        return replace(cause, change=size, std=std, relative=size / reference)
     factor = 1 / max(1 + size, 0.01)
     relative = factor - 1
-    return Cause(INPUT_GAIN, relative * input_gain, std * factor**2 * abs(input_gain), relative, start, share)
+    return replace(cause, change=relative * input_gain, std=std * factor**2 * abs(input_gain), relative=relative)
 
 
 def _start(gain: Floats) -> int:

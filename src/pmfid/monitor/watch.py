@@ -14,7 +14,7 @@ from pmfid.estimators.base import like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.calibration import Calibration, block_keep, make_detectors
-from pmfid.monitor.cause import INPUT_GAIN, TRANSITION, Cause, explain
+from pmfid.monitor.cause import INPUT_GAIN, TRANSITION, Cause, explain, sized
 from pmfid.monitor.events import (
     CANNOT_TELL,
     SETTLING,
@@ -148,14 +148,14 @@ class Monitor:
         if self.state == SUSPICIOUS:
             self._gathered += min(information, MOST_INFORMATION)
             self._suspected += 1
-            return self._alarm()
+            return self._alarm(estimate)
         events = self._look_around(estimate)
         crossed = self.statistic > self.threshold and information > INFORMATIVE
         if crossed and not estimate.status & NO_ALARM:
             self._gathered = min(information, MOST_INFORMATION)
             self._crossed, self._suspected = self.statistic, 1
             self.estimator.open_memory(KEEP)
-            events += [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm()]
+            events += [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm(estimate)]
         return events
 
     def _look_around(self, estimate: Any) -> list[Event]:
@@ -181,8 +181,8 @@ class Monitor:
     def _time(self) -> float:
         return (self.samples - 1) * self.estimator.dt
 
-    def _alarm(self) -> list[Event]:
-        cause = self._cause()
+    def _alarm(self, estimate: Any) -> list[Event]:
+        cause = self._cause(estimate)
         clear = self._gathered >= CAUSE_INFORMATION and cause.share >= CAUSE_SHARE
         if not clear and self._gathered < CAUSE_LATEST:
             return []
@@ -207,10 +207,13 @@ class Monitor:
         self._gathered, self._refined = 0.0, False
         return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
 
-    def _cause(self) -> Cause:
+    def _cause(self, estimate: Any) -> Cause:
         latest = max(0, len(self._recent) - self._suspected) + TRANSITION
         names, gain = self._front.names, self.estimator.equation.input_gain
-        return explain(Blocks.joined(self._recent), self._scale, self.reference, names, gain, latest)
+        cause = explain(Blocks.joined(self._recent), self._scale, self.reference, names, gain, latest)
+        if not self._usable(estimate):
+            return cause
+        return sized(cause, np.array(estimate.theta), np.array(estimate.theta_cov), self.reference, names, gain)
 
     def _settle(self, block: Blocks, information: float, estimate: Any) -> list[Event]:
         """First the estimate becomes the model, then what the blocks say beside it the reference."""

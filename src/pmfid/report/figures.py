@@ -12,7 +12,9 @@ import matplotlib
 import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
@@ -59,6 +61,13 @@ def figure_style() -> Iterator[None]:
         matplotlib.rcParams.update(_STYLE)
         matplotlib.rcParams["text.parse_math"] = False  # a $ in a unit is no formula
         yield
+
+
+def plain_ticks(axis: Axis) -> None:
+    """Plain numbers at the ticks of a logarithmic axis; call it after the scale is set. Else they are formulas, which
+    `figure_style` does not typeset."""
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def save_png(figure: Figure, path: Path, width: int = 1200) -> None:

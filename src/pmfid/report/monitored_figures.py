@@ -24,6 +24,7 @@ from pmfid.report.figures import (
     _line,
     decimation,
     figure_style,
+    plain_ticks,
     stretches,
 )
 from pmfid.status import Status
@@ -151,6 +152,7 @@ def calibration_figure(tails: Mapping[str, Tail], used: str, mtbf_hours: float) 
             line = np.linspace(tail.level, unit * 1.05, 20)
             fitted = tail.rate * np.exp(-(line - tail.level) / tail.slope)
             axes.semilogy(line / unit, fitted, color=colour, label=name + (" (in use)" if name == used else ""))
+        plain_ticks(axes.yaxis)
         axes.axhline(1 / mtbf_hours, color=MAGENTA, ls="--", lw=1.2, label=f"one in {mtbf_hours:g} h")
         axes.axvline(1.0, color=GREY, lw=0.8)
         axes.set_xlabel("statistic over the threshold in use [-]")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from pmfid.estimators.structure import Search
 from pmfid.linear.process import Process
-from pmfid.report.figures import COLOURS, GREY, WIDTH, decimation, figure_style
+from pmfid.report.figures import COLOURS, GREY, WIDTH, decimation, figure_style, plain_ticks
 from pmfid.report.files import replace_file
 from pmfid.report.html import Section, svg, write_report
 from pmfid.session.doubts import search_notes
@@ -142,6 +142,7 @@ def bode_figure(result: ProcessResult) -> Figure:
         lower.set_ylabel("phase [degrees]")
         lower.set_xlabel("frequency [rad/s]")
         upper.set_xscale("log")
+        plain_ticks(lower.xaxis)
     return figure
 
 
@@ -229,6 +230,7 @@ def search_figure(search: Search) -> Figure:
             halo = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.8}
             axes.annotate(place, (size, value), (0, 7), textcoords="offset points", ha="center", bbox=halo)
         axes.set_yscale("symlog", linthresh=10)
+        plain_ticks(axes.yaxis)
         axes.margins(y=0.25)
         axes.set_xlabel("parameters; beside the point: n, m, delay of the best such structure")
         axes.set_ylabel("criterion above the best")
