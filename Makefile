@@ -58,15 +58,15 @@ firmware: .venv/installed
 	.venv/bin/python -m tests.firmware.study --out docs/footprint.md
 
 study: .venv/installed
-	.venv/bin/python -m pmfid.studies.accuracy --out docs/accuracy.md
-	.venv/bin/python -m pmfid.studies.automatic --out docs/automatic.md
-	.venv/bin/python -m pmfid.studies.confidence --out docs/confidence.md
-	.venv/bin/python -m pmfid.studies.design --out docs/design.md
-	.venv/bin/python -m pmfid.studies.design_machines --out docs/commissioning.md
-	.venv/bin/python -m pmfid.studies.monitoring --out docs/monitoring.md
-	.venv/bin/python -m pmfid.studies.laboratory --out docs/laboratory.md --images docs/images
-	.venv/bin/python -m pmfid.studies.black_box --out docs/black_box.md
-	.venv/bin/python -m pmfid.studies.glitches --out docs/glitches.md
+	.venv/bin/python -m studies.accuracy --out docs/accuracy.md
+	.venv/bin/python -m studies.automatic --out docs/automatic.md
+	.venv/bin/python -m studies.confidence --out docs/confidence.md
+	.venv/bin/python -m studies.design --out docs/design.md
+	.venv/bin/python -m studies.design_machines --out docs/commissioning.md
+	.venv/bin/python -m studies.monitoring --out docs/monitoring.md
+	.venv/bin/python -m studies.laboratory --out docs/laboratory.md --images docs/images
+	.venv/bin/python -m studies.black_box --out docs/black_box.md
+	.venv/bin/python -m studies.glitches --out docs/glitches.md
 	.venv/bin/python -m tests.hostile.study --out docs/hostile.md
 
 # Attacks at length, an hour at most: crafted states under the sanitizers, openings, names in exports, calls, pipes.
@@ -74,7 +74,7 @@ hostile: .venv/installed
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.hostile.campaign $(PARTS)
 
 images: .venv/installed
-	.venv/bin/python -m pmfid.studies.demo --images docs/images
+	.venv/bin/python -m pmfid.demo --images docs/images
 
 clean:
 	rm -rf .venv build demo-report reproduced

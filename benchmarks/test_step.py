@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from pytest_benchmark.fixture import BenchmarkFixture
 from scipy.signal import lfilter
 from statsmodels.regression.recursive_ls import RecursiveLS  # type: ignore[import-untyped]
-from tests.oracles import paper
 
 import pmfid
 from benchmarks.conftest import CUTOFF, DRIVE, FORGETTING, SAMPLES, Record
@@ -24,6 +23,7 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
 from pmfid.filters.network import SIGNALS, Taps
 from pmfid.simulation.scenarios import CART
+from tests.oracles import paper
 
 LOOP_SAMPLES = 10_000
 BATCH_START = 600

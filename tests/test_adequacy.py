@@ -13,7 +13,7 @@ from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.phases import phase_scatter
 from pmfid.estimators.scatter import block_scatter, scatter
-from pmfid.monitor.validity import judge
+from pmfid.judge.drive import judge
 from pmfid.simulation import (
     CART,
     DriveParameters,

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -19,11 +20,11 @@ PACKAGE = Path(pmfid.__file__).parent
 REPOSITORY = Path(__file__).parents[1]
 CSRC = REPOSITORY / "csrc"
 
-GROUND = {"errors", "status", "_kernel32", "_kernel64", "layout"}
+GROUND = {"errors", "status", "_kernel32", "_kernel64", "kernel"}
 FILTERS = GROUND | {"models", "encoder"}
-ESTIMATORS = FILTERS | {"filters", "linear"}
-MONITOR = ESTIMATORS | {"estimators"}
-SESSION = MONITOR | {"monitor"}
+ESTIMATORS = FILTERS | {"filters", "transfer"}
+JUDGE = ESTIMATORS | {"estimators"}
+SESSION = JUDGE | {"judge", "monitor", "design", "export"}
 #: Room -> the rooms that it may import, besides itself; "pmfid" is the package's own `__init__`.
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
@@ -31,21 +32,23 @@ MAY_IMPORT: dict[str, set[str]] = {
     "_kernel": {"errors"},
     "_kernel32": {"_kernel64"},
     "_kernel64": {"errors"},
-    "layout": {"errors", "pmfid"},
+    "kernel": {"errors", "pmfid"},
     "models": GROUND,
     "encoder": GROUND,
     "filters": FILTERS,
-    "linear": {"errors"},
+    "transfer": {"errors"},
     "estimators": ESTIMATORS,
-    "monitor": MONITOR,
+    "judge": JUDGE,
+    "monitor": JUDGE,
     "simulation": {"errors"},
-    "design": FILTERS | {"estimators", "monitor", "simulation", "session"},
+    "design": {"errors", "models", "simulation"},
+    "export": JUDGE | {"pmfid"},
     "session": SESSION,
-    "export": ESTIMATORS | {"estimators", "pmfid"},
-    "report": SESSION | {"session", "design"},
-    "studies": SESSION | {"simulation", "report", "design"},
-    "cli": SESSION | {"session", "report", "studies", "design", "simulation", "export", "pmfid"},
-    "pmfid": SESSION | {"export"},
+    "report": SESSION | {"session"},
+    "demo": JUDGE | {"simulation", "report"},
+    "paper": JUDGE | {"judge", "design", "simulation", "report", "demo"},
+    "cli": SESSION | {"session", "report", "demo", "paper", "simulation", "pmfid"},
+    "pmfid": SESSION | {"session"},
 }
 
 PUBLIC = [
@@ -166,6 +169,43 @@ def test_every_room_of_the_table_exists() -> None:
     assert set(MAY_IMPORT) - {"pmfid"} <= present
 
 
+def module_of(path: Path, root: Path) -> str:
+    """Full name of the module in a file."""
+    parts = path.relative_to(root.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports_between_modules(root: Path) -> dict[str, set[str]]:
+    """Module -> the modules of the package that it imports, at any depth, also for types only. The package's own
+    `__init__` is left out: it loads a name when it is asked for."""
+    files = {module_of(path, root): path for path in source_files(root) if path.suffix != ".pyi"}
+    del files[root.name]
+    graph: dict[str, set[str]] = {}
+    for module, path in files.items():
+        package = (root.name, *path.relative_to(root).parent.parts)
+        named = [name for node in ast.walk(ast.parse(python_of(path))) for name in modules_in(node, package)]
+        found = {name if name in files else name.rpartition(".")[0] for name in named}
+        graph[module] = found & set(files) - {module}
+    return graph
+
+
+@pytest.mark.parametrize("root", [REPOSITORY / "studies"], ids=lambda path: path.name)
+def test_no_imports_run_in_a_circle(root: Path) -> None:
+    graph = imports_between_modules(root)
+    assert sum(map(len, graph.values())) > 20
+    assert list(TopologicalSorter(graph).static_order())  # raises CycleError, with the circle
+
+
+def test_a_circle_is_found(tmp_path: Path) -> None:
+    root = tmp_path / "pmfid"
+    root.mkdir()
+    (root / "__init__.py").write_text("from pmfid.a import one\n")
+    (root / "a.py").write_text("def one():\n    from pmfid import b\n")
+    (root / "b.py").write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from pmfid.a import one\n")
+    with pytest.raises(CycleError):
+        list(TopologicalSorter(imports_between_modules(root)).static_order())
+
+
 BAD_FILTER = """\
 import numpy as np
 from pmfid.errors import UsageError
@@ -173,7 +213,7 @@ from pmfid.session.config import Axis
 import pmfid.report.html
 from pmfid import simulation, __version__
 from ..estimators import base
-from .. import studies
+from .. import report
 from .network import Network
 from . import chain
 def late():
@@ -193,7 +233,7 @@ def test_the_checker_finds_what_it_is_for(tmp_path: Path) -> None:
     (root / "_kernel.pyx").write_text("cimport numpy as cnp\ncdef int x\nfrom pmfid.encoder cimport Encoder\n")
     (root / "simulation.py").write_text("from pmfid.errors import UsageError\nfrom pmfid.status import Status\n")
     (root / "__init__.py").write_text("from importlib import import_module\nimport_module('pmfid.encoder')\n")
-    lines = ["3: {} session", "4: {} report", "5: {} pmfid", "5: {} simulation", "6: {} estimators", "7: {} studies"]
+    lines = ["3: {} session", "4: {} report", "5: {} pmfid", "5: {} simulation", "6: {} estimators", "7: {} report"]
     lines += ["11: {} simulation", "13: {} ?", "15: {} cli"]
     assert violations(root) == [
         "_kernel.pyx:3: _kernel imports encoder",

@@ -8,7 +8,7 @@ from pmfid.estimators import output_error
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.scatter import block_scatter
-from pmfid.studies.machines import AXES, machine_record, truth
+from studies.machines import AXES, machine_record, truth
 
 SEEDS = 8
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pmfid.studies.black_box import STUDIES, main, run
+from studies.black_box import STUDIES, main, run
 
 #: Sections that take a few seconds for one seed.
 QUICK = ("processes", "efficiency", "published")

@@ -14,7 +14,7 @@ from pmfid.cli.main import main
 from pmfid.estimators.registry import methods_for
 from pmfid.report.comparison import _fit
 from pmfid.simulation import CART, make_scenario, write_csv
-from pmfid.studies.second_order import write
+from studies.second_order import write
 
 CONFIG = Path(__file__).parents[1] / "examples" / "cart.toml"
 

@@ -11,16 +11,16 @@ from scipy.signal import lfilter
 
 from pmfid import OE, SRIVC, Encoder, Experiment, NotIdentifiableError, TransferFunction
 from pmfid.estimators.srivc import by_descent, fit_process, make_problem
-from pmfid.estimators.structure import UNSTABLE, Candidate, Search, accepted_first
-from pmfid.linear.assess import assess
-from pmfid.linear.causality import Signals, fed_back, unexplained
-from pmfid.linear.confidence import score_covariance
-from pmfid.linear.noise import Noise, fit_noise
-from pmfid.linear.process import Process
-from pmfid.linear.solve import Solution
+from pmfid.judge.assess import assess
+from pmfid.judge.causality import Signals, fed_back, unexplained
 from pmfid.simulation.process import simulate_process
-from pmfid.studies.process_confidence import estimator_of, identified
-from pmfid.studies.process_records import INPUTS, NOISES, open_record, random_plant
+from pmfid.transfer.confidence import score_covariance
+from pmfid.transfer.noise import Noise, fit_noise
+from pmfid.transfer.order import UNSTABLE, Candidate, Search, accepted_first
+from pmfid.transfer.process import Process
+from pmfid.transfer.solve import Solution
+from studies.process_confidence import estimator_of, identified
+from studies.process_records import INPUTS, NOISES, open_record, random_plant
 
 DT = 0.1
 LAG = ((2.0,), (1.0, 1.5))
@@ -223,7 +223,7 @@ def _scaled_theta(estimator: SRIVC, record: Experiment) -> np.ndarray:
 
 
 def test_an_iteration_that_has_not_settled_is_no_estimate(monkeypatch):
-    monkeypatch.setattr("pmfid.linear.solve.DESCENTS", 1)
+    monkeypatch.setattr("pmfid.transfer.solve.DESCENTS", 1)
     monkeypatch.setattr("pmfid.estimators.srivc.refine", lambda problem, start: Solution(start, False, 1))
     u = sweep(400)
     y = simulate_process((1.0,), (1.0, 0.3, 4.0, 0.5), u, DT) + 0.05 * coloured(np.random.default_rng(1), 400)

@@ -13,8 +13,8 @@ import pytest
 from rich.console import Console
 
 import pmfid
-from pmfid.simulation import make_scenario, resolution_of
-from pmfid.studies.demo import (
+from pmfid.demo.report import demo_table, findings, write_demo
+from pmfid.demo.run import (
     COLUMNS,
     INCREMENTS,
     METHODS,
@@ -23,7 +23,7 @@ from pmfid.studies.demo import (
     run_demo,
     settling_time,
 )
-from pmfid.studies.demo_report import demo_table, findings, write_demo
+from pmfid.simulation import make_scenario, resolution_of
 
 
 @pytest.fixture(scope="module")

@@ -8,19 +8,19 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmfid.design.calibration import Run, calibrate
-from pmfid.design.choice import USUAL, best_input, choose
-from pmfid.design.criteria import Criterion
-from pmfid.design.encoder_error import encoder_covariance, log_of_room
-from pmfid.design.evaluation import evaluate, violations
-from pmfid.design.polytope import polytope
-from pmfid.design.sequential import Commissioning, redesign, sequential, simulated_experiment
-from pmfid.design.simulated import drive_of
-from pmfid.design.standard import standard_inputs
-from pmfid.design.walkers import inside, walk
+from pmfid.design.problem.criteria import Criterion
+from pmfid.design.search.evaluation import evaluate, violations
+from pmfid.design.search.polytope import polytope
+from pmfid.design.search.standard import standard_inputs
+from pmfid.design.trial.calibration import Run, calibrate
+from pmfid.design.trial.choice import USUAL, best_input, choose
+from pmfid.design.trial.encoder_error import encoder_covariance, log_of_room
+from pmfid.design.trial.sequential import Commissioning, redesign, sequential, simulated_experiment
+from pmfid.design.trial.simulated import drive_of
+from pmfid.design.trial.walkers import inside, walk
 from pmfid.simulation.machine import Machine, drive_machine
-from pmfid.studies.design_case import case
-from pmfid.studies.design_machines import MACHINES, Claims, claims
+from studies.design_case import case
+from studies.design_machines import MACHINES, Claims, claims
 
 FEW = 8
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmfid.design.ridges import Allowed, along_ridges
-from pmfid.studies.design_machines import MACHINES, commissioned
+from pmfid.design.trial.ridges import Allowed, along_ridges
+from studies.design_machines import MACHINES, commissioned
 
 LOWER, NO_PRIOR = np.zeros(2), np.zeros((2, 2))
 #: Directions in which a motion may be off by half a count each.

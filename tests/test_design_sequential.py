@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmfid.design.calibration import Run, calibrate, correlation_time
-from pmfid.design.encoder_error import start_free
-from pmfid.design.fisher import affine
-from pmfid.design.problem import InfeasibleError
-from pmfid.design.sequential import redesign, sequential, simulated_experiment
-from pmfid.design.simulated import simulate
-from pmfid.design.standard import standard_inputs
+from pmfid.design.problem.fisher import affine
+from pmfid.design.problem.problem import InfeasibleError
+from pmfid.design.search.standard import standard_inputs
+from pmfid.design.trial.calibration import Run, calibrate, correlation_time
+from pmfid.design.trial.encoder_error import start_free
+from pmfid.design.trial.sequential import redesign, sequential, simulated_experiment
+from pmfid.design.trial.simulated import simulate
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.studies.design_case import NOMINAL, case
+from studies.design_case import NOMINAL, case
 
 CASE = case("m, d, F_c")
 #: The same axis where the position has normal noise in place of counts.

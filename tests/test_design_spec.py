@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmfid.design.job import appraised, designed, read_run
-from pmfid.design.spec import Spec, load_spec, make_problem
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.models.drive import Drive
-from pmfid.studies.design_case import case
+from pmfid.session.design_run import appraised, designed, read_run
+from pmfid.session.design_spec import Spec, load_spec, make_problem
+from studies.design_case import case
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cart_design.toml"
 

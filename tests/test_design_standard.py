@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmfid.design.fisher import motion
-from pmfid.design.nearest import input_set, nearest, violation
-from pmfid.design.polytope import polytope
-from pmfid.design.problem import InfeasibleError, Limits, Problem
-from pmfid.design.profiles import input_wish
-from pmfid.design.standard import STANDARD, standard_inputs
+from pmfid.design.problem.fisher import motion
+from pmfid.design.problem.problem import InfeasibleError, Limits, Problem
+from pmfid.design.search.nearest import input_set, nearest, violation
+from pmfid.design.search.polytope import polytope
+from pmfid.design.search.profiles import input_wish
+from pmfid.design.search.standard import STANDARD, standard_inputs
 from pmfid.models.drive import Drive
-from pmfid.studies.design_case import case
+from studies.design_case import case
 
 CASE = case("m, d, F_c")
 WIDE = replace(CASE, limits=Limits(input=30.0, min_speed=0.001))

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmfid.design.evaluation import evaluate
-from pmfid.design.solver import solve
-from pmfid.design.standard import standard_inputs
+from pmfid.design.search.evaluation import evaluate
+from pmfid.design.search.solver import solve
+from pmfid.design.search.standard import standard_inputs
 from pmfid.report.figures import save_png
 from pmfid.simulation.scenarios import resolution_of
-from pmfid.studies import design_case, design_runs, design_wrong
-from pmfid.studies.design_case import case
+from studies import design_case, design_runs, design_wrong
+from studies.design_case import case
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "design.md"

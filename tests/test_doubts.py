@@ -10,8 +10,8 @@ import pytest
 
 import pmfid
 from pmfid import Experiment
+from pmfid.judge.doubts import search_notes
 from pmfid.session.config import load_axis
-from pmfid.session.doubts import search_notes
 from pmfid.session.process import ProcessResult, identify_process, search_order
 from pmfid.simulation.process import PLANTS, simulate_process
 from tests.test_process import CONFIG, closed_loop, noisy

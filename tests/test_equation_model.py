@@ -13,7 +13,7 @@ from pmfid.session.config import load_axis
 from pmfid.session.pipeline import identify
 from pmfid.session.records import Record
 from pmfid.simulation import CART, CART_DT, Machine
-from pmfid.studies.wrong_plants import wrong_record
+from studies.wrong_plants import wrong_record
 from tests.conftest import TRUTH, assert_near, cart_run
 
 CUTOFF, STIFFNESS = 20.0, 40.0

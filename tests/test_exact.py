@@ -9,7 +9,7 @@ from pmfid import BCLS, LS, Drive, Encoder, TransferFunction, UsageError
 from pmfid.estimators import exact
 from pmfid.simulation.process import PLANTS, simulate_process
 from pmfid.simulation.signals import prbs
-from pmfid.studies.discretizations import plant_at_random, record_of
+from studies.discretizations import plant_at_random, record_of
 
 ENCODER = Encoder(1.0)  # not used by fit_output
 

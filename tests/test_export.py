@@ -16,8 +16,8 @@ from pmfid.cli.main import main
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import OFF_LINE, RECURSIVE
 from pmfid.export.initializer import literal
-from pmfid.layout.saved import configuration
-from pmfid.layout.structures import structures
+from pmfid.kernel.saved import configuration
+from pmfid.kernel.structures import structures
 from tests.conftest import EMPS, cart_run, needs_emps
 from tests.firmware.build import CLANG, GCC, HERE, M4F, M7, REQUIRED, WARNINGS, Target, command, compiled
 from tests.firmware.footprint import cost, kept

@@ -17,10 +17,10 @@ from pmfid.cli.main import main
 from pmfid.cli.progress import Lines
 from pmfid.errors import UnknownParameterError, UsageError
 from pmfid.estimators import METHODS
+from pmfid.paper import run as paper
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.pipeline import identify
 from pmfid.session.records import Record, read_experiment
-from pmfid.studies.reproduce import run as paper
 from tests.conftest import cart_run
 
 CART = """

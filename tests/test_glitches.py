@@ -15,13 +15,13 @@ from pmfid import BCRLS, IV, LS, RIV, RLS, Drive, Encoder, Status
 from pmfid.cli.main import main
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.events import Alarm, Outlier, Watch
-from pmfid.monitor.watch import Monitor
+from pmfid.monitor.monitor import Monitor
 from pmfid.simulation import CART, CART_DT, Schedule, make_scenario, quantize, resolution_of, simulate_drive
 from pmfid.simulation.scenarios import SCENARIOS
 from pmfid.simulation.signals import prbs
-from pmfid.studies.glitches import AXES, KINDS, SUSPICIOUS, effects, healthy, spoil
-from pmfid.studies.machines import machine_record
-from pmfid.studies.monitoring.axis import changing, make_riv, normal_work
+from studies.glitches import AXES, KINDS, SUSPICIOUS, effects, healthy, spoil
+from studies.machines import machine_record
+from studies.monitoring.axis import changing, make_riv, normal_work
 from tests.conftest import TRUTH, cart_run
 from tests.firmware.build import GCC, M4F, Target, command
 from tests.firmware.footprint import flash
@@ -46,7 +46,7 @@ def the_same(a: Any, b: Any) -> bool:
     return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
 
 
-# --- line 2 of the promise, small: `python -m pmfid.studies.glitches` has all of it -----------------------------------
+# --- line 2 of the promise, small: `python -m studies.glitches` has all of it -----------------------------------
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -9,7 +9,7 @@ import scipy.io
 import pmfid
 from pmfid import Status
 from pmfid.encoder import quantize
-from pmfid.monitor.validity import judge
+from pmfid.judge.drive import judge
 from pmfid.simulation.scenarios import make_scenario
 from tests.conftest import EMPS, TRUTH, assert_near, cart_run, needs_emps
 

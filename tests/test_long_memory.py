@@ -13,8 +13,8 @@ from click.testing import CliRunner
 import pmfid
 from pmfid.cli.main import main
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.layout.saved import MOST_WEIGHT, configuration, shape_of
-from pmfid.layout.structures import structures
+from pmfid.kernel.saved import MOST_WEIGHT, configuration, shape_of
+from pmfid.kernel.structures import structures
 from pmfid.simulation import CART, CART_DT
 from pmfid.simulation.drive import quantize, simulate_drive
 from tests.conftest import cart_run

@@ -13,6 +13,8 @@ import pytest
 
 import pmfid
 from pmfid.estimators.registry import methods_for
+from pmfid.judge.balance import Balance
+from pmfid.judge.correlations import make_balance
 from pmfid.models.equation import VISCOUS_FORWARD
 from pmfid.report import model_checks as checks
 from pmfid.report.record import write_result
@@ -34,6 +36,10 @@ HEADINGS = (
 STEPS = 10
 
 Friction = Callable[[float], float]
+
+
+def balance_of(result: Result) -> Balance | None:
+    return make_balance(result.estimator, result.record.u, result.record.counts, result.theta)
 
 
 def result_of(
@@ -150,7 +156,7 @@ def test_wrong_parameters_do_not_follow() -> None:
 
 def test_the_residual_is_that_of_the_estimator_and_the_velocities_lie_on_each_other() -> None:
     result = clean()
-    balance = checks.make_balance(result)
+    balance = balance_of(result)
     assert balance is not None
     assert result.fit is not None
     np.testing.assert_allclose(balance.residual, result.fit.residual, atol=1e-6)
@@ -166,8 +172,8 @@ def test_the_encoder_response_is_that_of_the_balance() -> None:
     result = result_of(run.u, run.counts, run.encoder.resolution)
     wrong = run.counts.copy()
     wrong[2000] += 1000
-    moved = checks.make_balance(replace(result, record=replace(result.record, counts=wrong)))
-    balance = checks.make_balance(result)
+    moved = balance_of(replace(result, record=replace(result.record, counts=wrong)))
+    balance = balance_of(result)
     assert moved is not None
     assert balance is not None
     difference = -(moved.residual - balance.residual) / (1000 * run.encoder.resolution)
@@ -199,7 +205,7 @@ def test_negative_friction_is_no_traceback() -> None:
 
 
 def test_every_axis_has_a_label_with_its_unit() -> None:
-    balance = checks.make_balance(clean())
+    balance = balance_of(clean())
     assert balance is not None
     draws = (
         checks.simulation_figure,
@@ -225,7 +231,7 @@ def test_with_forgetting_only_the_last_memories_are_judged() -> None:
     run = cart_run(1)
     record = Record(run.u, run.counts, CART_DT, run.encoder.resolution, (), "cart")
     result = identify(record, load_axis(EXAMPLES / "cart.toml", {"estimator.forgetting": 0.995}))
-    balance = checks.make_balance(result)
+    balance = balance_of(result)
     assert balance is not None
     assert balance.t[-1] - balance.t[0] == pytest.approx(6.0, abs=0.02)
     assert "3 memories" in checks.model_checks(result)[0].text

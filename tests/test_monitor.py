@@ -14,12 +14,12 @@ from pmfid.monitor.calibration import Calibration, calibrate, fit_tail, make_det
 from pmfid.monitor.cause import explain
 from pmfid.monitor.detectors import DETECTORS, Cusum, Glr, PageHinkley, statistics
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, WATCHING, Alarm, Settled, StateChange, Watch
+from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Blocks, ScoreFilter, make_scale, scores
-from pmfid.monitor.watch import Monitor
 from pmfid.simulation import CART, CART_DT, Schedule, position_control, resolution_of
 from pmfid.simulation.scenarios import CART_CONTROL
-from pmfid.studies.monitoring.axis import changing, drive, make_riv, normal_work, random_stop_and_go
-from pmfid.studies.monitoring.false_alarms import count_alarms, poisson_interval
+from studies.monitoring.axis import changing, drive, make_riv, normal_work, random_stop_and_go
+from studies.monitoring.false_alarms import count_alarms, poisson_interval
 
 THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 NAMES = ("mass", "viscous_friction", "coulomb_friction")

@@ -20,15 +20,16 @@ from click.testing import CliRunner
 from pmfid.cli.main import main
 from pmfid.report.files import replace_file
 from pmfid.session import row_file
+from pmfid.session.monitored.sinks import rows_path
+from pmfid.session.monitored.stream import Stop
 from pmfid.session.row_file import RowFile, fresh
-from pmfid.session.sinks import rows_path
-from pmfid.session.stream import Stop
 from pmfid.simulation import CART_DT
-from pmfid.studies.monitoring.pipe import lines, write_axis
+from studies.monitoring.pipe import lines, write_axis
 
 #: A calibration of half an hour is enough here.
 START = (
-    "import pmfid.session.monitoring as m; m.simulated_hours = lambda h: 0.5; from pmfid.cli.main import main; main()"
+    "import pmfid.session.monitored.setup as m; m.simulated_hours = lambda h: 0.5; "
+    "from pmfid.cli.main import main; main()"
 )
 N = 400
 

@@ -13,10 +13,10 @@ from pmfid.monitor.calibration import Calibration, block_keep, calibrate, fit_re
 from pmfid.monitor.detectors import DETECTORS, EDGE
 from pmfid.monitor.reference import PIECE, noisier, resampled
 from pmfid.monitor.scores import block_samples, scores
-from pmfid.session.monitoring import calibration_notes
+from pmfid.session.monitored.setup import calibration_notes
 from pmfid.simulation import CART, CART_CONTROL, CART_DT, Machine, control_machine, resolution_of
-from pmfid.studies.monitoring.axis import INCREMENTS, make_riv, random_stop_and_go
-from pmfid.studies.monitoring.false_alarms import HOLD, count_alarms
+from studies.monitoring.axis import INCREMENTS, make_riv, random_stop_and_go
+from studies.monitoring.false_alarms import HOLD, count_alarms
 
 BLOCK = 0.2
 

@@ -22,15 +22,15 @@ from click.testing import CliRunner
 
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
-from pmfid.session.calibrations import cache_dir
 from pmfid.session.config import load_axis
-from pmfid.session.monitor_run import MOST_ROWS, History
-from pmfid.session.sinks import CsvSink, ParquetSink
-from pmfid.session.stream import Stop, line_samples
-from pmfid.session.timeline import Sample, Skipped
+from pmfid.session.monitored.cache import cache_dir
+from pmfid.session.monitored.run import MOST_ROWS, History
+from pmfid.session.monitored.sinks import CsvSink, ParquetSink
+from pmfid.session.monitored.stream import Stop, line_samples
+from pmfid.session.monitored.timeline import Sample, Skipped
 from pmfid.simulation import CART, CART_DT, Schedule
-from pmfid.studies.monitoring.axis import INCREMENTS, changing
-from pmfid.studies.monitoring.pipe import command, lines, resident, write_axis
+from studies.monitoring.axis import INCREMENTS, changing
+from studies.monitoring.pipe import command, lines, resident, write_axis
 
 CHANGE = 15.0
 SKIPPED = ("bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_jumps")
@@ -47,7 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (place / "run.csv").write_text("\n".join(["t,u,counts", *rows]) + "\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PMFID_CACHE", str(place / "cache"))
-        patch.setattr("pmfid.session.monitoring.simulated_hours", lambda hours: 4.0)
+        patch.setattr("pmfid.session.monitored.setup.simulated_hours", lambda hours: 4.0)
         yield place
 
 

@@ -11,11 +11,11 @@ from pmfid import RIV, Drive, Encoder
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.cause import TRANSITION, explain
 from pmfid.monitor.events import Alarm, Watch
+from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Blocks, Scale, make_scale, scores
-from pmfid.monitor.watch import Monitor
 from pmfid.simulation import CART, Schedule, quantize, simulate_drive
 from pmfid.simulation.signals import prbs
-from pmfid.studies.monitoring.axis import changing, make_riv, normal_work
+from studies.monitoring.axis import changing, make_riv, normal_work
 
 THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 NAMES = ("mass", "viscous_friction", "coulomb_friction")

@@ -12,7 +12,7 @@ from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.batch import Columns, check_identifiable, inverse_of
 from pmfid.estimators.difference import least
-from pmfid.monitor.validity import judge
+from pmfid.judge.drive import judge
 from pmfid.session.config import Axis
 from pmfid.session.pipeline import estimate, identify
 from pmfid.session.records import Record

@@ -10,9 +10,9 @@ import pytest
 
 import pmfid
 from pmfid.errors import UsageError
-from pmfid.linear.experiment import Experiment, _supported
 from pmfid.monitor.calibration import Calibration
-from pmfid.session import calibrations
+from pmfid.session.monitored import cache as calibrations
+from pmfid.transfer.experiment import Experiment, _supported
 from tests.conftest import cart_run
 
 

@@ -9,10 +9,10 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from pmfid import SRIVC, Encoder, Experiment, TransferFunction
-from pmfid.linear.periods import period_of
 from pmfid.simulation.process import simulate_process
-from pmfid.studies.process_confidence import estimator_of, identified
-from pmfid.studies.process_records import INPUTS, LENGTHS, NOISES, RandomPlant, make_noise, open_record, random_plant
+from pmfid.transfer.periods import period_of
+from studies.process_confidence import estimator_of, identified
+from studies.process_records import INPUTS, LENGTHS, NOISES, RandomPlant, make_noise, open_record, random_plant
 
 DT, PERIOD = 0.1, 150
 #: Two resonances, of 2 and 5.5 rad/s.

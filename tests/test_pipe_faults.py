@@ -17,15 +17,15 @@ from hypothesis import strategies as st
 
 from pmfid.errors import UsageError
 from pmfid.monitor.calibration import Calibration, calibrate
-from pmfid.monitor.watch import Monitor
+from pmfid.monitor.monitor import Monitor
 from pmfid.session.config import Axis, load_axis
-from pmfid.session.monitor_run import Run, watch
-from pmfid.session.sinks import Nowhere
-from pmfid.session.stream import Stop, line_samples
-from pmfid.session.timeline import MOST_STRAYS, REPEATED, Line, Sample, Skipped, Timeline
+from pmfid.session.monitored.run import Run, watch
+from pmfid.session.monitored.sinks import Nowhere
+from pmfid.session.monitored.stream import Stop, line_samples
+from pmfid.session.monitored.timeline import MOST_STRAYS, REPEATED, Line, Sample, Skipped, Timeline
 from pmfid.simulation import CART, CART_DT, Schedule
-from pmfid.studies.monitoring.axis import INCREMENTS, changing, make_riv, normal_work
-from pmfid.studies.monitoring.pipe import write_axis
+from studies.monitoring.axis import INCREMENTS, changing, make_riv, normal_work
+from studies.monitoring.pipe import write_axis
 
 HEADER = b"t,u,counts\n"
 THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
@@ -347,7 +347,7 @@ def test_a_refused_pipe_ends_with_its_totals(tmp_path: Path, monkeypatch: pytest
 
     path = write_axis(tmp_path, 60.0)
     monkeypatch.setenv("PMFID_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("pmfid.session.monitoring.simulated_hours", lambda hours: 0.5)
+    monkeypatch.setattr("pmfid.session.monitored.setup.simulated_hours", lambda hours: 0.5)
     body = [f"{0.008 * k:.3f},0,0\n".encode() for k in range(60)]
     arguments = ["monitor", "-", "--config", str(path), "--json", "--out", str(tmp_path / "x.csv")]
     result = CliRunner().invoke(main, arguments, input=HEADER + b"".join(body))

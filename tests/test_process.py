@@ -13,11 +13,11 @@ from click.testing import CliRunner
 from pmfid import IV, OE, SRIVC, Drive, Encoder, Experiment, NotIdentifiableError, TransferFunction, UsageError
 from pmfid.cli.main import main
 from pmfid.estimators.srivc import check_experiments, make_problem
-from pmfid.estimators.structure import search_structure
-from pmfid.linear.assess import Assessment, assess
-from pmfid.linear.process import Process
+from pmfid.judge.assess import Assessment, assess
 from pmfid.simulation.process import PLANTS, Plant, simulate_process
-from pmfid.studies.second_order import write
+from pmfid.transfer.order import search_structure
+from pmfid.transfer.process import Process
+from studies.second_order import write
 
 ENCODER = Encoder(1.0)
 CONFIG = Path(__file__).parents[1] / "examples" / "second_order.toml"

@@ -12,12 +12,12 @@ from pmfid import BCLS, IV, LS, OE, RSRIVC, SRIVC, Encoder, Experiment, Transfer
 from pmfid.cli.main import main
 from pmfid.estimators.registry import methods_for
 from pmfid.estimators.srivc import by_descent, fit_process, fixed_filters
-from pmfid.linear.bounded import respond_bounded
-from pmfid.linear.process import Process
-from pmfid.linear.propagate import Grid, respond
 from pmfid.report.process import dynamics_rows
 from pmfid.simulation.process import Controller, simulate_late, simulate_loop, simulate_process
-from pmfid.studies.real_processes import CASES, work
+from pmfid.transfer.bounded import respond_bounded
+from pmfid.transfer.process import Process
+from pmfid.transfer.propagate import Grid, respond
+from studies.real_processes import CASES, work
 
 DT = 0.05
 ONE = Encoder(1.0)

@@ -15,17 +15,17 @@ from matplotlib.colors import to_hex
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
 from pmfid.estimators.auto import choose, first_choice
+from pmfid.paper import encoders, figure2, figure3, figure4, figure5
+from pmfid.paper.drawing import Drawing, draw, write_drawing
+from pmfid.paper.estimates import EXTENDED, mass_of, record_of, track_of
+from pmfid.paper.inputs import STROKE, designed, experiments, information, problem, pulse
+from pmfid.paper.merit import HEADER, NO_ANSWER, Merit, cells, merit, score, write_table
+from pmfid.paper.page import GOALS, sections
+from pmfid.paper.run import FIGURES, reproduce
+from pmfid.paper.truth import make_estimator
 from pmfid.report.figures import COLOURS, MAGENTA
 from pmfid.simulation import CART, make_scenario
-from pmfid.studies import laboratory
-from pmfid.studies.reproduce import encoders, figure2, figure3, figure4, figure5
-from pmfid.studies.reproduce.drawing import Drawing, draw, write_drawing
-from pmfid.studies.reproduce.estimates import EXTENDED, mass_of, record_of, track_of
-from pmfid.studies.reproduce.inputs import STROKE, designed, experiments, information, problem, pulse
-from pmfid.studies.reproduce.merit import HEADER, NO_ANSWER, Merit, cells, merit, score, write_table
-from pmfid.studies.reproduce.page import GOALS, sections
-from pmfid.studies.reproduce.run import FIGURES, reproduce
-from pmfid.studies.truth import make_estimator
+from studies import laboratory
 
 ROOT = Path(__file__).parents[1]
 
@@ -144,7 +144,7 @@ def test_figure_2_a_wrong_mass_misses_the_end() -> None:
 
 
 def test_every_input_does_the_same_errand() -> None:
-    from pmfid.design.simulated import simulate
+    from pmfid.design.trial.simulated import simulate
 
     for name, u in experiments().items():
         motion = simulate(problem(), u)

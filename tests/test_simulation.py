@@ -34,7 +34,7 @@ from pmfid.simulation import (
     write_csv,
 )
 from pmfid.simulation.drive import Floats
-from pmfid.studies.exactness import agreement
+from studies.exactness import agreement
 
 
 def numbers(low: float, high: float) -> st.SearchStrategy[float]:

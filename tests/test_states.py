@@ -12,8 +12,8 @@ import pytest
 
 import pmfid
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.layout.saved import FLEET_HEAD, _checksum, configuration, shape_of
-from pmfid.layout.structures import structures
+from pmfid.kernel.saved import FLEET_HEAD, _checksum, configuration, shape_of
+from pmfid.kernel.structures import structures
 from tests.firmware.build import GCC
 from tests.hostile.crafted import LAGS, attack, estimators, folder_of, leaves, program
 from tests.test_export import needs

@@ -6,7 +6,7 @@ import pytest
 
 from pmfid.estimators.auxiliary import FOLLOWED
 from pmfid.estimators.recursive import LOOK
-from pmfid.layout.structures import constants_of, value
+from pmfid.kernel.structures import constants_of, value
 
 
 @pytest.mark.parametrize(

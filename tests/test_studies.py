@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from pmfid.errors import UsageError
+from pmfid.paper import truth
+from pmfid.paper.truth import TRUTH, Outcome, cramer_rao, estimate, percent, positions, scenario_record
 from pmfid.simulation import CART, CART_DT, Machine, drive_machine, make_scenario, quantize, simulate_drive
-from pmfid.studies import accuracy, coverage, open_loop, starts, stop_and_go, truth, wrong_models
-from pmfid.studies.truth import TRUTH, Outcome, cramer_rao, estimate, percent, positions, scenario_record
-from pmfid.studies.wrong_plants import PLANTS, wrong_record
+from studies import accuracy, coverage, open_loop, starts, stop_and_go, wrong_models
+from studies.wrong_plants import PLANTS, wrong_record
 
 # --- the page ---------------------------------------------------------------------------------------------------------
 
@@ -24,7 +25,7 @@ def test_same_seeds_same_bytes_whatever_the_processes(tmp_path: Path) -> None:
         pages.append(page.read_bytes())
     assert pages[0] == pages[1]
     text = pages[0].decode()
-    assert "    python -m pmfid.studies.accuracy --out docs/accuracy.md --seeds 1 --only creep\n" in text
+    assert "    python -m studies.accuracy --out docs/accuracy.md --seeds 1 --only creep\n" in text
     assert "## Slow creep" in text
     assert "## Open loop" not in text
     assert not any(line != line.rstrip() for line in text.splitlines())

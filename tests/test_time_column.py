@@ -12,9 +12,9 @@ import pytest
 from pmfid.errors import UsageError
 from pmfid.session.clock import named_unit
 from pmfid.session.config import Axis, load_axis
+from pmfid.session.monitored.stream import Stop, line_samples
 from pmfid.session.pipeline import identify
 from pmfid.session.records import read_experiment, read_record
-from pmfid.session.stream import Stop, line_samples
 from tests.conftest import cart_run
 
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}

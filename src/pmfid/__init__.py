@@ -29,14 +29,14 @@ if TYPE_CHECKING:
     from pmfid.estimators.rsrivc import RSRIVC as RSRIVC
     from pmfid.estimators.srivc import SRIVC as SRIVC
     from pmfid.export.firmware import export_firmware as export_firmware
-    from pmfid.linear.experiment import Experiment as Experiment
-    from pmfid.linear.process import Process as Process
     from pmfid.models.drive import Drive as Drive
     from pmfid.models.drive import EquationModel as EquationModel
     from pmfid.models.equation import Equation as Equation
     from pmfid.models.equation import Term as Term
     from pmfid.models.transfer_function import TransferFunction as TransferFunction
     from pmfid.status import Status as Status
+    from pmfid.transfer.experiment import Experiment as Experiment
+    from pmfid.transfer.process import Process as Process
 
 #: Public name -> module. Modules are imported when a name is used: `pmfid --help` stays quick.
 _PUBLIC = {
@@ -62,8 +62,8 @@ _PUBLIC = {
     "RSRIVC": "pmfid.estimators.rsrivc",
     "RLS": "pmfid.estimators.rls",
     "SRIVC": "pmfid.estimators.srivc",
-    "Experiment": "pmfid.linear.experiment",
-    "Process": "pmfid.linear.process",
+    "Experiment": "pmfid.transfer.experiment",
+    "Process": "pmfid.transfer.process",
     "Status": "pmfid.status",
     "TransferFunction": "pmfid.models.transfer_function",
     "Track": "pmfid.estimators.recursive",

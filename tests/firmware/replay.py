@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.firmware import export_firmware
-from pmfid.layout.saved import configuration, shape_of, tight_state
+from pmfid.kernel.saved import configuration, shape_of, tight_state
 from tests.firmware.build import HERE, Target, compiled, run
 
 PREFIX = "axis"

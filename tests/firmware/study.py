@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from pmfid import Drive, Encoder
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import RECURSIVE
-from pmfid.layout.saved import configuration, shape_of
-from pmfid.layout.structures import structures
+from pmfid.kernel.saved import configuration, shape_of
+from pmfid.kernel.structures import structures
 from pmfid.session.config import load_axis
 from pmfid.session.records import read_record
 from pmfid.simulation.scenarios import CART_DT, make_scenario

@@ -14,8 +14,8 @@ import numpy as np
 import pmfid
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.firmware import export_firmware
-from pmfid.layout.saved import configuration, shape_of, tight_state
-from pmfid.layout.structures import resized, source_folder, structures
+from pmfid.kernel.saved import configuration, shape_of, tight_state
+from pmfid.kernel.structures import resized, source_folder, structures
 from tests.firmware.build import REQUIRED
 from tests.test_many import PROCESS, PROCESSES, VARIANTS, fleet_record, make, process_record
 

@@ -60,8 +60,8 @@ def design(
 
     Exit code 0: a design; 2: wrong usage; 3: the limits cannot be met, or no input tells a parameter.
     """
-    from pmfid.design.job import appraised, campaigned, designed
     from pmfid.report.design import write_design
+    from pmfid.session.design_run import appraised, campaigned, designed
 
     loaded = _load(spec, options)
     with _infeasible_as_json(as_json), _progress(loaded.search.starts, as_json) as progress:
@@ -112,7 +112,7 @@ def commission(
     Without a record: the first design. Exit code 0: an estimate or a design; 2: wrong usage; 3: the limits cannot be
     met, or the runs cannot tell a parameter.
     """
-    from pmfid.design.job import appraised, commissioned, read_run
+    from pmfid.session.design_run import appraised, commissioned, read_run
 
     loaded = _load(spec, options)
     runs = [read_run(loaded, path) for path in records]
@@ -138,7 +138,7 @@ def _campaign(together: Any) -> dict[str, Any]:
 
 
 def _load(spec: Path, options: dict[str, Any]) -> Any:
-    from pmfid.design.spec import load_spec
+    from pmfid.session.design_spec import load_spec
 
     unknown = list(options.pop("unknown")) or None
     given = {KEYS[name]: value for name, value in options.items()}

@@ -52,9 +52,9 @@ def export(
     """
     from pmfid.export.alarm import Alarm
     from pmfid.export.firmware import export_firmware
-    from pmfid.layout.saved import LONG_MEMORY, MOST_WEIGHT
+    from pmfid.kernel.saved import LONG_MEMORY, MOST_WEIGHT
     from pmfid.session.config import load_axis
-    from pmfid.session.firmware import check_exportable, drive_estimator
+    from pmfid.session.export import check_exportable, drive_estimator
     from pmfid.session.records import read_record
 
     changes = {f"estimator.{key}": value for key, value in options.items()}

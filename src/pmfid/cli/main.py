@@ -20,8 +20,8 @@ from pmfid.errors import PmfidError, UsageError, printable
 from pmfid.estimators import METHODS
 
 if TYPE_CHECKING:
-    from pmfid.linear.experiment import Experiment
     from pmfid.session.config import Axis
+    from pmfid.transfer.experiment import Experiment
 
 EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
 #: More threads for products of small matrices only wait for each other: a search took four times as long.
@@ -262,8 +262,8 @@ def demo(out: Path, seed: int) -> None:
     """Watch a cart's mass step with four encoders, by four methods on-line, beside the truth."""
     from rich.console import Console
 
-    from pmfid.studies.demo import run_demo
-    from pmfid.studies.demo_report import demo_table, write_demo
+    from pmfid.demo.report import demo_table, write_demo
+    from pmfid.demo.run import run_demo
 
     result = run_demo(seed=seed)
     Console().print(demo_table(result))

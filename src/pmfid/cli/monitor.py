@@ -42,9 +42,9 @@ def monitor(
     with everything written, at Ctrl-C or SIGTERM.
     """
     from pmfid.session.config import load_axis
-    from pmfid.session.monitoring import check_monitored, set_up
+    from pmfid.session.monitored.setup import check_monitored, set_up
+    from pmfid.session.monitored.stream import Stop
     from pmfid.session.records import read_record
-    from pmfid.session.stream import Stop
 
     axis = load_axis(config, {f"monitor.{key}": value for key, value in options.items()})
     check_monitored(axis)
@@ -87,9 +87,9 @@ def _write_report(path: Path, name: str, setup: Any, run: Any, history: Any, tel
 
 def _run(setup: Any, axis: Any, data: Any, out: Path | None, stop: Any, tell: _Teller, keep: bool) -> Any:
     """The run, its history, and where the estimates went."""
-    from pmfid.session.monitor_run import History, header, watch
-    from pmfid.session.sinks import open_sink
-    from pmfid.session.stream import line_samples, record_samples
+    from pmfid.session.monitored.run import History, header, watch
+    from pmfid.session.monitored.sinks import open_sink
+    from pmfid.session.monitored.stream import line_samples, record_samples
 
     sink = open_sink(out, header(setup.monitor), tell)
     history = History() if keep else None
@@ -143,7 +143,7 @@ class _Teller:
 
     def start(self, setup: Any, out: Path | None) -> None:
         """What is watched and how, and where the estimates go."""
-        from pmfid.session.monitoring import start_object
+        from pmfid.session.monitored.setup import start_object
 
         self({**start_object(setup), "out": None if out is None else str(out)})
 

@@ -27,7 +27,7 @@ def reproduce(figures: tuple[str, ...], out: Path, seeds: int, jobs: int | None)
     """
     from pmfid.cli.progress import progress
     from pmfid.cli.tables import print_merits
-    from pmfid.studies.reproduce.run import reproduce as run
+    from pmfid.paper.run import reproduce as run
 
     with progress("runs") as tell:
         rows = run(figures, out, seeds, jobs, tell)

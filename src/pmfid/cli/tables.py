@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from pmfid.estimators.structure import Search
+    from pmfid.paper.merit import Merit
     from pmfid.session.compare import Comparison
     from pmfid.session.pipeline import Result
     from pmfid.session.process import ProcessResult
-    from pmfid.studies.reproduce.merit import Merit
+    from pmfid.transfer.order import Search
 
 
 def print_result(result: Result, out: Path | None) -> None:
@@ -98,7 +98,7 @@ def print_merits(rows: Sequence[Merit], out: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from pmfid.studies.reproduce.merit import HEADER, cells
+    from pmfid.paper.merit import HEADER, cells
 
     console = Console()
     for (figure, condition), group in groupby(rows, key=lambda row: (row.figure, row.condition)):
@@ -155,8 +155,8 @@ def print_search(search: Search, name: str, out: Path | None) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from pmfid.judge.doubts import search_notes
     from pmfid.report.process import search_header, search_rows
-    from pmfid.session.doubts import search_notes
 
     table = Table(title=_safe(f"{name}: poles n, zeros m, dead time in samples"))
     for heading in search_header():

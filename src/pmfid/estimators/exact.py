@@ -11,8 +11,8 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.batch import BatchEstimator, Columns, Fit
 from pmfid.filters.columns import tustin_image
-from pmfid.linear.exact import Filter, Term, respond_exactly
 from pmfid.models.equation import Equation
+from pmfid.transfer.exact import Filter, Term, respond_exactly
 
 Floats = NDArray[np.float64]
 

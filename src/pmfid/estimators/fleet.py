@@ -109,14 +109,14 @@ class Fleet:
     def get_state(self) -> bytes:
         """The states of all axes, with a version and checksums; `set_state` of a fleet of as many with the same
         configuration continues from them."""
-        from pmfid.layout.saved import save_fleet
+        from pmfid.kernel.saved import save_fleet
 
         return save_fleet(self._kernel, self.estimator.precision)
 
     def set_state(self, state: bytes) -> None:
         """Continues from saved states. Raises UsageError, and stays as it was, for those of another configuration or
         number of axes, damaged ones, and numbers that no sample could have made."""
-        from pmfid.layout.saved import load_fleet
+        from pmfid.kernel.saved import load_fleet
 
         load_fleet(self._kernel, self.estimator.precision, state)
 

@@ -228,13 +228,13 @@ class RecursiveEstimator(Estimator):
     def get_state(self) -> bytes:
         """The whole state, with a version and checksums; `set_state` of an estimator with the same configuration, or
         the firmware exported from it, continues from it."""
-        from pmfid.layout.saved import save_state
+        from pmfid.kernel.saved import save_state
 
         return save_state(self._kernel, self.precision)
 
     def set_state(self, state: bytes) -> None:
         """Continues from a saved state. Raises UsageError, and stays as it was, for one of another configuration, a
         damaged one, and numbers that no sample could have made, whatever their checksum."""
-        from pmfid.layout.saved import load_state
+        from pmfid.kernel.saved import load_state
 
         load_state(self._kernel, self.precision, state)

@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator, check_arrays, check_size, held
 from pmfid.estimators.batch import BatchEstimator, Fit, parts_of_their_own
-from pmfid.linear.confidence import covariance
-from pmfid.linear.dead_time import after, solve_dead_time
-from pmfid.linear.experiment import Experiment
-from pmfid.linear.process import Process
-from pmfid.linear.sensitivity import Structure
-from pmfid.linear.solve import Point, Problem, Solution, descend, first_guess, refine, solve, with_fixed_filter
 from pmfid.models.transfer_function import ESTIMATE, MAX_DELAY, TransferFunction
+from pmfid.transfer.confidence import covariance
+from pmfid.transfer.dead_time import after, solve_dead_time
+from pmfid.transfer.experiment import Experiment
+from pmfid.transfer.process import Process
+from pmfid.transfer.sensitivity import Structure
+from pmfid.transfer.solve import Point, Problem, Solution, descend, first_guess, refine, solve, with_fixed_filter
 
 #: Relative difference of two sample periods that are taken for one.
 SAME_PERIOD = 0.05
@@ -44,7 +44,7 @@ class SRIVC(BatchEstimator):
     intermediate models are reflected; where the iteration does not settle, output error by Levenberg and Marquardt
     takes over, and further filters are tried. There is no error of discretisation. Initial conditions are always
     unknown and part of the fit. For white noise on the output it is efficient; for any noise that is not correlated
-    with the input it is consistent. theta_cov holds for noise of any colour (`linear/confidence.py`).
+    with the input it is consistent. theta_cov holds for noise of any colour (`transfer/confidence.py`).
     `fit` takes u and counts; `fit_experiments` takes records with gaps, missing samples, other holds and a reference.
     For `TransferFunction` alone; raises UsageError for another model.
     """

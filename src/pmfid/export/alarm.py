@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.layout.structures import structures
+from pmfid.kernel.structures import structures
 
 #: Logarithm of the likelihood ratio that raises an alarm: by chance about once in exp(10) = 22000 intervals.
 THRESHOLD = 10.0

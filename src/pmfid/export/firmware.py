@@ -18,8 +18,8 @@ from pmfid.export.alarm import Alarm
 from pmfid.export.initializer import initializer, literal
 from pmfid.export.names import check_names, remark
 from pmfid.export.samples import made_up_record, moving_part, recorded
-from pmfid.layout.saved import configuration, recursions_of, shape_of
-from pmfid.layout.structures import header, layout_number, resized, source_folder, structures
+from pmfid.kernel.saved import configuration, recursions_of, shape_of
+from pmfid.kernel.structures import header, layout_number, resized, source_folder, structures
 
 #: Template -> file in the folder; NAME is the prefix.
 FILES = {

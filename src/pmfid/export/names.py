@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from pmfid.errors import UsageError
-from pmfid.layout.structures import header
+from pmfid.kernel.structures import header
 
 #: Ends of the names that an export makes of its prefix for types.
 TYPES = ("_t", "_saved_t", "_alarm_t")

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import UsageError
 from pmfid.estimators.base import check_arrays
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.layout.saved import configuration, shape_of, tight_state
+from pmfid.kernel.saved import configuration, shape_of, tight_state
 
 SAMPLES = 800
 #: Of the made-up motion: counts per sample at full speed, and the parts of the input that the frictions take.

@@ -1,1 +1,1 @@
-"""What to think of estimates: validity, and later the detection of changes."""
+"""Changes of a machine: block scores, detectors, calibrated thresholds, the cause of a change."""

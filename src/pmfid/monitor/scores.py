@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pmfid.estimators.auxiliary import make_auxiliary_kernel, role_values
 from pmfid.estimators.base import Estimator
-from pmfid.layout.saved import take_guard
+from pmfid.kernel.saved import take_guard
 from pmfid.status import Status
 
 Floats = NDArray[np.float64]

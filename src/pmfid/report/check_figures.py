@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pmfid.report.check_balance import Balance, Binned, Floats
-from pmfid.report.check_numbers import correlations
+from pmfid.judge.balance import Balance, Binned, Floats
+from pmfid.judge.correlations import correlations
 from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, decimation, figure_style
 
 MAX_DOTS = 1200

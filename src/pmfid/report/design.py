@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pmfid.design.appraisal import Appraisal, gathered
-from pmfid.design.campaign import Campaign
-from pmfid.design.criteria import CRITERIA
-from pmfid.design.encoder_error import is_counted
-from pmfid.design.result import Design
-from pmfid.design.sequential import Commissioning
+from pmfid.design.problem.criteria import CRITERIA
+from pmfid.design.problem.result import Design
+from pmfid.design.search.campaign import Campaign
+from pmfid.design.trial.appraisal import Appraisal, gathered
+from pmfid.design.trial.encoder_error import is_counted
+from pmfid.design.trial.sequential import Commissioning
 from pmfid.report.design_figures import ellipse_figure, gathering_figure, motion_figure
 from pmfid.report.html import Section, svg, write_report
 

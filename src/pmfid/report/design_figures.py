@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pmfid.design.problem import Float, Problem
+from pmfid.design.problem.problem import Float, Problem
 from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, figure_style
 
 __all__ = ["ellipse_figure", "gathering_figure", "motion_figure"]

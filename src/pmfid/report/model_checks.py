@@ -8,15 +8,16 @@ from dataclasses import replace
 from matplotlib.figure import Figure
 
 from pmfid.errors import PmfidError
-from pmfid.report.check_balance import Balance, binned, encoder_response
-from pmfid.report.check_figures import correlation_figure, friction_figure, residual_figure, simulation_figure
-from pmfid.report.check_numbers import MEMORIES, make_balance
-from pmfid.report.check_sentences import (
+from pmfid.judge.balance import Balance, binned, encoder_response
+from pmfid.judge.correlations import make_balance
+from pmfid.judge.drive import MEMORIES
+from pmfid.judge.sentences import (
     correlation_sentence,
     friction_sentence,
     residual_sentence,
     simulation_sentence,
 )
+from pmfid.report.check_figures import correlation_figure, friction_figure, residual_figure, simulation_figure
 from pmfid.report.html import Section, svg
 from pmfid.session.pipeline import Result
 
@@ -25,7 +26,6 @@ __all__ = [
     "correlation_figure",
     "encoder_response",
     "friction_figure",
-    "make_balance",
     "model_checks",
     "residual_figure",
     "simulation_figure",
@@ -39,7 +39,7 @@ def model_checks(result: Result) -> list[Section]:
     none of a drive (a mass that is not positive), or nothing can be simulated, one section says so.
     """
     try:
-        balance = make_balance(result)
+        balance = make_balance(result.estimator, result.record.u, result.record.counts, result.theta)
     except PmfidError as error:
         return [Section("Model checks", f"Not possible here: {error}.")]
     if balance is None:

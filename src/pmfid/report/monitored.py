@@ -10,8 +10,8 @@ import numpy as np
 from pmfid.monitor.calibration import Calibration
 from pmfid.report.html import Section, svg, write_report
 from pmfid.report.monitored_figures import RunData, calibration_figure, run_figure
-from pmfid.session.monitor_run import History, Run
-from pmfid.session.monitoring import Setup
+from pmfid.session.monitored.run import History, Run
+from pmfid.session.monitored.setup import Setup
 
 SHOWN_ALARMS = 200
 

@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pmfid.estimators.structure import Search
-from pmfid.linear.process import Process
+from pmfid.judge.doubts import search_notes
 from pmfid.report.figures import COLOURS, GREY, WIDTH, decimation, figure_style, plain_ticks
 from pmfid.report.files import replace_file
 from pmfid.report.html import Section, svg, write_report
-from pmfid.session.doubts import search_notes
 from pmfid.session.process import ProcessResult, search_json
+from pmfid.transfer.order import Search
+from pmfid.transfer.process import Process
 
 #: Frequencies from a tenth of the slowest to ten times the fastest corner, and time constants of a step response.
 DECADES, SETTLING = 1.0, 8.0

@@ -8,12 +8,12 @@ from typing import Any
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.registry import methods_for
-from pmfid.linear.experiment import Experiment
 from pmfid.session.config import Axis
 from pmfid.session.diagnosis import check_direction, diagnose
 from pmfid.session.pipeline import Result, estimate, explained
 from pmfid.session.process import ProcessResult, identify_process
 from pmfid.session.records import Record
+from pmfid.transfer.experiment import Experiment
 
 
 @dataclass(frozen=True)

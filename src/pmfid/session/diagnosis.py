@@ -20,9 +20,9 @@ from pmfid.estimators.base import like
 from pmfid.estimators.batch import LS
 from pmfid.estimators.iv import IV
 from pmfid.estimators.output_error import OE
+from pmfid.judge.drive import count_jump
 from pmfid.models.drive import EquationModel, Model
 from pmfid.models.equation import Equation
-from pmfid.monitor.validity import count_jump
 from pmfid.session.config import Axis
 from pmfid.session.records import Record
 from pmfid.session.wrap import wrap_of

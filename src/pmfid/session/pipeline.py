@@ -17,7 +17,7 @@ from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.zeros import choose_prefilter_zeros
-from pmfid.monitor.validity import judge
+from pmfid.judge.drive import judge
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction, diagnose
 from pmfid.session.records import Record

@@ -23,17 +23,17 @@ from pmfid.estimators.srivc import (
     process_of,
     with_dead_time,
 )
-from pmfid.estimators.structure import DELAYS, ORDERS, UNSTABLE, Candidate, Search, accepted_first, search_structure
 from pmfid.estimators.zeros import choose_prefilter_zeros
-from pmfid.linear.assess import Assessment, assess
-from pmfid.linear.experiment import Experiment
-from pmfid.linear.process import Process
-from pmfid.linear.solve import Problem, Solution, solve
-from pmfid.linear.verdict import flags_on
+from pmfid.judge.assess import Assessment, assess
+from pmfid.judge.doubts import IGNORED, check_known, doubts, notes_on, search_notes
+from pmfid.judge.verdict import flags_on
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import NO_ENCODER, Axis, check_sampling
-from pmfid.session.doubts import IGNORED, check_known, doubts, notes_on, search_notes
 from pmfid.status import Status
+from pmfid.transfer.experiment import Experiment
+from pmfid.transfer.order import DELAYS, ORDERS, UNSTABLE, Candidate, Search, accepted_first, search_structure
+from pmfid.transfer.process import Process
+from pmfid.transfer.solve import Problem, Solution, solve
 
 AUTOMATIC = "srivc"
 #: Methods that take several records, gaps, missing samples and uneven spacing.

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
-from pmfid.linear.experiment import Experiment
 from pmfid.session.clock import named_unit, sample_period, time_factor
 from pmfid.session.config import NO_ENCODER
 from pmfid.session.tables import Floats, Table, column, from_array, lookup, read_table
+from pmfid.transfer.experiment import Experiment
 
 if TYPE_CHECKING:
     from pmfid.session.config import Axis, RecordConfig

@@ -1,0 +1,1 @@
+"""`pmfid demo`: estimators side by side on the simulated cart."""

@@ -1,0 +1,189 @@
+"""The demo: a cart whose mass changes under way, seen through four encoders by three estimators."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.encoder import Encoder
+from pmfid.errors import UsageError
+from pmfid.estimators.base import default_zeros
+from pmfid.estimators.bcrls import BCRLS
+from pmfid.estimators.iv import RIV
+from pmfid.estimators.recursive import RecursiveEstimator, Track
+from pmfid.estimators.rls import RLS
+from pmfid.models.drive import Drive
+from pmfid.simulation import CART, Scenario, make_scenario
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+INCREMENTS = (4096, 1024, 512, 256)
+RECORD = 4096  # the one that is written; examples/cart.toml reads it
+CUTOFF = 50.0  # rad/s: a filter time constant of two samples
+ORDER = 2
+FORGETTING = 0.99
+WINDOW = 5.0  # s, over which errors are averaged
+BAND = 0.05  # of the new mass; the estimate has followed the step once it stays within
+PLAUSIBLE_MASS = (0.8, 1.7)  # kg
+START_UP = 1.0  # s
+SHORTEST, LONGEST = 4 * WINDOW, 3600.0  # s
+
+#: Name -> estimator and its pre-filter zeros; "extended RLS" is the biased estimate that BCRLS compensates.
+METHODS: Mapping[str, tuple[type[RecursiveEstimator], tuple[float, ...] | None]] = {
+    "RIV": (RIV, None),
+    "BCRLS": (BCRLS, None),
+    "RLS": (RLS, None),
+    "extended RLS": (RLS, default_zeros(CUTOFF)),
+}
+#: Of the report, and of the terminal, where the whole table has 80 columns.
+COLUMNS = (
+    ("increments per turn", "inc."),
+    ("method", "method"),
+    ("mass, old load [%]", "mass\nold\n%"),
+    ("mass, new load [%]", "mass\nnew\n%"),
+    ("viscous, old load [%]", "visc.\nold\n%"),
+    ("viscous, new load [%]", "visc.\nnew\n%"),
+    ("Coulomb, old load [%]", "Coul.\nold\n%"),
+    ("Coulomb, new load [%]", "Coul.\nnew\n%"),
+    ("std of mass, old load [g]", "std\nold\ng"),
+    ("std of mass, new load [g]", "std\nnew\ng"),
+    ("follows the step after [s]", "after\nstep\ns"),
+    ("samples out of range", "out"),
+)
+
+
+@dataclass(frozen=True)
+class DemoRow:
+    """What one method made of one encoder.
+
+    errors_old, errors_new: error of the mean estimate by parameter name [%], over the last 5 s before the mass
+    changes and over the last 5 s of the run; std_old, std_new: standard deviation of the mass over the same [kg];
+    settling_time: from the step until the mass stays within 5 % of the new one [s], inf: never;
+    outside: samples with the mass outside 0.8 to 1.7 kg after the first second.
+    """
+
+    increments: int
+    method: str
+    errors_old: Mapping[str, float]
+    errors_new: Mapping[str, float]
+    std_old: float
+    std_new: float
+    settling_time: float
+    outside: int
+
+    def worst(self, name: str) -> float:
+        """The larger error of a parameter of both windows, without sign [%]."""
+        return max(abs(self.errors_old[name]), abs(self.errors_new[name]))
+
+    def cells(self) -> tuple[str, ...]:
+        """The row as text, in the order of COLUMNS."""
+        digits = {"mass": 2, "viscous_friction": 1, "coulomb_friction": 1}
+        both = (self.errors_old, self.errors_new)
+        errors = [f"{errors[name]:+.{n}f}" for name, n in digits.items() for errors in both]
+        spread = [f"{1000 * std:.1f}" for std in (self.std_old, self.std_new)]
+        settling, outside = seconds(self.settling_time), str(self.outside)
+        return (str(self.increments), self.method, *errors, *spread, settling, outside)
+
+
+@dataclass(frozen=True, eq=False)
+class DemoResult:
+    """Records by increments per turn, tracks by method and increments, and a row for each combination.
+
+    t: time of the samples (n,) [s]; truth: the true parameters by name, each (n,); step_time: when the mass
+    changes [s].
+    """
+
+    seed: int
+    t: Floats
+    truth: Mapping[str, Floats]
+    step_time: float
+    scenarios: Mapping[int, Scenario]
+    tracks: Mapping[str, Mapping[int, Track]]
+    rows: tuple[DemoRow, ...]
+
+    def rows_of(self, method: str) -> list[DemoRow]:
+        """The rows of one method, from the finest encoder to the coarsest."""
+        return [row for row in self.rows if row.method == method]
+
+
+def run_demo(seed: int = 0, duration: float = 30.0) -> DemoResult:
+    """Simulate the cart for `duration` [s] (20 to 3600) and run each method on each encoder.
+
+    Random binary voltage of 3 V, mass 1.07 to 1.44 kg half-way, sampled every 10 ms; the seed (>= 0) draws the
+    input and the place of the start on the encoder's lattice. Raises UsageError for values out of range.
+    """
+    if not SHORTEST <= duration <= LONGEST:
+        raise UsageError(
+            f"duration must be {SHORTEST:g} to {LONGEST:g} s, got {duration}; the errors are averaged over "
+            f"{WINDOW:g} s before the step half-way and at the end"
+        )
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise UsageError(f"seed must be a whole number >= 0, got {seed}; the same number gives the same run")
+    scenarios = {n: make_scenario("mass-step", seed=seed, increments=n, duration=duration) for n in INCREMENTS}
+    tracks = {method: {n: _track(method, scenarios[n]) for n in INCREMENTS} for method in METHODS}
+    record = scenarios[RECORD]
+    t, truth = record.motion.t, _truth(record)
+    rows = tuple(_row(n, method, t, truth, tracks[method][n]) for n in INCREMENTS for method in METHODS)
+    return DemoResult(seed, t, truth, record.schedule.changes[1][0], scenarios, tracks, rows)
+
+
+def _track(method: str, scenario: Scenario) -> Track:
+    make, zeros = METHODS[method]
+    estimator = make(
+        Drive(CART.input_gain),
+        Encoder(scenario.resolution),
+        scenario.dt,
+        CUTOFF,
+        order=ORDER,
+        prefilter_zeros=zeros,
+        forgetting=FORGETTING,
+    )
+    return estimator.run(scenario.motion.u, scenario.counts)
+
+
+def _truth(scenario: Scenario) -> dict[str, Floats]:
+    names = ("mass", "viscous_friction", "coulomb_friction")
+    return dict(zip(names, scenario.schedule.at(scenario.motion.t, scenario.dt)[:3], strict=True))
+
+
+def _row(n: int, method: str, t: Floats, truth: Mapping[str, Floats], track: Track) -> DemoRow:
+    mass, dt = track["mass"], float(t[1] - t[0])
+    step = int(np.flatnonzero(np.diff(truth["mass"]))[0]) + 1
+    old, new = slice(step - round(WINDOW / dt), step), slice(t.size - round(WINDOW / dt), t.size)
+    return DemoRow(
+        increments=n,
+        method=method,
+        errors_old=_errors(track, truth, old),
+        errors_new=_errors(track, truth, new),
+        std_old=float(mass[old].std()),
+        std_new=float(mass[new].std()),
+        settling_time=settling_time(mass[step:], truth["mass"][-1], dt),
+        outside=int(np.sum(~_within(mass[t >= START_UP], *PLAUSIBLE_MASS))),
+    )
+
+
+def _errors(track: Track, truth: Mapping[str, Floats], window: slice) -> dict[str, float]:
+    return {name: float(100 * (track[name][window] / true[window] - 1).mean()) for name, true in truth.items()}
+
+
+def _within(values: Floats, low: float, high: float) -> Flags:
+    return (values >= low) & (values <= high)
+
+
+def settling_time(values: Floats, target: float, dt: float, band: float = BAND) -> float:
+    """Time from the first of `values` (n,) until they stay within the band about the target [s]; inf: never."""
+    outside = np.flatnonzero(~_within(values / target, 1 - band, 1 + band))
+    if outside.size == 0:
+        return 0.0
+    settled = int(outside[-1]) + 1
+    return math.inf if settled == values.size else settled * dt
+
+
+def seconds(time: float) -> str:
+    """A time [s] as text; inf: never."""
+    return f"{time:.2f}" if math.isfinite(time) else "never"

@@ -1,0 +1,1 @@
+"""What is to be designed, and what an input tells of it."""

@@ -1,0 +1,53 @@
+"""What a design is worth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from pmfid.design.problem.problem import Float, Problem
+
+__all__ = ["Design"]
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """An input, its nominal motion, and what it tells.
+
+    t: (n+1,) nodes [s]; u: (n,) input, held from t[k] to t[k+1]; x, v: (n+1,) nominal position [m] and velocity [m/s].
+    fisher: (p, p) information on the *unknown* parameters in their own units, prior included, nuisance ones eliminated.
+    value: of the criterion, larger is better (see `criteria`); bound: proved upper bound of it, or None; it holds for
+    the problem's time grid and directions. starts: how many, reached: fraction of them within 0.1 % of the best.
+    """
+
+    problem: Problem
+    criterion: str
+    t: Float
+    u: Float
+    x: Float
+    v: Float
+    fisher: Float
+    value: float
+    bound: float | None = None
+    starts: int = 1
+    reached: float = 1.0
+    solve_seconds: float = 0.0
+    feasible: bool = True
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def gap(self) -> float | None:
+        """Proved bound over value, minus 1; None where no bound is proved."""
+        return None if self.bound is None else max(0.0, self.bound / self.value - 1.0)
+
+    @property
+    def predicted_std(self) -> dict[str, float]:
+        """Standard deviation of each unknown parameter after one run, Cramér-Rao; inf where it has no information."""
+        from numpy.linalg import LinAlgError, inv
+
+        names = self.problem.unknown
+        try:
+            variance = inv(self.fisher).diagonal()
+        except LinAlgError:
+            return dict.fromkeys(names, math.inf)
+        return {name: math.sqrt(v) if v > 0 else math.inf for name, v in zip(names, variance, strict=True)}

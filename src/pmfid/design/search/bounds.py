@@ -1,0 +1,209 @@
+"""A proved upper bound of a criterion over all inputs within the limits.
+
+Every criterion but ME is below its tangent, trace(W F), at any mixture of informations. That is a sum of squares of
+linear functions of the input, each below the chord over its range, which makes a linear program (Falk and Soland 1969).
+Branching halves ranges; what narrows them most is that only inputs above the target are of interest
+(Ryoo and Sahinidis 1996). Where the tangent itself is too high, another mixture gives a new one.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from dataclasses import dataclass, field
+from itertools import count
+
+import numpy as np
+from scipy.linalg import null_space
+
+from pmfid.design.problem.criteria import Criterion
+from pmfid.design.problem.fisher import Affine, affine
+from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.search.frame import Box, Frame, frame
+from pmfid.design.search.mixture import best_mixture, proportions, share
+from pmfid.design.search.nearest import EQUAL, input_set
+from pmfid.design.search.oracle import EmptyError, Oracle
+from pmfid.design.search.polytope import polytope
+
+__all__ = ["upper_bound"]
+
+#: Share of the chords' gap that is worth narrowing; another round must take away a part of the excess. More rounds are
+#: lost on a part that has to be halved all the same.
+WORTH, PROGRESS, ROUNDS = 0.9, 0.15, 2
+#: Vertices that a node remembers, for mixtures.
+REMEMBERED = 80
+LEAST_GAIN = 0.02
+
+
+@dataclass(eq=False)
+class _Node:
+    """A part of the inputs: rows (normal, lower, upper) cut it out; bound: in units of the incumbent's value."""
+
+    rows: list[tuple[Float, float, float]]
+    frame: Frame
+    box: Box
+    bound: float = np.inf
+    z: Float = field(default_factory=lambda: np.zeros(0))
+    seen: list[Float] = field(default_factory=list)
+    apart: tuple[Float, Float] | None = None
+
+
+def upper_bound(
+    problem: Problem, rule: Criterion, u: Float, *, gap: float = 0.01, seconds: float = 60.0
+) -> float | None:
+    """An upper bound of the criterion's value, at most 1 + gap times that of the input u (K,) if the time suffices.
+
+    u: feasible, and the better the faster. seconds: of the processor, so that a busy machine proves as much. None for
+    ME, which has no tangent.
+    """
+    if not rule.concave:
+        return None
+    search = _Search(problem, rule, u, gap, time.thread_time() + seconds)
+    return search.run() * search.value
+
+
+class _Search:
+    def __init__(self, problem: Problem, rule: Criterion, u: Float, gap: float, until: float) -> None:
+        self.maps: Affine = affine(problem)
+        self.rule, self.u, self.until = rule, u, until
+        self.target = 1.0 + gap
+        self.value = rule.value(self.maps.information(u))
+        shape = polytope(problem)
+        self.oracle = Oracle(shape)
+        self.oracle.feasible()
+        inputs = input_set(shape)
+        equations = inputs.matrix[inputs.upper - inputs.lower <= EQUAL]
+        self.directions = null_space(equations) if len(equations) else np.eye(problem.intervals)
+        self.order = count()
+        self.heap: list[tuple[float, int, _Node]] = []
+
+    def run(self) -> float:
+        """The bound over the incumbent's value."""
+        root = self._root()
+        self._push(root)
+        while self.heap and -self.heap[0][0] > self.target and time.thread_time() < self.until:
+            node = heapq.heappop(self.heap)[2]
+            for child in self._halves(node):
+                self._close(child)
+                self._push(child)
+        return max(1.0, self.target if not self.heap else -self.heap[0][0])
+
+    def _push(self, node: _Node) -> None:
+        if node.bound > self.target:
+            heapq.heappush(self.heap, (-node.bound, next(self.order), node))
+
+    def _root(self) -> _Node:
+        weight = share(self.rule, _support(self.maps, self.rule, self.oracle, self.u)) / self.value
+        node = self._framed([], weight, [self.u])
+        self._close(node)
+        return node
+
+    def _framed(self, rows: list[tuple[Float, float, float]], weight: Float, seen: list[Float]) -> _Node:
+        """The part that the rows cut out, in the frame of a weight, with all ranges measured."""
+        self._enter(rows)
+        where = frame(self.maps, weight, self.directions, self.u)
+        size = len(where.offset)
+        box = Box(np.full(size, -np.inf), np.full(size, np.inf))
+        for j in range(size):
+            seen += box.measure(j, self.oracle.relaxed, where)
+        node = _Node(rows, where, box, seen=seen[-REMEMBERED:])
+        self._bound(node)
+        return node
+
+    def _enter(self, rows: list[tuple[Float, float, float]]) -> None:
+        self.oracle.start()
+        for normal, lower, upper in rows:
+            self.oracle.restrict(normal, lower, upper)
+
+    def _bound(self, node: _Node) -> None:
+        where, box = node.frame, node.box
+        vertex = self.oracle.relaxed(where.matrix.T @ box.slope)
+        node.z = where.matrix @ vertex + where.offset
+        node.bound = min(node.bound, box.chords(node.z) + where.constant + SLACK_OF_BOUND)
+        node.seen.append(vertex)
+
+    def _close(self, node: _Node) -> None:
+        """Narrows the part until it holds nothing above the target, or narrowing does not help."""
+        try:
+            if node.rows:
+                self._enter(node.rows)
+                self._bound(node)
+            self._narrow(node)
+            if node.bound > self.target and len(self.maps.scale) > 1:
+                self._turn(node)
+        except EmptyError:
+            node.bound = -np.inf
+
+    def _narrow(self, node: _Node) -> None:
+        for _ in range(ROUNDS):
+            before = node.bound
+            if before <= self.target or time.thread_time() > self.until:
+                return
+            self._measure(node)
+            self._bound(node)
+            if node.bound - 1.0 > (1.0 - PROGRESS) * (before - 1.0):
+                return
+
+    def _measure(self, node: _Node) -> None:
+        """Ranges of the coordinates with the largest gaps, over the inputs whose chords reach the target."""
+        where, box = node.frame, node.box
+        gaps = box.gaps(node.z)
+        order = np.argsort(-gaps)
+        much = int(np.searchsorted(np.cumsum(gaps[order]), WORTH * gaps.sum())) + 1
+        slope = box.slope
+        least = self.target - where.constant + float(box.lower @ box.upper - slope @ where.offset)
+        row = self.oracle.restrict(where.matrix.T @ slope, least - SLACK_OF_BOUND, np.inf)
+        for j in order[:much]:
+            node.seen += box.measure(j, self.oracle.relaxed, where)
+        self.oracle.release(row)
+        del node.seen[:-REMEMBERED]
+
+    def _turn(self, node: _Node) -> None:
+        """A new tangent, at the best mixture of what has been seen, where the present one is too high."""
+        if len(node.seen) < 2 or time.thread_time() > self.until:
+            return
+        informations = np.array([self.maps.information(u) for u in node.seen])
+        truth = np.tensordot(informations, node.frame.weight, 2).max()
+        if truth <= (1.0 + self.target) / 2.0:
+            return  # the chords are to blame
+        weights = proportions(self.rule, informations, 300)
+        first, second = np.argsort(-weights)[:2]
+        node.apart = (node.seen[first], node.seen[second])
+        mean = np.tensordot(weights, informations, 1)
+        if self.rule.value(mean) / self.value < truth - LEAST_GAIN:
+            other = self._framed(node.rows, share(self.rule, mean) / self.value, list(node.seen))
+            self._narrow(other)
+            if other.bound < node.bound:
+                node.frame, node.box, node.z, node.bound = other.frame, other.box, other.z, other.bound
+
+    def _halves(self, node: _Node) -> list[_Node]:
+        where, box = node.frame, node.box
+        gaps = box.gaps(node.z)
+        j = int(np.argmax(gaps))
+        middle = (box.lower[j] + box.upper[j]) / 2.0
+        if node.apart and gaps.sum() < (node.bound - 1.0) / 2.0:
+            # the chords are tight: only motions on different sides keep the mixture above the target
+            j, middle = _between(where, box, *node.apart)
+        halves: list[_Node] = []
+        for side in (box.copy(), box.copy()):
+            (side.upper if not halves else side.lower)[j] = middle
+            row = (where.matrix[j], side.lower[j] - where.offset[j], side.upper[j] - where.offset[j])
+            halves.append(_Node([*node.rows, row], where, side, node.bound, seen=[]))
+        return halves
+
+
+#: What the tolerances of the linear solver may add to a bound, in units of the incumbent's value.
+SLACK_OF_BOUND = 1e-6
+
+
+def _between(where: Frame, box: Box, one: Float, other: Float) -> tuple[int, float]:
+    """The coordinate in which two inputs differ most, and the value half way, well inside the box."""
+    a, b = where.matrix @ one + where.offset, where.matrix @ other + where.offset
+    j = int(np.argmax(np.abs(a - b)))
+    margin = 0.1 * (box.upper[j] - box.lower[j])
+    return j, float(np.clip((a[j] + b[j]) / 2.0, box.lower[j] + margin, box.upper[j] - margin))
+
+
+def _support(maps: Affine, rule: Criterion, oracle: Oracle, u: Float) -> Float:
+    """Information of the best mixture, as far as a few local searches find it."""
+    return best_mixture(maps, rule, oracle, [u])[0]

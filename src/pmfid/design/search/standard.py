@@ -1,0 +1,172 @@
+"""Standard inputs within the same limits: what a design is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+from scipy.optimize import brentq
+
+from pmfid.design.problem.fisher import motion
+from pmfid.design.problem.problem import Float, InfeasibleError, Problem
+from pmfid.design.search.nearest import InputSet, input_set, nearest, violation
+from pmfid.design.search.oracle import Oracle
+from pmfid.design.search.polytope import polytope
+from pmfid.design.search.profiles import RISES, SIGNALS, Leg, input_wish, legs, velocity_wish
+
+__all__ = ["STANDARD", "StandardInput", "standard_inputs"]
+
+#: Violation of a limit, relative, that rounding explains.
+ROUNDING = 1e-7
+#: Parts of what can be reached that legs with a free end try to cover.
+SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
+#: Peak velocity [m/s] beyond which no profile is looked for.
+FASTEST = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class StandardInput:
+    """u (n,): the input, held over each interval; x, v (n+1,): the reference for position control, at the nodes.
+
+    bent: the limits do not allow the profile itself; this is the input nearest to it.
+    """
+
+    name: str
+    u: Float
+    x: Float
+    v: Float
+    bent: bool
+
+
+def standard_inputs(problem: Problem, seed: int = 0, names: tuple[str, ...] = ()) -> dict[str, StandardInput]:
+    """Trapezoid, S-curve, least energy, least time, pulses, PRBS, multisine and chirp within the problem's limits.
+
+    names: only these; seed: of the PRBS. "minimum_time" reaches the end of each leg as early as the limits let it, and
+    goes on at the least speed. A profile that the limits do not allow is replaced by the nearest input, in
+    the sum of squares. Raises InfeasibleError where no input meets the limits.
+    """
+    maker = _Maker(problem, input_set(polytope(problem)), seed)
+    found = {}
+    for name in names or STANDARD:
+        u, bent = _MAKERS[name](maker)
+        found[name] = StandardInput(name, u, *motion(problem, u), bent)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Maker:
+    """What the standard inputs of one problem share."""
+
+    problem: Problem
+    inputs: InputSet
+    seed: int
+
+    @cached_property
+    def from_velocity(self) -> Float:
+        """Input of least norm from velocities less their offset, (K, K)."""
+        return np.asarray(np.linalg.pinv(self.inputs.velocity), float)
+
+    def input_of(self, velocities: Float) -> Float:
+        return np.asarray(self.from_velocity @ (velocities[1:] - self.inputs.velocity_offset))
+
+    def position_at(self, node: int, velocities: Float) -> float:
+        row = self.inputs.position[node - 1]
+        return float(row @ self.input_of(velocities) + self.inputs.position_offset[node - 1])
+
+    @cached_property
+    def reach(self) -> tuple[float, float]:
+        """Lowest and highest position [m] that some input reaches."""
+        oracle, inputs = Oracle(self.inputs.rows), self.inputs
+        far = []
+        for sign in (-1, 1):
+            u = oracle.maximise(sign * inputs.position.sum(axis=0))
+            far.append(sign * float(np.max(sign * (inputs.position @ u + inputs.position_offset))))
+        return far[0], far[1]
+
+
+def _profile(maker: _Maker, rises: tuple[float | None, ...]) -> tuple[Float, bool]:
+    """The first of these velocity profiles that the limits allow, else the nearest to the first."""
+    path = legs(maker.problem)
+    shares = SHARES if any(leg.free for leg in path) else SHARES[:1]
+    wishes = [_velocities(maker, path, rise, share) for share in shares for rise in rises]
+    for wish in wishes:
+        u = maker.input_of(wish)
+        if violation(maker.inputs, u) <= ROUNDING:
+            return u, False
+    return nearest(maker.inputs, maker.input_of(wishes[0])), True
+
+
+def _velocities(maker: _Maker, path: list[Leg], rise: float | None, share: float) -> Float:
+    """Velocities (K+1,) at the nodes of the profile in each leg, as high as its target needs."""
+    problem = maker.problem
+    wish = np.zeros(problem.intervals + 1)
+    wish[0] = problem.start[1]
+    for leg in path:
+        target = _target(maker, leg, share)
+        wish[leg.first : leg.last + 1] = velocity_wish(problem, leg, rise, _peak(maker, wish, leg, rise, target))
+    return wish
+
+
+def _target(maker: _Maker, leg: Leg, share: float) -> float:
+    """Position [m] where a leg is to end."""
+    end, start = maker.problem.end[0], maker.problem.start[0]
+    if end is not None and not leg.free:
+        return end
+    return start + share * (maker.reach[leg.direction > 0] - start)
+
+
+def _peak(maker: _Maker, wish: Float, leg: Leg, rise: float | None, target: float) -> float:
+    """Peak velocity [m/s] with which the leg ends at the target [m]; 0 where it cannot."""
+
+    def beyond(peak: float) -> float:
+        trial = wish.copy()
+        trial[leg.first : leg.last + 1] = velocity_wish(maker.problem, leg, rise, peak)
+        return leg.direction * (maker.position_at(leg.last, trial) - target)
+
+    high = 1.0
+    while beyond(high) < 0 and high < FASTEST:
+        high *= 4
+    return float(brentq(beyond, 0.0, high, xtol=1e-15)) if beyond(0.0) < 0 < beyond(high) else 0.0
+
+
+def _signal(maker: _Maker, name: str) -> tuple[Float, bool]:
+    """The signal over the whole range of the input, bent to the other limits."""
+    low, high = maker.problem.limits.pair("input") or _range(maker)
+    wish = input_wish(maker.problem, name, low, high, np.random.default_rng(maker.seed))
+    if violation(maker.inputs, wish) <= ROUNDING:
+        return wish, False
+    return nearest(maker.inputs, wish), True
+
+
+def _range(maker: _Maker) -> tuple[float, float]:
+    """Without a limit of the input: twice what the motion needs at least."""
+    size = 2 * float(np.abs(nearest(maker.inputs, np.zeros(maker.problem.intervals))).max()) or 1.0
+    return -size, size
+
+
+def _least_energy(maker: _Maker) -> tuple[Float, bool]:
+    return _checked(maker, nearest(maker.inputs, np.zeros(maker.problem.intervals))), False
+
+
+def _least_time(maker: _Maker) -> tuple[Float, bool]:
+    """As far ahead as possible at every node: largest sum of the way gone."""
+    ahead = np.array(maker.problem.sense, float) @ maker.inputs.position
+    return _checked(maker, Oracle(maker.inputs.rows).maximise(ahead)), False
+
+
+def _checked(maker: _Maker, u: Float) -> Float:
+    if not violation(maker.inputs, u) < 1e-5:
+        raise InfeasibleError("no input meets all limits; relax one of them")
+    return u
+
+
+_MAKERS: dict[str, Callable[[_Maker], tuple[Float, bool]]] = {
+    **{name: partial(_profile, rises=rises) for name, rises in RISES.items()},
+    "minimum_energy": _least_energy,
+    "minimum_time": _least_time,
+    **{name: partial(_signal, name=name) for name in SIGNALS},
+}
+#: Names of the standard inputs.
+STANDARD = tuple(_MAKERS)

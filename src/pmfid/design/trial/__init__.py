@@ -1,0 +1,1 @@
+"""What an input is worth on a machine, and what its run tells."""

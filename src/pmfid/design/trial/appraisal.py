@@ -1,0 +1,196 @@
+"""What an input is worth: beside the standard inputs, over time, and with true stiction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid.design.problem.criteria import Criterion, eliminate
+from pmfid.design.problem.fisher import affine
+from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.result import Design
+from pmfid.design.search.evaluation import Setting, setting
+from pmfid.design.search.solver import price_of_robustness
+from pmfid.design.search.standard import StandardInput, standard_inputs
+from pmfid.design.trial.choice import USUAL, best_input, stds
+from pmfid.design.trial.encoder_error import expected_covariance, is_counted
+from pmfid.design.trial.simulated import simulated_information
+
+__all__ = ["Appraisal", "Worth", "appraise", "gathered", "worth_of"]
+
+#: Below this part of the claimed information the design is not what it says.
+SURVIVES = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Worth:
+    """What one run of an input tells.
+
+    fisher: (p, p) on the unknown parameters, in their own units, prior included; value: of the criterion, over the
+    scenarios where the problem has an average.
+    surviving: part of the claimed information that is there with true stiction, the least for parameters that are a
+    little larger, smaller or both; None where that cannot be simulated.
+    predicted_std: of each unknown parameter after one run; inf where the run and the prior leave it open.
+    std_encoder: that of `pmfid commission` from the encoder's counts, start position unknown (`encoder_covariance`);
+    inf as above and where the noise is not that of an encoder. covariance: (p, p) of the estimate after one run over
+    unknown + nuisance, in their units, by which inputs are chosen; None where it is open.
+    """
+
+    fisher: Float
+    value: float
+    surviving: float | None
+    predicted_std: Mapping[str, float]
+    std_encoder: Mapping[str, float]
+    covariance: Float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Appraisal:
+    """A design beside the standard inputs; worths: by name, that of the design itself as "design".
+
+    price: part of the nominal information that robustness costs, None where the design is not robust.
+    """
+
+    design: Design
+    rule: Criterion
+    standard: Mapping[str, StandardInput]
+    worths: Mapping[str, Worth]
+    warnings: tuple[str, ...]
+    price: float | None = None
+
+    @property
+    def gain(self) -> dict[str, float]:
+        """Value of the design over that of each standard input; inf where that is 0."""
+        own = self.worths["design"].value
+        values = {name: self.worths[name].value for name in self.standard}
+        return {name: own / value if value > 0 else math.inf for name, value in values.items()}
+
+    @property
+    def recommended(self) -> str:
+        """Name of the input that serves the estimate best, with no unknown parameter worse than by the trapezoid."""
+        covariances = {name: worth.covariance for name, worth in self.worths.items()}
+        return best_input(self.design.problem, self.rule, covariances)
+
+    def to_json(self) -> dict[str, Any]:
+        """The object that `--json` prints; null in place of what is infinite or not proved."""
+        design, worth = self.design, self.worths["design"]
+        return {
+            "criterion": design.criterion,
+            "value": worth.value,
+            "bound": design.bound,
+            "gap": design.gap,
+            "standard": {name: self.worths[name].value for name in self.standard},
+            "gain": {name: _finite(gain) for name, gain in self.gain.items()},
+            "surviving": worth.surviving,
+            "predicted_std": {name: _finite(std) for name, std in worth.predicted_std.items()},
+            "predicted_std_encoder": {name: _finite(std) for name, std in worth.std_encoder.items()},
+            "recommended": self.recommended,
+            "solve_seconds": design.solve_seconds,
+            "starts": design.starts,
+            "feasible": design.feasible,
+            "warnings": list(self.warnings),
+            "price_of_robustness": self.price,
+        }
+
+
+def appraise(design: Design, combination: Mapping[str, float] | None = None, seed: int = 0) -> Appraisal:
+    """The design beside the standard inputs; combination: for criterion "c"; seed: of the PRBS among them."""
+    problem = design.problem
+    ready = setting(problem, design.criterion, combination)
+    standard = standard_inputs(problem, seed)
+    inputs = {"design": design.u} | {name: found.u for name, found in standard.items()}
+    worths = {name: worth_of(ready, u) for name, u in inputs.items()}
+    price = price_of_robustness(design, combination) if problem.scenarios else None
+    found = Appraisal(design, ready.rule, standard, worths, design.warnings, price)
+    return replace(found, warnings=(*design.warnings, *_warnings(found)))
+
+
+def worth_of(ready: Setting, u: Float) -> Worth:
+    """What one run of the input u (n,) tells."""
+    problem, maps = ready.problem, ready.maps[0]
+    covariance = expected_covariance(problem, u)
+    F = maps.information(u)
+    return Worth(
+        _on_unknown(problem, F),
+        ready.value(u),
+        _surviving(problem, ready.rule, u, F - maps.prior),
+        _stds(problem, _on_unknown(problem, F)),
+        stds(problem, covariance if is_counted(problem) else None),
+        covariance,
+    )
+
+
+def _on_unknown(problem: Problem, F: Float) -> Float:
+    """Information on the unknown parameters in their own units from that on all scaled ones."""
+    size = len(problem.unknown)
+    return np.asarray(eliminate(F, size)[0] / np.outer(problem.scale[:size], problem.scale[:size]))
+
+
+def gathered(problem: Problem, criterion: Criterion, u: ArrayLike) -> tuple[Float, Float]:
+    """Sample instants (N,) [s] and the value of the criterion for the samples up to each (N,), prior included."""
+    maps = affine(problem)
+    s = maps.weighted(u)
+    F = maps.prior + np.cumsum(np.einsum("in,jn->nij", s, s), axis=0)
+    t = np.arange(1, s.shape[1] + 1) * (problem.horizon / s.shape[1])
+    values = [criterion.value(each) if np.linalg.matrix_rank(each) == len(each) else 0.0 for each in F]
+    return t, np.array(values)
+
+
+def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Float) -> float | None:
+    """Of the run's own information by the same criterion, or by the trace where that gives the run alone no size."""
+    if problem.drive.friction != "symmetric":
+        return None
+    judge = replace(criterion, name="trace") if criterion.name == "ME" else criterion
+    if not judge.value(claimed) > 1e-9 * np.trace(claimed):
+        judge = Criterion("trace", len(claimed))
+    scale = np.outer(problem.scale, problem.scale)
+    true = [judge.value(simulated_information(problem, u, side=side) * scale) for side in (-1, 0, 1)]
+    whole = judge.value(claimed)
+    return min(true) / whole if whole > 0 else None
+
+
+def _stds(problem: Problem, fisher: Float) -> dict[str, float]:
+    scale = problem.scale[: len(problem.unknown)]
+    values, vectors = np.linalg.eigh(fisher * np.outer(scale, scale))
+    with np.errstate(divide="ignore"):
+        variance = (vectors**2 / np.where(values > 1e-12 * values[-1], values, 0.0)).sum(axis=1)
+    return {name: float(std) for name, std in zip(problem.unknown, scale * np.sqrt(variance), strict=True)}
+
+
+def _warnings(found: Appraisal) -> list[str]:
+    stiction = _stiction_warnings(found.design, found.worths["design"])
+    return [*stiction, *_encoder_warnings(found.worths, found.recommended)]
+
+
+def _stiction_warnings(design: Design, worth: Worth) -> list[str]:
+    if worth.surviving is None:
+        return ["the design was not checked with stiction, which the simulation has for symmetric friction only"]
+    careful = design.problem.limits.min_speed > 0
+    if worth.surviving >= SURVIVES and careful:
+        return []
+    part = f"{100 * worth.surviving:.0f} % of the claimed information survives a simulation with stiction"
+    return [f"{part}; raise min_speed" if careful else f"{part}; min_speed is 0: set it above"]
+
+
+def _encoder_warnings(worths: Mapping[str, Worth], recommended: str) -> list[str]:
+    own, usual = worths["design"].std_encoder, worths[USUAL].std_encoder
+    if not all(map(math.isfinite, own.values())):
+        return []
+    worse = {name: std / usual[name] for name, std in own.items() if std > usual[name] > 0}
+    if not worse:
+        return []
+    worst = max(worse, key=worse.__getitem__)
+    return [
+        f"by the counts of this encoder the design leaves {worst} {worse[worst]:.1f} times as uncertain as a trapezoid "
+        f"does: its error repeats along the motion; run the input {recommended!r}, or design with another min_speed "
+        "or sampling, apart from whole counts per sample"
+    ]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

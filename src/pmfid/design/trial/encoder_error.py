@@ -1,0 +1,147 @@
+"""Standard deviations with the error that an encoder really makes: it repeats with the motion, and is not white."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid.design.problem.fisher import affine
+from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.trial.simulated import both_ways, simulate
+from pmfid.design.trial.walkers import inside, walk
+
+__all__ = ["encoder_covariance", "expected_covariance", "is_counted", "log_of_room", "squares_covariance", "start_free"]
+
+#: Start phases on the lattice of the encoder, evenly spread, for least squares.
+PHASES = 128
+#: Machines for the counts themselves, the part by which they are wrong (a deviation), and what is known of one at rest.
+MACHINES, WRONG, FAR = 16, 0.06, 1.0
+#: Condition of an information from which on it leaves a parameter open.
+WORST = 1e12
+#: Walkers for each of these, steps until they have spread, and steps that count.
+WALKERS, SPREAD, STEPS = 20, 80, 120
+
+
+def encoder_covariance(problem: Problem, u: ArrayLike) -> Float | None:
+    """Mean square error (p, p) of unknown + nuisance, in their own units, of `calibrate` after one run of u (n,).
+
+    The mean over machines that differ from the nominal values by as much as is not known, at most WRONG, each from
+    another start phase: what their counts leave open is as in `counted`, with sensitivities of the simulated motion. A
+    motion that is the best for the nominal values may come to rest on another machine, and tell little.
+    None where the noise is not that of an encoder, or where the run and the prior leave a parameter open.
+    """
+    ready = _ready(problem, u)
+    if ready is None:
+        return None
+    prior, size = ready[1], len(problem.names)
+    known = prior + np.eye(size) / FAR**2  # for a machine that rests and tells nothing
+    errors, moves, roots = [], [], []
+    for number, parameters in enumerate(_machines(problem, prior)):
+        x, s = _motion_in_counts(problem, u, parameters)
+        phase = (number + 0.5) / MACHINES
+        errors.append(np.floor(x + phase) - x - phase)
+        roots.append(np.linalg.inv(np.linalg.cholesky(12.0 * s @ s.T + known)).T)  # z: the scatter of white noise
+        moves.append(roots[-1].T @ s)
+    error, move, root = np.array(errors)[:, None], np.array(moves), np.array(roots)
+    held = root.swapaxes(1, 2) @ known @ root
+
+    def density(z: Float) -> Float:
+        return np.asarray(log_of_room(z @ move - error, 0.5) - 0.5 * np.sum((z @ held) * z, axis=-1))
+
+    rng = np.random.default_rng(0)
+    start = inside(density, np.zeros(size), 0.1 * rng.standard_normal((MACHINES, WALKERS, size)))
+    path = walk(density, start, SPREAD + STEPS, rng)[SPREAD:] @ root.swapaxes(1, 2)
+    apart = (path - path.mean(axis=(0, 2), keepdims=True)).reshape(-1, size)
+    return np.asarray(apart.T @ apart / len(apart) * np.outer(problem.scale, problem.scale))
+
+
+def _machines(problem: Problem, prior: Float) -> list[dict[str, float]]:
+    """Parameters around the nominal ones: normal, with what the prior (p, p) knows of the scaled ones."""
+    nominal = np.array([problem.nominal[name] for name in problem.names])
+    least = (WRONG * np.abs(nominal) / problem.scale) ** -2.0 if np.all(nominal) else np.full(len(nominal), WRONG**-2.0)
+    spread = np.linalg.cholesky(np.linalg.inv(prior + np.diag(least)))
+    draws = np.random.default_rng(0).standard_normal((MACHINES // 2, len(nominal))).clip(-2.0, 2.0)
+    values = nominal + np.vstack([draws, -draws]) @ spread.T * problem.scale
+    lower = np.where([name == "offset" for name in problem.names], -np.inf, 0.1 * np.abs(nominal))
+    return [dict(zip(problem.names, np.maximum(each, lower).tolist(), strict=True)) for each in values]
+
+
+def _motion_in_counts(problem: Problem, u: ArrayLike, parameters: dict[str, float]) -> tuple[Float, Float]:
+    """Positions (N + 1,) and centred sensitivities to the scaled parameters (p, N + 1), in counts, with stiction."""
+    resolution = float(problem.resolution or 1.0)
+    columns = []
+    for name, scale in zip(problem.names, problem.scale, strict=True):
+        low, high = both_ways(name, parameters[name])
+        ends = [simulate(problem, u, {**parameters, name: value}).x for value in (high, low)]
+        columns.append((ends[0] - ends[1]) * scale / (high - low) / resolution)
+    s = np.array(columns)
+    return simulate(problem, u, parameters).x / resolution, s - s.mean(axis=1, keepdims=True)
+
+
+def expected_covariance(problem: Problem, u: ArrayLike) -> Float | None:
+    """The covariance (p, p) that `calibrate` will have: `encoder_covariance`, or of white noise, the start unknown.
+
+    None where the run and the prior leave a parameter open.
+    """
+    if is_counted(problem):
+        return encoder_covariance(problem, u)
+    maps = affine(problem)
+    F = start_free(maps.weighted(u)) + maps.prior
+    scale = np.outer(problem.scale, problem.scale)
+    return None if np.linalg.cond(F) > WORST else np.asarray(np.linalg.inv(F) * scale)
+
+
+def log_of_room(distance: Float, half: float) -> Float:
+    """Logarithm of how far a motion may be moved with each sample within its count, -inf where it may not be there.
+
+    distance (..., N): of the motion from the middles of the counts, in counts; half: width of a count over 2. The
+    likelihood of a motion whose start on the lattice is not known.
+    """
+    room = 2.0 * half - (distance.max(axis=-1) - distance.min(axis=-1))
+    return np.asarray(np.log(room, out=np.full(room.shape, -np.inf), where=room > 0))
+
+
+def squares_covariance(problem: Problem, u: ArrayLike) -> Float | None:
+    """The same (p, p) for least squares on the counts, linearised at the nominal values.
+
+    The error of the counts along the simulated motion (paper eq. 3), from all start phases alike, sent through the
+    estimate.
+    """
+    ready = _ready(problem, u)
+    if ready is None:
+        return None
+    s, prior, F = ready
+    x = simulate(problem, u).x / float(problem.resolution or 1.0)
+    phases = (np.arange(PHASES)[:, None] + 0.5) / PHASES
+    error = np.sqrt(12.0) * (np.floor(x + phases) - x - phases)  # over its deviation
+    score = error @ s.T
+    middle = score.T @ score / PHASES + prior
+    scale = np.outer(problem.scale, problem.scale)
+    return np.asarray(np.linalg.solve(F, np.linalg.solve(F, middle).T) * scale)
+
+
+def _ready(problem: Problem, u: ArrayLike) -> tuple[Float, Float, Float] | None:
+    """Centred sensitivities (p, N + 1), prior and information (p, p), scaled; None where there is no answer."""
+    if not is_counted(problem):
+        return None
+    maps = affine(problem)
+    s = centred_sensitivities(maps.weighted(u))
+    F = s @ s.T + maps.prior
+    return None if np.linalg.cond(F) > WORST else (s, maps.prior, F)
+
+
+def is_counted(problem: Problem) -> bool:
+    """Whether the noise is that of an encoder, on an axis that can be simulated."""
+    return problem.resolution is not None and problem.noise_variance is None and problem.drive.friction == "symmetric"
+
+
+def start_free(sensitivity: Float) -> Float:
+    """Information (p, p) of sensitivities (p, N) where the start position is unknown, but measured as well."""
+    s = centred_sensitivities(sensitivity)
+    return np.asarray(s @ s.T)
+
+
+def centred_sensitivities(sensitivity: Float) -> Float:
+    """(p, N + 1) from (p, N): with the sample at the start, and without what a shift of the position can do as well."""
+    s = np.column_stack([np.zeros(len(sensitivity)), sensitivity])
+    return np.asarray(s - s.mean(axis=1, keepdims=True))

@@ -1,0 +1,123 @@
+"""Transfer functions: what is no estimate, and what to mind where there is one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.base import Estimator
+from pmfid.judge.assess import Assessment
+from pmfid.transfer.experiment import Experiment
+from pmfid.transfer.order import Search
+from pmfid.transfer.process import Process
+
+#: The input must not be correlated with the noise by more than chance for these to be consistent without reference.
+FEEDBACK = (
+    "the residual is correlated with later inputs, so the input has the noise in it, as a controller feeds it back: "
+    "the estimate is biased; give the reference of the controller ([record] reference) to srivc, iv or output-error"
+)
+IGNORED = "{method} does not use the reference of the controller; srivc, iv and output-error do"
+#: Less of the output explained [%] is worth a sentence.
+POOR_FIT = 10.0
+#: An output so many robust standard deviations off, in so small a part of the samples, is an outlier.
+FAR, FEW = 10.0, 0.01
+
+
+def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, checks: Assessment) -> None:
+    """An estimate of nothing but noise is none, whatever its error bars."""
+    variance = np.diagonal(cov)
+    if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(cov)) and np.all(variance > 0)):
+        raise NotIdentifiableError(
+            f"the uncertainty of the transfer function is beyond numbers ({estimator.method}): the records do not "
+            "identify it; excite the process more, or use fewer poles and zeros"
+        )
+    if not checks.depends:
+        offset = "" if "offset" in estimator.names else "give offset = true in [model] where it has a constant, "
+        raise NotIdentifiableError(
+            f"the output hardly depends on the input ({estimator.method}): chance alone explains as much of it; "
+            f"check the columns, the dead time and for outliers, {offset}excite the process more, or use fewer poles "
+            "and zeros"
+        )
+
+
+def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Assessment) -> list[str]:
+    """What there is to doubt in numbers that are there."""
+    residual = np.concatenate(checks.residual)
+    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+    far = int(np.sum(np.abs(residual - np.median(residual)) > FAR * spread)) if spread > 0 else 0
+    found = []
+    unknown = [name for name, value, s in zip(estimator.names, theta, std, strict=True) if s > abs(value)]
+    if unknown:
+        found.append(f"not known to its own size: {', '.join(unknown)}; fewer poles or zeros may do")
+    if 0 < far <= FEW * residual.size:
+        found.append(f"{far} samples of the output are far off the others, and may decide everything: leave them empty")
+    if 0 <= checks.fit < POOR_FIT:
+        found.append(f"the model explains {checks.fit:.2g} % of the output, no more")
+    if "offset" not in estimator.names and abs(np.mean(residual)) > 0.5 * np.std(residual):
+        found.append("the residual has a mean: give offset = true in [model]")
+    return found
+
+
+def notes_on(
+    experiments: Sequence[Experiment], checks: Assessment, process: Process, referenced: bool, expected: bool
+) -> list[str]:
+    """What the residual tests, the poles and the records give to mind; referenced: the method uses a reference;
+    expected: poles in the right half-plane were asked for."""
+    found = []
+    if checks.feedback and not referenced:
+        found.append(FEEDBACK)
+    if checks.unmodelled:
+        found.append(
+            "the input explains some of the residual: another dead time, more poles or zeros, or another hold may "
+            "explain more; the error bars leave out what this moves the estimate by"
+        )
+    if checks.repeats:
+        found.append(
+            "the residual does the same in every period of the input: that is an error of the model, not noise, and "
+            "the error bars allow for one like it; another structure may explain it"
+        )
+    if checks.hold.better:
+        found.append(
+            'with the other hold of the input the model follows the records better: hold = "zoh" is for one that a '
+            'converter holds, "foh" for one that runs on between the samples; try the other, it moves the estimate'
+        )
+    if checks.hold.hidden and not checks.second.surplus:
+        found.append(
+            "the record does not tell whether its input is held between the samples or runs on, and that moves a "
+            'parameter beyond its error bar: make sure of [record] hold, "zoh" or "foh", or sample faster'
+        )
+    if checks.second.surplus:
+        found.append(
+            "one pole and one zero less explain the record as well: it does not tell where they are, and their error "
+            "bars mean nothing; use a smaller n and m"
+        )
+    if checks.second.moved:
+        found.append(
+            "with the colour of the noise in mind the estimate is elsewhere, by more than its error bars: it has taken "
+            "some of the noise for dynamics; record longer, or use a smaller n and m"
+        )
+    if np.any(process.poles.real > 0) and not expected:
+        found.append("the transfer function is unstable: what it simulates, and so the fit, says nothing")
+    missing = sum(int(np.sum(~np.isfinite(experiment.y))) for experiment in experiments)
+    if missing:
+        found.append(f"{missing} samples of the output are missing")
+    return found
+
+
+def search_notes(search: Search) -> list[str]:
+    """What to mind before the best structure is taken."""
+    best, found = search.best, []
+    if best.refused:
+        found.append(f"identify has no estimate that it vouches for; the first one: {best.refused}")
+    if not best.settled:
+        found.append("no structure settled: the order is that of unfinished fits")
+    if not best.white:
+        found.append(
+            "what the best structure leaves is not white noise, not even behind the filter that was made for that: the "
+            "criterion may then prefer too many poles and zeros; take the smallest structure that fits nearly as well"
+        )
+    if best.fit < POOR_FIT:
+        found.append(f"the best structure explains {max(best.fit, 0.0):.2g} % of the output, no more: it may be chance")
+    return found

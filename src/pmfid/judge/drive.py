@@ -1,0 +1,297 @@
+"""Values that a person should not believe as they stand, said in the status and in a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.adequacy import CONTRADICTED, Adequacy, examine, force_moves
+from pmfid.estimators.base import Estimator, like
+from pmfid.estimators.batch import BCLS, BEYOND, LS, TINY
+from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.output_error import OE, WORST_FIT
+from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.status import Status
+
+#: A correlation this many standard deviations from zero is taken for real.
+SIGNIFICANT = 4.5
+#: What is said where the model is wrong.
+UNMODELLED = "the counts show what the model lacks, or a parameter that changes"
+#: Counts per sample below which the encoder's error is no white noise.
+COARSE = 1.0
+#: A change of the counts so much larger than the usual ones is no motion.
+JUMP = 30
+#: With fewer samples, or none that moves, there is nothing to judge a model by.
+FEWEST = 50
+#: With a memory the last of the record counts, so many times the memory.
+MEMORIES = 3.0
+#: A method's own error, relative, that is worth a word of its own.
+BIASED = 0.01
+
+Finding = tuple[str, str]
+
+
+def judge(
+    estimator: Estimator,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    theta: NDArray[np.float64],
+    std: NDArray[np.float64],
+    adequacy: Adequacy | None = None,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Flags and sentences on an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,).
+
+    implausible: a negative mass or friction; uncertain: not known to half its value; biased: the method's own error
+    is larger than its error bar and 2 %; std_too_small: larger than its error bar; unmodelled: the counts show that
+    the model lacks something; not_followed: they are nothing like what it simulates; model_spread: they would not show
+    what it may lack, and that would move a parameter beyond its error bar; feedback: what is unexplained comes back
+    through the input; count_jump: one change of the counts is no motion; coarse_motion: too few counts per sample for
+    a method that takes the encoder's error for white noise. With a memory the last three of it are judged.
+    adequacy: what `examine` says of the whole record, where that is known already.
+    """
+    residual = [*_model(estimator, u, counts, theta, std, adequacy), *_feedback(estimator, u, counts, theta)]
+    # where the model is wrong, methods differ because they weigh its error differently: only large differences count
+    limit = 10 * BIASED if any(flag == "unmodelled" for flag, _ in residual) else 2 * BIASED
+    found = [
+        *_jump(estimator, counts),
+        *_sizes(estimator, theta, std),
+        *_bias(estimator, u, counts, theta, std, limit),
+        *_coarse(estimator, counts),
+        *residual,
+    ]
+    return tuple(dict.fromkeys(flag for flag, _ in found)), tuple(sentence for _, sentence in found)
+
+
+def _sizes(estimator: Estimator, theta: NDArray[np.float64], std: NDArray[np.float64]) -> Iterator[Finding]:
+    for name, value, deviation in zip(estimator.names, theta, std, strict=True):
+        if name not in _positive(estimator):
+            continue
+        if value + 3 * deviation < 0:
+            yield "implausible", f"{name} is negative: check sign and scale of the input and the encoder"
+        elif deviation > 0.5 * abs(value):
+            yield "uncertain", f"{name} is not known to half its value: excite it more, or lower the cutoff"
+
+
+def _bias(
+    estimator: Estimator,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    theta: NDArray[np.float64],
+    std: NDArray[np.float64],
+    limit: float,
+) -> Iterator[Finding]:
+    """Against instrumental variables on the same record, which know the direction of motion between the counts."""
+    if estimator.simulates or (estimator.plain and estimator.zeros):
+        return
+    try:
+        better = reference(estimator, u, counts)
+    except NotIdentifiableError as error:
+        if estimator.plain:
+            yield "uncertain", f"least squares may show the encoder's noise, for {error}"
+        return
+    unknown = [name for name, (value, bar) in better.items() if name in _positive(estimator) and bar > 0.5 * abs(value)]
+    if unknown and estimator.plain:
+        yield "uncertain", f"nothing can tell {', '.join(unknown)} here: least squares may show the encoder's noise"
+    for name, value, deviation in zip(estimator.names, theta, std, strict=True):
+        if name not in better or name in unknown:
+            continue
+        known, bar = better[name]
+        own = abs(value - known)
+        if own > np.hypot(deviation, bar) and own > limit * abs(known):
+            yield "biased", f"{name} = {value:.4g} has an error of its own: iv gives {known:.4g}"
+        elif own > max(deviation, bar) and limit <= 2 * BIASED:
+            percent = 100 * own / abs(known)
+            yield "std_too_small", f"the std of {name} leaves out the method's own error, about {percent:.2g} %"
+
+
+def reference(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> dict[str, tuple[float, float]]:
+    """Value and standard deviation of each parameter by instrumental variables with the same memory, or by
+    bias-compensated least squares where these do not settle."""
+    forgetting = getattr(estimator, "forgetting", 1.0)
+    if estimator.equation.without_simulation:
+        zeros = choose_prefilter_zeros(estimator, u, counts)
+        fit = like(BCLS, estimator, prefilter_zeros=zeros).fit(u, counts)
+        return _table(fit.names, fit.theta, fit.theta_std) if estimator.plain else {}
+    if forgetting < 1:
+        track = like(RIV, estimator, prefilter_zeros=None, forgetting=forgetting).run(u, counts)
+        if track.status[-1] & (Status.FALLBACK | Status.STARTING | Status.POOR_EXCITATION):
+            return {}
+        return _table(track.names, track.theta[-1], track.theta_std[-1])
+    try:
+        fit = like(IV, estimator, prefilter_zeros=None).fit(u, counts)
+    except NotIdentifiableError:
+        zeros = choose_prefilter_zeros(estimator, u, counts)
+        fit = like(BCLS, estimator, model=estimator.model.symmetric, prefilter_zeros=zeros).fit(u, counts)
+    return _table(fit.names, fit.theta, fit.theta_std)
+
+
+def _table(
+    names: tuple[str, ...], theta: NDArray[np.float64], std: NDArray[np.float64]
+) -> dict[str, tuple[float, float]]:
+    return {name: (float(value), float(bar)) for name, value, bar in zip(names, theta, std, strict=True)}
+
+
+def _positive(estimator: Estimator) -> set[str]:
+    """Names of the parameters that are never negative in a machine."""
+    equation = estimator.equation
+    return {name for name, positive in zip(equation.names, equation.positive, strict=True) if positive}
+
+
+def counts_per_sample(counts: NDArray[np.int64]) -> float:
+    """Mean over the samples that lie between the first and the last change of the counts; 0 without motion."""
+    change = np.abs(np.diff(counts))
+    moving = np.flatnonzero(change)
+    if moving.size == 0:
+        return 0.0
+    return float(change[moving[0] : moving[-1] + 1].mean())
+
+
+def _coarse(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
+    per_sample = counts_per_sample(counts)
+    if "known-step" in estimator.method and per_sample < COARSE:
+        yield (
+            "coarse_motion",
+            f"the axis moves {per_sample:.2g} counts per sample: the encoder's error is no white noise; use iv",
+        )
+
+
+def _jump(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
+    """A jump of the counts, where nothing keeps it out."""
+    sentence = count_jump(counts) if estimator.encoder.max_speed is None else ""
+    if sentence:
+        yield "count_jump", sentence
+
+
+def count_jump(counts: NDArray[np.int64]) -> str:
+    """What to say of one change of the counts (n,) far beyond all others: a wrap that nobody has undone, or a lost
+    position; empty where there is none."""
+    change = np.abs(np.diff(counts))
+    worst = int(np.argmax(change))
+    usual = float(np.quantile(change, 0.99))
+    if not change[worst] > JUMP * (usual + 1):
+        return ""
+    return (
+        f"the counts jump by {change[worst]} at row {worst + 2}, usually by {usual:.3g} at most: a counter that "
+        "wraps needs [encoder] bits; for lost counts give max_speed"
+    )
+
+
+def recent(estimator: Estimator, samples: int) -> slice:
+    """The part of a record of so many samples that an estimate is of: its last three memories."""
+    return slice(-round(min(samples, MEMORIES / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None)
+
+
+def _model(
+    estimator: Estimator,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    theta: NDArray[np.float64],
+    std: NDArray[np.float64],
+    adequacy: Adequacy | None,
+) -> Iterator[Finding]:
+    """Does the motion that the model simulates explain the counts, and what could it lack that they do not show?"""
+    if estimator.equation.without_simulation:
+        return
+    part = recent(estimator, u.size)
+    u, counts = u[part], counts[part]
+    if u.size < FEWEST or not np.any(np.diff(like(OE, estimator, prefilter_zeros=None).position(counts))):
+        return
+    if not np.any(like(LS, estimator, model=estimator.model.symmetric, prefilter_zeros=None).columns(u, counts).used):
+        return
+    theta, std = theta[: len(estimator.equation.names)], std[: len(estimator.equation.names)]
+    at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
+    try:
+        start = at if at[estimator.equation.leading] > 0 else None
+        found = adequacy or examine(estimator, u, counts, start)
+    except NotIdentifiableError as error:
+        yield "unmodelled", f"{UNMODELLED}: no motion of the model follows the counts ({error})"
+        return
+    if found.left > WORST_FIT:
+        yield (
+            "not_followed",
+            f"no motion of the model follows the measured one, {found.left:.0%} of it is left: check input_gain, the "
+            "sign and scale of input and output, and bits of [encoder]",
+        )
+    if not found.adequate:
+        yield "unmodelled", f"{UNMODELLED}: {found.says}; the error bars do not cover it"
+        return
+    yield from _hidden(estimator, found, (u, counts), theta, std)
+
+
+def _hidden(
+    estimator: Estimator,
+    found: Adequacy,
+    record: tuple[NDArray[np.float64], NDArray[np.int64]],
+    theta: NDArray[np.float64],
+    std: NDArray[np.float64],
+) -> Iterator[Finding]:
+    """An adequate model: does the estimate agree with it, and what could it lack without showing?"""
+    at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
+    if isinstance(estimator, OE):
+        spread = found.spread()
+    else:
+        twin = like(IV, estimator, prefilter_zeros=None)
+        spread = found.spread(force_moves(found, twin, twin.columns_at(at, *record)))
+    best = found.q[: theta.size] * found.difference.scale[: theta.size]
+    apart = np.abs(theta - best) / np.maximum(np.sqrt(std**2 + found.spread() ** 2), TINY)
+    worst = int(np.argmax(apart))
+    if estimator.simulates and apart[worst] > CONTRADICTED:
+        yield (
+            "biased",
+            f"{estimator.names[worst]} = {theta[worst]:.4g} has an error of its own: the motion that explains every "
+            f"count has {best[worst]:.4g}; under control through a coarse encoder its error comes back through the "
+            "input, and interval or output-error are the ones to use",
+        )
+    for name, value, own, bar in zip(estimator.equation.names, theta, spread, std, strict=True):
+        if own > bar:
+            yield (
+                "model_spread",
+                f"friction or a dead time that the model lacks, and that this record would not show, may move {name} "
+                f"by {100 * own / max(abs(value), TINY):.2g} %, more than its error bar: a finer encoder or a richer "
+                "motion would show it",
+            )
+            return
+
+
+def _feedback(
+    estimator: Estimator, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]
+) -> Iterator[Finding]:
+    """Does the input follow what the equation leaves at theta, with the simulated direction?"""
+    equation = estimator.equation
+    theta = theta[: len(equation.names)].copy()
+    if equation.without_simulation or not theta[equation.leading] > 0:
+        return
+    theta = np.where(equation.positive, np.maximum(theta, 0.0), theta)
+    columns = like(IV, estimator, prefilter_zeros=None).columns_at(theta, u, counts)
+    error = columns.z - columns.phi @ theta
+    if error.size == 0:
+        return
+    if not np.max(np.abs(error)) < BEYOND:
+        yield "unmodelled", "the motion simulated with this estimate leaves the range of numbers: do not believe it"
+        return
+    change, last = np.diff(u, prepend=u[0])[columns.used], recent(estimator, error.size)
+    if correlation_score(error[last], change[last]) > SIGNIFICANT:
+        yield (
+            "feedback",
+            "the input follows what the model leaves unexplained, the encoder's error or unmodelled friction, as under "
+            "position control: small biases beyond the error bars are possible; open-loop motion is free of them",
+        )
+
+
+def correlation_score(error: NDArray[np.float64], change: NDArray[np.float64], lags: int = 5) -> float:
+    """Largest correlation of an error (n,) with the input's changes (n,) up to `lags` samples later, in its standard
+    deviations for independent coloured series (Bartlett 1935)."""
+    n = error.size
+    error, change = error - error.mean(), change - change.mean()
+    if n <= 4 * lags or not np.any(error) or not np.any(change):
+        return 0.0
+    power = np.sqrt(np.sum(error**2) * np.sum(change**2))
+    cross = [np.sum(error[: n - lag] * change[lag:]) / power for lag in range(lags + 1)]
+    size = 2 ** int(np.ceil(np.log2(2 * n)))
+    own = [np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2, size)[: n // 4] for series in (error, change)]
+    rho = [series / series[0] for series in own]
+    variance = (1 + 2 * np.sum(rho[0][1:] * rho[1][1:])) / n
+    return float(np.max(np.abs(cross)) / np.sqrt(max(variance, 0.2 / n)))

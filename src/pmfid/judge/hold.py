@@ -1,0 +1,76 @@
+"""Was the input held between the samples, or did it run in straight lines? A record can tell where the process is fast.
+
+Both models have the same unknowns and are not nested (Vuong 1989): however far they are from each other, the right one
+loses by so much, in twice the logarithm of the likelihood, at most with the chance of a normal deviate of its root.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from pmfid.transfer.noise import Noise
+from pmfid.transfer.prewhitening import prewhitened
+from pmfid.transfer.solve import Point, Problem, descend, visit
+
+#: The other hold is better where so few records with the right one would say so, at the worst.
+CHANCE = 1e-4
+#: Two places are far apart for an error bar from so many of it on.
+FAR = 2.0
+#: A model is judged once a step would lower its sum of squares by less than this part.
+SETTLED = 1e-6
+
+
+@dataclass(frozen=True)
+class Hold:
+    """better: the record follows a model with the other hold of its input, at any parameters, better than chance
+    explains. hidden: it does not tell the two apart, and they put a parameter at places that are far apart for its
+    error bar."""
+
+    better: bool = False
+    hidden: bool = False
+
+
+def look_at_hold(problem: Problem, point: Point, noise: Noise | None) -> Hold:
+    """Which hold has the input, and does it matter? point: the estimate; noise: its colour beside the input. Nothing
+    is said where the spacing lets no filter whiten the noise, and where a reference makes the sum of squares no
+    measure."""
+    if noise is None or problem.referenced:
+        return Hold()
+    white = prewhitened(problem, noise)
+    if white is problem and noise.coefficients.size:
+        return Hold()
+    with np.errstate(all="ignore"):
+        try:
+            mine, other = (_best(part, point.theta, noise) for part in (white, _turned(white)))
+            far = _far_apart(mine, other)
+        except (np.linalg.LinAlgError, ValueError):
+            return Hold()
+    samples = sum(stretch.rows.size for stretch in white.stretches)
+    gained = samples * np.log(max(mine.cost, 1e-300) / max(other.cost, 1e-300))
+    worth = chdtri(1, 2 * CHANCE)
+    return Hold(bool(gained > worth), bool(abs(gained) <= worth and far))
+
+
+def _far_apart(mine: Point, other: Point) -> bool:
+    """Is a parameter elsewhere by more than its own error bars explain?"""
+    size = np.maximum(np.linalg.norm(mine.zeta, axis=0), 1e-300)
+    scaled = mine.zeta / size
+    variances = np.diag(np.linalg.inv(scaled.T @ scaled)) / size**2 * mine.cost / mine.error.size
+    return bool(np.any((mine.theta - other.theta) ** 2 > FAR**2 * variances))
+
+
+def _turned(problem: Problem) -> Problem:
+    return replace(problem, stretches=tuple(replace(stretch, held=not stretch.held) for stretch in problem.stretches))
+
+
+def _best(problem: Problem, theta: NDArray[np.float64], noise: Noise) -> Point:
+    """Where the sum of squares is least near theta (p,) of the problem before the filter."""
+    theta = theta.copy()
+    if problem.structure.offset:
+        theta[problem.structure.linear - 1] *= float(np.sum(noise.whitener))
+    start = visit(problem, theta, np.zeros((len(problem.stretches), problem.structure.n)))
+    return descend(problem, start, SETTLED).point

@@ -1,0 +1,200 @@
+"""Saved states: the bytes that firmware writes before it loses power, and Python reads; and the other way round."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import UsageError
+from pmfid.kernel.structures import Shape, Structures, constants_of, layout_number, resized, structures
+
+#: Forgetting from which on a sum of float32 may be full, and the samples that it then holds.
+LONG_MEMORY, MOST_WEIGHT = 0.999999, 2**19
+
+
+def configuration(kernel: Any, precision: str) -> NDArray[Any]:
+    """The kernel's configuration, at the module's own sizes."""
+    return np.frombuffer(kernel.raw_config(), structures(None, precision)["pmf_config_t"])[0]  # type: ignore[no-any-return]
+
+
+def shape_of(config: NDArray[Any]) -> Shape:
+    """The sizes and parts that a configuration needs."""
+    constants, network = constants_of(None), config["network"]
+    linear = config["linear"]
+    recursions = recursions_of(config)
+    columns = columns_of(config)
+    parameters = max(int(recursion["n_parameters"]) for recursion in recursions)
+    noise = any(recursion["compensated"] or recursion["unexplained"] > 0 for recursion in recursions)
+    schemes = {int(recursion["scheme"]) for recursion in recursions}
+    process = config["encoder"]["process"] or any(np.any(recursion["target_noise"]) for recursion in recursions)
+    nodes = {*network["stage"]["source"].tolist(), *network["tap"]["node"].tolist()}
+    return Shape(
+        max_stages=max(1, int(network["n_stages"])),
+        max_taps=int(network["tap_end"][int(network["n_columns"]) - 1]),
+        max_parameters=parameters,
+        max_noise=parameters if noise else 1,
+        max_columns=columns,
+        max_order=int(linear["n"]) if linear["enabled"] else 1,
+        window_blocks=constants["PMF_WINDOW_BLOCKS"] if constants["PMF_WINDOW"] in schemes else 0,
+        with_auxiliary=int(config["auxiliary"]["enabled"]),
+        with_linear=int(linear["enabled"]),
+        with_process=int(process),
+        with_guard=int(config["encoder"]["guard"] > 0),
+        with_separate=int(constants["PMF_SEPARATE"] in schemes),
+        with_endless=int(any(long_memory(recursion) for recursion in recursions)),
+        with_split=int(bool(process) or any(node in split_signals() for node in nodes)),
+        with_noise=int(noise),
+    )
+
+
+def recursions_of(config: NDArray[Any]) -> list[NDArray[Any]]:
+    """The recursions that a configuration uses."""
+    two = config["auxiliary"]["enabled"] or config["linear"]["enabled"]
+    return [config["direct"], config["instrument"]] if two else [config["direct"]]
+
+
+def long_memory(recursion: NDArray[Any]) -> bool:
+    """Whether a recursion of float32 forgets so slowly that its sums may be full (csrc/pmf_forgetting.h)."""
+    return recursion["forgetting"].dtype == np.float32 and bool(recursion["forgetting"] >= np.float32(LONG_MEMORY))
+
+
+def columns_of(config: NDArray[Any]) -> int:
+    """Columns of the network, and behind them the model's of a linear process: regressors, target, instruments."""
+    n, linear = int(config["network"]["n_columns"]), config["linear"]
+    return int(linear["first_column"]) + 2 * int(config["instrument"]["n_parameters"]) + 1 if linear["enabled"] else n
+
+
+def split_signals() -> range:
+    """Nodes of the signals beyond input, velocity and direction, which only some models and methods use."""
+    constants = constants_of(None)
+    return range(constants["PMF_MOVING"], constants["PMF_SIGNALS"])
+
+
+def tight_state(kernel: Any, precision: str, shape: Shape) -> NDArray[Any]:
+    """The kernel's state as firmware with its configuration has it; shape: of the configuration."""
+    own = np.frombuffer(kernel.raw_state(), structures(None, precision)["pmf_state_t"])[0]
+    state = resized(own, structures(shape, precision)["pmf_state_t"])
+    if not shape.with_split:
+        state["network"]["node"][split_signals()] = 0
+        state["encoder"]["change"] = state["encoder"]["travel"] = 0
+    return state
+
+
+def save_state(kernel: Any, precision: str) -> bytes:
+    """The bytes of the `pmf_saved_t` that firmware with the kernel's configuration would write."""
+    config = configuration(kernel, precision)
+    shape = shape_of(config)
+    types = structures(shape, precision)
+    saved = _envelope(config, shape, precision)
+    saved["state"] = tight_state(kernel, precision, shape)
+    saved["checksum"] = _checksum(saved.tobytes(), types)
+    return saved.tobytes()
+
+
+def load_state(kernel: Any, precision: str, data: bytes) -> None:
+    """Sets the kernel's state to what `save_state` or firmware wrote. Raises UsageError for anything else."""
+    if not isinstance(data, bytes | bytearray | memoryview):
+        raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
+    config = configuration(kernel, precision)
+    shape = shape_of(config)
+    types = structures(shape, precision)
+    expected = _envelope(config, shape, precision)
+    if len(data) != types["pmf_saved_t"].itemsize:
+        raise UsageError(_FOREIGN)
+    saved = np.frombuffer(data, types["pmf_saved_t"])[0]
+    if saved["checksum"] != _checksum(data, types):
+        raise UsageError(_DAMAGED)
+    if any(saved[name] != expected[name] for name in ("magic", "version", "layout", "size", "config")):
+        raise UsageError(_FOREIGN)
+    own = structures(None, precision)["pmf_state_t"]
+    with _refused_in_one_sentence():
+        kernel.set_raw_state(resized(saved["state"], own).tobytes())
+
+
+def take_guard(kernel: Any, other: Any, precision: str) -> None:
+    """Gives a kernel at its start what another one of the same encoder has learned of the motion."""
+    own, known = (
+        np.frombuffer(one.raw_state(), structures(None, precision)["pmf_state_t"]).copy() for one in (kernel, other)
+    )
+    own["encoder"]["guard"] = known["encoder"]["guard"]
+    kernel.set_raw_state(own.tobytes())
+
+
+#: What stands before the states of a fleet; checksum: CRC-32 of the words before it and the states.
+FLEET_HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
+FLEET_MAGIC, FLEET_VERSION = 0x46464D50, 1  # "PMFF"
+
+
+def save_fleet(kernel: Any, precision: str) -> bytes:
+    """The bytes of all axes of a `ManyKernel`, behind what says whose they are."""
+    head = _fleet_head(kernel, precision)
+    states: bytes = kernel.states.tobytes()
+    head["checksum"] = zlib.crc32(states, zlib.crc32(head.tobytes()[:-4]))
+    return head.tobytes() + states
+
+
+def load_fleet(kernel: Any, precision: str, data: bytes) -> None:
+    """Sets the states of a `ManyKernel` to what `save_fleet` wrote. Raises UsageError for anything else."""
+    if not isinstance(data, bytes | bytearray | memoryview):
+        raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
+    data, place = bytes(data), FLEET_HEAD.itemsize
+    expected = _fleet_head(kernel, precision)
+    if len(data) != place + kernel.states.nbytes:
+        raise UsageError(_FOREIGN_FLEET)
+    head = np.frombuffer(data[:place], FLEET_HEAD)[0]
+    if head["checksum"] != zlib.crc32(data[place:], zlib.crc32(data[: place - 4])):
+        raise UsageError(_DAMAGED)
+    if head.tobytes()[:-4] != expected.tobytes()[:-4]:
+        raise UsageError(_FOREIGN_FLEET)
+    with _refused_in_one_sentence():
+        kernel.set_states(np.frombuffer(data, np.uint8, offset=place).reshape(kernel.states.shape))
+
+
+def _fleet_head(kernel: Any, precision: str) -> NDArray[Any]:
+    head = np.zeros((), FLEET_HEAD)
+    head["magic"], head["version"] = FLEET_MAGIC, FLEET_VERSION
+    head["layout"] = layout_number(structures(None, precision)["pmf_state_t"])
+    head["config"] = zlib.crc32(kernel.raw_config())
+    head["axes"], head["size"] = kernel.states.shape
+    return head
+
+
+@contextmanager
+def _refused_in_one_sentence() -> Iterator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise UsageError(f"{error}; start from an older state, or from none") from None
+
+
+_DAMAGED = "these bytes are not a state or are damaged: the checksum is wrong; start from an older state"
+_FOREIGN_FLEET = (
+    "these bytes are not the states of this fleet; take them from one with the same estimator and number of axes"
+)
+
+_FOREIGN = (
+    "these bytes are not a state of this configuration; take it from an estimator with the same method, model, "
+    "encoder, dt, filters, precision and version"
+)
+
+
+def _envelope(config: NDArray[Any], shape: Shape, precision: str) -> NDArray[Any]:
+    """A `pmf_saved_t` of a configuration, still without state and checksum."""
+    types, constants = structures(shape, precision), constants_of(shape)
+    saved = np.zeros((), types["pmf_saved_t"])
+    saved["magic"], saved["version"] = constants["PMF_STATE_MAGIC"], constants["PMF_STATE_VERSION"]
+    saved["layout"] = layout_number(types["pmf_state_t"])
+    saved["size"] = saved.dtype.itemsize
+    saved["config"] = zlib.crc32(resized(config, types["pmf_config_t"]).tobytes())
+    return saved
+
+
+def _checksum(data: bytes, types: Structures) -> int:
+    saved = np.zeros((), types["pmf_saved_t"])
+    head, state = (saved[name].ctypes.data - saved.ctypes.data for name in ("checksum", "state"))
+    return zlib.crc32(data[state:], zlib.crc32(data[:head]))

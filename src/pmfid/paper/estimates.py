@@ -1,0 +1,85 @@
+"""One estimate of one simulated run by name, as the figures need it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.auto import AUTO, choose, first_choice
+from pmfid.estimators.base import default_zeros
+from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.recursive import RecursiveEstimator, Track
+from pmfid.paper.merit import NO_ANSWER, Floats, Score, score
+from pmfid.paper.truth import Record, make_estimator
+from pmfid.simulation import CART_DT, Scenario
+from pmfid.status import Status
+
+#: RLS of the extended model, before its bias is compensated (paper eq. 19 to 21): where BCRLS starts from.
+EXTENDED = "extended rls"
+ON_LINE = ("rls", EXTENDED, "bcrls", "rknown-step", "riv")
+OFF_LINE = ("known-step", "iv", AUTO)
+TITLES = {
+    "rls": "RLS",
+    EXTENDED: "extended RLS, the start of BCRLS",
+    "bcrls": "BCRLS",
+    "rknown-step": "known step, recursive",
+    "riv": "instrumental variables, recursive",
+    "known-step": "known step, off-line over each run",
+    "iv": "instrumental variables, off-line over each run",
+    AUTO: "auto",
+}
+
+
+def record_of(scenario: Scenario) -> Record:
+    """What an estimator may see of a run."""
+    return Record(scenario.motion.u, scenario.counts, scenario.resolution)
+
+
+def track_of(method: str, record: Record, time_constant: float, forgetting: float) -> Track:
+    """The estimates of a recursive method; time_constant: of the filters, in samples."""
+    if method == EXTENDED:
+        zeros = default_zeros(1 / (time_constant * CART_DT))
+        estimator = make_estimator("rls", record, time_constant, forgetting=forgetting, prefilter_zeros=zeros)
+    elif method == AUTO:
+        plain = make_estimator("ls", record, time_constant)
+        estimator = choose(plain, record.u, record.counts, forgetting)[0]
+    else:
+        estimator = make_estimator(method, record, time_constant, forgetting=forgetting)
+    if not isinstance(estimator, RecursiveEstimator):
+        raise TypeError(f"{method} is not recursive")
+    return estimator.run(record.u, record.counts)
+
+
+def mass_of(method: str, record: Record, time_constant: float) -> tuple[float, float]:
+    """The mass and its standard deviation by an off-line method over a record; nan where it gives no answer."""
+    estimator = make_estimator("ls" if method == AUTO else method, record, time_constant)
+    try:
+        if method == AUTO:
+            fit = first_choice(estimator, record.u, record.counts).fit
+        elif isinstance(estimator, BatchEstimator):
+            fit = estimator.fit(record.u, record.counts)
+        else:
+            raise TypeError(f"{method} is not off-line")
+    except NotIdentifiableError:
+        return math.nan, math.nan
+    return float(fit.theta[0]), float(fit.theta_std[0])
+
+
+def known_mass(track: Track) -> Floats:
+    """The mass over time, nan where there is no estimate yet."""
+    return np.where(track.flagged(Status.STARTING), np.nan, track["mass"])
+
+
+def track_score(track: Track, window: slice, truth: float, settled: float = math.nan) -> Score:
+    """The score of the samples in the window."""
+    if track.flagged(Status.STARTING)[window].any():
+        return NO_ANSWER
+    return score(track["mass"][window], track.theta_std[window, 0], truth, settled)
+
+
+def mass_score(found: tuple[float, float], truth: float) -> Score:
+    """The score of an off-line estimate and its standard deviation."""
+    mass, std = found
+    return NO_ANSWER if math.isnan(mass) else score(np.array([mass]), np.array([std]), truth)

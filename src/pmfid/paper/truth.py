@@ -1,0 +1,184 @@
+"""What the studies of accuracy share: the cart's truth, one estimate of one record, the Cramér-Rao bound, a table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.encoder import Encoder
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.recursive import RecursiveEstimator, Track
+from pmfid.estimators.registry import ESTIMATORS
+from pmfid.judge.drive import judge
+from pmfid.models.drive import Drive
+from pmfid.simulation import CART, CART_DT, make_scenario
+from pmfid.status import Status
+
+Floats = NDArray[np.float64]
+Task = tuple[Any, ...]
+NAMES = ("mass", "viscous_friction", "coulomb_friction")
+TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+#: Filter time constant in samples, where a table does not say otherwise.
+TIME_CONSTANT = 3
+#: Methods that simulate the whole record many times; they get fewer seeds.
+SLOW = tuple(name for name in ("output-error", "interval") if name in ESTIMATORS)
+NOT_VOUCHED = Status.STARTING | Status.SETTLING | Status.FALLBACK | Status.POOR_EXCITATION | Status.UNMODELLED
+#: Relative step of the central differences for the bound.
+STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class Study:
+    """One section of the page.
+
+    tasks: what is to be computed with a number of seeds; work: one of them, in a process of its own;
+    write: the section's lines from the number of seeds and the results by task.
+    """
+
+    name: str
+    tasks: Callable[[int], list[Task]]
+    work: Callable[..., Any]
+    write: Callable[[int, Mapping[Task, Any]], list[str]]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Input u [V] and counts, each (n,); resolution [m per count]."""
+
+    u: Floats
+    counts: NDArray[np.int64]
+    resolution: float
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One estimate: theta, std (3,), nan where there is none, and then `failure` says why; status bits of the whole
+    record or of the last sample; relative_error of an off-line fit; flags of `judge`, () where it was not asked."""
+
+    theta: Floats
+    std: Floats
+    status: int = 0
+    relative_error: float = np.nan
+    failure: str = ""
+    flags: tuple[str, ...] = ()
+
+
+def scenario_record(name: str, seed: int, increments: int) -> Record:
+    """A scenario of 30 s as a record."""
+    scenario = make_scenario(name, seed=seed, increments=increments)
+    return Record(scenario.motion.u, scenario.counts, scenario.resolution)
+
+
+def make_estimator(
+    method: str,
+    record: Record,
+    time_constant: float = TIME_CONSTANT,
+    input_gain: float = CART.input_gain,
+    **options: Any,
+) -> Estimator:
+    """The method on the cart's model; time_constant: of the filters, in samples."""
+    cutoff = 1 / (time_constant * CART_DT)
+    return ESTIMATORS[method](Drive(input_gain), Encoder(record.resolution), CART_DT, cutoff, **options)
+
+
+def track_of(method: str, record: Record, time_constant: float = TIME_CONSTANT, **options: Any) -> Track:
+    """The estimates of a recursive method over a record."""
+    estimator = make_estimator(method, record, time_constant, **options)
+    if not isinstance(estimator, RecursiveEstimator):
+        raise TypeError(f"{method} is not recursive")
+    return estimator.run(record.u, record.counts)
+
+
+def estimate(
+    method: str, record: Record, time_constant: float = TIME_CONSTANT, *, judged: bool = False, **options: Any
+) -> Outcome:
+    """What a method says after the whole record; the last value of a recursive one. judged: with the flags.
+
+    A method that gives no estimate, or that stops with an error of linear algebra, is an outcome, too.
+    """
+    estimator = make_estimator(method, record, time_constant, **options)
+    try:
+        outcome = _last(estimator, record)
+    except (NotIdentifiableError, np.linalg.LinAlgError) as error:
+        return _without(type(error).__name__)
+    return replace(outcome, flags=_flags(estimator, record, outcome)) if judged and not outcome.failure else outcome
+
+
+def _flags(estimator: Estimator, record: Record, outcome: Outcome) -> tuple[str, ...]:
+    try:
+        return judge(estimator, record.u, record.counts, outcome.theta, outcome.std)[0]
+    except (NotIdentifiableError, np.linalg.LinAlgError) as error:
+        return (f"judge: {type(error).__name__}",)
+
+
+def _without(failure: str, status: int = 0) -> Outcome:
+    return Outcome(np.full(3, np.nan), np.full(3, np.nan), status, failure=failure)
+
+
+def _last(estimator: Estimator, record: Record) -> Outcome:
+    if isinstance(estimator, BatchEstimator):
+        fit = estimator.fit(record.u, record.counts)
+        return Outcome(fit.theta, fit.theta_std, fit.status, fit.relative_error)
+    if not isinstance(estimator, RecursiveEstimator):
+        raise TypeError(f"{estimator.method} is neither off-line nor recursive")
+    track = estimator.run(record.u, record.counts)
+    status = int(track.status[-1])
+    if status & Status.STARTING:
+        return _without("still starting", status)
+    return Outcome(track.theta[-1], track.theta_std[-1], status)
+
+
+def percent(theta: Floats) -> Floats:
+    """Errors in percent of the truth; theta: (..., 3)."""
+    return np.asarray(100 * (theta / TRUTH - 1))
+
+
+def vouched(track: Track) -> NDArray[np.bool_]:
+    """(n,) samples without a status bit that warns of the estimate as a whole."""
+    return np.asarray((track.status & NOT_VOUCHED) == 0)
+
+
+def positions(u: Floats, theta: Floats, v0: float) -> Floats:
+    """Positions (n,) [m] from x = 0 under u (n,), from the kernel's own simulation with stiction."""
+    from pmfid import _kernel64
+
+    mass, viscous, coulomb = theta.tolist()
+    roles = [mass, viscous, viscous, coulomb, coulomb, 0.0, 0.0]
+    mean_velocity = _kernel64.simulate(roles, CART.input_gain, CART_DT, u, v0)[0]
+    return np.asarray(np.r_[0.0, np.cumsum(mean_velocity[:-1]) * CART_DT])
+
+
+def cramer_rao(u: Floats, resolution: float) -> Floats:
+    """Least variances (3,) of unbiased estimates under u (n,), for white noise of variance resolution^2/12 on every
+    position, with the start x0, v0 unknown (Ljung 1999, section 7.4)."""
+    columns = [np.ones_like(u)]
+    for j, size in enumerate(STEP * np.r_[TRUTH, 1.0]):
+        step = size * np.eye(4)[j]
+        above, below = (positions(u, TRUTH + sign * step[:3], sign * float(step[3])) for sign in (1.0, -1.0))
+        columns.append((above - below) / (2 * size))
+    sensitivity = np.column_stack(columns)
+    fisher = sensitivity.T @ sensitivity / (resolution**2 / 12)
+    return np.asarray(np.diagonal(np.linalg.inv(fisher))[1:4])
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A Markdown table, and the empty line after it."""
+    lines = ["| " + " | ".join(cells) + " |" for cells in (header, *rows)]
+    return [lines[0], "|" + "---|" * len(header), *lines[1:], ""]
+
+
+def triple(values: Floats, digits: Sequence[int] = (2, 2, 2), sign: str = "+") -> str:
+    """Three numbers, of mass, viscous and Coulomb friction, in one cell."""
+    return ", ".join(f"{value:{sign}.{n}f}" for value, n in zip(values, digits, strict=True))
+
+
+def tally(names: Sequence[Sequence[str]]) -> str:
+    """How often each name occurs in so many runs: "feedback 3/5"."""
+    every = [name for run in names for name in run]
+    return ", ".join(f"{name} {every.count(name)}/{len(names)}" for name in sorted(set(every))) or "–"

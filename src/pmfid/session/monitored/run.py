@@ -1,0 +1,171 @@
+"""A monitored run: samples in, estimates and events out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pmfid.errors import UsageError
+from pmfid.monitor.events import Event, Outlier, Settled, StateChange
+from pmfid.monitor.monitor import Monitor
+from pmfid.session.monitored.sinks import Sink
+from pmfid.session.monitored.timeline import BAD, COMMENT, REPEATED, Found, Sample, Skipped
+
+#: Rows that are kept for the report; beyond, every other one goes.
+MOST_ROWS = 8000
+#: Lines of a kind and gaps that are told one by one, and events that are kept.
+TOLD, KEPT = 10, 10_000
+
+Tell = Callable[[dict[str, Any]], None]
+#: Called with each sample, its estimate and the monitor's state.
+Observer = Callable[[Sample, Any, str], None]
+
+
+@dataclass
+class History:
+    """What the report shows, in bounded memory: time, u, counts, theta, std, innovation, status bits and state of every
+    `stride`th sample; the bits of the samples between are kept, and the largest innovation."""
+
+    stride: int = field(default=1, init=False)
+    rows: list[tuple[Any, ...]] = field(default_factory=list, init=False)
+    _taken: int = field(default=0, init=False)
+
+    def __call__(self, sample: Sample, estimate: Any, state: str) -> None:
+        """A sample and what it gave."""
+        if self._taken % self.stride == 0:
+            if len(self.rows) >= MOST_ROWS:
+                self.rows, self.stride = self.rows[::2], 2 * self.stride
+            theta, std = estimate.theta, estimate.theta_std
+            row = (sample.time, sample.u, sample.counts, theta, std, estimate.innovation, estimate.status, state)
+            self.rows.append(row)
+        else:
+            *kept, innovation, status, _ = self.rows[-1]
+            largest = max(innovation, estimate.innovation, key=abs)
+            self.rows[-1] = (*kept, largest, status | estimate.status, state)
+        self._taken += 1
+
+
+@dataclass
+class Run:
+    """Totals of a run and its first KEPT events, as for JSON. bad_lines: that could not be used; repeated_lines: that
+    came twice or too late; comments: with headers that came again; missing: samples that the times leave out,
+    in so many gaps; clock_jumps: how often the clock was set; outliers: samples that no motion explains;
+    problem: what ended the run before its time, or ""."""
+
+    samples: int = 0
+    bad_lines: int = 0
+    repeated_lines: int = 0
+    comments: int = 0
+    gaps: int = 0
+    missing: int = 0
+    clock_jumps: int = 0
+    outliers: int = 0
+    problem: str = ""
+    events: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def alarms(self) -> list[dict[str, Any]]:
+        return [event for event in self.events if event["event"] == "alarm"]
+
+    def totals(self) -> dict[str, int]:
+        """All counts, by name."""
+        names = ("samples", "bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_jumps", "outliers")
+        return {**{name: getattr(self, name) for name in names}, "alarms": len(self.alarms)}
+
+
+def header(monitor: Monitor) -> list[str]:
+    """Columns of the estimates."""
+    names = monitor.estimator.names
+    return ["t", *names, *(f"{name}_std" for name in names), "innovation", "status", "state"]
+
+
+def watch(found: Iterable[Found], monitor: Monitor, sink: Sink, tell: Tell, observers: Sequence[Observer] = ()) -> Run:
+    """Runs the monitor over the samples; `tell` gets each event as an object for JSON, times as in the samples.
+
+    Samples that end in a UsageError end the run: the rest of what was asked for is still to be written.
+    """
+    run = Run()
+    try:
+        for one in found:
+            if isinstance(one, Skipped):
+                _skipped(one, run, tell)
+            else:
+                _step(one, monitor, run, sink, tell, observers)
+    except UsageError as error:
+        run.problem = str(error)
+    return run
+
+
+def _step(sample: Sample, monitor: Monitor, run: Run, sink: Sink, tell: Tell, observers: Sequence[Observer]) -> None:
+    events = _interrupted(sample, monitor, run, tell) if sample.missing or sample.jump else []
+    estimate, now = monitor.step(sample.u, sample.counts)
+    run.samples += 1
+    sink.write(_row(sample.time, estimate, monitor.state))
+    for observe in observers:
+        observe(sample, estimate, monitor.state)
+    for event in [*events, *now]:
+        if isinstance(event, Outlier):
+            run.outliers += 1
+            if run.outliers > TOLD:
+                continue
+        shift = sample.time - (monitor.samples - 1) * monitor.estimator.dt
+        told = event_object(event, monitor.estimator.names, shift)
+        if len(run.events) < KEPT:
+            run.events.append(told)
+        tell(told)
+
+
+def _skipped(line: Skipped, run: Run, tell: Tell) -> None:
+    """Counts a line that is no sample, and tells the first of them."""
+    name = {BAD: "bad_lines", REPEATED: "repeated_lines", COMMENT: "comments"}[line.kind]
+    setattr(run, name, getattr(run, name) + 1)
+    if line.kind != COMMENT and getattr(run, name) <= TOLD:
+        tell({"event": line.kind, "time": line.time, "problem": line.problem})
+
+
+def _interrupted(sample: Sample, monitor: Monitor, run: Run, tell: Tell) -> list[Event]:
+    """Counts and tells a gap, or that the clock was set, and lets the monitor know."""
+    if sample.missing:
+        run.gaps += 1
+        run.missing += sample.missing
+        if run.gaps <= TOLD:
+            tell({"event": "gap", "time": sample.time, "missing": sample.missing})
+        return monitor.skip(sample.missing)
+    run.clock_jumps += 1
+    if run.clock_jumps <= TOLD:
+        tell({"event": "clock", "time": sample.time, "jump": sample.jump})
+    return monitor.skip(1)
+
+
+def _row(time: float, estimate: Any, state: str) -> tuple[float | int | str, ...]:
+    theta, std = estimate.theta.tolist(), estimate.theta_std.tolist()  # infinite while nothing is known
+    return (time, *theta, *std, estimate.innovation, estimate.status, state)
+
+
+def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> dict[str, Any]:
+    """The object that `--json` prints; shift: of the times [s]."""
+    if isinstance(event, StateChange):
+        return {"event": "state", "time": event.time + shift, "state": event.state, "reason": event.reason}
+    if isinstance(event, Settled):
+        rows = zip(names, event.theta.tolist(), event.std.tolist(), event.before.tolist(), strict=True)
+        values = {
+            name: {"value": value, "std": std, "change": value / before - 1 if before else None}
+            for name, value, std, before in rows
+        }
+        return {"event": "settled", "time": event.time + shift, "parameters": values}
+    if isinstance(event, Outlier):
+        return {"event": "outlier", "time": event.time + shift, "signal": event.signal}
+    return {
+        "event": "alarm",
+        "time": event.time + shift,
+        "parameter": event.parameter,
+        "direction": "up" if event.change > 0 else "down",
+        "change": event.change,
+        "std": event.std,
+        "unit": event.unit,
+        "relative": event.relative,
+        "changed_at": event.changed_at + shift,
+        "statistic": event.statistic,
+        "threshold": event.threshold,
+    }

@@ -1,0 +1,152 @@
+"""From AXIS.toml and a reference record to a calibrated monitor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pmfid.errors import UsageError
+from pmfid.estimators.base import like
+from pmfid.estimators.iv import IV, RIV, initial_vector
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.registry import ESTIMATORS
+from pmfid.monitor.calibration import Calibration, simulated_hours
+from pmfid.monitor.events import Watch
+from pmfid.monitor.monitor import Monitor
+from pmfid.monitor.scores import Floats
+from pmfid.session.config import Axis
+from pmfid.session.monitored.cache import cached_calibration
+from pmfid.session.pipeline import make_estimator
+from pmfid.session.records import Record, read_record
+
+#: Memory where [estimator] forgetting is 1, which would never follow a change [s].
+DEFAULT_MEMORY = 2.0
+#: Standard deviation of normal work over that of the simulation from which on the encoder is not what decides.
+NOISY = 1.3
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A monitor at its start; nominal: (p,); calibration and its file; cached: it was there already; notes: for
+    people."""
+
+    monitor: Monitor
+    nominal: Floats
+    calibration: Calibration
+    path: Path
+    cached: bool
+    notes: tuple[str, ...]
+
+
+def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[float], None] | None = None) -> Setup:
+    """The monitor that AXIS.toml asks for; folder: of AXIS.toml; record: to be watched, None: a pipe.
+
+    Without a reference the record's own input calibrates, with the encoder as the only noise. Raises UsageError where
+    there is neither, or no nominal values, and NotIdentifiableError where the reference cannot identify them.
+    """
+    config, notes = axis.monitor, []
+    check_monitored(axis)
+    normal = None if config.reference is None else read_record(folder / config.reference, axis)
+    source = normal or record
+    if source is None or (normal is None and config.nominal is None):
+        raise UsageError(
+            "[monitor] reference is missing: name a record of normal work, 10 minutes or more, "
+            'for example reference = "normal.csv"' + ("" if record is None else ", or give the nominal values")
+        )
+    if record is not None and normal is not None and abs(record.dt / normal.dt - 1) > 1e-3:
+        raise UsageError(
+            f"the record has dt = {record.dt:g} s, the reference {normal.dt:g} s; take a reference with the same"
+        )
+    estimator = _estimator(axis, source, wraps=record is None)
+    nominal = _nominal(estimator, config.nominal, source)
+    if isinstance(estimator, RIV):
+        estimator = replace(estimator, initial=dict(zip(estimator.names, nominal.tolist(), strict=True)))
+    if normal is None:
+        notes.append("no reference record: thresholds hold for the encoder's noise alone; name one in [monitor]")
+    counts = None if normal is None else source.counts
+    hours = simulated_hours(config.mtbf_hours)
+    calibration, path, cached = cached_calibration(estimator, nominal, source.u, counts, hours, progress)
+    notes += calibration_notes(calibration, config.mtbf_hours)
+    watch = Watch(config.detector, config.mtbf_hours, config.tolerance)
+    return Setup(Monitor(estimator, calibration, watch), nominal, calibration, path, cached, tuple(notes))
+
+
+def calibration_notes(calibration: Calibration, mtbf_hours: float) -> list[str]:
+    """What to know of the thresholds where normal work is noisier than its simulation."""
+    hours, notes = calibration.record_hours, []
+    if np.max(calibration.noise) > NOISY or hours:
+        notes.append(
+            f"normal work is {np.max(calibration.noise):.2g} times as noisy as the encoder explains: "
+            + ("the thresholds come from" if hours else "the scale is that of")
+            + " the reference record itself"
+        )
+    if 0 < hours < mtbf_hours:
+        notes.append(
+            f"the reference record has {hours:.2g} h, too few to show what happens once in {mtbf_hours:g} h: the "
+            "threshold is read off beyond what was seen, and false alarms may be several times as frequent; record "
+            "more normal work, or raise mtbf_hours or tolerance"
+        )
+    return notes
+
+
+def check_monitored(axis: Axis) -> None:
+    """Raises UsageError for a model that the monitor cannot watch; for use before a record is read."""
+    if axis.model.make().equation.process:
+        raise UsageError(
+            "the monitor is for a machine with friction; to follow a transfer function use RSRIVC, or "
+            "pmfid identify with method rsrivc and forgetting < 1"
+        )
+
+
+def _estimator(axis: Axis, source: Record, wraps: bool) -> RecursiveEstimator:
+    """The recursive method that is asked for, `riv` for auto; wraps: the counter's bits matter, as in a pipe."""
+    method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
+    if not issubclass(ESTIMATORS[method], RecursiveEstimator) or ESTIMATORS[method].plain:
+        usable = [name for name, cls in ESTIMATORS.items() if issubclass(cls, RecursiveEstimator) and not cls.plain]
+        raise UsageError(f"[estimator] method = {method!r} does not run sample by sample without bias: use {usable}")
+    forgetting = axis.estimator.forgetting
+    if forgetting == 1:
+        forgetting = max(0.5, 1 - source.dt / DEFAULT_MEMORY)
+    changed = axis.estimator.model_copy(update={"method": method, "forgetting": forgetting})
+    estimator = make_estimator(axis.model_copy(update={"estimator": changed}), source)
+    if not isinstance(estimator, RecursiveEstimator):
+        raise UsageError(f"{method} is an off-line method")
+    if wraps and axis.encoder.bits is not None and axis.record.output_kind == "counts":
+        return replace(estimator, encoder=replace(estimator.encoder, bits=axis.encoder.bits))
+    return estimator
+
+
+def _nominal(estimator: RecursiveEstimator, given: dict[str, float] | None, source: Record) -> Floats:
+    """The normal parameters (p,): as given, or identified from the reference."""
+    if given is None:
+        return np.asarray(like(IV, estimator, prefilter_zeros=None).fit(source.u, source.counts).theta)
+    names = like(IV, estimator, prefilter_zeros=None).names
+    try:
+        return initial_vector(given, names)
+    except UsageError:
+        raise UsageError(f"[monitor] nominal must name {list(names)}, got {list(given)}") from None
+
+
+def start_object(setup: Setup) -> dict[str, Any]:
+    """What is watched and how, for `--json`."""
+    monitor = setup.monitor
+    front = like(IV, monitor.estimator, prefilter_zeros=None)
+    return {
+        "event": "start",
+        "method": monitor.estimator.method,
+        "nominal": dict(zip(front.names, setup.nominal.tolist(), strict=True)),
+        "units": dict(zip(front.names, front.units, strict=True)),
+        "detector": monitor.watch.detector,
+        "mtbf_hours": monitor.watch.mtbf_hours,
+        "tolerance": monitor.watch.tolerance,
+        "threshold": monitor.threshold,
+        "hours": setup.calibration.hours,
+        "record_hours": setup.calibration.record_hours,
+        "calibration": str(setup.path),
+        "cached": setup.cached,
+        "notes": list(setup.notes),
+    }

@@ -1,0 +1,157 @@
+"""Samples as they arrive: lines of CSV from a pipe, and the same from a record; stopping in good order."""
+
+from __future__ import annotations
+
+import math
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, BinaryIO, NoReturn
+
+from pmfid.errors import UsageError
+from pmfid.session.config import Axis
+from pmfid.session.monitored.lines import LineParser, is_comment
+from pmfid.session.monitored.timeline import BAD, COMMENT, REPEATED, Found, Metronome, Sample, Skipped, Timeline
+from pmfid.session.records import Record
+
+#: A line has at most so many bytes; what is longer is several bad ones.
+LONGEST_LINE = 65536
+#: Of so many lines at the beginning some must be samples, and of so many at the end.
+FIRST_LINES, LEAST_SAMPLES = 100, 10
+#: A logger may write every line so many times more.
+MOST_REPEATED = 3
+
+
+class _InterruptedError(Exception):
+    """A signal came while nothing was being processed."""
+
+
+@dataclass
+class Stop:
+    """Ends a run after the sample in hand at SIGINT, SIGTERM and SIGHUP, or at once where it waits for the next one.
+
+    A SIGHUP that is ignored, as under nohup, stays ignored."""
+
+    requested: bool = field(default=False, init=False)
+    _waiting: bool = field(default=False, init=False)
+
+    def _handle(self, number: int, frame: Any) -> None:
+        self.requested = True
+        if self._waiting:
+            raise _InterruptedError
+
+    @contextmanager
+    def handling(self) -> Iterator[Stop]:
+        """Signals are handled here inside of the block."""
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        hangup = getattr(signal, "SIGHUP", None)
+        if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
+            numbers.append(hangup)
+        before = {number: signal.signal(number, self._handle) for number in numbers}
+        try:
+            yield self
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def read(self, stream: BinaryIO) -> bytes:
+        """The next line, b"" at the end or when a signal comes."""
+        try:
+            self._waiting = True
+            line = b"" if self.requested else stream.readline(LONGEST_LINE)
+            self._waiting = False
+        except _InterruptedError:
+            return b""
+        finally:
+            self._waiting = False
+        return line
+
+
+def record_samples(record: Record, stop: Stop) -> Iterator[Sample]:
+    """The samples of a record, from time 0."""
+    for k in range(record.u.size):
+        if stop.requested:
+            return
+        yield Sample(k * record.dt, float(record.u[k]), int(record.counts[k]))
+
+
+def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterator[Found]:
+    """The samples of the lines after the header, each as soon as it is known to be one, and the lines that are none.
+
+    dt: sample period [s]. Raises UsageError for a header without the columns of [record], for no line at all, for lines
+    with another period than dt, and where the first lines, or most of all lines, cannot be used.
+    """
+    header = _header(stream, stop)
+    if header is None:
+        return
+    parse, timeline = LineParser(header, axis), Timeline(dt) if axis.record.time else Metronome(dt)
+    tally = _Tally()
+    while line := stop.read(stream):
+        if not line.strip():
+            continue
+        parsed = parse(line)
+        found = [Skipped(0.0, COMMENT, "")] if parsed is None else timeline.take(parsed)
+        tally.count(found)
+        yield from found
+    yield from timeline.end()
+    tally.check()
+
+
+def _header(stream: BinaryIO, stop: Stop) -> bytes | None:
+    """The first line that is no comment; None if a signal comes before it."""
+    while line := stop.read(stream):
+        if not is_comment(line):
+            return line
+    if stop.requested:
+        return None
+    raise UsageError("standard input is empty: write the header with the names of the columns first")
+
+
+@dataclass
+class _Tally:
+    """Samples, bad lines, repeated ones, and lines since the last sample; a run on hardly any samples is none."""
+
+    samples: int = 0
+    bad: int = 0
+    repeated: int = 0
+    tail: int = 0
+    problem: str = ""
+
+    @property
+    def lines(self) -> int:
+        return self.samples + self.bad + self.repeated
+
+    def count(self, found: Sequence[Found]) -> None:
+        """Raises UsageError where the first lines are bad."""
+        before = self.lines
+        for one in found:
+            if isinstance(one, Sample):
+                self._sample(one)
+            elif one.kind != COMMENT:
+                self._skipped(one)
+        if before < FIRST_LINES <= self.lines and self.samples < LEAST_SAMPLES:
+            self._refuse(self.lines - self.samples, self.lines)
+
+    def _sample(self, sample: Sample) -> None:
+        if math.isfinite(sample.u):
+            self.samples += 1
+            self.tail, self.problem = 0, ""
+
+    def _skipped(self, line: Skipped) -> None:
+        self.bad += line.kind == BAD
+        self.repeated += line.kind == REPEATED
+        self.tail += 1
+        self.problem = self.problem or line.problem
+
+    def check(self) -> None:
+        """Raises UsageError where the last lines are bad, more lines are bad than good, or nearly all repeat others."""
+        if self.tail >= FIRST_LINES:
+            self._refuse(self.tail, self.tail)
+        if max(self.bad, self.repeated // MOST_REPEATED) > self.samples:
+            self._refuse(self.bad + self.repeated, self.lines)
+
+    def _refuse(self, unusable: int, lines: int) -> NoReturn:
+        which = f"{unusable} of {lines} lines" if lines > unusable else f"the last {lines} lines"
+        problem = f", the first of them: {self.problem}" if self.problem else ""
+        raise UsageError(f"{which} cannot be used{problem}; correct what the logger writes")

@@ -1,0 +1,208 @@
+"""From stamped lines to samples on a grid: what is doubled, late, lost, or stamped by a clock that was set.
+
+A sample is expected one period after the last. A line near that instant is the sample; one that is not is held, and the
+next lines say what it was: where they go on from the old grid, it was a stray line (a repetition, a wrong stamp); where
+they go on from it, samples are missing, or the clock was set, and the grid begins anew there. So one bad line never
+costs more than itself. The grid follows the stamps slowly: they may be coarse, late or drift.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+from pmfid.errors import UsageError
+from pmfid.session.monitored.period import Period
+
+#: A line is the expected sample if its stamp is off by less [sample periods]: a late stamp is commoner than a lost one.
+NEAR = 0.75
+#: Share of a stamp's deviation that the grid takes over.
+FOLLOW = 0.1
+#: Lines that must follow one another before samples are believed to be missing, or the clock to be set back: a logger
+#: that sends its last lines again looks like the latter.
+AHEAD, BEHIND = 2, 5
+#: A held line is followed by one that is later by so much [sample periods]; lines between may be lost.
+SOONEST, LATEST = 0.25, 10.0
+#: What is missing for longer is told as a clock that was set [s].
+LONGEST_GAP = 3600.0
+#: Samples that a line is compared with: one that says the same again is no sample that came too late.
+REMEMBERED = 32
+#: So many lines in a row whose time fits nowhere end the run.
+MOST_STRAYS = 1000
+
+BAD, REPEATED, COMMENT = "bad line", "repeated line", "comment"
+
+
+@dataclass(frozen=True)
+class Line:
+    """What a line says. time [s], NaN where there is none; u, NaN where it cannot be used; problem: why not, or ""."""
+
+    time: float
+    u: float
+    counts: int
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """time [s]; u, NaN where it is lost; counts, the last where it is lost; missing: samples that should have come
+    before; jump: by how much the clock was set before it [s]."""
+
+    time: float
+    u: float
+    counts: int
+    missing: int = 0
+    jump: float = 0.0
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A line that is no sample. time: when the next sample was expected [s]; kind: BAD, REPEATED or COMMENT."""
+
+    time: float
+    kind: str
+    problem: str
+
+
+Found = Sample | Skipped
+
+
+@dataclass
+class Metronome:
+    """Lines without a time: each is the next sample. dt: sample period [s]."""
+
+    dt: float
+    _next: float = field(default=0.0, init=False)
+    _counts: int = field(default=0, init=False)
+
+    def take(self, line: Line) -> list[Found]:
+        """What the line gives; one that cannot be used takes its time all the same."""
+        time, self._next = self._next, self._next + self.dt
+        if line.problem:
+            return [Skipped(time, BAD, line.problem), Sample(time, math.nan, self._counts)]
+        self._counts = line.counts
+        return [Sample(time, line.u, line.counts)]
+
+    def end(self) -> list[Found]:
+        """Nothing is held."""
+        return []
+
+
+@dataclass
+class Timeline:
+    """Lines with a time. dt: sample period [s].
+
+    `take` raises UsageError where the lines come with another period, or where MOST_STRAYS in a row fit nowhere.
+    """
+
+    dt: float
+    _expected: float = field(default=math.nan, init=False)
+    _held: list[Line] = field(default_factory=list, init=False)
+    _unused: int = field(default=0, init=False)
+    _strays: int = field(default=0, init=False)
+    _counts: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        self._period = Period(self.dt)
+        self._recent: deque[Line] = deque(maxlen=REMEMBERED)
+
+    def take(self, line: Line) -> list[Found]:
+        """What is known after a line, in the order of time."""
+        if math.isnan(line.time):
+            return [self._skip(line.problem)]
+        self._period.line(line.time)
+        if math.isnan(self._expected):
+            self._expected = line.time
+        place = self._place(line.time)
+        if place is not None:
+            return self._regular(line, place)
+        if line.problem:
+            return [self._skip(line.problem)]
+        return self._irregular(line)
+
+    def end(self) -> list[Found]:
+        """What was held to the end."""
+        return self._drop_held()
+
+    def _offset(self, time: float) -> float:
+        return (time - self._expected) / self.dt
+
+    def _place(self, time: float) -> int | None:
+        """How many samples after the expected one a line belongs; those before it may be the unusable lines."""
+        offset = self._offset(time)
+        place = min(max(0, round(offset)), self._unused + len(self._held))
+        return place if abs(offset - place) < NEAR else None
+
+    def _regular(self, line: Line, place: int) -> list[Found]:
+        found: list[Found] = [Sample(self._expected + k * self.dt, math.nan, self._counts) for k in range(place)]
+        self._expected += place * self.dt
+        self._period.slots(place)
+        held, self._held = self._held, []
+        # lines with an old time and new values are samples of a clock that was set back by a few
+        late = sum(other.time < self._expected - NEAR * self.dt and other not in self._recent for other in held)
+        found += self._accept(line, late)
+        for other in held:  # two lines that changed places
+            fits = abs(self._offset(other.time)) < 0.5
+            found += self._accept(other) if fits else [self._stray(other)]
+        self._unused = 0
+        return found
+
+    def _accept(self, line: Line, missing: int = 0, jump: float = 0.0) -> list[Found]:
+        """The line is the expected sample."""
+        grid = self._expected + FOLLOW * (line.time - self._expected)
+        self._expected, self._strays = grid + self.dt, 0
+        self._period.sample(line.time)
+        if line.problem:
+            lost = Sample(line.time, math.nan, self._counts, missing, jump)
+            return [Skipped(line.time, BAD, line.problem), lost]
+        self._counts = line.counts
+        self._recent.append(line)
+        return [Sample(line.time, line.u, line.counts, missing, jump)]
+
+    def _irregular(self, line: Line) -> list[Found]:
+        """Holds a line, until it is known whether the next ones follow it."""
+        follows = bool(self._held) and SOONEST < (line.time - self._held[-1].time) / self.dt < LATEST
+        found = [] if follows else self._drop_held()
+        self._held.append(line)
+        self._strays += 1
+        if self._strays >= MOST_STRAYS:
+            raise UsageError(
+                f"{MOST_STRAYS} lines in a row have a time that fits nowhere, the last {line.time:.9g} s: correct the "
+                f"time column, which must step by {self.dt:.6g} s, or leave it out and give [record] dt"
+            )
+        needed = AHEAD if self._held[0].time > self._expected else BEHIND
+        return found + self._begin_anew() if len(self._held) >= needed else found
+
+    def _begin_anew(self) -> list[Found]:
+        """The lines held are a grid of their own."""
+        (first, *others), self._held, self._unused = self._held, [], 0
+        jump = first.time - self._expected
+        gap = 0 < jump <= LONGEST_GAP
+        missing = max(1, round(jump / self.dt)) if gap else 0
+        self._expected = first.time
+        if gap:
+            self._period.slots(missing)
+        else:
+            self._period.restart()
+        found = self._accept(first, missing, 0.0 if gap else jump)
+        for line in others:
+            lost = max(0, round(self._offset(line.time)))
+            self._expected += lost * self.dt
+            self._period.slots(lost)
+            found += self._accept(line, lost)
+        return found
+
+    def _drop_held(self) -> list[Found]:
+        held, self._held = self._held, []
+        self._unused += len(held)
+        return [self._stray(line) for line in held]
+
+    def _stray(self, line: Line) -> Skipped:
+        expected = self._expected
+        kind, problem = (BAD, "ahead") if line.time > expected else (REPEATED, "behind")
+        return Skipped(expected, kind, f"its time {line.time:.9g} s is {problem} of the expected {expected:.9g} s")
+
+    def _skip(self, problem: str) -> Skipped:
+        self._unused += 1
+        return Skipped(0.0 if math.isnan(self._expected) else self._expected, BAD, problem)

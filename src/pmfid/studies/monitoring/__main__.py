@@ -1,8 +1,0 @@
-"""`python -m pmfid.studies.monitoring`; the work is in `run`, where the processes find it."""
-
-import sys
-
-from pmfid.studies.monitoring.run import main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,0 +1,267 @@
+"""Data as they come: one record of input and output, with its hold, spacing, gaps and missing samples."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from numbers import Real
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import UsageError
+from pmfid.transfer.propagate import Grid
+
+Floats = NDArray[np.float64]
+
+#: Instants closer than this to an even spacing, in parts of the step, are evenly spaced: clocks and decimals do that.
+EVEN = 5e-3
+#: Two instants closer than this, in parts of the median step, are one.
+SAME = 1e-9
+#: A longer step, in medians, is a gap: what the input did in it is not known.
+GAP = 1.75
+HOLDS = ("zoh", "foh")
+#: Samples of the response from reference to input, and how many samples of a record there must be for each of them.
+RESPONSE = 200
+SAMPLES_PER_COEFFICIENT = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One record of a process.
+
+    u, y: (N,) input and output at the same instants; y is NaN where a sample is missing, u where it is not known, which
+    ends a stretch. dt: sample period [s], or t: (N,) instants [s], rising, with any spacing. hold: "zoh", the input
+    keeps its value until the next instant, or "foh", it goes there in a straight line. gap: a step longer than this
+    [s] separates two stretches with unknown initial conditions; None: 1.75 median steps. reference: (N,) what a
+    controller was told, not correlated with the noise; in closed loop the source of the instruments.
+    Raises UsageError where the arrays do not fit each other, the time does not rise, or neither dt nor t is there.
+    """
+
+    u: Floats
+    y: Floats
+    dt: float | None = None
+    t: Floats | None = None
+    hold: str = "zoh"
+    gap: float | None = None
+    reference: Floats | None = None
+    name: str = "record"
+
+    def __post_init__(self) -> None:
+        u, y = _numbers("u", self.u), _numbers("y", self.y)
+        if u.ndim != 1 or u.shape != y.shape or u.size < 2:
+            raise UsageError(f"u and y must be two arrays of the same length, got {u.shape} and {y.shape}")
+        if np.any(np.isinf(u)) or np.any(np.isinf(y)):
+            raise UsageError("u or y is infinite somewhere; write NaN where a sample is missing")
+        if self.hold not in HOLDS:
+            raise UsageError(f"hold must be one of {HOLDS}, got {self.hold!r}")
+        if self.gap is not None and not (isinstance(self.gap, Real) and self.gap > 0):
+            raise UsageError(f"gap must be a positive time in s, or None for 1.75 median steps, got {self.gap!r}")
+        if (self.dt is None) == (self.t is None):
+            raise UsageError("give the sample period dt in s, or the instants t, and not both")
+        object.__setattr__(self, "u", u)
+        object.__setattr__(self, "y", y)
+        self._check_time(u.size)
+        if self.reference is not None:
+            reference = _numbers("reference", self.reference)
+            if reference.shape != u.shape or not np.all(np.isfinite(reference)):
+                raise UsageError(f"reference must be finite and as long as u, got shape {reference.shape}")
+            object.__setattr__(self, "reference", reference)
+
+    def _check_time(self, size: int) -> None:
+        if self.t is None:
+            if not (isinstance(self.dt, Real) and math.isfinite(self.dt) and self.dt > 0):
+                raise UsageError(f"dt must be positive and finite, got {self.dt!r}; it is the sample period in s")
+            return
+        t = _numbers("t", self.t)
+        if t.shape != (size,):
+            raise UsageError(f"t must be as long as u, got shape {t.shape}")
+        _check_rising(t)
+        object.__setattr__(self, "t", t)
+
+    @cached_property
+    def times(self) -> Floats:
+        """(N,) instants [s]."""
+        return np.asarray(np.arange(self.u.size) * (self.dt or 1.0)) if self.t is None else self.t
+
+    @cached_property
+    def period(self) -> float:
+        """The median step [s]; the mean one where the spacing is even up to rounding."""
+        steps = np.diff(self.times)
+        median = float(np.median(steps))
+        mean = float(np.mean(steps))
+        even = self.times[0] + mean * np.arange(self.times.size)
+        return mean if np.max(np.abs(self.times - even)) < EVEN * mean else median
+
+    @cached_property
+    def explained_input(self) -> Floats | None:
+        """(N,) the part of the input that the reference explains, by an impulse response (Van den Hof and Schrama
+        1993): like the input, but without the noise that the controller feeds back. It is as long as the record
+        supports (Schwarz's criterion): each further coefficient would bring some of that noise back."""
+        if self.reference is None:
+            return None
+        known = np.isfinite(self.u)
+        reference = self.reference * _shrinking(self.reference)  # the impulse response grows by as much
+        length = max(1, min(RESPONSE, self.u.size // SAMPLES_PER_COEFFICIENT))
+        lagged = np.lib.stride_tricks.sliding_window_view(np.r_[np.zeros(length - 1), reference], length)
+        columns = np.column_stack([np.ones(self.u.size), lagged[:, ::-1]])  # the latest first
+        kept = _supported(columns[known], self.u[known])
+        response = np.linalg.lstsq(columns[known, :kept], self.u[known], rcond=None)[0]
+        return np.asarray(columns[:, :kept] @ response)
+
+    def detrended(self) -> Experiment:
+        """About the operating point: without the means of input and output. What drifts in the output stays: a drift
+        that is taken out of the output, but not out of the input, is one of the process, too."""
+        return replace(self, u=self.u - np.nanmean(self.u), y=self.y - np.nanmean(self.y))
+
+    def decimated(self, factor: int) -> Experiment:
+        """Every factor-th sample. Raises UsageError where the held input changes in between: what it did then would be
+        lost; leave samples of y out instead (NaN), which keeps the input."""
+        if factor < 1 or self.hold != "zoh":
+            raise UsageError(
+                f"decimation needs a held input and a factor of at least 1, got {factor} and {self.hold!r}"
+            )
+        kept = np.arange(0, self.u.size, factor)
+        if not np.array_equal(np.repeat(self.u[kept], factor)[: self.u.size], self.u, equal_nan=True):
+            raise UsageError(
+                f"the input changes within {factor} samples; write NaN for the outputs to leave out instead"
+            )
+        t, r = self.t, self.reference
+        thinned = replace(
+            self,
+            u=self.u[kept],
+            y=self.y[kept],
+            t=None if t is None else t[kept],
+            reference=None if r is None else r[kept],
+        )
+        return thinned if self.dt is None else replace(thinned, dt=self.dt * factor)
+
+    def stretches(self, delay: int = 0) -> list[Stretch]:
+        """The uninterrupted parts, the input `delay` periods later. Parts without a measured output are left out."""
+        u, t = self.u, self.times
+        limit = GAP * self.period if self.gap is None else self.gap
+        known = np.isfinite(u)
+        broken = np.flatnonzero(~known[:-1] | (np.diff(t) > limit)) + 1
+        parts = []
+        for part in np.split(np.arange(u.size), broken):
+            # at the first instant without an input the output still counts, unless the input ran there in a line
+            part = part[known[part]] if self.hold == "foh" else part
+            if part.size and known[part[0]]:
+                parts.append(self._stretch(part, delay))
+        return [part for part in parts if part is not None and part.rows.size > 1]
+
+    def _stretch(self, part: NDArray[np.int64], delay: int) -> Stretch | None:
+        u, y, t = self.u[part], self.y[part], self.times[part]
+        reference = None if self.explained_input is None else self.explained_input[part]
+        held = self.hold == "zoh"
+        measured = np.isfinite(y)
+        if part.size < delay + 2 or not np.any(measured[delay:]):
+            return None
+        even = t[0] + self.period * np.arange(t.size)
+        if np.max(np.abs(t - even)) < EVEN * self.period:
+            filled = np.interp(even, even[measured], y[measured])
+            cut = slice(None, u.size - delay)
+            rows = np.flatnonzero(measured[delay:])
+            grid = Grid(self.period, u.size - delay)
+            inputs = [u[cut]] + ([] if reference is None else [reference[cut]])
+            return Stretch(grid, np.array(_finite(inputs)), filled[delay:], rows, part[delay:][rows], held)
+        return self._uneven(part, t, u, y, reference, delay, held)
+
+    def _uneven(
+        self,
+        part: NDArray[np.int64],
+        t: Floats,
+        u: Floats,
+        y: Floats,
+        reference: Floats | None,
+        delay: int,
+        held: bool,
+    ) -> Stretch | None:
+        """The grid has the instants of the output and those at which the late input changes."""
+        measured = np.isfinite(y)
+        late = t + delay * self.period
+        inside = (t >= late[0] - SAME) & (t <= late[-1])
+        merged = np.union1d(t[inside], late[late <= t[-1]])
+        grid_t = merged[np.r_[True, np.diff(merged) > SAME * self.period]]
+        rows_of = np.searchsorted(grid_t, t - SAME * self.period)
+        rows = np.flatnonzero(measured & inside & (rows_of < grid_t.size))
+        if grid_t.size < 2 or rows.size < 2:
+            return None
+        filled = np.interp(grid_t, t[measured], y[measured])
+        signals = _finite([u] + ([] if reference is None else [reference]))
+        if held:
+            index = np.searchsorted(late, grid_t + SAME * self.period, side="right") - 1
+            inputs = [signal[index] for signal in signals]
+        else:
+            inputs = [np.interp(grid_t, late, signal) for signal in signals]
+        return Stretch(Grid(np.diff(grid_t), grid_t.size), np.array(inputs), filled, rows_of[rows], part[rows], held)
+
+
+def _shrinking(signal: Floats) -> float:
+    """A power of two that brings a signal to about one, so that its squares stay in the number format."""
+    largest = float(np.max(np.abs(signal), initial=0.0))
+    return math.ldexp(1.0, -min(max(math.frexp(largest)[1], -1000), 1000))
+
+
+def _supported(columns: Floats, target: Floats) -> int:
+    """How many of the first columns (N, p), two or more, explain target (N,) best by Schwarz's criterion."""
+    target = target * _shrinking(target)
+    size = np.linalg.norm(columns, axis=0)
+    Q, _ = np.linalg.qr(columns / np.where(size > 0, size, 1.0))
+    left = float(target @ target) - np.cumsum((Q.T @ target) ** 2)
+    floor = np.finfo(float).eps * float(target @ target) + 1e-300
+    criterion = target.size * np.log(np.maximum(left, floor)) + np.arange(1, left.size + 1) * np.log(target.size)
+    return 2 + int(np.argmin(criterion[1:]))
+
+
+def _numbers(name: str, values: object) -> Floats:
+    """A copy as numbers of float64."""
+    try:
+        if values is not None and np.asarray(values).dtype.kind in "biufO":
+            return np.array(np.ma.filled(np.ma.asarray(values, float), np.nan))  # what is masked is missing
+    except (TypeError, ValueError):
+        pass
+    raise UsageError(f"{name} must be an array of numbers, NaN where one is missing")
+
+
+def _check_rising(t: Floats) -> None:
+    """Raises UsageError for instants (N,) that are missing, repeated or out of order, with the row, counted from 1."""
+    missing = np.flatnonzero(~np.isfinite(t))
+    if missing.size:
+        rows = f"{missing.size} row{'s' * (missing.size > 1)}"
+        raise UsageError(
+            f"t is missing, NaN or infinite in {rows}, the first is row {missing[0] + 1}; leave that row out"
+        )
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if back.size:
+        k = int(back[0])
+        what = "a duplicate; drop one of the two rows, or write t with more digits" if t[k + 1] == t[k] else "sort them"
+        raise UsageError(f"t does not rise: row {k + 2} ({t[k + 1]:.9g}) follows {t[k]:.9g}: {what}")
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """An uninterrupted part of a record on a grid of M instants.
+
+    inputs: (1 or 2, M) the late input, and the part of it that the reference explains, where there is one; y: (M,)
+    output, between measured instants in a straight line; rows: the instants that are measured; samples: their numbers
+    in the record; held: the input is constant within a step; record: the number of its record.
+    """
+
+    grid: Grid
+    inputs: Floats
+    y: Floats
+    rows: NDArray[np.int64]
+    samples: NDArray[np.int64]
+    held: bool
+    record: int = 0
+
+    def scaled(self, rate: float) -> Stretch:
+        """With time in units of 1/rate."""
+        return replace(self, grid=Grid(self.grid.steps * rate, self.grid.size))
+
+
+def _finite(signals: list[Floats]) -> list[Floats]:
+    """The last value of a stretch may be unknown: nothing comes after it."""
+    return [np.where(np.isfinite(signal), signal, 0.0) for signal in signals]

@@ -1,0 +1,54 @@
+"""The same process with white noise: input and output behind the whitening filter of the noise.
+
+The filter changes nothing between them: it goes through the process, and a filtered input is held, or a straight line,
+where the input was. What is compared of models there, sums of squares and criteria, holds for noise of any colour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from pmfid.transfer.experiment import Stretch
+from pmfid.transfer.noise import Noise
+from pmfid.transfer.propagate import Grid
+from pmfid.transfer.solve import Problem
+
+Floats = NDArray[np.float64]
+
+#: Less than this part of the samples left by the filter, which needs its whole past: it is not used.
+KEPT = 0.6
+
+
+def prewhitened(problem: Problem, noise: Noise) -> Problem:
+    """The problem behind the filter, an offset of it by the sum of the filter's weights smaller; the same problem where
+    steps are uneven or so many samples are missing that too few have a whole past."""
+    weights = noise.whitener
+    if weights.size == 1 or not all(stretch.grid.uniform for stretch in problem.stretches):
+        return problem
+    found = [_filtered(stretch, weights) for stretch in problem.stretches]
+    least = 2 * problem.structure.size
+    usable = tuple(stretch for stretch in found if stretch is not None and stretch.rows.size > least)
+    if sum(s.rows.size for s in usable) < KEPT * sum(s.rows.size for s in problem.stretches):
+        return problem
+    return replace(problem, stretches=usable)
+
+
+def _filtered(stretch: Stretch, weights: Floats) -> Stretch | None:
+    lost = weights.size - 1
+    if stretch.grid.size < lost + 2:
+        return None
+    measured = np.zeros(stretch.grid.size)
+    measured[stretch.rows] = 1.0
+    whole = lfilter(np.ones(weights.size), [1.0], measured)[stretch.rows] > lost + 0.5
+    return replace(
+        stretch,
+        grid=Grid(stretch.grid.steps, stretch.grid.size - lost),
+        inputs=np.asarray(lfilter(weights, [1.0], stretch.inputs, axis=1))[:, lost:],
+        y=np.asarray(lfilter(weights, [1.0], stretch.y))[lost:],
+        rows=stretch.rows[whole] - lost,
+        samples=stretch.samples[whole],
+    )

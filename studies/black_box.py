@@ -1,0 +1,51 @@
+"""The study of transfer functions by Monte Carlo: `python -m studies.black_box --out docs/black_box.md`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from studies import (
+    discretizations,
+    efficiency,
+    process_confidence,
+    processes,
+    published,
+    real_processes,
+    structures,
+    uneven,
+    varying,
+)
+from studies.sections import Page, by_name
+
+STUDIES = by_name(
+    processes.STUDY,
+    efficiency.STUDY,
+    published.STUDY,
+    discretizations.STUDY,
+    uneven.STUDY,
+    real_processes.STUDY,
+    structures.STUDY,
+    varying.STUDY,
+    process_confidence.STUDY,
+)
+SEEDS = 100
+PARTS = {"efficiency": 10.0, "discretizations": 0.05, "varying": 0.05, "process-confidence": 0.1}
+INTRODUCTION = """\
+Transfer functions from input and output alone, no parameter known. The records are simulated exactly for a held input
+and start at rest; the methods do not know that. Each table states how many runs it has."""
+PAGE = Page("black_box", "Transfer functions as a black box", INTRODUCTION, STUDIES, SEEDS, PARTS)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the study and writes the page; returns the exit code."""
+    return PAGE.main(__doc__, arguments)
+
+
+def run(seeds: int = SEEDS, jobs: int = 2, only: Sequence[str] = tuple(STUDIES)) -> str:
+    """The page. seeds: of each table, >= 1, but for those that need only a part or more. Raises UsageError."""
+    return PAGE.run(seeds, jobs, only)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

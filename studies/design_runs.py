@@ -1,0 +1,152 @@
+"""Are the predicted standard deviations those of experiments? The design and a trapezoid, estimated many times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.design.problem.fisher import affine
+from pmfid.design.problem.problem import Problem
+from pmfid.design.search.solver import solve
+from pmfid.design.search.standard import standard_inputs
+from pmfid.design.trial.calibration import Run, calibrate
+from pmfid.design.trial.encoder_error import encoder_covariance, squares_covariance, start_free
+from pmfid.design.trial.simulated import simulate
+from pmfid.encoder import Encoder, quantize
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.interval import IntervalML
+from pmfid.simulation.scenarios import resolution_of
+from studies.design_case import STARTS, case
+
+Floats = NDArray[np.float64]
+#: u (n,), x (n,), problem, generator -> theta (p,)
+Method = Callable[[Floats, Floats, Problem, np.random.Generator], Floats]
+
+INCREMENTS = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Experiments with one input.
+
+    predicted, unknown_start: standard deviations (p,) [%] for white noise, with the start position known and unknown;
+    encoder: those of `squares_covariance`, for commission of `encoder_covariance`; errors (runs, p) [%]; failures: runs
+    without an estimate.
+    """
+
+    predicted: Floats
+    unknown_start: Floats
+    encoder: Floats
+    errors: Floats
+    failures: int
+
+    @property
+    def std(self) -> Floats:
+        return np.asarray(self.errors.std(axis=0))
+
+    @property
+    def size(self) -> float:
+        """D size of the observed scatter: (determinant of the covariance)^(1/p)."""
+        return float(np.linalg.det(np.cov(self.errors.T)) ** (1 / self.errors.shape[1]))
+
+
+def counted(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Run:
+    """A run through the encoder from a random phase of its lattice."""
+    resolution = problem.resolution or 1.0
+    counts = quantize(x + rng.uniform(0, resolution), resolution)
+    return Run(u, np.asarray(counts * resolution, float), problem.dt / problem.samples_per_interval)
+
+
+def commission(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
+    """The estimate of `pmfid commission`: what the counts leave open."""
+    return _theta(problem, counted(u, x, problem, rng))
+
+
+def least_squares(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
+    """Least squares on the counts, as if their error were white noise."""
+    return _theta(as_noise(problem), counted(u, x, problem, rng))
+
+
+def as_noise(problem: Problem) -> Problem:
+    """The problem with white noise of the encoder's variance."""
+    return replace(problem, noise_variance=problem.variance)
+
+
+def white(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
+    """The same where the position has normal white noise of the encoder's variance in place of the encoder."""
+    y = x + rng.normal(0.0, np.sqrt(problem.variance), x.size)
+    return _theta(as_noise(problem), Run(u, y, problem.dt / problem.samples_per_interval))
+
+
+def interval(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
+    """The interval likelihood, which takes no parameter and no start as known."""
+    run = counted(u, x, problem, rng)
+    resolution = problem.resolution or 1.0
+    method = IntervalML(problem.drive, Encoder(resolution), run.dt, 1 / (3 * run.dt))
+    return method.fit(u, np.round(run.y / resolution).astype(np.int64)).theta
+
+
+METHODS: dict[str, Method] = {
+    "white noise": white,
+    "least squares": least_squares,
+    "commission": commission,
+    "interval": interval,
+}
+
+
+def _theta(problem: Problem, run: Run) -> Floats:
+    parameters = calibrate(problem, [run]).parameters
+    return np.array([parameters[name] for name in problem.names])
+
+
+def trial(problem: Problem, u: Floats, method: str, runs: int) -> Trial:
+    """`runs` experiments on the nominal drive with stiction; run k has seed k. u: (intervals,)."""
+    nominal = np.array([problem.nominal[name] for name in problem.names])
+    s = affine(problem).weighted(u)
+    predicted, unknown_start = (100 * np.sqrt(np.linalg.inv(F).diagonal()) for F in (s @ s.T, start_free(s)))
+    covariance = (encoder_covariance if method == "commission" else squares_covariance)(problem, u)
+    encoder = np.full(nominal.size, np.nan) if covariance is None else 100 * np.sqrt(covariance.diagonal()) / nominal
+    motion = simulate(problem, u)
+    errors, failures = [], 0
+    for seed in range(runs):
+        try:
+            theta = METHODS[method](motion.u, motion.x, problem, np.random.default_rng(seed))
+        except NotIdentifiableError:
+            failures += 1
+        else:
+            errors.append(100 * (theta / nominal - 1))
+    return Trial(predicted, unknown_start, encoder, np.array(errors), failures)
+
+
+def experiments(runs: int) -> Iterator[list[str]]:
+    """Rows for the D-optimal input and the trapezoid, by sampling and method; the gain, observed and predicted."""
+    for samples in (1, 5):
+        problem = case("m, d, F_c", resolution=resolution_of(INCREMENTS), samples_per_interval=samples)
+        inputs = {
+            "design": solve(problem, "D", starts=STARTS).u,
+            "trapezoid": standard_inputs(problem, names=("trapezoid",))["trapezoid"].u,
+        }
+        for method in METHODS:
+            if samples == 1 and method == "interval":
+                continue  # its start needs filters, and these more samples
+            found = {name: trial(problem, u, method, runs) for name, u in inputs.items()}
+            gain = found["trapezoid"].size / found["design"].size
+            for name, each in found.items():
+                expected = (each.predicted, each.unknown_start, each.encoder)
+                ratios = [_cell(each.std, 4), *(_cell(each.std / std, 2) for std in expected)]
+                gains = [f"{gain:.2f}", f"{predicted_gain(problem, inputs):.2f}"] if name == "design" else ["", ""]
+                yield [f"{1e3 * problem.dt / samples:g} ms", method, name, *ratios, str(each.failures), *gains]
+
+
+def predicted_gain(problem: Problem, inputs: dict[str, Floats]) -> float:
+    """D of the design over D of the trapezoid."""
+    maps = affine(problem)
+    sizes = [np.linalg.det(maps.information(u)) ** (1 / len(problem.names)) for u in inputs.values()]
+    return float(sizes[0] / sizes[1])
+
+
+def _cell(values: Floats, digits: int) -> str:
+    return ", ".join(f"{value:.{digits}f}" for value in values)

@@ -1,0 +1,152 @@
+"""A design for the wrong mass (paper, figure 2): what it loses, what a robust one costs, what a second round mends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.result import Design
+from pmfid.design.search.solver import solve
+from pmfid.design.trial.sequential import sequential, simulated_experiment
+from pmfid.design.trial.simulated import simulate, simulated_information
+from pmfid.report.figures import COLOURS, MAGENTA, WIDTH, figure_style
+from studies.design_case import NOMINAL, STARTS, case
+
+WRONG = (0.8, 0.9, 1.0, 1.1, 1.2)
+#: By how much the end may be missed in a scenario: position [m], velocity [m/s].
+END_TOLERANCE = (0.01, 0.01)
+#: Violation of a limit [m, m/s] that rounding explains.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A run on an axis: information on the mass over that of the optimum, end and highest position [m], least velocity
+    between the ends and velocity at the end [m/s]."""
+
+    information: float
+    end: float
+    highest: float
+    slowest: float
+    end_velocity: float
+
+    def row(self) -> list[str]:
+        """Cells: information, end, error of the end in percent of 0.4 m, highest, slowest, end velocity."""
+        error = 100 * (self.end / 0.4 - 1)
+        numbers = [f"{self.information:.3f}", f"{self.end:.4f}", f"{error:+.2f} %"]
+        return [*numbers, f"{self.highest:.4f}", f"{self.slowest:.4f}", f"{self.end_velocity:.4f}"]
+
+
+HEADER = ("information / optimum", "end [m]", "error", "highest [m]", "slowest [m/s]", "velocity at end [m/s]")
+
+
+def outcome(problem: Problem, u: Float, optimum: float) -> Outcome:
+    """The run of u (n,) on the axis with the problem's nominal values, with stiction."""
+    motion = simulate(problem, u)
+    information = float(simulated_information(problem, u)[0, 0]) / optimum
+    return Outcome(
+        information,
+        float(motion.x[-1]),
+        float(motion.x.max()),
+        float(motion.v[1:-1].min()),
+        float(motion.v[-1]),
+    )
+
+
+def for_mass(problem: Problem, mass: float) -> Problem:
+    """The same problem with another nominal mass [kg]."""
+    return replace(problem, nominal={**problem.nominal, "mass": mass})
+
+
+def optimum(problem: Problem) -> Design:
+    """The best input for the trace on the mass."""
+    return solve(problem, "trace", starts=STARTS)
+
+
+def wrong_masses() -> Iterator[list[str]]:
+    """Rows: mass that the design believed in over the true one, then the cells of an outcome."""
+    problem = case("m")
+    best = float(optimum(problem).fisher[0, 0])
+    for factor in WRONG:
+        design = optimum(for_mass(problem, factor * NOMINAL["mass"]))
+        yield [f"{factor:.1f}", *outcome(problem, design.u, best).row()]
+
+
+def robust_problem() -> Problem:
+    """The case with limits that hold for a mass that is wrong by 20 % either way."""
+    scenarios: tuple[Mapping[str, float], ...] = tuple({"mass": factor * NOMINAL["mass"]} for factor in (0.8, 1.2))
+    return replace(case("m"), scenarios=scenarios, end_tolerance=END_TOLERANCE)
+
+
+def robust() -> Iterator[list[str]]:
+    """Rows: true mass over the believed one, cells of the outcome of the robust design, whether a limit is broken."""
+    problem = case("m")
+    design = optimum(robust_problem())
+    for factor in WRONG:
+        true = for_mass(problem, factor * NOMINAL["mass"])
+        found = outcome(true, design.u, float(optimum(true).fisher[0, 0]))
+        yield [f"{factor:.1f}", *found.row(), "yes" if breaks(problem, found) else "no"]
+
+
+def breaks(problem: Problem, found: Outcome) -> bool:
+    """Whether an outcome is outside the limits of the case, the end within END_TOLERANCE."""
+    low, high = problem.limits.pair("position") or (-np.inf, np.inf)
+    missed = (
+        abs(found.end - high) > END_TOLERANCE[0] + ROUNDING or abs(found.end_velocity) > END_TOLERANCE[1] + ROUNDING
+    )
+    slow = found.slowest < problem.limits.min_speed - ROUNDING
+    return missed or slow or found.highest > high + ROUNDING or found.highest < low - ROUNDING
+
+
+def rounds(seeds: int, number: int = 2) -> Iterator[list[str]]:
+    """Rows: believed mass over the true one, round, mass known after it, cells of the outcome; worst of the seeds."""
+    problem = case("m")
+    best = float(optimum(problem).fisher[0, 0])
+    for factor in (0.8, 1.2):
+        start = for_mass(problem, factor * NOMINAL["mass"])
+        histories = [_history(problem, start, seed, number) for seed in range(seeds)]
+        for k in range(number):
+            outcomes = [outcome(problem, designs[k].u, best) for designs, _ in histories]
+            error = max(abs(masses[k] / NOMINAL["mass"] - 1) for _, masses in histories)
+            worst = max(outcomes, key=lambda each: abs(each.end - 0.4))
+            least, most = (pick(each.information for each in outcomes) for pick in (min, max))
+            yield [f"{factor:.1f}", str(k + 1), f"{least:.4f} to {most:.4f}", *worst.row()[1:3], f"{100 * error:.4f} %"]
+
+
+def _history(problem: Problem, start: Problem, seed: int, number: int) -> tuple[list[Design], list[float]]:
+    """Designs of the rounds, and the mass after each."""
+    truth = dict(problem.nominal)
+    experiment = simulated_experiment(start, truth, np.random.default_rng(seed))
+    state = sequential(start, experiment, {"mass": 1e-12}, criterion="trace", rounds=number, seed=seed)
+    designs = [each.design for each in state.rounds if each.design is not None]
+    return designs, [each.known.parameters["mass"] for each in state.rounds]
+
+
+def wrong_mass_figure(factor: float = 1.2) -> Figure:
+    """Paper figure 2: input, velocity and position on the axis, designed for the true mass and for a wrong one."""
+    problem = case("m")
+    designs = {
+        "nominal mass": optimum(problem),
+        f"mass wrong by {100 * (factor - 1):+.0f} %": optimum(for_mass(problem, factor * NOMINAL["mass"])),
+    }
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 5.4), layout="constrained")
+        panels = figure.subplots(3, 1, sharex=True)
+        for (name, design), (colour, style) in zip(
+            designs.items(), ((COLOURS[0], "-"), (COLOURS[1], "--")), strict=True
+        ):
+            motion = simulate(replace(problem, samples_per_interval=10), design.u)
+            panels[0].stairs(design.u, problem.t, baseline=None, color=colour, ls=style, lw=1.5, label=name)
+            panels[1].plot(motion.t, motion.v, color=colour, ls=style)
+            panels[2].plot(motion.t, motion.x, color=colour, ls=style)
+        panels[2].axhline(0.4, color=MAGENTA, ls=":", lw=1)
+        for axes, label in zip(panels, ("input [V]", "velocity [m/s]", "position [m]"), strict=True):
+            axes.set_ylabel(label)
+        panels[2].set_xlabel("time [s]")
+        panels[2].margins(x=0.01)
+        figure.legend(loc="outside upper center", ncols=2)
+    return figure

@@ -1,0 +1,8 @@
+"""`python -m studies.monitoring`; the work is in `run`, where the processes find it."""
+
+import sys
+
+from studies.monitoring.run import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,156 @@
+"""Random linear processes, and records of them in open and in closed loop with noise of some colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+from pmfid.paper.truth import Floats
+from pmfid.simulation.process import simulate_process
+from pmfid.transfer.experiment import Experiment
+from pmfid.transfer.sensitivity import companion
+
+INPUTS = ("prbs", "steps", "sweep", "multisine", "white")
+NOISES = ("white", "AR(1) 0.9", "resonance")
+LENGTHS = (300, 1000, 3000, 10_000)
+#: Signal to noise [dB], evenly; in closed loop up to that of a fine encoder.
+OPEN_SNR, CLOSED_SNR = (15.0, 40.0), (20.0, 80.0)
+#: Gain of a controller times that of the process, at most, and what is left up to where the loop is unstable.
+STRONG, MARGIN = 6.0, 2.0
+
+
+@dataclass(frozen=True)
+class RandomPlant:
+    """b, a in descending powers, a with its leading 1; dt [s]; bandwidth [rad/s], the mean magnitude of the poles."""
+
+    b: Floats
+    a: Floats
+    dt: float
+    bandwidth: float
+
+    @property
+    def poles(self) -> Floats:
+        """(n,) the slowest first, of a pair the one with the positive imaginary part: as `Process` has them."""
+        return np.array(sorted(np.roots(self.a), key=lambda p: (round(abs(p), 12), p.real, -p.imag)))
+
+    @property
+    def gain(self) -> float:
+        return float(self.b[-1] / self.a[-1])
+
+
+def random_plant(rng: np.random.Generator, most: int = 4) -> RandomPlant:
+    """1 to `most` poles within a decade, pairs with a damping of 0.1 to 0.9; fewer zeros, on either side."""
+    n, dt = int(rng.integers(1, most + 1)), float(10 ** rng.uniform(-3, 0))
+    bandwidth = float(10 ** rng.uniform(-1.3, -0.6)) / dt
+    roots: list[complex] = []
+    while len(roots) < n:
+        size, damping = bandwidth * 10 ** rng.uniform(-0.5, 0.5), rng.uniform(0.1, 0.9)
+        pair = len(roots) + 2 <= n and rng.uniform() < 0.5
+        root = size * complex(-damping, np.sqrt(1 - damping**2))
+        roots += [root, root.conjugate()] if pair else [complex(-size)]
+    a = np.real(np.poly(roots))
+    zeros = bandwidth * 10 ** rng.uniform(-0.5, 0.8, int(rng.integers(0, n))) * rng.choice([-1.0, 1.0])
+    top = np.atleast_1d(np.poly(zeros))
+    return RandomPlant(top * a[-1] / top[-1] * 10 ** rng.uniform(-2, 2), a, dt, bandwidth)
+
+
+def make_input(kind: str, samples: int, plant: RandomPlant, rng: np.random.Generator) -> Floats:
+    """(samples,) of about one unit."""
+    t, hold = np.arange(samples) * plant.dt, max(1, round(1 / (plant.bandwidth * plant.dt)))
+    if kind == "prbs":
+        return np.repeat(rng.choice([-1.0, 1.0], samples // hold + 1), hold)[:samples]
+    if kind == "steps":
+        hold = min(5 * hold, samples // 8)
+        return np.repeat(rng.uniform(-1, 1, samples // hold + 1), hold)[:samples]
+    if kind == "sweep":
+        low, high = 0.1 * plant.bandwidth, min(6 * plant.bandwidth, 2.5 / plant.dt)
+        rate = np.log(high / low) / t[-1]
+        return np.asarray(np.sin(low / rate * (np.exp(rate * t) - 1)))
+    if kind == "multisine":
+        period = samples // 3
+        lines = np.arange(1, max(3, min(30, round(4 * plant.bandwidth * period * plant.dt / (2 * np.pi)))) + 1)
+        phases = rng.uniform(0, 2 * np.pi, lines.size)
+        waves = np.cos(2 * np.pi / period * np.outer(np.arange(samples), lines) + phases)
+        return np.asarray(waves.sum(axis=1) / np.sqrt(lines.size))
+    return rng.standard_normal(samples)
+
+
+def make_noise(kind: str, samples: int, rng: np.random.Generator) -> Floats:
+    """(samples,) of variance 1: white, AR(1) with 0.9, or a resonance of 2 % damping in white noise."""
+    w = rng.standard_normal(samples + 1000)
+    if kind == "AR(1) 0.9":
+        return np.asarray(lfilter([np.sqrt(0.19)], [1.0, -0.9], w)[1000:])
+    if kind == "resonance":
+        ring = lfilter([1.0], np.real(np.poly(np.exp(np.array([-0.006 + 0.3j, -0.006 - 0.3j])))), w)
+        w = ring / np.std(ring) + 0.3 * rng.standard_normal(w.size)
+        return np.asarray(w[1000:] / np.sqrt(1.09))
+    return w[1000:]
+
+
+def open_record(
+    plant: RandomPlant, kind: str, noise: str, samples: int, hold: str, rng: np.random.Generator
+) -> Experiment:
+    """With the hold that it was made with."""
+    u = make_input(kind, samples, plant, rng)
+    y = simulate_process(plant.b, plant.a, u, plant.dt, hold=hold)
+    size = float(np.std(y)) * 10 ** (-rng.uniform(*OPEN_SNR) / 20)
+    return Experiment(u, y + size * make_noise(noise, samples, rng), dt=plant.dt, hold=hold)
+
+
+def closed_record(plant: RandomPlant, kind: str, noise: str, samples: int, rng: np.random.Generator) -> Experiment:
+    """Under proportional and integral control with a gain margin; the reference is not told."""
+    return _closed(plant, kind, noise, samples, rng)[0]
+
+
+def loop_noise(plant: RandomPlant, kind: str, noise: str, samples: int, rng: np.random.Generator) -> float:
+    """Standard deviation of the noise in that record; the reference has about one unit."""
+    return _closed(plant, kind, noise, samples, rng)[1]
+
+
+def _closed(
+    plant: RandomPlant, kind: str, noise: str, samples: int, rng: np.random.Generator
+) -> tuple[Experiment, float]:
+    keep, move = _sampled(plant)
+    row = np.zeros(keep.shape[0])
+    row[: plant.b.size] = plant.b[::-1]
+    strength, slow = STRONG / plant.gain, 0.2 * plant.bandwidth * plant.dt
+    while np.max(np.abs(np.linalg.eigvals(_loop(keep, move, row, MARGIN * strength, slow)))) >= 1:
+        strength /= 1.3
+    r, v = make_input(kind, samples, plant, rng), make_noise(noise, samples, rng)
+    quiet = _run(keep, move, row, strength, slow, r, np.zeros(samples))[1]
+    size = float(np.std(quiet)) * 10 ** (-rng.uniform(*CLOSED_SNR) / 20)
+    return Experiment(*_run(keep, move, row, strength, slow, r, size * v), dt=plant.dt), size
+
+
+def _sampled(plant: RandomPlant) -> tuple[Floats, Floats]:
+    n = plant.a.size - 1
+    whole = np.zeros((n + 1, n + 1))
+    whole[:n, :n], whole[n - 1, n] = companion(plant.a[:0:-1]), 1.0
+    scale = plant.bandwidth ** np.arange(n + 1.0)
+    whole = whole * scale / scale[:, None]
+    found = expm(whole * plant.dt) * scale[:, None] / scale
+    return found[:n, :n], found[:n, n]
+
+
+def _loop(keep: Floats, move: Floats, row: Floats, strength: float, slow: float) -> Floats:
+    """Of the states and of the controller's integral."""
+    n = keep.shape[0]
+    loop = np.zeros((n + 1, n + 1))
+    loop[:n, :n], loop[:n, n] = keep - np.outer(move, strength * (1 + slow) * row), strength * move
+    loop[n, :n], loop[n, n] = -slow * row, 1.0
+    return loop
+
+
+def _run(
+    keep: Floats, move: Floats, row: Floats, strength: float, slow: float, r: Floats, v: Floats
+) -> tuple[Floats, Floats]:
+    u, y, x, integral = np.zeros(r.size), np.zeros(r.size), np.zeros(keep.shape[0]), 0.0
+    for k in range(r.size):
+        y[k] = row @ x + v[k]
+        integral += slow * (r[k] - y[k])
+        u[k] = strength * (r[k] - y[k] + integral)
+        x = keep @ x + move * u[k]
+    return u, y

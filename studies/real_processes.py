@@ -1,0 +1,186 @@
+"""Study of what real records need of transfer functions: integrators, m = n, unstable poles, any dead time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pmfid.encoder import Encoder
+from pmfid.errors import PmfidError
+from pmfid.estimators.srivc import SRIVC, make_problem
+from pmfid.models.transfer_function import ESTIMATE, TransferFunction
+from pmfid.paper.truth import Floats, Study, Task, table
+from pmfid.simulation.process import Controller, simulate_late, simulate_loop
+from pmfid.transfer.experiment import Experiment
+from pmfid.transfer.solve import visit
+
+#: Ratio of the powers of output and noise.
+SNR = 100.0
+DT, SAMPLES, CLOCK, CUTOFF = 0.1, 1500, 3, 3.0
+#: Every pole and zero of a run is off the nominal one by up to this part.
+SPREAD = 0.3
+#: Median of the error over that of a normal one at the Cramér-Rao bound; share of the truth within two bars; samples.
+GOAL_ERROR, GOAL_COVERAGE, GOAL_DELAY = 1.5, (0.88, 0.98), 0.1
+NORMAL_MEDIAN = 0.6745
+
+
+@dataclass(frozen=True)
+class Case:
+    """gain (b_m), zeros and poles [rad/s] of a process, the model's further options, the controller that it is under,
+    if any, the dead time [samples] where there is one, and whether the input brings integrators back."""
+
+    gain: float
+    zeros: tuple[complex, ...]
+    poles: tuple[complex, ...]
+    integrators: int = 0
+    unstable: bool = False
+    controller: Controller | None = None
+    delay: float | None = None
+    balanced: bool = False
+
+    def model(self) -> TransferFunction:
+        return TransferFunction(
+            len(self.poles),
+            len(self.zeros),
+            integrators=self.integrators,
+            unstable=self.unstable,
+            dead_time=0.0 if self.delay is None else ESTIMATE,
+        )
+
+
+RESONANCE = (-0.6 + 2.5j, -0.6 - 2.5j)
+FLEXIBLE = (*RESONANCE, -0.5 + 6j, -0.5 - 6j)
+LEAD, GAIN = Controller(gain=0.8, lead=2.0, lag=0.3), Controller(gain=2.0)
+CASES = {
+    "m = n = 1": Case(0.5, (-3.0,), (-1.0,)),
+    "m = n = 2": Case(0.8, (-0.5 + 1.0j, -0.5 - 1.0j), RESONANCE),
+    "m = n = 3": Case(0.5, (-0.4, -1.5 + 4j, -1.5 - 4j), (-1.2, *RESONANCE)),
+    "m = n = 4": Case(0.6, (-0.4 + 1.3j, -0.4 - 1.3j, -0.6 + 4j, -0.6 - 4j), FLEXIBLE),
+    "one integrator": Case(2.0, (), (0.0, -1.5), 1, balanced=True),
+    "two integrators": Case(1.0, (), (0.0, 0.0), 2, balanced=True),
+    "two integrators and a pole": Case(3.0, (-1.0,), (0.0, 0.0, -3.0), 2, balanced=True),
+    "one integrator, controlled": Case(2.0, (), (0.0, -1.5), 1, controller=LEAD),
+    "two integrators, controlled": Case(1.0, (), (0.0, 0.0), 2, controller=LEAD),
+    "unstable pole, controlled": Case(2.0, (), (0.8, -2.0), unstable=True, controller=GAIN),
+    "two unstable poles, controlled": Case(1.5, (), (0.3 + 1j, 0.3 - 1j), unstable=True, controller=LEAD),
+} | {f"dead time {delay:g} samples": Case(2.0, (), (-1.0, -3.0), delay=delay) for delay in (0.3, 1.0, 2.5, 3.8, 5.7)}
+
+
+def tasks(seeds: int) -> list[Task]:
+    return [(name, seed) for name in CASES for seed in range(seeds)]
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One simulated record, the parameters (p,) it was made with and the standard deviation of its noise."""
+
+    record: Experiment
+    theta: Floats
+    noise_std: float
+
+
+def simulate_run(case: Case, seed: int) -> Run:
+    """A plant near that of the case, an input of random steps, and noise of 1/SNR of the output's power."""
+    rng = np.random.default_rng(seed)
+    zeros, poles = _near(case.zeros, rng), _near(case.poles, rng)
+    b, a = case.gain * np.atleast_1d(np.poly(zeros).real), np.poly(poles).real
+    pattern = np.array([1.0, -1.0, -1.0, 1.0] if case.balanced else [1.0])
+    steps = np.kron(rng.choice([-1.0, 1.0], SAMPLES // CLOCK + 1), pattern).repeat(CLOCK)[:SAMPLES]
+    noise = rng.standard_normal(SAMPLES)
+    theta = np.r_[a[:0:-1][case.integrators :], b[::-1]]
+    if case.controller is None:
+        y = simulate_late(b, a, steps, DT, (case.delay or 0.0) * DT)
+        std = float(np.std(y) / np.sqrt(SNR))
+        theta = theta if case.delay is None else np.r_[theta, case.delay * DT]
+        return Run(Experiment(steps, y + std * noise, dt=DT), theta, std)
+    std = float(np.std(simulate_loop(b, a, case.controller, steps, 0 * noise, DT)[1]) / np.sqrt(SNR))
+    u, y = simulate_loop(b, a, case.controller, steps, std * noise, DT)
+    return Run(Experiment(u, y, dt=DT, reference=steps), theta, std)
+
+
+def _near(roots: tuple[complex, ...], rng: np.random.Generator) -> Floats:
+    """Each root, a pair together, times a number of its own; those at 0 stay."""
+    factors = {abs(root): 1 + SPREAD * rng.uniform(-1, 1) for root in dict.fromkeys(roots)}
+    return np.array([root * factors[abs(root)] for root in roots])
+
+
+def work(name: str, seed: int) -> dict[str, Floats]:
+    """error (p,) over the standard deviation of the bound, and over its own bar; nan without an estimate."""
+    case = CASES[name]
+    run = simulate_run(case, seed)
+    estimator = SRIVC(case.model(), Encoder(1.0), DT, CUTOFF)
+    try:
+        fit = estimator.fit_experiments([run.record])
+    except PmfidError:
+        nothing = np.full(run.theta.size, np.nan)
+        return {"bound": nothing, "bar": nothing, "error": nothing}
+    error = fit.theta - run.theta
+    return {"bound": error / bound(estimator, run), "bar": error / fit.theta_std, "error": error}
+
+
+def bound(estimator: SRIVC, run: Run) -> Floats:
+    """(p,) least standard deviations of an unbiased estimate with white noise, an unknown start and the input as it
+    was (Ljung 1999, section 7.4)."""
+    problem = make_problem(estimator, [replace(run.record, reference=None)])
+    scale = problem.structure.scale(problem.rate)
+    initial = np.zeros((len(problem.stretches), problem.structure.n))
+    start = visit(problem, run.theta / scale, initial).initial
+    zeta = visit(problem, run.theta / scale, start).zeta
+    size = np.linalg.norm(zeta, axis=0)
+    fisher = (zeta / size).T @ (zeta / size)
+    return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(fisher))) / size * scale * run.noise_std)
+
+
+def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
+    lines = [
+        "## What real records need",
+        "",
+        f"`srivc` on {SAMPLES} samples every {DT:g} s with white noise at {10 * np.log10(SNR):g} dB, {seeds} runs of "
+        f"each case; every run has a plant of its own, with each pole and zero up to {SPREAD:.0%} off the nominal one. "
+        "Random steps as input, or as the reference of a controller, which is given; integrators in open loop with "
+        "an input that brings them back. error: median of the error over that of a normal one with the standard "
+        "deviation of the Cramér-Rao bound, largest of any parameter; covered: share of the truth within two of the "
+        "error bars, over all parameters; dead time: share of the runs within a tenth of a sample, and the largest "
+        "error in samples.",
+        "",
+    ]
+    rows, worst, low, high = [], 0.0, 1.0, 0.0
+    for name, case in CASES.items():
+        runs = [results[name, seed] for seed in range(seeds)]
+        answered = [run for run in runs if np.all(np.isfinite(run["bar"]))]
+        if not answered:
+            rows.append([name, f"0/{seeds}", "–", "–", "–"])
+            worst = np.inf
+            continue
+        error, covered = summary(answered)
+        worst, low, high = max(worst, error), min(low, covered), max(high, covered)
+        rows.append([name, f"{len(answered)}/{seeds}", f"{error:.2f}", f"{covered:.2f}", _dead_time(case, answered)])
+    lines += table(["case", "answered", "error", "covered", "dead time"], rows)
+    met = "met" if worst <= GOAL_ERROR else "**not met**"
+    within = "met" if GOAL_COVERAGE[0] <= low and high <= GOAL_COVERAGE[1] else "**not met**"
+    return [
+        *lines,
+        f"- median error of every parameter within {GOAL_ERROR:g} times what the bound allows: {met}; {worst:.2f}, "
+        f"uncertain by {100 * 1.17 / np.sqrt(seeds):.0f} % with so many runs.",
+        f"- {GOAL_COVERAGE[0]:.0%} to {GOAL_COVERAGE[1]:.0%} covered: {within}; {low:.2f} to {high:.2f}.",
+        "",
+    ]
+
+
+def summary(runs: list[dict[str, Floats]]) -> tuple[float, float]:
+    """The largest median error over that at the bound, and the share within two bars."""
+    medians = np.median(np.abs([run["bound"] for run in runs]), axis=0) / NORMAL_MEDIAN
+    return float(np.max(medians)), float(np.mean(np.abs([run["bar"] for run in runs]) < 2.0))
+
+
+def _dead_time(case: Case, runs: list[dict[str, Floats]]) -> str:
+    if case.delay is None:
+        return "–"
+    errors = np.abs([run["error"][-1] for run in runs]) / DT
+    return f"{np.mean(errors <= GOAL_DELAY):.0%}, {np.max(errors):.3f}"
+
+
+STUDY = Study("real_processes", tasks, work, write)
