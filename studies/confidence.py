@@ -23,7 +23,7 @@ from pmfid.estimators.iv import IV
 from pmfid.estimators.output_error import OE
 from pmfid.judge.drive import judge
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import Record, Study, Task, table, tally
+from pmfid.paper.truth import CartRecord, Study, Task, table, tally
 from studies.machines import AXES, MOTIONS, WRONG, machine_record, truth
 from studies.sections import Page, by_name
 
@@ -64,7 +64,7 @@ def work(name: str, wrong: str, motion: str, increments: int, seed: int) -> dict
 Found = tuple[BatchEstimator, Fit, Adequacy | None]
 
 
-def estimates(iv: IV, squares: OE, interval: IntervalML, record: Record) -> dict[str, Found]:
+def estimates(iv: IV, squares: OE, interval: IntervalML, record: CartRecord) -> dict[str, Found]:
     """Method -> estimator, fit, and what the counts say on the model; without the methods that refuse. The motion that
     fits best is looked for once: it is that of three of the methods."""
     found: dict[str, Found] = {}

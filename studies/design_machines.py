@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pmfid.design.problem.problem import Limits, Problem
 from pmfid.design.search.solver import solve
 from pmfid.design.search.standard import standard_inputs
-from pmfid.design.trial.calibration import Calibration, Run, calibrate
+from pmfid.design.trial.calibration import DesignedRun, RunsEstimate, calibrate
 from pmfid.design.trial.choice import USUAL, Choice, choose
 from pmfid.design.trial.simulated import drive_of, simulate
 from pmfid.encoder import quantize
@@ -91,14 +91,14 @@ def truth_of(problem: Problem, rng: np.random.Generator) -> dict[str, float]:
     return {name: value * (1.0 + WRONG * rng.uniform(-1.0, 1.0)) for name, value in problem.nominal.items()}
 
 
-def commissioned(problem: Problem, u: Floats, seed: int) -> tuple[Calibration, dict[str, float]]:
+def commissioned(problem: Problem, u: Floats, seed: int) -> tuple[RunsEstimate, dict[str, float]]:
     """What one run says on a machine that is not quite its data sheet, from a random phase of the encoder."""
     rng = np.random.default_rng(seed)
     truth = truth_of(problem, rng)
     motion = simulate(problem, u, truth)
     resolution = float(problem.resolution or 1.0)
     counts = quantize(motion.x + rng.uniform(0.0, resolution), resolution)
-    run = Run(motion.u, np.asarray(counts * resolution, float), problem.dt / problem.samples_per_interval)
+    run = DesignedRun(motion.u, np.asarray(counts * resolution, float), problem.dt / problem.samples_per_interval)
     return calibrate(problem, [run]), truth
 
 
@@ -168,7 +168,7 @@ def _lacking(problem: Problem, u: Floats, lack: dict[str, float], runs: int) -> 
     for seed in range(runs):
         phase = np.random.default_rng(seed).uniform(0.0, resolution)
         run = drive_machine(axis, held, dt, resolution, phase=phase)
-        known = calibrate(problem, [Run(run.u, np.asarray(run.counts * resolution, float), dt)])
+        known = calibrate(problem, [DesignedRun(run.u, np.asarray(run.counts * resolution, float), dt)])
         std = known.std(problem.names)
         ratios.append([abs(known.parameters[name] - problem.nominal[name]) / std[name] for name in problem.names])
         missing.append(known.unexplained)

@@ -12,7 +12,7 @@ from pmfid.design.problem.fisher import affine
 from pmfid.design.problem.problem import Problem
 from pmfid.design.search.solver import solve
 from pmfid.design.search.standard import standard_inputs
-from pmfid.design.trial.calibration import Run, calibrate
+from pmfid.design.trial.calibration import DesignedRun, calibrate
 from pmfid.design.trial.encoder_error import encoder_covariance, squares_covariance, start_free
 from pmfid.design.trial.simulated import simulate
 from pmfid.encoder import Encoder, quantize
@@ -53,11 +53,11 @@ class Trial:
         return float(np.linalg.det(np.cov(self.errors.T)) ** (1 / self.errors.shape[1]))
 
 
-def counted(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Run:
+def counted(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> DesignedRun:
     """A run through the encoder from a random phase of its lattice."""
     resolution = problem.resolution or 1.0
     counts = quantize(x + rng.uniform(0, resolution), resolution)
-    return Run(u, np.asarray(counts * resolution, float), problem.dt / problem.samples_per_interval)
+    return DesignedRun(u, np.asarray(counts * resolution, float), problem.dt / problem.samples_per_interval)
 
 
 def commission(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
@@ -78,7 +78,7 @@ def as_noise(problem: Problem) -> Problem:
 def white(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
     """The same where the position has normal white noise of the encoder's variance in place of the encoder."""
     y = x + rng.normal(0.0, np.sqrt(problem.variance), x.size)
-    return _theta(as_noise(problem), Run(u, y, problem.dt / problem.samples_per_interval))
+    return _theta(as_noise(problem), DesignedRun(u, y, problem.dt / problem.samples_per_interval))
 
 
 def interval(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
@@ -97,7 +97,7 @@ METHODS: dict[str, Method] = {
 }
 
 
-def _theta(problem: Problem, run: Run) -> Floats:
+def _theta(problem: Problem, run: DesignedRun) -> Floats:
     parameters = calibrate(problem, [run]).parameters
     return np.array([parameters[name] for name in problem.names])
 

@@ -18,7 +18,7 @@ from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.estimators.rls import RLS
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import Floats, Record, table
+from pmfid.paper.truth import CartRecord, Floats, table
 from pmfid.status import Status
 from studies.machines import AXES, Axis, machine_record
 
@@ -118,7 +118,7 @@ def effects(name: str, kind: str, places: int, seed: int = 0) -> Iterator[tuple[
     """Method and effect of `places` faults in each motion of an axis, through each encoder."""
     for motion in MOTIONS:
         for increments in INCREMENTS:
-            record: Record = machine_record(AXES[name], "nothing", motion, increments, 50 + seed)
+            record: CartRecord = machine_record(AXES[name], "nothing", motion, increments, 50 + seed)
             for method in METHODS:
                 estimator = make(method, AXES[name], record.resolution)
                 clean, rng = estimator.run(record.u, record.counts), np.random.default_rng([seed, increments])

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pmfid.paper.truth import Record
+from pmfid.paper.truth import CartRecord
 from pmfid.simulation import (
     CART,
     DriveParameters,
@@ -105,7 +105,7 @@ def truth(axis: Axis) -> np.ndarray:
     return np.array([axis.drive.mass, axis.drive.viscous_friction, axis.drive.coulomb_friction])
 
 
-def machine_record(axis: Axis, wrong: str, motion: str, increments: int, seed: int) -> Record:
+def machine_record(axis: Axis, wrong: str, motion: str, increments: int, seed: int) -> CartRecord:
     """One run of the axis; the right machine is simulated exactly."""
     rng = np.random.default_rng([seed, 7])
     resolution = axis.resolution * 4096 / increments
@@ -113,8 +113,8 @@ def machine_record(axis: Axis, wrong: str, motion: str, increments: int, seed: i
     if motion == "prbs":
         u = prbs(axis.samples, clock=axis.clock, amplitude=axis.volt, rng=rng)
         if wrong == "nothing":
-            return Record(u, quantize(simulate_drive(axis.drive, u, axis.dt).x, resolution, phase), resolution)
-        return Record(u, drive_machine(machine, u, axis.dt, resolution, phase=phase).counts, resolution)
+            return CartRecord(u, quantize(simulate_drive(axis.drive, u, axis.dt).x, resolution, phase), resolution)
+        return CartRecord(u, drive_machine(machine, u, axis.dt, resolution, phase=phase).counts, resolution)
     if motion == "stop-and-go":
         # a controller parks the axis at the same edge of the lattice after the same move, whatever its phase
         stroke = axis.stroke * (1 + OTHERWISE * rng.uniform(-1, 1))
@@ -127,6 +127,6 @@ def machine_record(axis: Axis, wrong: str, motion: str, increments: int, seed: i
         motion_, counts = position_control(
             axis.drive, reference, axis.dt, kp=kp, kd=kd, u_max=u_max, resolution=resolution, phase=phase
         )
-        return Record(motion_.u, counts, resolution)
+        return CartRecord(motion_.u, counts, resolution)
     run = control_machine(machine, reference, axis.dt, resolution, kp=kp, kd=kd, u_max=u_max, phase=phase)
-    return Record(run.u, run.counts, resolution)
+    return CartRecord(run.u, run.counts, resolution)

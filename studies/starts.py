@@ -10,7 +10,7 @@ import numpy as np
 from pmfid.paper.truth import (
     NAMES,
     TRUTH,
-    Record,
+    CartRecord,
     Study,
     Task,
     estimate,
@@ -58,7 +58,7 @@ def start_of(wrong: str, factor: float) -> dict[str, float] | None:
     }
 
 
-def _riv(record: Record, initial: dict[str, float] | None) -> dict[str, Any]:
+def _riv(record: CartRecord, initial: dict[str, float] | None) -> dict[str, Any]:
     track = track_of("riv", record, forgetting=FORGETTING, initial=initial)
     error = percent(track.theta)
     astray = np.any(~(np.abs(error) < ASTRAY), axis=1)

@@ -13,8 +13,8 @@ from pmfid.models.drive import Drive
 from pmfid.paper.truth import (
     SLOW,
     TRUTH,
+    CartRecord,
     Outcome,
-    Record,
     Study,
     Task,
     estimate,
@@ -62,7 +62,7 @@ def work(scenario: str, wrong: str, seed: int) -> dict[str, Any]:
     }
 
 
-def outcomes(record: Record, methods: tuple[str, ...]) -> dict[str, Outcome]:
+def outcomes(record: CartRecord, methods: tuple[str, ...]) -> dict[str, Outcome]:
     """Every method's judged result; forgetting 0.99 for the recursive ones."""
     options = {"forgetting": FORGETTING}
     recursive = ("rls", "bcrls", "rknown-step", "riv")
@@ -134,7 +134,7 @@ def creep(step: float, seed: int) -> dict[str, Outcome]:
     motion, counts = position_control(
         CART, reference, CART_DT, kp=KP, kd=KD, u_max=U_MAX, resolution=resolution, phase=phase
     )
-    return outcomes(Record(motion.u, counts, resolution), ON_DRIVES)
+    return outcomes(CartRecord(motion.u, counts, resolution), ON_DRIVES)
 
 
 def write_creep(seeds: int, results: Mapping[Task, Any]) -> list[str]:

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pmfid.paper.truth import Record
+from pmfid.paper.truth import CartRecord
 from pmfid.simulation import (
     CART,
     CART_DT,
@@ -46,7 +46,7 @@ DESCRIPTIONS: Mapping[str, str] = MappingProxyType(
 )
 
 
-def wrong_record(plant: Machine, scenario: str, seed: int, increments: int, samples: int = 3000) -> Record:
+def wrong_record(plant: Machine, scenario: str, seed: int, increments: int, samples: int = 3000) -> CartRecord:
     """The scenario "prbs" or "stop-and-go" with another plant; the same random numbers in the same order."""
     rng = np.random.default_rng(seed)
     resolution = resolution_of(increments)
@@ -57,4 +57,4 @@ def wrong_record(plant: Machine, scenario: str, seed: int, increments: int, samp
     else:
         reference = stop_and_go(samples, CART_DT, stroke=0.2, move_time=0.8, dwell_time=0.5)
         run = control_machine(plant, reference, CART_DT, resolution, kp=KP, kd=KD, u_max=U_MAX, phase=phase)
-    return Record(run.u, run.counts, resolution)
+    return CartRecord(run.u, run.counts, resolution)

@@ -232,7 +232,7 @@ def test_a_record_that_begins_at_rest_keeps_its_first_motion(rest):
 def test_a_record_of_another_machine_is_no_estimate(tmp_path):
     from pmfid.errors import NotIdentifiableError
     from pmfid.session.config import load_axis
-    from pmfid.session.pipeline import identify
+    from pmfid.session.identify import identify
     from pmfid.session.records import Record
 
     text = '[record]\ninput = "u"\noutput = "c"\noutput_kind = "counts"\ndt = 0.01\n[encoder]\nresolution = 1e-4\n'

@@ -67,7 +67,7 @@ def test_noise_that_cancels_over_a_block_is_no_scatter():
 
 def test_the_motion_that_fits_is_looked_for_once(tmp_path, monkeypatch):
     from pmfid.session.config import load_axis
-    from pmfid.session.pipeline import identify
+    from pmfid.session.identify import identify
     from pmfid.session.records import Record
 
     searches, search = [], output_error.best_of

@@ -12,7 +12,7 @@ from pmfid.design.problem.criteria import Criterion
 from pmfid.design.search.evaluation import evaluate, violations
 from pmfid.design.search.polytope import polytope
 from pmfid.design.search.standard import standard_inputs
-from pmfid.design.trial.calibration import Run, calibrate
+from pmfid.design.trial.calibration import DesignedRun, calibrate
 from pmfid.design.trial.choice import USUAL, best_input, choose
 from pmfid.design.trial.encoder_error import encoder_covariance, log_of_room
 from pmfid.design.trial.sequential import Commissioning, redesign, sequential, simulated_experiment
@@ -63,7 +63,7 @@ def machine_run(resolution: float, **lacks: float) -> tuple[Commissioning, float
     u = np.r_[np.repeat(standard_inputs(problem, names=(USUAL,))[USUAL].u, problem.samples_per_interval), 0.0]
     dt = problem.dt / problem.samples_per_interval
     done = drive_machine(Machine(drive_of(problem, {}), **lacks), u, dt, resolution, phase=0.3 * resolution)
-    run = Run(done.u, np.asarray(done.counts * resolution, float), dt)
+    run = DesignedRun(done.u, np.asarray(done.counts * resolution, float), dt)
     state = redesign(problem, [run], {"mass": 0.1}, starts=1)
     return state, state.rounds[0].known.parameters["mass"]
 

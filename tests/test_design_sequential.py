@@ -10,7 +10,7 @@ import pytest
 from pmfid.design.problem.fisher import affine
 from pmfid.design.problem.problem import InfeasibleError
 from pmfid.design.search.standard import standard_inputs
-from pmfid.design.trial.calibration import Run, calibrate, correlation_time
+from pmfid.design.trial.calibration import DesignedRun, calibrate, correlation_time
 from pmfid.design.trial.encoder_error import start_free
 from pmfid.design.trial.sequential import redesign, sequential, simulated_experiment
 from pmfid.design.trial.simulated import simulate
@@ -24,10 +24,10 @@ TRUTH = {"mass": 1.2, "viscous_friction": 7.0, "coulomb_friction": 0.5}
 U = standard_inputs(CASE, names=("minimum_time",))["minimum_time"].u
 
 
-def run(truth: dict[str, float], noise: float = 0.0, seed: int = 0) -> Run:
+def run(truth: dict[str, float], noise: float = 0.0, seed: int = 0) -> DesignedRun:
     motion = simulate(CASE, U, truth)
     y = motion.x + 0.0123 + noise * np.random.default_rng(seed).standard_normal(motion.x.size)
-    return Run(motion.u, y, CASE.dt)
+    return DesignedRun(motion.u, y, CASE.dt)
 
 
 def test_without_noise_the_truth_is_found_whatever_the_start_position() -> None:
@@ -86,15 +86,15 @@ def test_runs_that_cannot_be_used_are_one_error() -> None:
     with pytest.raises(UsageError, match="at least one"):
         calibrate(CASE, [])
     with pytest.raises(UsageError, match="same length"):
-        Run(np.zeros(3), np.zeros(4), 0.05)
+        DesignedRun(np.zeros(3), np.zeros(4), 0.05)
     with pytest.raises(UsageError, match="finite"):
-        Run(np.zeros(2), np.array([0.0, np.nan]), 0.05)
-    still = Run(np.full(41, 0.1), np.zeros(41), 0.05)
+        DesignedRun(np.zeros(2), np.array([0.0, np.nan]), 0.05)
+    still = DesignedRun(np.full(41, 0.1), np.zeros(41), 0.05)
     with pytest.raises(NotIdentifiableError, match="mass"):
         calibrate(CASE, [still])
     good = run({})
     with pytest.raises(NotIdentifiableError, match="input_gain"):
-        calibrate(CASE, [Run(good.u, -good.y, good.dt)])
+        calibrate(CASE, [DesignedRun(good.u, -good.y, good.dt)])
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.2])

@@ -14,7 +14,7 @@ from pmfid.design.search.evaluation import setting
 from pmfid.design.search.solver import solve
 from pmfid.design.search.standard import standard_inputs
 from pmfid.design.trial.appraisal import appraise, gathered, worth_of
-from pmfid.design.trial.calibration import Run, calibrate
+from pmfid.design.trial.calibration import DesignedRun, calibrate
 from pmfid.design.trial.encoder_error import encoder_covariance, squares_covariance, start_free
 from pmfid.design.trial.simulated import both_ways, simulate, simulated_information
 from pmfid.errors import UsageError
@@ -138,7 +138,7 @@ def test_the_encoder_predicts_the_scatter_of_least_squares_on_counts() -> None:
     errors = []
     for phase in (np.arange(40) + 0.5) / 40 * 9.1e-5:
         y = np.floor((motion.x + phase) / 9.1e-5) * 9.1e-5
-        found = calibrate(squares, [Run(motion.u, y, problem.dt)]).parameters
+        found = calibrate(squares, [DesignedRun(motion.u, y, problem.dt)]).parameters
         errors.append([found[name] - problem.nominal[name] for name in problem.names])
     covariance = squares_covariance(problem, u)
     assert covariance is not None

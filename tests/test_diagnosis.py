@@ -14,7 +14,7 @@ from pmfid.estimators.batch import Columns, check_identifiable
 from pmfid.session.compare import compare
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.diagnosis import check_direction, diagnose
-from pmfid.session.pipeline import identify
+from pmfid.session.identify import identify
 from pmfid.session.records import Record, read_record
 from pmfid.session.wrap import wrap_of
 from pmfid.simulation.drive import DriveParameters, Motion, quantize, simulate_drive

@@ -12,7 +12,8 @@ import pmfid
 from pmfid import Experiment
 from pmfid.judge.doubts import search_notes
 from pmfid.session.config import load_axis
-from pmfid.session.process import ProcessResult, identify_process, search_order
+from pmfid.session.processes import Processes, search_order
+from pmfid.session.result import ProcessResult
 from pmfid.simulation.process import PLANTS, simulate_process
 from tests.test_process import CONFIG, closed_loop, noisy
 
@@ -21,7 +22,7 @@ PLANT = PLANTS["second-order"]
 
 def identified(experiment: Experiment, **options: object) -> ProcessResult:
     settings = {key.replace("__", "."): value for key, value in options.items()}
-    return identify_process([experiment], load_axis(Path(CONFIG), settings))
+    return Processes().estimate([experiment], load_axis(Path(CONFIG), settings))
 
 
 def plain(y: np.ndarray) -> Experiment:

@@ -10,7 +10,7 @@ from pmfid import Equation, EquationModel, Term
 from pmfid.errors import UsageError
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.session.config import load_axis
-from pmfid.session.pipeline import identify
+from pmfid.session.identify import identify
 from pmfid.session.records import Record
 from pmfid.simulation import CART, CART_DT, Machine
 from studies.wrong_plants import wrong_record

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 import pmfid
 from pmfid import Status
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.export.alarm import Alarm
+from pmfid.export.alarm import ParameterAlarm
 from pmfid.simulation.scenarios import make_scenario
 from tests.firmware.build import GCC, HERE, WARNINGS, compiled, run
 from tests.firmware.replay import exported
 
 pytestmark = pytest.mark.skipif(bool(GCC.missing), reason=GCC.missing)
-ALARM = Alarm("mass", nominal=1.07, shift=0.1)
+ALARM = ParameterAlarm("mass", nominal=1.07, shift=0.1)
 UNTRUSTED = Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION | Status.RESET | Status.UNMODELLED
 
 
@@ -77,10 +77,10 @@ def test_what_makes_no_alarm_is_refused(tmp_path: Path) -> None:
     drive, encoder = pmfid.Drive(2.0), pmfid.Encoder(1e-5)
     forgetful = pmfid.RLS(drive, encoder, 0.01, 50.0, forgetting=0.99)
     with pytest.raises(pmfid.UsageError, match="parameter must be one of"):
-        pmfid.export_firmware(forgetful, tmp_path, alarms=[Alarm("inertia", 1.0, 0.1)])
+        pmfid.export_firmware(forgetful, tmp_path, alarms=[ParameterAlarm("inertia", 1.0, 0.1)])
     with pytest.raises(pmfid.UsageError, match="forgetting below 1"):
         pmfid.export_firmware(pmfid.RLS(drive, encoder, 0.01, 50.0), tmp_path, alarms=[ALARM])
     for wrong in ({"shift": 0.0}, {"shift": np.nan}, {"threshold": -1.0}, {"nominal": np.inf}):
         with pytest.raises(pmfid.UsageError, match="alarm"):
-            Alarm(**({"parameter": "mass", "nominal": 1.0, "shift": 0.1} | wrong))
+            ParameterAlarm(**({"parameter": "mass", "nominal": 1.0, "shift": 0.1} | wrong))
     assert not any(tmp_path.iterdir())

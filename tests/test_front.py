@@ -19,7 +19,7 @@ from pmfid.errors import UnknownParameterError, UsageError
 from pmfid.estimators import METHODS
 from pmfid.paper import run as paper
 from pmfid.session.config import Axis, load_axis
-from pmfid.session.pipeline import identify
+from pmfid.session.identify import identify
 from pmfid.session.records import Record, read_experiment
 from tests.conftest import cart_run
 

@@ -17,10 +17,11 @@ from pmfid.judge.balance import Balance
 from pmfid.judge.correlations import make_balance
 from pmfid.models.equation import VISCOUS_FORWARD
 from pmfid.report import model_checks as checks
-from pmfid.report.record import write_result
+from pmfid.report.result import write_result
 from pmfid.session.config import load_axis
-from pmfid.session.pipeline import Result, identify
+from pmfid.session.identify import identify
 from pmfid.session.records import Record, read_record
+from pmfid.session.result import DriveResult
 from pmfid.simulation.scenarios import CART, CART_DT, resolution_of
 from pmfid.simulation.signals import prbs
 from tests.conftest import EMPS, TRUTH, cart_run, needs_emps
@@ -38,25 +39,25 @@ STEPS = 10
 Friction = Callable[[float], float]
 
 
-def balance_of(result: Result) -> Balance | None:
+def balance_of(result: DriveResult) -> Balance | None:
     return make_balance(result.estimator, result.record.u, result.record.counts, result.theta)
 
 
 def result_of(
     u: np.ndarray, counts: np.ndarray, resolution: float, method: str = "iv", theta: np.ndarray | None = None
-) -> Result:
+) -> DriveResult:
     record = Record(u, counts, CART_DT, resolution, (), "cart")
     axis = load_axis(EXAMPLES / "cart.toml", {"estimator.method": method, "estimator.forgetting": 1.0})
     result = identify(record, axis)
     return result if theta is None else replace(result, theta=theta)
 
 
-def clean(method: str = "iv", increments: int = 4096, seed: int = 1) -> Result:
+def clean(method: str = "iv", increments: int = 4096, seed: int = 1) -> DriveResult:
     run = cart_run(seed, increments=increments)
     return result_of(run.u, run.counts, run.encoder.resolution, method)
 
 
-def other_drive(friction: Friction, spring: float = 0.0, load: float = 0.0, seed: int = 3) -> Result:
+def other_drive(friction: Friction, spring: float = 0.0, load: float = 0.0, seed: int = 3) -> DriveResult:
     """The cart with another friction [N] over speed, by Runge-Kutta; a step through rest ends there."""
     rng = np.random.default_rng(seed)
     u = prbs(3000, clock=20, amplitude=3.0, rng=rng) * rng.choice([0.5, 0.75, 1.0], 3000 // 20).repeat(20)
@@ -98,7 +99,7 @@ def quadratic(speed: float) -> float:
     return CART.coulomb_friction + 4.0 * speed + 20.0 * speed**2
 
 
-def sentences(result: Result) -> dict[str, str]:
+def sentences(result: DriveResult) -> dict[str, str]:
     return {section.heading.removeprefix("Model check: "): section.text for section in checks.model_checks(result)}
 
 

@@ -14,7 +14,8 @@ from pmfid.estimators.batch import Columns, check_identifiable, inverse_of
 from pmfid.estimators.difference import least
 from pmfid.judge.drive import judge
 from pmfid.session.config import Axis
-from pmfid.session.pipeline import estimate, identify
+from pmfid.session.drives import Drives
+from pmfid.session.identify import identify
 from pmfid.session.records import Record
 from pmfid.simulation import make_scenario
 
@@ -39,7 +40,7 @@ def coarse_cart() -> Record:
 def test_a_track_that_diverges_is_refused_without_a_warning(model: dict[str, object]) -> None:
     """Below a count per sample the known step takes away more than there is; NumPy's overflow showed in `compare`."""
     with pytest.raises(NotIdentifiableError, match=r"beyond numbers|cannot identify"):
-        estimate(coarse_cart(), axis_of("rknown-step", model=model))
+        Drives().estimate(coarse_cart(), axis_of("rknown-step", model=model))
 
 
 def test_equations_without_one_solution_are_refused() -> None:

@@ -19,7 +19,7 @@ from pmfid.errors import UsageError
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.monitor import Monitor
 from pmfid.session.config import Axis, load_axis
-from pmfid.session.monitored.run import Run, watch
+from pmfid.session.monitored.run import MonitoredRun, watch
 from pmfid.session.monitored.sinks import Nowhere
 from pmfid.session.monitored.stream import Stop, line_samples
 from pmfid.session.monitored.timeline import MOST_STRAYS, REPEATED, Line, Sample, Skipped, Timeline
@@ -197,7 +197,7 @@ def found(axis: Axis, body: Text, dt: float = CART_DT) -> Iterator[Any]:
     return line_samples(io.BytesIO(HEADER + b"".join(body)), axis, dt, Stop())
 
 
-def monitored(axis: Axis, calibration: Calibration, body: Text) -> Run:
+def monitored(axis: Axis, calibration: Calibration, body: Text) -> MonitoredRun:
     monitor = Monitor(make_riv(INCREMENTS, THETA), calibration)
     return watch(found(axis, body), monitor, Nowhere(), lambda event: None)
 

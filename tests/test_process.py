@@ -337,8 +337,8 @@ def test_options_of_the_structure(records):
 
 
 def test_order_command(records, tmp_path, monkeypatch):
-    monkeypatch.setattr("pmfid.session.process.ORDERS", (1, 2, 3))
-    monkeypatch.setattr("pmfid.session.process.DELAYS", (0, 1))
+    monkeypatch.setattr("pmfid.session.processes.ORDERS", (1, 2, 3))
+    monkeypatch.setattr("pmfid.session.processes.DELAYS", (0, 1))
     found = json.loads(run("order", records[0], "--config", str(CONFIG), "--json", "--out", str(tmp_path)))
     assert found["best"] == {"n": 2, "m": 0, "delay": 0}
     page = (tmp_path / "order.html").read_text()

@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 
 from pmfid.cli.main import main
 from pmfid.session.config import load_axis
-from pmfid.session.pipeline import identify
+from pmfid.session.identify import identify
 from pmfid.session.records import read_record
 from pmfid.simulation import (
     CART,

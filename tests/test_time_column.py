@@ -12,8 +12,8 @@ import pytest
 from pmfid.errors import UsageError
 from pmfid.session.clock import named_unit
 from pmfid.session.config import Axis, load_axis
+from pmfid.session.identify import identify
 from pmfid.session.monitored.stream import Stop, line_samples
-from pmfid.session.pipeline import identify
 from pmfid.session.records import read_experiment, read_record
 from tests.conftest import cart_run
 

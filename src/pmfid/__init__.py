@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from pmfid.models.equation import Equation as Equation
     from pmfid.models.equation import Term as Term
     from pmfid.models.transfer_function import TransferFunction as TransferFunction
+    from pmfid.session.arrays import identify as identify
+    from pmfid.session.result import Result as Result
     from pmfid.status import Status as Status
     from pmfid.transfer.experiment import Experiment as Experiment
     from pmfid.transfer.process import Process as Process
@@ -68,8 +70,10 @@ _PUBLIC = {
     "TransferFunction": "pmfid.models.transfer_function",
     "Track": "pmfid.estimators.recursive",
     "Tracks": "pmfid.estimators.fleet",
+    "Result": "pmfid.session.result",
     "UsageError": "pmfid.errors",
     "export_firmware": "pmfid.export.firmware",
+    "identify": "pmfid.session.arrays",
     "quantize": "pmfid.encoder",
 }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import click
 
+from pmfid.cli.output import print_json
 from pmfid.errors import PmfidError, UsageError
 
 SPEC = click.argument("spec", type=click.Path(path_type=Path), metavar="SPEC.toml")
@@ -71,7 +71,7 @@ def design(
     if out is not None:
         write_design(out, appraisal, together)
     if as_json:
-        click.echo(json.dumps(appraisal.to_json() | _campaign(together), allow_nan=False))
+        print_json(appraisal.to_json() | _campaign(together))
     else:
         from pmfid.cli.design_tables import print_appraisal
 
@@ -123,7 +123,7 @@ def commission(
 
         write_design(out, appraised(loaded, state.next))
     if as_json:
-        click.echo(json.dumps(state.to_json(), allow_nan=False))
+        print_json(state.to_json())
     else:
         from pmfid.cli.design_tables import print_commissioning
 
@@ -166,7 +166,7 @@ def _infeasible_as_json(as_json: bool) -> Iterator[None]:
         ways = getattr(error, "relaxations", None)
         if as_json and ways is not None:
             changes = [{"limit": way.name, "from": way.value, "to": way.needed, "unit": way.unit} for way in ways]
-            click.echo(json.dumps({"feasible": False, "relax": changes}))
+            print_json({"feasible": False, "relax": changes})
         raise
 
 

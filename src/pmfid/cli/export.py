@@ -50,7 +50,7 @@ def export(
 
     The folder has the kernel, its configuration, a header, an example, a Makefile, a CMake file and a self-test.
     """
-    from pmfid.export.alarm import Alarm
+    from pmfid.export.alarm import ParameterAlarm
     from pmfid.export.firmware import export_firmware
     from pmfid.kernel.saved import LONG_MEMORY, MOST_WEIGHT
     from pmfid.session.config import load_axis
@@ -64,7 +64,7 @@ def export(
     estimator = drive_estimator(axis, data, dt)
     name = prefix or re.sub(r"\W+", "_", axis_file.stem.lower())
     samples = None if data is None else (data.u, data.counts)
-    watched = [Alarm(*alarm) for alarm in alarms]
+    watched = [ParameterAlarm(*alarm) for alarm in alarms]
     export_firmware(estimator, out, prefix=name, record=samples, alarms=watched)
     click.echo(f"{estimator.method}, {estimator.precision}, every {estimator.dt:.9g} s: {out / name}.h")
     if estimator.precision == "float32" and estimator.forgetting >= LONG_MEMORY:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -13,15 +13,12 @@ from pmfid import __version__
 from pmfid.cli.design import commission, design
 from pmfid.cli.export import export
 from pmfid.cli.monitor import monitor
+from pmfid.cli.output import print_json
 from pmfid.cli.progress import progress
 from pmfid.cli.reproduce import reproduce
 from pmfid.cli.simulate import simulate
-from pmfid.errors import PmfidError, UsageError, printable
+from pmfid.errors import PmfidError, printable
 from pmfid.estimators import METHODS
-
-if TYPE_CHECKING:
-    from pmfid.session.config import Axis
-    from pmfid.transfer.experiment import Experiment
 
 EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
 #: More threads for products of small matrices only wait for each other: a search took four times as long.
@@ -111,59 +108,26 @@ def identify(
     Exit code 0: an estimate; 2: wrong usage or unreadable input; 3: the data cannot identify the parameters.
     """
     from pmfid.session.config import load_axis
-    from pmfid.session.pipeline import identify as run
-    from pmfid.session.records import read_record
+    from pmfid.session.identify import identify as run
+    from pmfid.session.identify import kind_of
 
     sections = {"resolution": "encoder", "n": "model", "m": "model", "delay": "model"}
     axis = load_axis(config, {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()})
-    if axis.model.kind == "transfer_function":
-        _identify_process(records, axis, quantize, out, as_json)
-        return
-    data = read_record(_only(records), axis, quantize)
-    with progress(f"{data.u.size} samples", quiet=as_json or data.u.size < PROGRESS_FROM) as tell:
+    kind = kind_of(axis)
+    data = kind.read(records, axis, quantize)
+    samples = kind.name_and_samples(data)[1]
+    with progress(f"{samples} samples", quiet=as_json or samples < PROGRESS_FROM) as tell:
         result = run(data, axis, tell)
     if out is not None:
-        from pmfid.report.record import write_result
+        from pmfid.report.result import write_result
 
         write_result(out, result)
     if as_json:
-        _print_json(result.to_json())
+        print_json(result.to_json())
     else:
         from pmfid.cli.tables import print_result
 
         print_result(result, out)
-
-
-def _identify_process(
-    paths: tuple[Path, ...], axis: Axis, quantize: float | None, out: Path | None, as_json: bool
-) -> None:
-    from pmfid.session.process import identify_process
-
-    result = identify_process(_experiments(paths, axis, quantize), axis)
-    if out is not None:
-        from pmfid.report.process import write_process
-
-        write_process(out, result)
-    if as_json:
-        _print_json(result.to_json())
-    else:
-        from pmfid.cli.tables import print_process
-
-        print_process(result, out)
-
-
-def _only(records: tuple[Path, ...]) -> Path:
-    if len(records) > 1:
-        raise UsageError("several records make one estimate of a transfer function only; give one record")
-    return records[0]
-
-
-def _experiments(paths: tuple[Path, ...], axis: Axis, quantize: float | None) -> list[Experiment]:
-    from pmfid.session.records import read_experiment
-
-    if quantize is not None:
-        raise UsageError("quantize is for a drive; floor the column of the record for a transfer function")
-    return [read_experiment(path, axis) for path in paths]
 
 
 @main.command(short_help="Search the structure of a transfer function.")
@@ -178,20 +142,20 @@ def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Pa
     1 to 5 poles, fewer zeros, dead times of 0 to 5 samples; the configuration's n, m and delay are not used.
     """
     from pmfid.session.config import load_axis
-    from pmfid.session.process import search_json, search_order
-    from pmfid.session.records import read_experiment
+    from pmfid.session.identify import kind_of
+    from pmfid.session.processes import search_json, search_order
 
     structure = {"model.kind": "transfer_function", "model.n": 1, "model.m": 0, "model.delay": 0}
     structure |= {"model.integrators": 0, "model.dead_time": 0.0}
     axis = load_axis(config, {"estimator.cutoff": cutoff, **structure})
     with progress("structures", quiet=as_json) as tell:
-        search = search_order([read_experiment(path, axis) for path in records], axis, tell)
+        search = search_order(kind_of(axis).read(records, axis), axis, tell)
     if out is not None:
         from pmfid.report.process import write_search
 
         write_search(out, search, records[0].name)
     if as_json:
-        _print_json(search_json(search))
+        print_json(search_json(search))
     else:
         from pmfid.cli.tables import print_search
 
@@ -220,22 +184,18 @@ def compare(
     Of a transfer function several records make one estimate.
     """
     from pmfid.session.compare import compare as run
-    from pmfid.session.compare import compare_processes
     from pmfid.session.config import load_axis
-    from pmfid.session.records import read_record
+    from pmfid.session.identify import kind_of
 
     axis = load_axis(config, {"estimator.cutoff": cutoff})
     with progress("methods", quiet=as_json) as tell:
-        if axis.model.kind == "transfer_function":
-            comparison = compare_processes(_experiments(records, axis, quantize), axis, tell)
-        else:
-            comparison = run(read_record(_only(records), axis, quantize), axis, tell)
+        comparison = run(kind_of(axis).read(records, axis, quantize), axis, tell)
     if out is not None:
         from pmfid.report.comparison import write_comparison
 
         write_comparison(out, comparison)
     if as_json:
-        _print_json(comparison.to_json())
+        print_json(comparison.to_json())
     else:
         from pmfid.cli.tables import print_comparison
 
@@ -278,9 +238,3 @@ main.add_command(monitor)
 main.add_command(simulate)
 main.add_command(reproduce)
 main.add_command(export)
-
-
-def _print_json(content: dict[str, Any]) -> None:
-    import json
-
-    click.echo(json.dumps(content, allow_nan=False))

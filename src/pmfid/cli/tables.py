@@ -9,32 +9,54 @@ from typing import TYPE_CHECKING
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.table import Table
 
     from pmfid.paper.merit import Merit
     from pmfid.session.compare import Comparison
-    from pmfid.session.pipeline import Result
-    from pmfid.session.process import ProcessResult
+    from pmfid.session.result import ProcessResult, Result
     from pmfid.transfer.order import Search
 
 
 def print_result(result: Result, out: Path | None) -> None:
-    """The parameters with their standard deviations, the fit, and what to mind."""
+    """The parameters with their standard deviations, the fit, of a transfer function also poles, zeros and gain, and
+    what to mind."""
     from rich.console import Console
+
+    from pmfid.session.result import DriveResult, ProcessResult
+
+    console, table = Console(), _parameters(result)
+    if isinstance(result, ProcessResult):
+        console.print(str(result.process), highlight=False, markup=False, soft_wrap=True)
+        _add_dynamics(table, result)
+    console.print(table)
+    if isinstance(result, DriveResult):
+        console.print(f"relative error of the filtered equation: {100 * result.relative_error:.3g} %", highlight=False)
+    lines = [f"status: {', '.join(dict.fromkeys(result.status))}"] if result.status else []
+    lines += [f"note: {note}" for note in result.notes]
+    lines += [f"report: {out / 'report.html'}"] if out is not None else []
+    for line in lines:
+        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
+
+
+def _parameters(result: Result) -> Table:
     from rich.table import Table
 
-    title = f"{result.record.name}: {result.estimator.method}, {result.record.u.size} samples"
-    table = Table(title=_safe(title))
+    table = Table(title=_safe(f"{result.name}: {result.estimator.method}, {result.samples} samples"))
     for heading in ("parameter", "value", "std", "unit"):
         table.add_column(heading, justify="right" if heading in ("value", "std") else "left")
     rows = zip(result.estimator.names, result.theta, result.theta_std, result.estimator.units, strict=True)
     for name, value, std, unit in rows:
         table.add_row(name, f"{value:.6g}", f"{std:.2g}", _safe(unit))
-    console = Console()
-    console.print(table)
-    console.print(f"relative error of the filtered equation: {100 * result.relative_error:.3g} %", highlight=False)
-    _print_judgement(console, result, out)
+    return table
+
+
+def _add_dynamics(table: Table, result: ProcessResult) -> None:
+    from pmfid.report.process import dynamics_rows
+
+    table.title = f"{table.title}, {result.fit_text}"
+    table.add_section()
+    for row in dynamics_rows(result.process):
+        table.add_row(*map(_safe, row))
 
 
 def print_comparison(comparison: Comparison, out: Path | None) -> None:
@@ -116,38 +138,6 @@ def print_merits(rows: Sequence[Merit], out: Path) -> None:
             table.add_row(*map(_safe, row))
         console.print(table)
     console.print(f"table, pictures and their data: {out}", highlight=False, markup=False, soft_wrap=True)
-
-
-def print_process(result: ProcessResult, out: Path | None) -> None:
-    """The transfer function, its parameters, poles, zeros and gain with standard deviations, and what to mind."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from pmfid.report.process import dynamics_rows
-
-    console = Console()
-    console.print(str(result.process), highlight=False, markup=False, soft_wrap=True)
-    samples = sum(part.size for part in result.assessment.samples)
-    table = Table(title=f"{result.estimator.method}, {samples} samples, {result.fit_text}")
-    for heading in ("", "value", "std", "unit"):
-        table.add_column(heading, justify="right" if heading in ("value", "std") else "left")
-    rows = zip(result.estimator.names, result.theta, result.theta_std, result.estimator.units, strict=True)
-    for name, value, std, unit in rows:
-        table.add_row(name, f"{value:.6g}", f"{std:.2g}", _safe(unit))
-    table.add_section()
-    for row in dynamics_rows(result.process):
-        table.add_row(*map(_safe, row))
-    console.print(table)
-    _print_judgement(console, result, out)
-
-
-def _print_judgement(console: Console, result: Result | ProcessResult, out: Path | None) -> None:
-    """The words of the status, the notes, and where the report is."""
-    lines = [f"status: {', '.join(dict.fromkeys(result.status))}"] if result.status else []
-    lines += [f"note: {note}" for note in result.notes]
-    lines += [f"report: {out / 'report.html'}"] if out is not None else []
-    for line in lines:
-        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
 
 
 def print_search(search: Search, name: str, out: Path | None) -> None:

@@ -12,7 +12,7 @@ from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.batch import BatchEstimator, Columns, Fit
 from pmfid.filters.columns import tustin_image
 from pmfid.models.equation import Equation
-from pmfid.transfer.exact import Filter, Term, respond_exactly
+from pmfid.transfer.exact import ExactTerm, Filter, respond_exactly
 
 Floats = NDArray[np.float64]
 
@@ -83,17 +83,17 @@ class Exact:
                 A[term.derivative] -= term.coefficient
         return A
 
-    def _held(self, theta: Floats) -> list[Term]:
+    def _held(self, theta: Floats) -> list[ExactTerm]:
         """All other terms on the right."""
         terms = [
-            Term(HELD.index(term.signal), term.derivative, -term.coefficient * value, column)
+            ExactTerm(HELD.index(term.signal), term.derivative, -term.coefficient * value, column)
             for column, (term, value) in enumerate(zip(self.equation.unknown, theta, strict=True))
             if term.signal in HELD
         ]
         known = [term for term in self.equation.known if term.signal in HELD]
-        return terms + [Term(HELD.index(term.signal), term.derivative, term.coefficient, None) for term in known]
+        return terms + [ExactTerm(HELD.index(term.signal), term.derivative, term.coefficient, None) for term in known]
 
-    def _main(self, held: list[Term]) -> int:
+    def _main(self, held: list[ExactTerm]) -> int:
         """The term of the input itself, that instruments are made from."""
         names = [HELD[term.source] for term in held]
         return next(i for i, name in enumerate(names) if name in ("input", "process_input"))

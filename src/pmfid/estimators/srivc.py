@@ -18,7 +18,7 @@ from pmfid.transfer.dead_time import after, solve_dead_time
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.process import Process
 from pmfid.transfer.sensitivity import Structure
-from pmfid.transfer.solve import Point, Problem, Solution, descend, first_guess, refine, solve, with_fixed_filter
+from pmfid.transfer.solve import Point, ProcessProblem, Solution, descend, first_guess, refine, solve, with_fixed_filter
 
 #: Relative difference of two sample periods that are taken for one.
 SAME_PERIOD = 0.05
@@ -85,7 +85,7 @@ def counted(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Experiment
 
 
 def fit_process(
-    estimator: Estimator, experiments: Sequence[Experiment], solver: Callable[[Problem], Solution] = solve
+    estimator: Estimator, experiments: Sequence[Experiment], solver: Callable[[ProcessProblem], Solution] = solve
 ) -> ProcessFit:
     """The estimate from all records, by refined instrumental variables or another solver."""
     check_experiments(estimator, experiments)
@@ -118,17 +118,17 @@ def check_experiments(estimator: Estimator, experiments: Sequence[Experiment]) -
             )
 
 
-def fixed_filters(problem: Problem) -> Solution:
+def fixed_filters(problem: ProcessProblem) -> Solution:
     """Instrumental variables with the filters of the estimator's cutoff."""
     return with_fixed_filter(problem, 1.0)
 
 
-def by_descent(problem: Problem) -> Solution:
+def by_descent(problem: ProcessProblem) -> Solution:
     """Least squares of the output error."""
     return descend(problem, refine(problem, first_guess(problem, 1.0)).point)
 
 
-def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> Problem:
+def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> ProcessProblem:
     """The stretches of all records, in units of the filters' time constant. Raises UsageError where none is usable."""
     model = estimator.model
     if not isinstance(model, TransferFunction):
@@ -144,7 +144,7 @@ def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> Pro
             raise UsageError(f"the {name} is empty: every sample is missing (NaN); check the column or the array")
     if not usable:
         raise UsageError("no record has a stretch with enough samples of input and output; record longer")
-    return Problem(structure, usable, estimator.cutoff)
+    return ProcessProblem(structure, usable, estimator.cutoff)
 
 
 def make_structure(model: TransferFunction, dt: float, rate: float) -> Structure:
@@ -154,7 +154,7 @@ def make_structure(model: TransferFunction, dt: float, rate: float) -> Structure
     return Structure(model.n, model.m, model.offset, model.integrators, model.unstable, fixed, latest)
 
 
-def check_signals(problem: Problem, names: tuple[str, ...]) -> None:
+def check_signals(problem: ProcessProblem, names: tuple[str, ...]) -> None:
     """Raises NotIdentifiableError where input or output say nothing, whatever the method."""
     samples = sum(stretch.rows.size for stretch in problem.stretches)
     if samples <= 2 * len(names):
@@ -165,7 +165,7 @@ def check_signals(problem: Problem, names: tuple[str, ...]) -> None:
         raise NotIdentifiableError("the input is zero throughout: record the input that drives the process")
 
 
-def result(estimator: Estimator, problem: Problem, solution: Solution) -> ProcessFit:
+def result(estimator: Estimator, problem: ProcessProblem, solution: Solution) -> ProcessFit:
     """The `ProcessFit` in seconds. Raises NotIdentifiableError where a sensitivity follows from the others."""
     point = solution.point
     check_apart(point, estimator.names)
@@ -217,7 +217,7 @@ def check_apart(point: Point, names: tuple[str, ...]) -> None:
         )
 
 
-def spread(problem: Problem) -> float:
+def spread(problem: ProcessProblem) -> float:
     """Sum of squares of the output about the mean of each stretch."""
     return sum(
         float(np.sum((y := stretch.y[stretch.rows]) ** 2) - y.size * np.mean(y) ** 2) for stretch in problem.stretches

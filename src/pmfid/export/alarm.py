@@ -20,7 +20,7 @@ MEMORIES = 2.0
 
 
 @dataclass(frozen=True)
-class Alarm:
+class ParameterAlarm:
     """Watches a parameter by a two-sided cumulative sum of log-likelihood ratios (Page 1954).
 
     parameter: its name; nominal: its value in normal work; shift: the change to be noticed [unit of the parameter],

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.export.alarm import Alarm
+from pmfid.export.alarm import ParameterAlarm
 from pmfid.export.initializer import initializer, literal
 from pmfid.export.names import check_names, remark
 from pmfid.export.samples import made_up_record, moving_part, recorded
@@ -41,7 +41,7 @@ def export_firmware(
     *,
     prefix: str = "axis",
     record: tuple[ArrayLike, ArrayLike] | None = None,
-    alarms: Sequence[Alarm] = (),
+    alarms: Sequence[ParameterAlarm] = (),
 ) -> list[Path]:
     """Writes the estimator as C99 into a folder: kernel, configuration, header, example, build files and self-test.
 

@@ -15,7 +15,7 @@ from pmfid.transfer.confidence import residual_repeats
 from pmfid.transfer.experiment import Stretch
 from pmfid.transfer.propagate import Grid, transition
 from pmfid.transfer.sensitivity import companion, simulate
-from pmfid.transfer.solve import Point, Problem, visit
+from pmfid.transfer.solve import Point, ProcessProblem, visit
 from pmfid.transfer.whiteness import DEVIATE, LAGS, few_beyond, lagged
 
 Floats = NDArray[np.float64]
@@ -78,7 +78,7 @@ class Assessment:
         return not self.unmodelled
 
 
-def assess(problem: Problem, theta: Floats, delay: int = 0) -> Assessment:
+def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment:
     """theta (p,) in the problem's units; delay: by so many samples its inputs are late. Raises NotIdentifiableError
     where the simulated output leaves the range of numbers."""
     count = len(problem.stretches)
@@ -113,7 +113,7 @@ def assess(problem: Problem, theta: Floats, delay: int = 0) -> Assessment:
 
 
 def _doubts(
-    problem: Problem, point: Point, residual: list[Floats], delay: int
+    problem: ProcessProblem, point: Point, residual: list[Floats], delay: int
 ) -> tuple[bool, bool, bool, Second, Hold, bool]:
     """unmodelled, feedback, depends, second, hold, repeats. The input is looked at when it comes, not `delay`
     samples later."""
@@ -133,7 +133,7 @@ def _doubts(
     )
 
 
-def _direct(problem: Problem, point: Point) -> tuple[float, float]:
+def _direct(problem: ProcessProblem, point: Point) -> tuple[float, float]:
     """How much of the input of now a wrong hold leaves in the residual, at least and at most."""
     a, b, _ = problem.structure.split(point.theta)
     if a.size == 0:  # integrators alone

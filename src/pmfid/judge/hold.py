@@ -14,7 +14,7 @@ from scipy.special import chdtri
 
 from pmfid.transfer.noise import Noise
 from pmfid.transfer.prewhitening import prewhitened
-from pmfid.transfer.solve import Point, Problem, descend, visit
+from pmfid.transfer.solve import Point, ProcessProblem, descend, visit
 
 #: The other hold is better where so few records with the right one would say so, at the worst.
 CHANCE = 1e-4
@@ -34,7 +34,7 @@ class Hold:
     hidden: bool = False
 
 
-def look_at_hold(problem: Problem, point: Point, noise: Noise | None) -> Hold:
+def look_at_hold(problem: ProcessProblem, point: Point, noise: Noise | None) -> Hold:
     """Which hold has the input, and does it matter? point: the estimate; noise: its colour beside the input. Nothing
     is said where the spacing lets no filter whiten the noise, and where a reference makes the sum of squares no
     measure."""
@@ -63,11 +63,11 @@ def _far_apart(mine: Point, other: Point) -> bool:
     return bool(np.any((mine.theta - other.theta) ** 2 > FAR**2 * variances))
 
 
-def _turned(problem: Problem) -> Problem:
+def _turned(problem: ProcessProblem) -> ProcessProblem:
     return replace(problem, stretches=tuple(replace(stretch, held=not stretch.held) for stretch in problem.stretches))
 
 
-def _best(problem: Problem, theta: NDArray[np.float64], noise: Noise) -> Point:
+def _best(problem: ProcessProblem, theta: NDArray[np.float64], noise: Noise) -> Point:
     """Where the sum of squares is least near theta (p,) of the problem before the filter."""
     theta = theta.copy()
     if problem.structure.offset:

@@ -17,7 +17,7 @@ from pmfid.transfer.confidence import covariance, places
 from pmfid.transfer.noise import fit_noise, whitened
 from pmfid.transfer.prewhitening import prewhitened
 from pmfid.transfer.sensitivity import Structure
-from pmfid.transfer.solve import Point, Problem, descend, first_guess, refine, visit
+from pmfid.transfer.solve import Point, ProcessProblem, descend, first_guess, refine, visit
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ SETTLED = 1e-6
 ELSEWHERE = 1e-3
 
 
-def depends_on_input(problem: Problem, point: Point) -> bool:
+def depends_on_input(problem: ProcessProblem, point: Point) -> bool:
     """Does the answer to the input explain more of the output than chance? The start and a constant may do their part
     without it."""
     first, last = problem.structure.free, problem.structure.free + problem.structure.m + 1
@@ -55,7 +55,7 @@ class Second:
     moved: bool
 
 
-def second_look(problem: Problem, point: Point) -> Second:
+def second_look(problem: ProcessProblem, point: Point) -> Second:
     """At the estimate of a point, for noise of any colour.
 
     A pole can settle on what the noise rings with, and what is left no longer rings: so the colour is that of what a
@@ -92,12 +92,12 @@ def _apart(difference: Floats, cov: Floats) -> bool:
     return bool(distance > chdtri(difference.size, ELSEWHERE))
 
 
-def _settled(problem: Problem) -> Point:
+def _settled(problem: ProcessProblem) -> Point:
     found = refine(problem, first_guess(problem, 1.0), SETTLED)
     return found.point if found.settled else descend(problem, found.point, SETTLED).point
 
 
-def signals(problem: Problem, error: Floats) -> list[Signals]:
+def signals(problem: ProcessProblem, error: Floats) -> list[Signals]:
     """The residual (N,) of all stretches beside the inputs."""
     ends = np.cumsum([stretch.rows.size for stretch in problem.stretches])
     parts = zip(problem.stretches, np.split(error, ends[:-1]), strict=True)

@@ -1,1 +1,40 @@
-"""Changes of a machine: block scores, detectors, calibrated thresholds, the cause of a change."""
+"""Changes of a machine: block scores, detectors, calibrated thresholds, the cause of a change.
+
+calibration = calibrate(estimator, nominal, u, counts, hours)   # thresholds, from simulated normal work
+monitor = Monitor(estimator, calibration, Watch("glr", mtbf_hours=24.0))
+estimate, events = monitor.step(u, count)                       # an Alarm names what changed, by how much, since when
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pmfid.door import door
+
+if TYPE_CHECKING:
+    from pmfid.monitor.calibration import Calibration as Calibration
+    from pmfid.monitor.calibration import calibrate as calibrate
+    from pmfid.monitor.events import Alarm as Alarm
+    from pmfid.monitor.events import Outlier as Outlier
+    from pmfid.monitor.events import Settled as Settled
+    from pmfid.monitor.events import StateChange as StateChange
+    from pmfid.monitor.events import Watch as Watch
+    from pmfid.monitor.monitor import Monitor as Monitor
+
+_PUBLIC = {
+    "Alarm": "events",
+    "Calibration": "calibration",
+    "Monitor": "monitor",
+    "Outlier": "events",
+    "Settled": "events",
+    "StateChange": "events",
+    "Watch": "events",
+    "calibrate": "calibration",
+}
+
+__all__ = sorted(_PUBLIC)
+__getattr__ = door(__name__, _PUBLIC)
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

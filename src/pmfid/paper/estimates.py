@@ -12,7 +12,7 @@ from pmfid.estimators.base import default_zeros
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.paper.merit import NO_ANSWER, Floats, Score, score
-from pmfid.paper.truth import Record, make_estimator
+from pmfid.paper.truth import CartRecord, make_estimator
 from pmfid.simulation import CART_DT, Scenario
 from pmfid.status import Status
 
@@ -32,12 +32,12 @@ TITLES = {
 }
 
 
-def record_of(scenario: Scenario) -> Record:
+def record_of(scenario: Scenario) -> CartRecord:
     """What an estimator may see of a run."""
-    return Record(scenario.motion.u, scenario.counts, scenario.resolution)
+    return CartRecord(scenario.motion.u, scenario.counts, scenario.resolution)
 
 
-def track_of(method: str, record: Record, time_constant: float, forgetting: float) -> Track:
+def track_of(method: str, record: CartRecord, time_constant: float, forgetting: float) -> Track:
     """The estimates of a recursive method; time_constant: of the filters, in samples."""
     if method == EXTENDED:
         zeros = default_zeros(1 / (time_constant * CART_DT))
@@ -52,7 +52,7 @@ def track_of(method: str, record: Record, time_constant: float, forgetting: floa
     return estimator.run(record.u, record.counts)
 
 
-def mass_of(method: str, record: Record, time_constant: float) -> tuple[float, float]:
+def mass_of(method: str, record: CartRecord, time_constant: float) -> tuple[float, float]:
     """The mass and its standard deviation by an off-line method over a record; nan where it gives no answer."""
     estimator = make_estimator("ls" if method == AUTO else method, record, time_constant)
     try:

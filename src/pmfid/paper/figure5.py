@@ -16,7 +16,7 @@ from pmfid.paper.estimates import OFF_LINE, TITLES, known_mass, mass_of, mass_sc
 from pmfid.paper.figure import PaperFigure, Task
 from pmfid.paper.inputs import HORIZON, INTERVALS, experiments, information, problem
 from pmfid.paper.merit import Floats, Merit, Score, merit
-from pmfid.paper.truth import Record, make_estimator
+from pmfid.paper.truth import CartRecord, make_estimator
 from pmfid.simulation import CART, CART_DT, quantize, resolution_of, simulate_drive
 
 ON_LINE = ("rls", "bcrls", "rknown-step", "riv")
@@ -30,12 +30,12 @@ SHOWN = ("pulses", "designed")
 LIMITS = (0.9 * CART.mass, 1.1 * CART.mass)
 
 
-def record_of(name: str, seed: int) -> Record:
+def record_of(name: str, seed: int) -> CartRecord:
     """The cart under an input, to and fro; the seed draws the start phase on the encoder's lattice."""
     stroke = np.repeat(experiments()[name], round(HORIZON / INTERVALS / CART_DT))
     u, resolution = np.tile(np.r_[stroke, -stroke], ROUNDS), resolution_of(INCREMENTS)
     phase = float(np.random.default_rng(seed).uniform(0.0, resolution))
-    return Record(u, quantize(simulate_drive(CART, u, CART_DT).x, resolution, phase), resolution)
+    return CartRecord(u, quantize(simulate_drive(CART, u, CART_DT).x, resolution, phase), resolution)
 
 
 def tasks(seeds: int) -> list[Task]:
@@ -50,7 +50,7 @@ def work(name: str, seed: int) -> dict[str, Score]:
     return scores | {m: mass_score(mass_of(m, record, TIME_CONSTANT), CART.mass) for m in off_line}
 
 
-def _score(method: str, record: Record) -> Score:
+def _score(method: str, record: CartRecord) -> Score:
     track = track_of(method, record, TIME_CONSTANT, 1.0)
     settled = settling_time(known_mass(track), CART.mass, CART_DT, BAND)
     return track_score(track, slice(round(HORIZON / CART_DT), None), CART.mass, settled)
@@ -82,7 +82,7 @@ def draw(out: Path) -> list[Path]:
     return [*write_drawing(paper, out), *write_drawing(every, out), *write_motions(_motions(), out)]
 
 
-def _curve(method: str, record: Record) -> Floats:
+def _curve(method: str, record: CartRecord) -> Floats:
     return known_mass(track_of(method, record, TIME_CONSTANT, 1.0))
 
 

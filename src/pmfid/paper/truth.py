@@ -48,7 +48,7 @@ class Study:
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class CartRecord:
     """Input u [V] and counts, each (n,); resolution [m per count]."""
 
     u: Floats
@@ -69,15 +69,15 @@ class Outcome:
     flags: tuple[str, ...] = ()
 
 
-def scenario_record(name: str, seed: int, increments: int) -> Record:
+def scenario_record(name: str, seed: int, increments: int) -> CartRecord:
     """A scenario of 30 s as a record."""
     scenario = make_scenario(name, seed=seed, increments=increments)
-    return Record(scenario.motion.u, scenario.counts, scenario.resolution)
+    return CartRecord(scenario.motion.u, scenario.counts, scenario.resolution)
 
 
 def make_estimator(
     method: str,
-    record: Record,
+    record: CartRecord,
     time_constant: float = TIME_CONSTANT,
     input_gain: float = CART.input_gain,
     **options: Any,
@@ -87,7 +87,7 @@ def make_estimator(
     return ESTIMATORS[method](Drive(input_gain), Encoder(record.resolution), CART_DT, cutoff, **options)
 
 
-def track_of(method: str, record: Record, time_constant: float = TIME_CONSTANT, **options: Any) -> Track:
+def track_of(method: str, record: CartRecord, time_constant: float = TIME_CONSTANT, **options: Any) -> Track:
     """The estimates of a recursive method over a record."""
     estimator = make_estimator(method, record, time_constant, **options)
     if not isinstance(estimator, RecursiveEstimator):
@@ -96,7 +96,7 @@ def track_of(method: str, record: Record, time_constant: float = TIME_CONSTANT, 
 
 
 def estimate(
-    method: str, record: Record, time_constant: float = TIME_CONSTANT, *, judged: bool = False, **options: Any
+    method: str, record: CartRecord, time_constant: float = TIME_CONSTANT, *, judged: bool = False, **options: Any
 ) -> Outcome:
     """What a method says after the whole record; the last value of a recursive one. judged: with the flags.
 
@@ -110,7 +110,7 @@ def estimate(
     return replace(outcome, flags=_flags(estimator, record, outcome)) if judged and not outcome.failure else outcome
 
 
-def _flags(estimator: Estimator, record: Record, outcome: Outcome) -> tuple[str, ...]:
+def _flags(estimator: Estimator, record: CartRecord, outcome: Outcome) -> tuple[str, ...]:
     try:
         return judge(estimator, record.u, record.counts, outcome.theta, outcome.std)[0]
     except (NotIdentifiableError, np.linalg.LinAlgError) as error:
@@ -121,7 +121,7 @@ def _without(failure: str, status: int = 0) -> Outcome:
     return Outcome(np.full(3, np.nan), np.full(3, np.nan), status, failure=failure)
 
 
-def _last(estimator: Estimator, record: Record) -> Outcome:
+def _last(estimator: Estimator, record: CartRecord) -> Outcome:
     if isinstance(estimator, BatchEstimator):
         fit = estimator.fit(record.u, record.counts)
         return Outcome(fit.theta, fit.theta_std, fit.status, fit.relative_error)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from pmfid.report.figures import figure_style
+from pmfid.report.files import write_json
 from pmfid.report.html import Section, svg, write_report
 from pmfid.session.compare import Comparison
-from pmfid.session.process import ProcessResult
+from pmfid.session.result import ProcessResult
 
 #: Panels beside each other; more leave their numbers no room.
 PANELS = 4
@@ -21,7 +21,7 @@ HUGE = 1e5
 def write_comparison(out: Path, comparison: Comparison) -> None:
     """Writes compare.html and compare.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / "compare.json").write_text(json.dumps(comparison.to_json(), indent=2, allow_nan=False) + "\n")
+    write_json(out / "compare.json", comparison.to_json())
     header, rows = comparison_rows(comparison)
     refused = " ".join(f"{name} has no answer: {reason}." for name, reason in comparison.refused.items())
     sections = [
@@ -35,7 +35,8 @@ def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]
     """Header and one row of text for each method."""
     first = next(iter(comparison.results.values())).estimator
     names = [f"{name} [{unit}]" for name, unit in zip(first.names, first.units, strict=True)]
-    header = ["method", *names, *(["fit [%]"] if first.equation.process else []), "flags"]
+    fitted = any(isinstance(result, ProcessResult) for result in comparison.results.values())
+    header = ["method", *names, *(["fit [%]"] if fitted else []), "flags"]
     rows = []
     for method, result in comparison.results.items():
         values = dict(zip(result.estimator.names, zip(result.theta, result.theta_std, strict=True), strict=True))

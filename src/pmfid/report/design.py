@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from pmfid.design.trial.appraisal import Appraisal, gathered
 from pmfid.design.trial.encoder_error import is_counted
 from pmfid.design.trial.sequential import Commissioning
 from pmfid.report.design_figures import ellipse_figure, gathering_figure, motion_figure
+from pmfid.report.files import write_json
 from pmfid.report.html import Section, svg, write_report
 
 __all__ = [
@@ -40,7 +40,7 @@ def write_design(out: Path, appraisal: Appraisal, campaign: Campaign | None = No
     With a campaign also one CSV for each of its motions.
     """
     out.mkdir(parents=True, exist_ok=True)
-    (out / "design.json").write_text(json.dumps(appraisal.to_json(), indent=2, allow_nan=False) + "\n")
+    write_json(out / "design.json", appraisal.to_json())
     design = appraisal.design
     for name, columns in _motions(appraisal).items():
         _write_csv(out / f"{name}.csv", design.t, *columns)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 
@@ -21,3 +23,8 @@ def replace_file(path: Path, data: bytes) -> None:
     except OSError as error:
         part.unlink(missing_ok=True)
         raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def write_json(path: Path, content: Mapping[str, object]) -> None:
+    """Writes an object as JSON, as `replace_file` does."""
+    replace_file(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())

@@ -19,7 +19,7 @@ from pmfid.judge.sentences import (
 )
 from pmfid.report.check_figures import correlation_figure, friction_figure, residual_figure, simulation_figure
 from pmfid.report.html import Section, svg
-from pmfid.session.pipeline import Result
+from pmfid.session.result import DriveResult
 
 __all__ = [
     "binned",
@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 
-def model_checks(result: Result) -> list[Section]:
+def model_checks(result: DriveResult) -> list[Section]:
     """Sections on the fit of the model at the result's theta; of a recursive method the last one.
 
     With a forgetting factor below 1 only the last three memories of the record are judged. Where the parameters are
@@ -57,7 +57,7 @@ def model_checks(result: Result) -> list[Section]:
     return [replace(part, text=part.text + remark) for part, remark in zip(sections, remarks, strict=True)]
 
 
-def _feedback(result: Result, balance: Balance) -> str:
+def _feedback(result: DriveResult, balance: Balance) -> str:
     if "feedback" not in result.status or not balance.noisy:
         return ""
     return (
@@ -66,7 +66,7 @@ def _feedback(result: Result, balance: Balance) -> str:
     )
 
 
-def _window(result: Result, balance: Balance) -> str:
+def _window(result: DriveResult, balance: Balance) -> str:
     if getattr(result.estimator, "forgetting", 1.0) == 1.0:
         return ""
     start, end = balance.t[0], balance.t[-1]

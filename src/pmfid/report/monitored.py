@@ -10,13 +10,13 @@ import numpy as np
 from pmfid.monitor.calibration import Calibration
 from pmfid.report.html import Section, svg, write_report
 from pmfid.report.monitored_figures import RunData, calibration_figure, run_figure
-from pmfid.session.monitored.run import History, Run
+from pmfid.session.monitored.run import History, MonitoredRun
 from pmfid.session.monitored.setup import Setup
 
 SHOWN_ALARMS = 200
 
 
-def write_monitored(path: Path, name: str, setup: Setup, run: Run, history: History) -> None:
+def write_monitored(path: Path, name: str, setup: Setup, run: MonitoredRun, history: History) -> None:
     """Writes one self-contained HTML file on a run. Raises OSError where it cannot be written."""
     sections = [_verdict(setup, run)]
     if len(history.rows) > 1:
@@ -27,7 +27,7 @@ def write_monitored(path: Path, name: str, setup: Setup, run: Run, history: Hist
     write_report(path, f"{name}: {_headline(run)}", sections)
 
 
-def run_data(setup: Setup, run: Run, history: History) -> RunData:
+def run_data(setup: Setup, run: MonitoredRun, history: History) -> RunData:
     """The columns that the figure shows."""
     time, u, counts, theta, std, innovation, status, state = zip(*history.rows, strict=True)
     estimator = setup.monitor.estimator
@@ -55,7 +55,7 @@ def _velocity(position: np.ndarray, t: np.ndarray) -> np.ndarray:
         return np.asarray(np.gradient(position, t))
 
 
-def _headline(run: Run) -> str:
+def _headline(run: MonitoredRun) -> str:
     if not run.alarms:
         return "no alarm"
     first, more = run.alarms[0], len(run.alarms) - 1
@@ -63,7 +63,7 @@ def _headline(run: Run) -> str:
     return what + (f", and {more} more alarm{'s' * (more > 1)}" if more else "")
 
 
-def _verdict(setup: Setup, run: Run) -> Section:
+def _verdict(setup: Setup, run: MonitoredRun) -> Section:
     lines = [f"{run.samples} samples, {run.samples * setup.monitor.estimator.dt:.1f} s."]
     if run.bad_lines or run.repeated_lines:
         lines.append(f"{run.bad_lines} lines could not be used, {run.repeated_lines} came again or too late.")
@@ -83,7 +83,7 @@ def _verdict(setup: Setup, run: Run) -> Section:
     return Section("Alarms", text, (head, rows))
 
 
-def _alarm_row(run: Run, alarm: dict[str, Any]) -> list[str]:
+def _alarm_row(run: MonitoredRun, alarm: dict[str, Any]) -> list[str]:
     """With the value that the parameter settled on before the next alarm, if it did."""
     later = [event for event in run.events if event["event"] in ("settled", "alarm") and event["time"] > alarm["time"]]
     found = later[0]["parameters"].get(alarm["parameter"]) if later and later[0]["event"] == "settled" else None

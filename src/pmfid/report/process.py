@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,10 @@ from matplotlib.figure import Figure
 
 from pmfid.judge.doubts import search_notes
 from pmfid.report.figures import COLOURS, GREY, WIDTH, decimation, figure_style, plain_ticks
-from pmfid.report.files import replace_file
+from pmfid.report.files import write_json
 from pmfid.report.html import Section, svg, write_report
-from pmfid.session.process import ProcessResult, search_json
+from pmfid.session.processes import search_json
+from pmfid.session.result import ProcessResult
 from pmfid.transfer.order import Search
 from pmfid.transfer.process import Process
 
@@ -27,7 +27,7 @@ ROWS = 15
 def write_process(out: Path, result: ProcessResult) -> None:
     """Writes report.html and result.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
-    replace_file(out / "result.json", (json.dumps(result.to_json(), indent=2, allow_nan=False) + "\n").encode())
+    write_json(out / "result.json", result.to_json())
     sections = [
         _parameters(result),
         _dynamics(result.process),
@@ -48,9 +48,7 @@ def _parameters(result: ProcessResult) -> Section:
         [name, f"{value:.6g}", f"{std:.2g}", unit]
         for name, value, std, unit in zip(names, result.theta, result.theta_std, units, strict=True)
     ]
-    records = ", ".join(experiment.name for experiment in result.experiments)
-    samples = sum(part.size for part in result.assessment.samples)
-    text = f"{records}: {samples} samples. {result.fit_text.capitalize()}."
+    text = f"{result.name}: {result.samples} samples. {result.fit_text.capitalize()}."
     notes = [f"Note: {note}." for note in result.notes]
     return Section("Parameters", "\n\n".join([text, *notes]), (("parameter", "value", "std", "unit"), rows))
 
@@ -240,7 +238,7 @@ def search_figure(search: Search) -> Figure:
 def write_search(out: Path, search: Search, name: str) -> None:
     """Writes order.html and order.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / "order.json").write_text(json.dumps(search_json(search), indent=2, allow_nan=False) + "\n")
+    write_json(out / "order.json", search_json(search))
     text = (
         f"{search.samples} samples, {len(search.candidates)} structures fitted, {search.skipped} cannot be better. "
         "Criterion: Schwarz (1978), behind the whitening filter of the noise, above that of the best; less is better, "

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 from pathlib import Path
 
 import numpy as np
 
 from pmfid.report.figures import estimate_figure, residual_figure, signals_figure, status_figure
-from pmfid.report.files import replace_file
+from pmfid.report.files import replace_file, write_json
 from pmfid.report.html import Section, svg, write_report
 from pmfid.report.model_checks import model_checks
-from pmfid.session.pipeline import Result
+from pmfid.session.result import DriveResult
 from pmfid.session.row_file import fresh
 
 
-def write_result(out: Path, result: Result) -> None:
+def write_drive(out: Path, result: DriveResult) -> None:
     """Writes report.html, result.json and, for a recursive method, track.parquet into the folder `out`.
 
     A track.parquet that is there stays under another name, track-2.parquet and so on: it is of an earlier run, or has
@@ -27,14 +26,14 @@ def write_result(out: Path, result: Result) -> None:
     track = out / "track.parquet"
     if os.path.lexists(track) and not track.is_dir():
         track.rename(fresh(track))
-    replace_file(out / "result.json", (json.dumps(result.to_json(), indent=2, allow_nan=False) + "\n").encode())
+    write_json(out / "result.json", result.to_json())
     if result.track is not None:
         _write_track(track, result)
     title = f"{result.record.name}: {result.estimator.method}"
     write_report(out / "report.html", title, [_parameters(result), *_figures(result), *model_checks(result)])
 
 
-def _write_track(path: Path, result: Result) -> None:
+def _write_track(path: Path, result: DriveResult) -> None:
     import polars as pl
 
     track = result.track
@@ -49,7 +48,7 @@ def _write_track(path: Path, result: Result) -> None:
     replace_file(path, buffer.getvalue())
 
 
-def _parameters(result: Result) -> Section:
+def _parameters(result: DriveResult) -> Section:
     estimator = result.estimator
     rows = [
         [name, f"{value:.6g}", f"{std:.2g}", unit]
@@ -67,7 +66,7 @@ def _parameters(result: Result) -> Section:
     return Section("Parameters", text, (("parameter", "value", "std", "unit"), rows))
 
 
-def _figures(result: Result) -> list[Section]:
+def _figures(result: DriveResult) -> list[Section]:
     record = result.record
     t = np.arange(record.u.size) * record.dt
     velocity = np.gradient(record.counts * record.resolution, record.dt)

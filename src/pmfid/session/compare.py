@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
 from pmfid.estimators.registry import methods_for
 from pmfid.session.config import Axis
-from pmfid.session.diagnosis import check_direction, diagnose
-from pmfid.session.pipeline import Result, estimate, explained
-from pmfid.session.process import ProcessResult, identify_process
-from pmfid.session.records import Record
-from pmfid.transfer.experiment import Experiment
+from pmfid.session.identify import explained, kind_of
+from pmfid.session.kinds import Progress
+from pmfid.session.result import Result
 
 
 @dataclass(frozen=True)
@@ -22,7 +20,7 @@ class Comparison:
 
     name: str
     samples: int
-    results: Mapping[str, Result | ProcessResult]
+    results: Mapping[str, Result]
     refused: dict[str, str]
 
     def to_json(self) -> dict[str, Any]:
@@ -32,51 +30,27 @@ class Comparison:
         return {"record": self.name, "samples": self.samples, "methods": methods}
 
 
-def compare(record: Record, axis: Axis, done: Callable[[float], None] | None = None) -> Comparison:
-    """Runs every method with the settings of `axis`; `done` is called with the part that has run. Raises UsageError as
-    `identify` does, and NotIdentifiableError where no method has an answer."""
+def compare(data: Any, axis: Axis, done: Progress | None = None) -> Comparison:
+    """Runs every method with the settings of `axis` on what `kind_of(axis).read` gives; `done` is called with the part
+    that has run. Raises UsageError as `identify` does, and what the first method raised where none has an answer."""
+    kind, methods = kind_of(axis), methods_for(axis.model.make())
     results: dict[str, Result] = {}
-    refused: dict[str, NotIdentifiableError] = {}
-    mistake = check_direction(record, axis)
-    if mistake:
-        raise UsageError(mistake)
-    methods = methods_for(axis.model.make())
+    refused: dict[str, PmfidError] = {}
+    kind.check(data, axis)
     for count, method in enumerate(methods, 1):
         try:
-            results[method] = estimate(record, _with_method(axis, method))
-        except NotIdentifiableError as error:
-            refused[method] = error
-        if done is not None:
-            done(count / len(methods))
-    mistake = diagnose(record, axis) if refused else ""
-    reasons = _reasons(results, {method: explained(error, mistake) for method, error in refused.items()})
-    return Comparison(record.name, int(record.u.size), results, reasons)
-
-
-def compare_processes(
-    experiments: Sequence[Experiment], axis: Axis, done: Callable[[float], None] | None = None
-) -> Comparison:
-    """The same for a transfer function, where some methods do not take every record. Raises what the first method
-    raised where none has an answer."""
-    results: dict[str, ProcessResult] = {}
-    refused: dict[str, Exception] = {}
-    methods = methods_for(axis.model.make())
-    for count, method in enumerate(methods, 1):
-        try:
-            results[method] = identify_process(experiments, _with_method(axis, method))
+            results[method] = kind.estimate(data, _with_method(axis, method))
         except (NotIdentifiableError, UsageError) as error:
             refused[method] = error
         if done is not None:
             done(count / len(methods))
-    name = ", ".join(experiment.name for experiment in experiments)
-    return Comparison(name, sum(part.u.size for part in experiments), results, _reasons(results, refused))
+    unknown = {method: error for method, error in refused.items() if isinstance(error, NotIdentifiableError)}
+    mistake = kind.mistake(data, axis) if unknown else ""
+    told = refused | {method: explained(error, mistake) for method, error in unknown.items()}
+    if not results:
+        raise next(iter(told.values()))
+    return Comparison(*kind.name_and_samples(data), results, {method: str(error) for method, error in told.items()})
 
 
 def _with_method(axis: Axis, method: str) -> Axis:
     return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"method": method})})
-
-
-def _reasons(results: Mapping[str, Any], refused: Mapping[str, Exception]) -> dict[str, str]:
-    if not results:
-        raise next(iter(refused.values()))
-    return {method: str(error) for method, error in refused.items()}

@@ -102,6 +102,7 @@ class UnknownTerm(FileSection):
 
     signal: Signal
     derivative: int = 0
+    coefficient: float = 1.0
     name: Name
     unit: str = ""
 
@@ -186,7 +187,9 @@ class ModelConfig(FileSection):
             )
         if self.kind == "drive" and self.input_gain is not None:
             return Drive(self.input_gain, offset=self.offset, friction=self.friction, spring=self.spring)
-        unknown = tuple(Term(term.signal, term.derivative, term.name, term.unit) for term in self.unknown)
+        unknown = tuple(
+            Term(term.signal, term.derivative, term.name, term.unit, term.coefficient) for term in self.unknown
+        )
         known = tuple(Term(term.signal, term.derivative, coefficient=term.coefficient) for term in self.known)
         return EquationModel(Equation(unknown, known))
 

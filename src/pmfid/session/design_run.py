@@ -11,7 +11,7 @@ from pmfid.design.problem.result import Design
 from pmfid.design.search.campaign import Campaign, campaign
 from pmfid.design.search.solver import solve
 from pmfid.design.trial.appraisal import Appraisal, appraise
-from pmfid.design.trial.calibration import Run
+from pmfid.design.trial.calibration import DesignedRun
 from pmfid.design.trial.sequential import Commissioning, redesign, sequential, simulated_experiment
 from pmfid.errors import UsageError
 from pmfid.session.config import Axis, EncoderConfig, EstimatorConfig, ModelConfig
@@ -57,7 +57,7 @@ def appraised(spec: Spec, design: Design) -> Appraisal:
 
 def commissioned(
     spec: Spec,
-    runs: Sequence[Run],
+    runs: Sequence[DesignedRun],
     wanted: Mapping[str, float],
     truth: Mapping[str, float] | None = None,
     rounds: int = 10,
@@ -82,7 +82,7 @@ def commissioned(
     return sequential(problem, experiment, wanted, rounds=rounds, **how, **search)  # type: ignore[arg-type]
 
 
-def read_run(spec: Spec, path: Path) -> Run:
+def read_run(spec: Spec, path: Path) -> DesignedRun:
     """A recorded run, columns as [record] says (without it: t, u, counts). Raises UsageError as `read_record` does."""
     resolution = spec.encoder.resolution
     if resolution is None:
@@ -94,4 +94,4 @@ def read_run(spec: Spec, path: Path) -> Run:
         estimator=EstimatorConfig(cutoff=1.0),
     )
     record = read_record(path, axis)
-    return Run(record.u, np.asarray(record.counts * record.resolution, float), record.dt)
+    return DesignedRun(record.u, np.asarray(record.counts * record.resolution, float), record.dt)

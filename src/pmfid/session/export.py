@@ -12,7 +12,7 @@ from pmfid.estimators.base import default_zeros
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.session.config import NO_ENCODER, Axis, EstimatorConfig
-from pmfid.session.pipeline import make_estimator
+from pmfid.session.drives import make_estimator
 from pmfid.session.records import Record
 
 #: What "auto" is on a drive.

@@ -23,7 +23,7 @@ from pmfid.transfer.experiment import Experiment
 if TYPE_CHECKING:
     from pmfid.session.config import Axis, RecordConfig
 
-__all__ = ["MIN_SAMPLES", "Record", "read_experiment", "read_record"]
+__all__ = ["MIN_SAMPLES", "Record", "read_experiment", "read_record", "record_of"]
 
 MIN_SAMPLES = 10
 # Beyond 2**53 neighbouring integers share one float64, and a count would be silently wrong.
@@ -100,6 +100,11 @@ def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record
     except UsageError as error:
         # one line, whatever the names in a damaged file contain
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from None
+
+
+def record_of(table: Table, axis: Axis, name: str = "record") -> Record:
+    """The record in a table of columns that `axis.record` names. Raises UsageError as `read_record` does."""
+    return _build(table, axis, None, name)
 
 
 def _stated_factor(config: RecordConfig) -> float:

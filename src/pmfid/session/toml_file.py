@@ -15,7 +15,7 @@ from pydantic_core import ErrorDetails
 
 from pmfid.errors import UsageError, did_you_mean
 
-__all__ = ["FileSection", "load_sections"]
+__all__ = ["FileSection", "load_sections", "validated"]
 
 
 class FileSection(BaseModel):
@@ -51,15 +51,22 @@ def load_sections(
         if isinstance(table, dict):
             table[key] = value
     try:
-        return whole.model_validate(raw)
-    except UsageError as error:  # of sections that do not fit each other
+        return validated(whole, raw, given)
+    except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
+
+
+def validated(whole: type[Whole], raw: Mapping[str, Any], given: Mapping[str, object] | None = None) -> Whole:
+    """The sections of `raw` as an object; given: those dotted keys that came as options. Raises UsageError with all
+    problems in one text."""
+    try:
+        return whole.model_validate(raw)
     except ValidationError as error:
         # A misspelt key is also a missing one: the misspelling comes first, as it explains the other.
         details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
     # A value that fits neither number nor name fails twice at one place: one text for each place.
-    problems = {detail["loc"][:2]: _problem(whole, detail, raw, given) for detail in details}
-    raise UsageError(f"{path}: " + "\n  ".join(problems.values()))
+    problems = {detail["loc"][:2]: _problem(whole, detail, raw, given or {}) for detail in details}
+    raise UsageError("\n  ".join(problems.values()))
 
 
 def _read_toml(path: Path, kind: str) -> dict[str, Any]:

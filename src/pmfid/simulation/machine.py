@@ -48,7 +48,7 @@ class Machine:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class MachineRun:
     """What a machine did: u [V], counts, and the true x [m], v [m/s] at the samples, each (n,)."""
 
     u: Floats
@@ -66,7 +66,7 @@ def drive_machine(
     phase: float = 0.0,
     rng: np.random.Generator | None = None,
     steps: int = STEPS,
-) -> Run:
+) -> MachineRun:
     """The motion under the input u (n,) [V], held over each dt [s], and the counts floor((x + phase) / resolution).
 
     rng: draws the force noise; steps: of the integration in each sample. Starts at rest at x = 0. Raises ValueError for
@@ -87,7 +87,7 @@ def control_machine(
     phase: float = 0.0,
     rng: np.random.Generator | None = None,
     steps: int = STEPS,
-) -> Run:
+) -> MachineRun:
     """The same under position control through the encoder along a reference (n,) [m]; see `position_control`."""
     check_number("kp", kp, above=0.0, remedy="give the gain in V/m")
     check_number("kd", kd, above=-1e-300, remedy="give the gain in V s/m, 0 for none")
@@ -105,7 +105,7 @@ def _run(
     rng: np.random.Generator | None,
     steps: int,
     **control: float,
-) -> Run:
+) -> MachineRun:
     check_number("dt", dt, above=0.0, remedy="give the sample period in seconds")
     check_number("resolution", resolution, above=0.0, remedy="give the travel per count in m")
     check_number("phase", phase, remedy="give the start position on the encoder lattice in m")
@@ -119,7 +119,7 @@ def _run(
     )  # fmt: skip
     if not (np.isfinite(x).all() and np.isfinite(v).all()):
         raise ValueError("the motion leaves the range of floating point; check the units of parameters and input")
-    return Run(u, counts, x, v)
+    return MachineRun(u, counts, x, v)
 
 
 def _body(machine: Machine) -> dict[str, float]:

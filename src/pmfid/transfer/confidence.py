@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pmfid.transfer.noise import Noise, Places, fit_noise
 from pmfid.transfer.periods import phases_of, repeats, split
-from pmfid.transfer.solve import Point, Problem
+from pmfid.transfer.solve import Point, ProcessProblem
 
 Floats = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ APART = 100
 LEAST_FREE = 4.0
 
 
-def places(problem: Problem) -> Places:
+def places(problem: ProcessProblem) -> Places:
     """(N,) where each measured sample of all stretches lies on a line of even steps."""
     found, start = [], 0
     for stretch in problem.stretches:
@@ -33,7 +33,7 @@ def places(problem: Problem) -> Places:
     return np.concatenate(found).astype(np.int64)
 
 
-def residual_noise(problem: Problem, point: Point) -> Noise:
+def residual_noise(problem: ProcessProblem, point: Point) -> Noise:
     """The colour of what a point of the iteration leaves."""
     size = np.linalg.norm(point.zeta, axis=0)
     Q = np.linalg.qr(point.zeta / np.where(size > 0, size, 1.0))[0]
@@ -50,7 +50,7 @@ def score_covariance(zeta: Floats, error: Floats, place: Places | None = None) -
     return np.asarray(free / (free - 2) * (R.T @ noise.covariance(Q, place) @ R))
 
 
-def covariance(point: Point, problem: Problem) -> Floats:
+def covariance(point: Point, problem: ProcessProblem) -> Floats:
     """(p, p) of theta at a point where the iteration has settled, in the problem's units."""
     size = np.linalg.norm(point.zeta, axis=0)
     zeta = point.zeta / size
@@ -59,14 +59,14 @@ def covariance(point: Point, problem: Problem) -> Floats:
     return np.asarray(inverse @ spread @ inverse.T / np.outer(size, size))
 
 
-def residual_repeats(problem: Problem, point: Point) -> bool:
+def residual_repeats(problem: ProcessProblem, point: Point) -> bool:
     """Is some of what a point leaves the same in every period of the input, by more than chance?"""
     unknowns = point.zeta.shape[1]
     phases = phases_of(problem.stretches, unknowns)
     return phases is not None and repeats(point.error, point.zeta, problem.stretches, phases, places(problem))
 
 
-def _spread(zeta: Floats, error: Floats, problem: Problem) -> Floats:
+def _spread(zeta: Floats, error: Floats, problem: ProcessProblem) -> Floats:
     """(p, p) of the scores, of what repeats apart from what does not, where it does."""
     place, unknowns = places(problem), zeta.shape[1]
     phases = phases_of(problem.stretches, unknowns)

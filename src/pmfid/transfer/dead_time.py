@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.transfer.experiment import Stretch
-from pmfid.transfer.solve import Problem, Solution, first_guess, refine
+from pmfid.transfer.solve import ProcessProblem, Solution, first_guess, refine
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +30,9 @@ def after(stretches: tuple[Stretch, ...], time: float, least: int) -> tuple[Stre
     return tuple(stretch for stretch in found if stretch.rows.size >= least)
 
 
-def solve_dead_time(problem: Problem, solver: Callable[[Problem], Solution]) -> tuple[Problem, Solution]:
+def solve_dead_time(
+    problem: ProcessProblem, solver: Callable[[ProcessProblem], Solution]
+) -> tuple[ProcessProblem, Solution]:
     """The best of the solutions from the most promising whole samples, and the problem that it solves: with as many
     outputs as can be compared."""
     structure, least = problem.structure, problem.structure.n + 2
@@ -40,7 +42,7 @@ def solve_dead_time(problem: Problem, solver: Callable[[Problem], Solution]) -> 
     starts = _minima(places, np.array([_cost(trimmed, float(place)) for place in places]))
     bound = min(latest, float(np.max(starts)) + BEYOND * step)
     wide = replace(problem, stretches=after(problem.stretches, bound, least))
-    best: tuple[Problem, Solution] | None = None
+    best: tuple[ProcessProblem, Solution] | None = None
     failure = NotIdentifiableError("no dead time lets the model follow the record; try another structure or cutoff")
     for start in starts:
         here = replace(wide, structure=replace(structure, dead_time=float(start), latest=bound))
@@ -56,7 +58,7 @@ def solve_dead_time(problem: Problem, solver: Callable[[Problem], Solution]) -> 
     return best
 
 
-def _cost(problem: Problem, dead_time: float) -> float:
+def _cost(problem: ProcessProblem, dead_time: float) -> float:
     """What a few passes leave with this dead time."""
     fixed = replace(problem, structure=replace(problem.structure, dead_time=dead_time, latest=None))
     with np.errstate(all="ignore"):

@@ -48,7 +48,7 @@ class Filter:
 
 
 @dataclass(frozen=True)
-class Term:
+class ExactTerm:
     """coefficient of s^power times held signal `source`; column: of the unknown, None for a known one."""
 
     source: int
@@ -67,7 +67,7 @@ class Responses:
     slopes: Floats
 
 
-def respond_exactly(A: Floats, terms: list[Term], signals: Floats, dt: float) -> Responses:
+def respond_exactly(A: Floats, terms: list[ExactTerm], signals: Floats, dt: float) -> Responses:
     """From rest; A: (n+1,) from the constant on, signals (s, N) held. Powers are less than n."""
     n, size = A.size - 1, signals.shape[1]
     poles = np.roots(A[::-1])

@@ -15,7 +15,7 @@ from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.noise import Noise
 from pmfid.transfer.prewhitening import prewhitened
 from pmfid.transfer.sensitivity import Structure
-from pmfid.transfer.solve import REFINEMENTS, Problem, Solution, descend, first_guess, refine, visit
+from pmfid.transfer.solve import REFINEMENTS, ProcessProblem, Solution, descend, first_guess, refine, visit
 from pmfid.transfer.whiteness import is_white
 
 #: A model is judged once a step would lower its sum of squares by less than this part.
@@ -187,15 +187,15 @@ def _try(
     return None if solution is None else _judged(problem, white, colour, solution, delay)
 
 
-def _problem(experiments: Sequence[Experiment], structure: Structure, delay: int, cutoff: float) -> Problem:
+def _problem(experiments: Sequence[Experiment], structure: Structure, delay: int, cutoff: float) -> ProcessProblem:
     stretches = [stretch for experiment in experiments for stretch in experiment.stretches(delay)]
     usable = tuple(stretch.scaled(cutoff) for stretch in stretches if stretch.rows.size > 2 * structure.size)
     if not usable:
         raise UsageError("no record has a stretch with enough samples of input and output; record longer")
-    return Problem(structure, usable, cutoff)
+    return ProcessProblem(structure, usable, cutoff)
 
 
-def _refined(problem: Problem, settled: float, passes: int, *, descending: bool = False) -> Solution | None:
+def _refined(problem: ProcessProblem, settled: float, passes: int, *, descending: bool = False) -> Solution | None:
     with np.errstate(all="ignore"):
         try:
             solution = refine(problem, first_guess(problem, 1.0), settled, passes)
@@ -206,14 +206,16 @@ def _refined(problem: Problem, settled: float, passes: int, *, descending: bool 
     return solution if np.isfinite(solution.point.cost) else None
 
 
-def _bic(problem: Problem, cost: float, samples: int, effective: float | None = None) -> float:
+def _bic(problem: ProcessProblem, cost: float, samples: int, effective: float | None = None) -> float:
     """Schwarz's criterion; effective: number of samples, where the noise is not white."""
     power = sum(float(np.sum(stretch.y[stretch.rows] ** 2)) for stretch in problem.stretches)
     left, count = max(cost, EXACT**2 * power, 1e-300) / samples, effective or samples
     return count * math.log(left) + problem.structure.size * math.log(count)
 
 
-def _judged(problem: Problem, white: Problem, colour: Noise | None, solution: Solution, delay: int) -> Candidate:
+def _judged(
+    problem: ProcessProblem, white: ProcessProblem, colour: Noise | None, solution: Solution, delay: int
+) -> Candidate:
     """white: the problem behind the filter, in which the solution is."""
     structure, point = problem.structure, solution.point
     coloured = colour is not None and white is problem

@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from pmfid.transfer.experiment import Stretch
 from pmfid.transfer.noise import Noise
 from pmfid.transfer.propagate import Grid
-from pmfid.transfer.solve import Problem
+from pmfid.transfer.solve import ProcessProblem
 
 Floats = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 KEPT = 0.6
 
 
-def prewhitened(problem: Problem, noise: Noise) -> Problem:
+def prewhitened(problem: ProcessProblem, noise: Noise) -> ProcessProblem:
     """The problem behind the filter, an offset of it by the sum of the filter's weights smaller; the same problem where
     steps are uneven or so many samples are missing that too few have a whole past."""
     weights = noise.whitener

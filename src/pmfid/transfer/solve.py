@@ -38,7 +38,7 @@ STARTS = (1.0, 3.0, 1 / 3, 10.0)
 
 
 @dataclass(frozen=True)
-class Problem:
+class ProcessProblem:
     """A structure and the stretches of all records, time in units of the inverse of `rate` [1/s]."""
 
     structure: Structure
@@ -54,7 +54,7 @@ class Problem:
         return any(stretch.inputs.shape[0] > 1 for stretch in self.stretches)
 
     @property
-    def without_reference(self) -> Problem:
+    def without_reference(self) -> ProcessProblem:
         """The same with the sensitivities to the input as it was."""
         return replace(self, stretches=tuple(replace(stretch, inputs=stretch.inputs[:1]) for stretch in self.stretches))
 
@@ -83,7 +83,7 @@ class Solution:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of a process that is far off: its loss is not finite, and no better
-def visit(problem: Problem, theta: Floats, initial: Floats) -> Point:
+def visit(problem: ProcessProblem, theta: Floats, initial: Floats) -> Point:
     """Linearises at theta (p,); initial (stretches, n) is moved to where it fits best."""
     errors, phis, zetas, found = [], [], [], []
     for stretch, start in zip(problem.stretches, initial, strict=True):
@@ -121,7 +121,7 @@ def step_from(point: Point, phi: Floats) -> Floats:
         return np.full(size.size, np.nan)
 
 
-def movable(problem: Problem, point: Point, step: Floats) -> Floats:
+def movable(problem: ProcessProblem, point: Point, step: Floats) -> Floats:
     """(p,) which parameters may move: all, but for a dead time at its bound that the step (p,) would take beyond it."""
     free, latest = np.ones(step.size, bool), problem.structure.latest
     if latest is not None:
@@ -131,7 +131,7 @@ def movable(problem: Problem, point: Point, step: Floats) -> Floats:
     return free
 
 
-def _possible_step(problem: Problem, point: Point, phi: Floats) -> Floats:
+def _possible_step(problem: ProcessProblem, point: Point, phi: Floats) -> Floats:
     """The step from a point, a dead time that would leave its bounds kept there."""
     step = step_from(point, phi)
     free = movable(problem, point, step)
@@ -141,7 +141,7 @@ def _possible_step(problem: Problem, point: Point, phi: Floats) -> Floats:
     return step
 
 
-def filtered(problem: Problem, pole: float) -> Point:
+def filtered(problem: ProcessProblem, pole: float) -> Point:
     """All signals behind 1/(s + pole)^n, pole in units of the problem (state variable filters)."""
     structure = problem.structure
     a = np.atleast_1d(np.poly(np.full(structure.free, -pole)))[:0:-1]
@@ -150,7 +150,7 @@ def filtered(problem: Problem, pole: float) -> Point:
     return visit(problem, theta, np.zeros((len(problem.stretches), structure.n)))
 
 
-def first_guess(problem: Problem, pole: float) -> Point:
+def first_guess(problem: ProcessProblem, pole: float) -> Point:
     """Least squares with the filter 1/(s + pole)^n."""
     point = filtered(problem, pole)
     theta = point.theta
@@ -160,11 +160,11 @@ def first_guess(problem: Problem, pole: float) -> Point:
     return _at(problem, found, point.initial)
 
 
-def _at(problem: Problem, theta: Floats, initial: Floats) -> Point:
+def _at(problem: ProcessProblem, theta: Floats, initial: Floats) -> Point:
     return visit(problem, possible(problem, theta), initial)
 
 
-def possible(problem: Problem, theta: Floats) -> Floats:
+def possible(problem: ProcessProblem, theta: Floats) -> Floats:
     """theta with its poles on the stable side, unless the structure says otherwise: an unstable intermediate model
     would drown the record. A dead time stays within its bounds."""
     structure, theta = problem.structure, theta.copy()
@@ -175,7 +175,7 @@ def possible(problem: Problem, theta: Floats) -> Floats:
     return theta
 
 
-def refine(problem: Problem, start: Point, settled: float = SETTLED, most: int = REFINEMENTS) -> Solution:
+def refine(problem: ProcessProblem, start: Point, settled: float = SETTLED, most: int = REFINEMENTS) -> Solution:
     """Instruments and filter follow the estimate; the best point on the way, where it does not settle."""
     point = best = start
     for passes in range(1, most + 1):
@@ -192,7 +192,7 @@ def refine(problem: Problem, start: Point, settled: float = SETTLED, most: int =
     return Solution(best, False, most)
 
 
-def descend(problem: Problem, start: Point, settled: float = SETTLED) -> Solution:
+def descend(problem: ProcessProblem, start: Point, settled: float = SETTLED) -> Solution:
     """Damped Gauss-Newton steps (Levenberg and Marquardt) on the sum of squares of the output error."""
     point, damping = start, 1e-3
     for passes in range(1, DESCENTS + 1):
@@ -218,13 +218,13 @@ def descend(problem: Problem, start: Point, settled: float = SETTLED) -> Solutio
     return Solution(point, False, DESCENTS)
 
 
-def _at_the_edge(problem: Problem, theta: Floats) -> bool:
+def _at_the_edge(problem: ProcessProblem, theta: Floats) -> bool:
     """Is a pole as far in the right half-plane as it may be?"""
     poles = np.roots(np.r_[1.0, theta[: problem.structure.n][::-1]])
     return bool(np.any(poles.real * problem.duration > EDGE))
 
 
-def with_fixed_filter(problem: Problem, pole: float) -> Solution:
+def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
     """Instrumental variables with the filter 1/(s + pole)^n throughout, instruments from the simulated output.
 
     What the output does between the samples matters here: a straight line, which costs an error of order dt^2."""
@@ -256,7 +256,7 @@ def _small(point: Point, step: Floats, settled: float = SETTLED) -> bool:
     return predicted <= max(settled * point.cost, ROUNDING * point.power)
 
 
-def solve(problem: Problem) -> Solution:
+def solve(problem: ProcessProblem) -> Solution:
     """From least squares by refinement; where that does not settle, by descent, and from other filters. With so many
     poles that one of them may end beside the resonance it belongs to, from all filters, for the best of them."""
     best: Solution | None = None
@@ -285,7 +285,7 @@ def _better(solution: Solution, best: Solution) -> bool:
     return solution.point.cost < (1 - LOWER) * best.point.cost
 
 
-def _reason(problem: Problem) -> str:
+def _reason(problem: ProcessProblem) -> str:
     """Why it does not settle, as far as least squares can say."""
     raw = filtered(problem, 1.0)
     theta = raw.theta + step_from(replace(raw, zeta=raw.phi), raw.phi)

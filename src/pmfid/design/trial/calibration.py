@@ -20,7 +20,7 @@ from pmfid.design.trial.simulated import STEP, drive_of
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.simulation.drive import simulate_drive
 
-__all__ = ["Calibration", "Run", "calibrate"]
+__all__ = ["DesignedRun", "RunsEstimate", "calibrate"]
 
 MAX_EVALUATIONS = 200
 #: Root mean square of the residual, as a part of that of the motion, from which on it is no fit.
@@ -32,7 +32,7 @@ LEAST = {"mass": 1e-3, "offset": -np.inf}
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class DesignedRun:
     """One experiment: u (n,), held from sample k to k+1; y (n,), measured position at sample k [m]; dt [s].
 
     Only changes of y count, its zero is free: the start phase on the encoder's lattice is not known.
@@ -50,7 +50,7 @@ class Run:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class RunsEstimate:
     """What the runs say.
 
     parameters: {name: value}, known ones included. information: (p, p) over unknown + nuisance, in their units, prior
@@ -79,7 +79,7 @@ class Calibration:
         return replace(problem, nominal=dict(self.parameters), prior=self.information, scenarios=scenarios)
 
 
-def calibrate(problem: Problem, runs: Sequence[Run]) -> Calibration:
+def calibrate(problem: Problem, runs: Sequence[DesignedRun]) -> RunsEstimate:
     """Unknown and nuisance parameters of a problem from its runs, its prior centred on its nominal values.
 
     Raises UsageError without a run, NotIdentifiableError where the runs leave a parameter open or the simulated
@@ -97,23 +97,23 @@ def calibrate(problem: Problem, runs: Sequence[Run]) -> Calibration:
     return by(problem, objective, found.x, J)
 
 
-def _by_squares(problem: Problem, objective: _Objective, q: Float, J: Float) -> Calibration:
+def _by_squares(problem: Problem, objective: _Objective, q: Float, J: Float) -> RunsEstimate:
     inflation = objective.inflation(q)
     information = (J.T @ J - objective.prior) / max(1.0, inflation) + objective.prior
     apart = NORMAL * np.sqrt(np.linalg.inv(information).diagonal())
     interval = np.column_stack([q - apart, q + apart]) * objective.scale[:, None]
     scale = np.outer(objective.scale, objective.scale)
-    return Calibration(objective.parameters(q), information / scale, _named(problem, interval), inflation)
+    return RunsEstimate(objective.parameters(q), information / scale, _named(problem, interval), inflation)
 
 
-def _by_counts(problem: Problem, objective: _Objective, q: Float, J: Float) -> Calibration:
+def _by_counts(problem: Problem, objective: _Objective, q: Float, J: Float) -> RunsEstimate:
     found = what_is_open(
         objective.counts, q, np.asarray(np.linalg.inv(J.T @ J), float), objective.lower, objective.root
     )
     information = np.linalg.inv(found.covariance * np.outer(objective.scale, objective.scale))
     interval = found.interval * objective.scale[:, None]
     parameters = objective.parameters(found.mean)
-    return Calibration(parameters, information, _named(problem, interval), unexplained=found.unexplained)
+    return RunsEstimate(parameters, information, _named(problem, interval), unexplained=found.unexplained)
 
 
 def _named(problem: Problem, interval: Float) -> dict[str, tuple[float, float]]:
@@ -123,7 +123,7 @@ def _named(problem: Problem, interval: Float) -> dict[str, tuple[float, float]]:
 class _Objective:
     """Residuals over the encoder's deviation, less their mean in each run, then the prior's; q = theta / scale."""
 
-    def __init__(self, problem: Problem, runs: Sequence[Run]) -> None:
+    def __init__(self, problem: Problem, runs: Sequence[DesignedRun]) -> None:
         self.problem, self.runs = problem, runs
         nominal = np.array([problem.nominal[name] for name in problem.names])
         self.scale = np.where(nominal != 0, np.abs(nominal), 1.0)

@@ -11,7 +11,7 @@ import numpy as np
 from pmfid.design.problem.problem import InfeasibleError, Problem
 from pmfid.design.problem.result import Design
 from pmfid.design.search.solver import solve
-from pmfid.design.trial.calibration import Calibration, Run, calibrate
+from pmfid.design.trial.calibration import DesignedRun, RunsEstimate, calibrate
 from pmfid.design.trial.choice import Choice, choose
 from pmfid.design.trial.simulated import simulate
 from pmfid.errors import UsageError
@@ -22,7 +22,7 @@ __all__ = ["Commissioning", "Experiment", "Round", "redesign", "sequential", "si
 TOLERATED = 0.5
 
 #: Makes the run of a design: on a machine, from a file, or simulated.
-Experiment = Callable[[Design], Run]
+Experiment = Callable[[Design], DesignedRun]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +30,8 @@ class Round:
     """run: an experiment; known: what all runs so far say after it; design: what the run was made for, None where that
     is not recorded."""
 
-    run: Run
-    known: Calibration
+    run: DesignedRun
+    known: RunsEstimate
     design: Design | None = None
 
 
@@ -129,7 +129,7 @@ def sequential(
 
 def redesign(
     problem: Problem,
-    runs: Sequence[Run],
+    runs: Sequence[DesignedRun],
     wanted: Mapping[str, float],
     *,
     criterion: str = "D",
@@ -157,7 +157,7 @@ def redesign(
     return replace(state, choice=choose(found, combination, starts=_few(starts), seed=seed))
 
 
-def reached(problem: Problem, known: Calibration, wanted: Mapping[str, float]) -> bool:
+def reached(problem: Problem, known: RunsEstimate, wanted: Mapping[str, float]) -> bool:
     """Whether every wanted standard deviation is reached, and the model misses no count by more than another half."""
     if known.unexplained > TOLERATED:
         return False
@@ -172,14 +172,14 @@ def simulated_experiment(problem: Problem, truth: Mapping[str, float], rng: np.r
     variance.
     """
 
-    def run(design: Design) -> Run:
+    def run(design: Design) -> DesignedRun:
         motion = simulate(replace(design.problem, nominal=problem.nominal), design.u, truth)
         if problem.resolution is None:
             y = motion.x + rng.normal(0.0, np.sqrt(problem.variance), motion.x.size)
         else:
             phase = rng.uniform(0.0, problem.resolution)
             y = (np.floor((motion.x + phase) / problem.resolution) + 0.5) * problem.resolution
-        return Run(motion.u, y, problem.dt / problem.samples_per_interval)
+        return DesignedRun(motion.u, y, problem.dt / problem.samples_per_interval)
 
     return run
 

@@ -47,7 +47,7 @@ class History:
 
 
 @dataclass
-class Run:
+class MonitoredRun:
     """Totals of a run and its first KEPT events, as for JSON. bad_lines: that could not be used; repeated_lines: that
     came twice or too late; comments: with headers that came again; missing: samples that the times leave out,
     in so many gaps; clock_jumps: how often the clock was set; outliers: samples that no motion explains;
@@ -80,12 +80,14 @@ def header(monitor: Monitor) -> list[str]:
     return ["t", *names, *(f"{name}_std" for name in names), "innovation", "status", "state"]
 
 
-def watch(found: Iterable[Found], monitor: Monitor, sink: Sink, tell: Tell, observers: Sequence[Observer] = ()) -> Run:
+def watch(
+    found: Iterable[Found], monitor: Monitor, sink: Sink, tell: Tell, observers: Sequence[Observer] = ()
+) -> MonitoredRun:
     """Runs the monitor over the samples; `tell` gets each event as an object for JSON, times as in the samples.
 
     Samples that end in a UsageError end the run: the rest of what was asked for is still to be written.
     """
-    run = Run()
+    run = MonitoredRun()
     try:
         for one in found:
             if isinstance(one, Skipped):
@@ -97,7 +99,9 @@ def watch(found: Iterable[Found], monitor: Monitor, sink: Sink, tell: Tell, obse
     return run
 
 
-def _step(sample: Sample, monitor: Monitor, run: Run, sink: Sink, tell: Tell, observers: Sequence[Observer]) -> None:
+def _step(
+    sample: Sample, monitor: Monitor, run: MonitoredRun, sink: Sink, tell: Tell, observers: Sequence[Observer]
+) -> None:
     events = _interrupted(sample, monitor, run, tell) if sample.missing or sample.jump else []
     estimate, now = monitor.step(sample.u, sample.counts)
     run.samples += 1
@@ -116,7 +120,7 @@ def _step(sample: Sample, monitor: Monitor, run: Run, sink: Sink, tell: Tell, ob
         tell(told)
 
 
-def _skipped(line: Skipped, run: Run, tell: Tell) -> None:
+def _skipped(line: Skipped, run: MonitoredRun, tell: Tell) -> None:
     """Counts a line that is no sample, and tells the first of them."""
     name = {BAD: "bad_lines", REPEATED: "repeated_lines", COMMENT: "comments"}[line.kind]
     setattr(run, name, getattr(run, name) + 1)
@@ -124,7 +128,7 @@ def _skipped(line: Skipped, run: Run, tell: Tell) -> None:
         tell({"event": line.kind, "time": line.time, "problem": line.problem})
 
 
-def _interrupted(sample: Sample, monitor: Monitor, run: Run, tell: Tell) -> list[Event]:
+def _interrupted(sample: Sample, monitor: Monitor, run: MonitoredRun, tell: Tell) -> list[Event]:
     """Counts and tells a gap, or that the clock was set, and lets the monitor know."""
     if sample.missing:
         run.gaps += 1

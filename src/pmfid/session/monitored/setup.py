@@ -19,8 +19,8 @@ from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Floats
 from pmfid.session.config import Axis
+from pmfid.session.drives import make_estimator
 from pmfid.session.monitored.cache import cached_calibration
-from pmfid.session.pipeline import make_estimator
 from pmfid.session.records import Record, read_record
 
 #: Memory where [estimator] forgetting is 1, which would never follow a change [s].

@@ -1,10 +1,10 @@
-"""From a record and a configuration to a result: what ties the rooms together."""
+"""Machines with friction: from a record and a configuration to a result."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auto import AUTO, Choice, choose, first_choice
 from pmfid.estimators.base import Estimator, like, status_names
-from pmfid.estimators.batch import LS, BatchEstimator, Columns, Fit, check_identifiable
+from pmfid.estimators.batch import LS, BatchEstimator, Columns, check_identifiable
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.estimators.registry import ESTIMATORS
@@ -20,109 +20,61 @@ from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.judge.drive import judge
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction, diagnose
-from pmfid.session.records import Record
+from pmfid.session.kinds import Kind, Progress, method_of, settings
+from pmfid.session.records import Record, read_record
+from pmfid.session.result import DriveResult
 from pmfid.status import Status
 
-#: Called with the part of the record that is done, 0 to 1.
-Progress = Callable[[float], None]
-
 CHUNK = 100_000
-#: Flags of results that a mistake in the columns may explain.
-SUSPICIOUS = {"implausible", "uncertain", "count_jump", "fallback"}
 
 
-@dataclass(frozen=True)
-class Result:
-    """Parameters of a record. theta, theta_std: (p,); relative_error: of the filtered equation at theta;
-    status: names of the bits that hold for the result; notes: sentences for people; fit or track: the details."""
+class Drives(Kind[Record]):
+    """Machines with friction, and equations of the user's own: one record of counts."""
 
-    estimator: Estimator
-    record: Record
-    theta: np.ndarray
-    theta_std: np.ndarray
-    relative_error: float
-    status: tuple[str, ...]
-    notes: tuple[str, ...]
-    fit: Fit | None = None
-    track: Track | None = None
+    def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Record:
+        if len(paths) > 1:
+            raise UsageError("several records make one estimate of a transfer function only; give one record")
+        return read_record(paths[0], axis, quantize)
 
-    def to_json(self) -> dict[str, Any]:
-        """The object that `--json` prints."""
-        estimator = self.estimator
-        rows = zip(estimator.names, estimator.units, self.theta, self.theta_std, strict=True)
-        return {
-            "model": estimator.model.kind,
-            "method": estimator.method,
-            "samples": int(self.record.u.size),
-            "dt": self.record.dt,
-            "parameters": {
-                name: {"value": float(value), "std": float(std), "unit": unit} for name, unit, value, std in rows
-            },
-            "fit": {"relative_error": self.relative_error},
-            "prefilter_zeros": list(estimator.zeros),
-            "status": list(self.status),
-            "notes": list(self.notes),
-        }
+    def name_and_samples(self, data: Record) -> tuple[str, int]:
+        return data.name, int(data.u.size)
+
+    def check(self, data: Record, axis: Axis) -> None:
+        mistake = check_direction(data, axis)
+        if mistake:
+            raise UsageError(mistake)
+
+    def mistake(self, data: Record, axis: Axis) -> str:
+        return diagnose(data, axis)
+
+    def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
+        estimator, reason, choice = make_estimator(axis, data), "", None
+        if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
+            choice = first_choice(estimator, data.u, data.counts)
+            estimator, reason = choice.estimator, choice.reason
+        elif axis.estimator.method == AUTO:
+            estimator, reason = choose(estimator, data.u, data.counts, axis.estimator.forgetting)
+        result = _estimate(estimator, data, axis, progress, choice)
+        _check_known(result)
+        return replace(result, notes=(f"auto chose {reason}", *result.notes)) if reason else result
 
 
 def make_estimator(axis: Axis, record: Record) -> Estimator:
     """The estimator that a configuration asks for, at the record's sample period and resolution."""
     check_sampling(axis, record.dt)
-    config = axis.estimator
     model = axis.model.make()
-    automatic = "bcls" if model.equation.without_simulation else "iv"
-    cls = ESTIMATORS[automatic if config.method == AUTO else config.method]
-    options: dict[str, Any] = {"order": config.order, "discretization": config.discretization}
-    options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
-    if issubclass(cls, RecursiveEstimator):
-        options |= {"forgetting": config.forgetting, "forgetting_scheme": config.forgetting_scheme}
+    cls = ESTIMATORS[method_of(axis, "bcls" if model.equation.without_simulation else "iv")]
     known = axis.encoder
     encoder = Encoder(
         record.resolution, standstill_time=known.standstill_time, max_speed=known.max_speed, guard=known.guard
     )
-    estimator = cls(model, encoder, record.dt, config.cutoff, **options)
-    if cls.instrumental and config.prefilter_zeros is None:
-        zeros = choose_prefilter_zeros(estimator, record.u, record.counts)
-        return cls(model, encoder, record.dt, config.cutoff, **(options | {"prefilter_zeros": zeros}))
+    estimator = cls(model, encoder, record.dt, axis.estimator.cutoff, **settings(axis, cls))
+    if cls.instrumental and axis.estimator.prefilter_zeros is None:
+        return replace(estimator, prefilter_zeros=choose_prefilter_zeros(estimator, record.u, record.counts))
     return estimator
 
 
-def identify(record: Record, axis: Axis, progress: Progress | None = None) -> Result:
-    """Estimates the parameters of a record; `progress` is called while a recursive method runs.
-
-    Raises UsageError for a configuration that does not fit the record and NotIdentifiableError where the record
-    cannot identify every parameter, with the mistake that explains it, where `diagnose` finds one, in front.
-    """
-    mistake = check_direction(record, axis)
-    if mistake:
-        raise UsageError(mistake)
-    try:
-        result = estimate(record, axis, progress)
-    except NotIdentifiableError as error:
-        raise explained(error, diagnose(record, axis)) from None
-    mistake = diagnose(record, axis) if SUSPICIOUS & set(result.status) else ""
-    return replace(result, notes=tuple(dict.fromkeys((mistake, *result.notes)))) if mistake else result
-
-
-def explained(error: NotIdentifiableError, mistake: str) -> NotIdentifiableError:
-    """The same error with the mistake that led to it, if there is one, in front."""
-    return NotIdentifiableError(f"{mistake}; as the record is read now: {error}") if mistake else error
-
-
-def estimate(record: Record, axis: Axis, progress: Progress | None = None) -> Result:
-    """As `identify`, and raises as that does, but looks for no mistake in the columns."""
-    estimator, reason, choice = make_estimator(axis, record), "", None
-    if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
-        choice = first_choice(estimator, record.u, record.counts)
-        estimator, reason = choice.estimator, choice.reason
-    elif axis.estimator.method == AUTO:
-        estimator, reason = choose(estimator, record.u, record.counts, axis.estimator.forgetting)
-    result = _identify(estimator, record, axis, progress, choice)
-    _check_known(result)
-    return replace(result, notes=(f"auto chose {reason}", *result.notes)) if reason else result
-
-
-def _check_known(result: Result) -> None:
+def _check_known(result: DriveResult) -> None:
     """A mass that is not known to its own size, or is negative, is no estimate, nor is one of a model that simulates
     another motion."""
     leading = result.estimator.equation.leading
@@ -143,9 +95,9 @@ def _check_known(result: Result) -> None:
         raise NotIdentifiableError(f"this record does not fit the model: {advice}")
 
 
-def _identify(
+def _estimate(
     estimator: Estimator, record: Record, axis: Axis, progress: Progress | None, choice: Choice | None
-) -> Result:
+) -> DriveResult:
     batch = _batch_twin(estimator)
     columns = batch.columns(record.u, record.counts)
     check_identifiable(columns, batch.names, batch.least_part)
@@ -158,7 +110,7 @@ def _identify(
         notes = (*notes, f"{estimator.method} is an off-line method: forgetting is not used")
     notes = (*record.notes, *notes, *Status(fit.status).advice)
     status = tuple(dict.fromkeys((*status_names(fit.status), *flags)))  # both may tell of a jump
-    return Result(estimator, record, fit.theta, fit.theta_std, fit.relative_error, status, notes, fit=fit)
+    return DriveResult(estimator, fit.theta, fit.theta_std, status, notes, record, fit.relative_error, fit=fit)
 
 
 def _batch_twin(estimator: Estimator) -> BatchEstimator:
@@ -173,7 +125,9 @@ def _batch_twin(estimator: Estimator) -> BatchEstimator:
     return twin
 
 
-def _recursive(estimator: RecursiveEstimator, record: Record, columns: Columns, progress: Progress | None) -> Result:
+def _recursive(
+    estimator: RecursiveEstimator, record: Record, columns: Columns, progress: Progress | None
+) -> DriveResult:
     track = _run(estimator, record, progress)
     last = int(track.status[-1])
     if last & Status.STARTING:
@@ -187,7 +141,7 @@ def _recursive(estimator: RecursiveEstimator, record: Record, columns: Columns, 
     flags, notes = judge(estimator, record.u, record.counts, theta, std)
     status = tuple(dict.fromkeys((*status_names(held), *flags)))
     notes = (*record.notes, *notes, *Status(held).advice)
-    return Result(estimator, record, theta, std, relative, status, notes, track=track)
+    return DriveResult(estimator, theta, std, status, notes, record, relative, track=track)
 
 
 def _relative_error(columns: Columns, track: Track) -> float:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,107 +25,58 @@ from pmfid.estimators.srivc import (
     with_dead_time,
 )
 from pmfid.estimators.zeros import choose_prefilter_zeros
-from pmfid.judge.assess import Assessment, assess
+from pmfid.judge.assess import assess
 from pmfid.judge.doubts import IGNORED, check_known, doubts, notes_on, search_notes
 from pmfid.judge.verdict import flags_on
-from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import NO_ENCODER, Axis, check_sampling
+from pmfid.session.kinds import Kind, Progress, method_of, settings
+from pmfid.session.records import read_experiment
+from pmfid.session.result import ProcessResult, delay_of, expects_unstable
 from pmfid.status import Status
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.order import DELAYS, ORDERS, UNSTABLE, Candidate, Search, accepted_first, search_structure
-from pmfid.transfer.process import Process
-from pmfid.transfer.solve import Problem, Solution, solve
+from pmfid.transfer.solve import ProcessProblem, Solution, solve
 
 AUTOMATIC = "srivc"
 #: Methods that take several records, gaps, missing samples and uneven spacing.
-FREE: dict[str, Callable[[Problem], Solution]] = {"srivc": solve, "iv": fixed_filters, "output-error": by_descent}
+FREE: dict[str, Callable[[ProcessProblem], Solution]] = {
+    "srivc": solve,
+    "iv": fixed_filters,
+    "output-error": by_descent,
+}
 
 
-@dataclass(frozen=True, eq=False)
-class ProcessResult:
-    """theta, theta_std: (p,); process: the transfer function; assessment: fit and residual tests over all records;
-    notes: sentences for people; status: names of the bits that hold."""
+class Processes(Kind[Sequence[Experiment]]):
+    """Transfer functions: one estimate from one or more records."""
 
-    estimator: Estimator
-    experiments: tuple[Experiment, ...]
-    theta: np.ndarray
-    theta_std: np.ndarray
-    process: Process
-    assessment: Assessment
-    status: tuple[str, ...]
-    notes: tuple[str, ...]
+    def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> list[Experiment]:
+        if quantize is not None:
+            raise UsageError("quantize is for a drive; floor the column of the record for a transfer function")
+        return [read_experiment(path, axis) for path in paths]
 
-    @property
-    def delay(self) -> int:
-        model = self.estimator.model
-        return model.delay if isinstance(model, TransferFunction) else 0
+    def name_and_samples(self, data: Sequence[Experiment]) -> tuple[str, int]:
+        return ", ".join(experiment.name for experiment in data), sum(part.u.size for part in data)
 
-    @property
-    def fit(self) -> float | None:
-        """Of the assessment [%]; None for an unstable process that was not asked for: its simulation says nothing."""
-        expected = isinstance(self.estimator.model, TransferFunction) and self.estimator.model.unstable
-        return None if np.any(self.process.poles.real > 0) and not expected else self.assessment.fit
-
-    @property
-    def fit_text(self) -> str:
-        return "fit unknown, unstable" if self.fit is None else f"fit {self.fit:.2f} %"
-
-    def to_json(self) -> dict[str, Any]:
-        """The object that `--json` prints; poles and zeros as [real, imaginary], fit in percent."""
-        names, process, checks = self.estimator.names, self.process, self.assessment
-        values = dict(zip(names, self.theta.tolist(), strict=True))
-        rows = zip(names, self.estimator.units, self.theta, self.theta_std, strict=True)
-        return {
-            "model": self.estimator.model.kind,
-            "method": self.estimator.method,
-            "records": [experiment.name for experiment in self.experiments],
-            "samples": sum(part.size for part in checks.samples),
-            "dt": self.estimator.dt,
-            "delay": self.delay,
-            "dead_time": process.delay,
-            **values,
-            "parameters": {
-                name: {"value": float(value), "std": float(std), "unit": unit} for name, unit, value, std in rows
-            },
-            "poles": [[pole.real, pole.imag] for pole in process.poles.tolist()],
-            "zeros": [[zero.real, zero.imag] for zero in process.zeros.tolist()],
-            "gain": process.gain if np.isfinite(process.gain) else None,
-            "time_constants": [tau if np.isfinite(tau) else None for tau in process.time_constants.tolist()],
-            "fit": self.fit,
-            "residual": {"white": checks.white, "independent": checks.independent, "feedback": checks.feedback},
-            "status": list(self.status),
-            "notes": list(self.notes),
-        }
-
-
-def identify_process(experiments: Sequence[Experiment], axis: Axis) -> ProcessResult:
-    """Identifies the transfer function of `axis` from one or more records.
-
-    Raises UsageError for a method that cannot take the model or such records and NotIdentifiableError where the
-    records cannot identify every parameter.
-    """
-    estimator = make_process_estimator(experiments, axis)
-    method = estimator.method
-    if method in FREE:
-        fit = fit_process(estimator, experiments, FREE[method])
-        theta, cov, bits = fit.theta, fit.theta_cov, fit.status
-    else:
-        theta, cov, bits = _from_counts(estimator, experiments)
-    settled = with_dead_time(estimator, theta)
-    problem = make_problem(settled, experiments)
-    n_parameters = problem.structure.size
-    delay = estimator.model.delay if isinstance(estimator.model, TransferFunction) else 0
-    checks = assess(problem, theta[:n_parameters] / problem.structure.scale(problem.rate), delay)
-    process = process_of(estimator, theta, cov)
-    check_known(estimator, theta, cov, checks)
-    std = np.sqrt(np.diagonal(cov))
-    referenced = problem.referenced and method in FREE
-    unstable = isinstance(estimator.model, TransferFunction) and estimator.model.unstable
-    notes = [*notes_on(experiments, checks, process, referenced, unstable), *doubts(estimator, theta, std, checks)]
-    notes += [IGNORED.format(method=method)] if problem.referenced and not referenced else []
-    notes += Status(bits).advice
-    status = (*status_names(bits), *flags_on(checks, process, referenced, unstable))
-    return ProcessResult(estimator, tuple(experiments), theta, std, process, checks, status, tuple(notes))
+    def estimate(self, data: Sequence[Experiment], axis: Axis, progress: Progress | None = None) -> ProcessResult:
+        estimator = make_process_estimator(data, axis)
+        method = estimator.method
+        if method in FREE:
+            fit = fit_process(estimator, data, FREE[method])
+            theta, cov, bits = fit.theta, fit.theta_cov, fit.status
+        else:
+            theta, cov, bits = _from_counts(estimator, data)
+        problem = make_problem(with_dead_time(estimator, theta), data)
+        scaled = theta[: problem.structure.size] / problem.structure.scale(problem.rate)
+        checks = assess(problem, scaled, delay_of(estimator))
+        process = process_of(estimator, theta, cov)
+        check_known(estimator, theta, cov, checks)
+        std, unstable = np.sqrt(np.diagonal(cov)), expects_unstable(estimator)
+        referenced = problem.referenced and method in FREE
+        notes = [*notes_on(data, checks, process, referenced, unstable), *doubts(estimator, theta, std, checks)]
+        notes += [IGNORED.format(method=method)] if problem.referenced and not referenced else []
+        notes += Status(bits).advice
+        status = (*status_names(bits), *flags_on(checks, process, referenced, unstable))
+        return ProcessResult(estimator, theta, std, status, tuple(notes), tuple(data), process, checks)
 
 
 def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Estimator:
@@ -133,14 +85,11 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
     check_sampling(axis, dt)
     if any(abs(experiment.period / dt - 1) > SAME_PERIOD for experiment in experiments):
         raise UsageError("the records differ in their sample period; decimate them to one, or identify them one by one")
-    method = AUTOMATIC if config.method == "auto" else config.method
+    method = method_of(axis, AUTOMATIC)
     if method not in methods_for(model):
         raise UsageError(f"{method} is not for a transfer function; use one of {', '.join(methods_for(model))}")
     cls = ESTIMATORS[method]
-    options: dict[str, Any] = {"order": config.order, "precision": config.precision}
-    options |= {"discretization": config.discretization, "prefilter_zeros": config.prefilter_zeros}
-    if issubclass(cls, RecursiveEstimator):
-        options |= {"forgetting": config.forgetting, "forgetting_scheme": config.forgetting_scheme}
+    options = settings(axis, cls)
     if method in ("known-step", "rknown-step"):
         if axis.encoder.resolution == NO_ENCODER:
             raise UsageError(f"{method} needs the step of the encoder or converter; give [encoder] resolution")
@@ -196,7 +145,7 @@ def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: Candidate)
     places = {"n": candidate.n, "m": candidate.m, "delay": candidate.delay}
     model = axis.model.model_copy(update={"kind": "transfer_function", **places})
     try:
-        result = identify_process(experiments, axis.model_copy(update={"model": model}))
+        result = Processes().estimate(experiments, axis.model_copy(update={"model": model}))
     except NotIdentifiableError as error:
         return str(error)
     return UNSTABLE if "unstable" in result.status else ""

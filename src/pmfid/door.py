@@ -1,0 +1,17 @@
+"""The public names of a package that loads them when they are used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+
+
+def door(package: str, public: Mapping[str, str]) -> Callable[[str], object]:
+    """The `__getattr__` of a package; public: name -> module below the package in which it is."""
+
+    def load(name: str) -> object:
+        if name not in public:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(f"{package}.{public[name]}"), name)
+
+    return load

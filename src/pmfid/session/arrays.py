@@ -1,0 +1,105 @@
+"""The door from Python: arrays and objects in, the result of the command out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid.encoder import Encoder
+from pmfid.errors import UsageError
+from pmfid.estimators.base import check_arrays
+from pmfid.models.drive import Drive, EquationModel, Model
+from pmfid.models.transfer_function import TransferFunction
+from pmfid.session.config import NO_ENCODER, Axis
+from pmfid.session.identify import identify as run
+from pmfid.session.records import record_of
+from pmfid.session.result import Result
+from pmfid.session.toml_file import validated
+from pmfid.transfer.experiment import Experiment
+
+#: Names of the two signals in messages.
+INPUT, OUTPUT = "u", "y"
+
+
+def identify(
+    u: ArrayLike | Experiment | Sequence[Experiment],
+    y: ArrayLike | None = None,
+    *,
+    model: Model,
+    dt: float | None = None,
+    cutoff: float,
+    encoder: Encoder | None = None,
+    **settings: Any,
+) -> Result:
+    """Identifies a machine or a transfer function, with the same choice of method, flags and notes as `pmfid identify`.
+
+    u: input (n,). y: of a machine the counts of its encoder (n,), integers (see `quantize`); of a transfer function the
+    output (n,), any numbers; or in place of both one `Experiment` or several, with time, gaps and a reference.
+    model: `Drive`, `EquationModel` or `TransferFunction`. dt: sample period [s]. cutoff: pole of the filters [rad/s].
+    encoder: of a machine. settings: those of [estimator] in AXIS.toml: method ("auto"), order, forgetting,
+    forgetting_scheme, discretization, prefilter_zeros, precision.
+    Raises UsageError for arguments that do not fit each other and NotIdentifiableError where the data cannot identify
+    every parameter, with the mistake that explains it, where one is found.
+    """
+    if isinstance(model, TransferFunction):
+        experiments = _experiments(u, y, dt)
+        return run(experiments, axis_of(model, encoder, experiments[0].period, {"cutoff": cutoff, **settings}))
+    if y is None or dt is None or encoder is None or isinstance(u, Experiment):
+        raise UsageError(f"a {model.kind} is identified from u and counts (n,) with dt and encoder; give all of them")
+    inputs, counts = check_arrays(cast(ArrayLike, u), y)
+    axis = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
+    return run(record_of({INPUT: inputs, OUTPUT: counts.astype(np.float64)}, axis), axis)
+
+
+def axis_of(model: Model, encoder: Encoder | None, dt: float, estimator: dict[str, Any]) -> Axis:
+    """The configuration that these objects would have as AXIS.toml. Raises UsageError for settings that do not fit."""
+    kind = "counts" if encoder is not None else "position"
+    return validated(
+        Axis,
+        {
+            "record": {"input": INPUT, "output": OUTPUT, "output_kind": kind, "dt": float(dt)},
+            "encoder": _encoder(encoder, model),
+            "model": _model(model),
+            "estimator": estimator,
+        },
+    )
+
+
+def _encoder(encoder: Encoder | None, model: Model) -> dict[str, Any]:
+    if encoder is None:
+        return {"resolution": NO_ENCODER}
+    shared: dict[str, Any] = {"resolution": encoder.resolution, "bits": encoder.bits}
+    if isinstance(model, TransferFunction):
+        return shared
+    moving = {"standstill_time": encoder.standstill_time, "max_speed": encoder.max_speed, "guard": encoder.guard}
+    return shared | moving
+
+
+def _model(model: Model) -> dict[str, Any]:
+    """The keys of [model] that make the same model."""
+    if isinstance(model, Drive):
+        own = {"input_gain": model.input_gain, "offset": model.offset, "friction": model.friction}
+        return {"kind": model.kind, **own, "spring": model.spring}
+    if isinstance(model, TransferFunction):
+        if model.initial_conditions:
+            raise UsageError("the starts of experiments are always part of the fit here: drop initial_conditions")
+        names = ("n", "m", "delay", "offset", "integrators", "unstable", "dead_time")
+        return {"kind": model.kind, **{name: getattr(model, name) for name in names}}
+    if not isinstance(model, EquationModel):
+        raise UsageError(f"model must be a Drive, an EquationModel or a TransferFunction, got {type(model).__name__}")
+    places = ("signal", "derivative", "coefficient")
+    known = [{name: getattr(term, name) for name in places} for term in model.equation.known]
+    unknown = [{name: getattr(term, name) for name in (*places, "name", "unit")} for term in model.equation.unknown]
+    return {"kind": model.kind, "unknown": unknown, "known": known}
+
+
+def _experiments(u: Any, y: ArrayLike | None, dt: float | None) -> list[Experiment]:
+    given = [u] if isinstance(u, Experiment) else u
+    if y is None and isinstance(given, Sequence) and given and all(isinstance(part, Experiment) for part in given):
+        return list(given)
+    if y is None or dt is None:
+        raise UsageError("a transfer function is identified from u and y (n,) with dt, or from Experiments; give these")
+    return [Experiment(np.asarray(u, np.float64), np.asarray(y, np.float64), dt=dt)]

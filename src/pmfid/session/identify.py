@@ -1,0 +1,44 @@
+"""From a record and a configuration to a result: one way for every kind of plant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.session.config import Axis
+from pmfid.session.drives import Drives
+from pmfid.session.kinds import Kind, Progress
+from pmfid.session.processes import Processes
+from pmfid.session.result import Result
+
+#: Flags of results that a mistake in the columns may explain.
+SUSPICIOUS = {"implausible", "uncertain", "count_jump", "fallback"}
+KINDS: dict[str, Kind[Any]] = {"drive": Drives(), "equation": Drives(), "transfer_function": Processes()}
+
+
+def kind_of(axis: Axis) -> Kind[Any]:
+    """The kind of plant that [model] describes."""
+    return KINDS[axis.model.kind]
+
+
+def identify(data: Any, axis: Axis, progress: Progress | None = None) -> Result:
+    """Estimates the parameters from what `kind_of(axis).read` gives; `progress` is called while a recursive method
+    runs.
+
+    Raises UsageError for a configuration that does not fit the data and NotIdentifiableError where they cannot identify
+    every parameter, with the mistake that explains it, where one is found, in front.
+    """
+    kind = kind_of(axis)
+    kind.check(data, axis)
+    try:
+        result = kind.estimate(data, axis, progress)
+    except NotIdentifiableError as error:
+        raise explained(error, kind.mistake(data, axis)) from None
+    mistake = kind.mistake(data, axis) if SUSPICIOUS & set(result.status) else ""
+    return replace(result, notes=tuple(dict.fromkeys((mistake, *result.notes)))) if mistake else result
+
+
+def explained(error: NotIdentifiableError, mistake: str) -> NotIdentifiableError:
+    """The same error with the mistake that led to it, if there is one, in front."""
+    return NotIdentifiableError(f"{mistake}; as the record is read now: {error}") if mistake else error

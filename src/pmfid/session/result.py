@@ -1,0 +1,148 @@
+"""What identification gives, of every kind of plant."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import place_of
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.batch import Fit
+from pmfid.estimators.recursive import Track
+from pmfid.judge.assess import Assessment
+from pmfid.models.transfer_function import TransferFunction
+from pmfid.session.records import Record
+from pmfid.transfer.experiment import Experiment
+from pmfid.transfer.process import Process
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Result(ABC):
+    """Parameters of a plant: theta, theta_std (p,) with the estimator's names and units; status: names of the bits that
+    hold for the result; notes: sentences for people. `result["mass"]` is one parameter."""
+
+    estimator: Estimator
+    theta: Floats
+    theta_std: Floats
+    status: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Of the record, or of all records."""
+
+    @property
+    @abstractmethod
+    def samples(self) -> int:
+        """Number of samples of the output."""
+
+    @abstractmethod
+    def particulars(self) -> dict[str, Any]:
+        """What `to_json` has beside what every result has."""
+
+    def __getitem__(self, name: str) -> float:
+        """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        return float(self.theta[place_of(name, self.estimator.names)])
+
+    def to_json(self) -> dict[str, Any]:
+        """The object that `--json` prints."""
+        estimator = self.estimator
+        rows = zip(estimator.names, estimator.units, self.theta, self.theta_std, strict=True)
+        return {
+            "model": estimator.model.kind,
+            "method": estimator.method,
+            "samples": self.samples,
+            "dt": estimator.dt,
+            "parameters": {
+                name: {"value": float(value), "std": float(std), "unit": unit} for name, unit, value, std in rows
+            },
+            **self.particulars(),
+            "status": list(self.status),
+            "notes": list(self.notes),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class DriveResult(Result):
+    """Of a machine with friction. relative_error: of the filtered equation at theta; fit or track: the details of an
+    off-line or of a recursive method."""
+
+    record: Record
+    relative_error: float
+    fit: Fit | None = None
+    track: Track | None = None
+
+    @property
+    def name(self) -> str:
+        return self.record.name
+
+    @property
+    def samples(self) -> int:
+        return int(self.record.u.size)
+
+    def particulars(self) -> dict[str, Any]:
+        return {"fit": {"relative_error": self.relative_error}, "prefilter_zeros": list(self.estimator.zeros)}
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessResult(Result):
+    """Of a transfer function. process: the transfer function; assessment: fit and residual tests over all records."""
+
+    experiments: tuple[Experiment, ...]
+    process: Process
+    assessment: Assessment
+
+    @property
+    def name(self) -> str:
+        return ", ".join(experiment.name for experiment in self.experiments)
+
+    @property
+    def samples(self) -> int:
+        return sum(part.size for part in self.assessment.samples)
+
+    @property
+    def delay(self) -> int:
+        return delay_of(self.estimator)
+
+    @property
+    def fit(self) -> float | None:
+        """Of the assessment [%]; None for an unstable process that was not asked for: its simulation says nothing."""
+        expected = expects_unstable(self.estimator)
+        return None if np.any(self.process.poles.real > 0) and not expected else self.assessment.fit
+
+    @property
+    def fit_text(self) -> str:
+        return "fit unknown, unstable" if self.fit is None else f"fit {self.fit:.2f} %"
+
+    def particulars(self) -> dict[str, Any]:
+        """Poles and zeros as [real, imaginary], fit in percent."""
+        process, checks = self.process, self.assessment
+        return {
+            "records": [experiment.name for experiment in self.experiments],
+            "delay": self.delay,
+            "dead_time": process.delay,
+            **dict(zip(self.estimator.names, self.theta.tolist(), strict=True)),
+            "poles": [[pole.real, pole.imag] for pole in process.poles.tolist()],
+            "zeros": [[zero.real, zero.imag] for zero in process.zeros.tolist()],
+            "gain": process.gain if np.isfinite(process.gain) else None,
+            "time_constants": [tau if np.isfinite(tau) else None for tau in process.time_constants.tolist()],
+            "fit": self.fit,
+            "residual": {"white": checks.white, "independent": checks.independent, "feedback": checks.feedback},
+        }
+
+
+def delay_of(estimator: Estimator) -> int:
+    """The known dead time of a transfer function [samples]."""
+    return estimator.model.delay if isinstance(estimator.model, TransferFunction) else 0
+
+
+def expects_unstable(estimator: Estimator) -> bool:
+    """Were poles in the right half-plane asked for?"""
+    return isinstance(estimator.model, TransferFunction) and estimator.model.unstable
