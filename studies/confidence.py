@@ -17,10 +17,11 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import Adequacy, weigh
 from pmfid.estimators.auto import AUTO, first_choice
 from pmfid.estimators.base import status_names
-from pmfid.estimators.batch import BatchEstimator, Fit
+from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
 from pmfid.estimators.output_error import OE
+from pmfid.estimators.results import Fit
 from pmfid.judge.drive import judge
 from pmfid.models.drive import Drive
 from pmfid.paper.truth import CartRecord, Study, Task, table, tally

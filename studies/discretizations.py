@@ -10,8 +10,8 @@ import numpy as np
 
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.batch import LS
 from pmfid.estimators.exact import refined
+from pmfid.estimators.ls import LS
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.paper.truth import Floats, Study, Task, table
 from pmfid.simulation.process import Plant, simulate_process

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from pmfid.encoder import fine_counts
-from pmfid.estimators.batch import BCLS, LS
+from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.iv import IV
+from pmfid.estimators.ls import LS
 from pmfid.estimators.srivc import SRIVC
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.paper.truth import Floats, Study, Task, table

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.batch import Columns, check_identifiable
+from pmfid.estimators.identifiable import check_identifiable
+from pmfid.estimators.results import Columns
 from pmfid.session.compare import compare
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.diagnosis import check_direction, diagnose

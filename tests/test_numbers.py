@@ -10,8 +10,10 @@ import pytest
 import pmfid
 from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.batch import Columns, check_identifiable, inverse_of
 from pmfid.estimators.difference import least
+from pmfid.estimators.identifiable import check_identifiable
+from pmfid.estimators.least_squares import inverse_of
+from pmfid.estimators.results import Columns
 from pmfid.judge.drive import judge
 from pmfid.session.config import Axis
 from pmfid.session.drives import Drives

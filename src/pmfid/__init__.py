@@ -12,9 +12,7 @@ if TYPE_CHECKING:
     from pmfid.errors import NotIdentifiableError as NotIdentifiableError
     from pmfid.errors import PmfidError as PmfidError
     from pmfid.errors import UsageError as UsageError
-    from pmfid.estimators.batch import BCLS as BCLS
-    from pmfid.estimators.batch import LS as LS
-    from pmfid.estimators.batch import Fit as Fit
+    from pmfid.estimators.bcls import BCLS as BCLS
     from pmfid.estimators.bcrls import BCRLS as BCRLS
     from pmfid.estimators.fleet import Fleet as Fleet
     from pmfid.estimators.fleet import Tracks as Tracks
@@ -23,8 +21,10 @@ if TYPE_CHECKING:
     from pmfid.estimators.iv import RIV as RIV
     from pmfid.estimators.known_step import KnownStep as KnownStep
     from pmfid.estimators.known_step import RKnownStep as RKnownStep
+    from pmfid.estimators.ls import LS as LS
     from pmfid.estimators.output_error import OE as OE
     from pmfid.estimators.recursive import Track as Track
+    from pmfid.estimators.results import Fit as Fit
     from pmfid.estimators.rls import RLS as RLS
     from pmfid.estimators.rsrivc import RSRIVC as RSRIVC
     from pmfid.estimators.srivc import SRIVC as SRIVC
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 #: Public name -> module. Modules are imported when a name is used: `pmfid --help` stays quick.
 _PUBLIC = {
-    "BCLS": "pmfid.estimators.batch",
+    "BCLS": "pmfid.estimators.bcls",
     "BCRLS": "pmfid.estimators.bcrls",
     "Drive": "pmfid.models.drive",
     "Encoder": "pmfid.encoder",
@@ -50,7 +50,7 @@ _PUBLIC = {
     "EquationModel": "pmfid.models.drive",
     "Term": "pmfid.models.equation",
     "Estimate": "pmfid._kernel64",
-    "Fit": "pmfid.estimators.batch",
+    "Fit": "pmfid.estimators.results",
     "Fleet": "pmfid.estimators.fleet",
     "IV": "pmfid.estimators.iv",
     "RIV": "pmfid.estimators.iv",
@@ -58,7 +58,7 @@ _PUBLIC = {
     "IntervalML": "pmfid.estimators.interval",
     "KnownStep": "pmfid.estimators.known_step",
     "RKnownStep": "pmfid.estimators.known_step",
-    "LS": "pmfid.estimators.batch",
+    "LS": "pmfid.estimators.ls",
     "NotIdentifiableError": "pmfid.errors",
     "PmfidError": "pmfid.errors",
     "RSRIVC": "pmfid.estimators.rsrivc",

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.estimators.base import Estimator, like
-from pmfid.estimators.batch import Columns, Fit, solve_with_instruments
 from pmfid.estimators.difference import Difference, rms, without_nuisance
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Lack, lacks
+from pmfid.estimators.least_squares import solve_with_instruments
 from pmfid.estimators.likelihood import Best, cost, expected_information
 from pmfid.estimators.phases import phase_scatter
+from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.scatter import TINY, block_scatter
 
 Floats = NDArray[np.float64]

@@ -10,12 +10,15 @@ from numpy.typing import ArrayLike
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import Adequacy, contradicted, weigh
 from pmfid.estimators.base import Estimator, like
-from pmfid.estimators.batch import BCLS, LS, BatchEstimator, Fit
+from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.likelihood import Best
+from pmfid.estimators.ls import LS
 from pmfid.estimators.output_error import OE
+from pmfid.estimators.results import Fit
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.status import Status
 

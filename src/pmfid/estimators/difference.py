@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.batch import parts_of_their_own
+from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.models.equation import Equation
 
 Floats = NDArray[np.float64]

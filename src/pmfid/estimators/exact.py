@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.base import Estimator, like
-from pmfid.estimators.batch import BatchEstimator, Columns, Fit
+from pmfid.estimators.base import EXACT, Estimator, check_arrays, like
+from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.identifiable import check_identifiable
+from pmfid.estimators.results import Columns, Fit
 from pmfid.filters.columns import tustin_image
 from pmfid.models.equation import Equation
 from pmfid.transfer.exact import ExactTerm, Filter, respond_exactly
@@ -186,3 +189,22 @@ def _filter_poles(estimator: Estimator) -> Floats:
     A = np.poly(np.full(order, -estimator.cutoff))[::-1]
     terms = estimator.equation.unknown
     return np.array([A[term.derivative] if term.signal in OUTPUTS else 0.0 for term in terms])
+
+
+@dataclass(frozen=True)
+class ExactEstimator(BatchEstimator):
+    """A `BatchEstimator` that takes the exact discretisation, too."""
+
+    exact: ClassVar[bool] = True
+
+    def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        if self.discretization != EXACT:
+            return super()._fit(u, counts)
+        u, counts = check_arrays(u, counts)
+        check_identifiable(self.columns(u, counts), self.names, self.least_part)
+        return fit_exactly(self, u, self.encoder.position(counts))
+
+    def _fit_output(self, u: ArrayLike, y: NDArray[np.float64]) -> Fit:
+        if self.discretization != EXACT:
+            return super()._fit_output(u, y)
+        return fit_exactly(self, check_arrays(u, np.zeros(y.shape, np.int64))[0], y)

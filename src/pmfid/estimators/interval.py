@@ -8,11 +8,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.estimators.batch import Fit
 from pmfid.estimators.difference import inverted
 from pmfid.estimators.likelihood import Best, cost, expected_information
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.phases import likelihood_covariance
+from pmfid.estimators.results import Fit
 from pmfid.status import Status
 
 

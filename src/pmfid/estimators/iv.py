@@ -12,19 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel, role_values
 from pmfid.estimators.base import check_arrays, check_size, like
-from pmfid.estimators.batch import (
-    BCLS,
-    TINY,
-    BatchEstimator,
-    Columns,
-    Fit,
-    check_identifiable,
-    inverse_of,
-    solve_with_instruments,
-)
+from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.encoder_noise import impulse_products
+from pmfid.estimators.identifiable import TINY, check_identifiable
 from pmfid.estimators.lattice import lattice_scatter
+from pmfid.estimators.least_squares import inverse_of, solve_with_instruments
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.srivc import counted, fit_process, fixed_filters, without_start
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, STIFFNESS, Equation

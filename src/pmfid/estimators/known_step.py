@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
-from pmfid.estimators.batch import BatchEstimator, Columns, inverse_of
+from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.encoder_noise import noise_covariance
+from pmfid.estimators.least_squares import inverse_of
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.results import Columns
 
 
 @dataclass(frozen=True)

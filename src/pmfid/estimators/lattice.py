@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.base import Estimator, held
-from pmfid.estimators.batch import Columns
 from pmfid.estimators.difference import first_speed
+from pmfid.estimators.results import Columns
 
 Floats = NDArray[np.float64]
 

@@ -11,12 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import check_arrays, held, like
-from pmfid.estimators.batch import (
-    BCLS,
-    BatchEstimator,
-    Fit,
-    check_identifiable,
-)
+from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.difference import (
     LEAST_MASS,
     STEP,
@@ -27,9 +23,11 @@ from pmfid.estimators.difference import (
     rms,
     without_nuisance,
 )
+from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.iv import IV
 from pmfid.estimators.likelihood import Best, best_of
 from pmfid.estimators.phases import phase_scatter
+from pmfid.estimators.results import Fit
 from pmfid.estimators.rough import on_every_width
 from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.srivc import by_descent, counted, fit_process, without_start

@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator, check_arrays, check_size, held
-from pmfid.estimators.batch import BatchEstimator, Fit, parts_of_their_own
+from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.least_squares import parts_of_their_own
+from pmfid.estimators.results import Fit
 from pmfid.models.transfer_function import ESTIMATE, MAX_DELAY, TransferFunction
 from pmfid.transfer.confidence import covariance
 from pmfid.transfer.dead_time import after, solve_dead_time

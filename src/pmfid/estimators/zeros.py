@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.estimators.base import Estimator, like
-from pmfid.estimators.batch import BCLS
+from pmfid.estimators.bcls import BCLS
 
 #: Candidates for the faster zero as a part of the cutoff; the slower one is a thirtieth of it.
 FRACTIONS = (1 / 5, 1 / 10, 1 / 20, 1 / 40, 1 / 80)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from pmfid.estimators.auxiliary import role_values
-from pmfid.estimators.batch import long_run_covariance
 from pmfid.estimators.difference import rms
 from pmfid.estimators.iv import IV
+from pmfid.estimators.least_squares import long_run_covariance
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,

@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import CONTRADICTED, Adequacy, examine, force_moves
 from pmfid.estimators.base import Estimator, like
-from pmfid.estimators.batch import BCLS, BEYOND, LS, TINY
+from pmfid.estimators.bcls import BCLS
+from pmfid.estimators.identifiable import BEYOND, TINY
 from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.ls import LS
 from pmfid.estimators.output_error import OE, WORST_FIT
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.status import Status

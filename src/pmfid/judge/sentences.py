@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pmfid.estimators.batch import long_run_covariance
 from pmfid.estimators.difference import rms
+from pmfid.estimators.least_squares import long_run_covariance
 from pmfid.judge.balance import Balance, Binned
 from pmfid.judge.correlations import correlations
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, OFFSET

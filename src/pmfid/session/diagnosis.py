@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import like
-from pmfid.estimators.batch import LS
 from pmfid.estimators.iv import IV
+from pmfid.estimators.ls import LS
 from pmfid.estimators.output_error import OE
 from pmfid.judge.drive import count_jump
 from pmfid.models.drive import EquationModel, Model

@@ -12,10 +12,13 @@ from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auto import AUTO, Choice, choose, first_choice
 from pmfid.estimators.base import Estimator, like, status_names
-from pmfid.estimators.batch import LS, BatchEstimator, Columns, check_identifiable
+from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.iv import RIV
+from pmfid.estimators.ls import LS
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.estimators.registry import ESTIMATORS
+from pmfid.estimators.results import Columns
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.judge.drive import judge
 from pmfid.session.config import Axis, check_sampling

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from pmfid.errors import place_of
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.batch import Fit
 from pmfid.estimators.recursive import Track
+from pmfid.estimators.results import Fit
 from pmfid.judge.assess import Assessment
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.records import Record

@@ -1,0 +1,66 @@
+"""Least squares and instrumental variables of given columns, and the covariance of correlated scores."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.results import Columns
+
+NO_SOLUTION = (
+    "the equations for the parameters have no one solution: too little excitation; record reversals, and speeds and "
+    "accelerations that vary"
+)
+
+
+def solve_with_instruments(columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """theta = (sum zeta phi^T)^-1 sum zeta z (p,), and that inverse (p, p).
+
+    By the orthogonal part of the instruments: the square of their condition number does not enter.
+    """
+    scale = np.linalg.norm(columns.zeta, axis=0)
+    Q, R = np.linalg.qr(columns.zeta / scale)
+    inverse = inverse_of(Q.T @ columns.phi)
+    with np.errstate(all="ignore"):  # what comes of it is looked at
+        theta, gain = inverse @ (Q.T @ columns.z), inverse @ inverse_of(R.T) / scale
+    if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(gain))):
+        raise NotIdentifiableError(NO_SOLUTION)
+    return theta, gain
+
+
+def inverse_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The inverse of a matrix (p, p). Raises NotIdentifiableError where there is none, or none within the numbers."""
+    try:
+        with np.errstate(all="ignore"):  # what comes of it is looked at
+            inverse = np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(matrix, np.nan)
+    if not np.all(np.isfinite(inverse)):
+        raise NotIdentifiableError(NO_SOLUTION)
+    return np.asarray(inverse)
+
+
+def long_run_covariance(scores: NDArray[np.float64], lags: int) -> NDArray[np.float64]:
+    """Covariance (p, p) of the sum of correlated scores (n, p), with Bartlett's window (Newey and West 1987)."""
+    n = scores.shape[0]
+    size = 2 ** int(np.ceil(np.log2(n + lags + 1)))
+    spectrum = np.fft.rfft(scores, size, axis=0)
+    window = np.maximum(0.0, 1 - np.arange(lags + 1) / (lags + 1))
+    lagged = np.fft.irfft(spectrum[:, :, None] * spectrum.conj()[:, None, :], size, axis=0)[: min(lags + 1, n)]
+    total = np.tensordot(window[: lagged.shape[0]], lagged, axes=1)
+    covariance = np.asarray(total + total.T - lagged[0])
+    return np.asarray((covariance + covariance.T) / 2)
+
+
+def parts_of_their_own(
+    sensitivity: NDArray[np.float64], rcond: float | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Which part of each column of sensitivity (n, p), 0 to 1, is no combination of the others, (p,), 0 for a column of
+    zeros; and the pseudo-inverse (p, n) of the columns scaled to unit length. rcond: as for `numpy.linalg.pinv`."""
+    size = np.linalg.norm(sensitivity, axis=0)
+    scaled = sensitivity / np.where(size > 0, size, 1.0)
+    inverse = np.linalg.pinv(scaled) if rcond is None else np.linalg.pinv(scaled, rcond=rcond)
+    parts = 1 / np.maximum(np.linalg.norm(inverse, axis=1), 1.0)
+    parts[size == 0] = 0.0
+    return np.asarray(parts), np.asarray(inverse)
