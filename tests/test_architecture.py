@@ -19,7 +19,7 @@ PACKAGE = Path(pmfid.__file__).parent
 REPOSITORY = Path(__file__).parents[1]
 CSRC = REPOSITORY / "csrc"
 
-GROUND = {"errors", "status", "_kernel32", "_kernel64", "layout"}
+GROUND = {"errors", "status", "_estimate", "_kernel32", "_kernel64", "layout"}
 FILTERS = GROUND | {"models", "encoder"}
 ESTIMATORS = FILTERS | {"filters", "linear"}
 MONITOR = ESTIMATORS | {"estimators"}
@@ -28,9 +28,10 @@ SESSION = MONITOR | {"monitor"}
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
     "status": set(),
-    "_kernel": {"errors"},
+    "_estimate": {"errors"},
+    "_kernel": {"_estimate"},
     "_kernel32": {"_kernel64"},
-    "_kernel64": {"errors"},
+    "_kernel64": {"_estimate"},
     "layout": {"errors", "pmfid"},
     "models": GROUND,
     "encoder": GROUND,

@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pmfid._kernel64 import Estimate as Estimate
+    from pmfid._estimate import Estimate as Estimate
     from pmfid.encoder import Encoder as Encoder
     from pmfid.encoder import quantize as quantize
     from pmfid.errors import NotIdentifiableError as NotIdentifiableError
@@ -47,7 +47,7 @@ _PUBLIC = {
     "Equation": "pmfid.models.equation",
     "EquationModel": "pmfid.models.drive",
     "Term": "pmfid.models.equation",
-    "Estimate": "pmfid._kernel64",
+    "Estimate": "pmfid._estimate",
     "Fit": "pmfid.estimators.batch",
     "Fleet": "pmfid.estimators.fleet",
     "IV": "pmfid.estimators.iv",
