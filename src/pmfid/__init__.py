@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from pmfid.estimators.known_step import KnownStep as KnownStep
     from pmfid.estimators.known_step import RKnownStep as RKnownStep
     from pmfid.estimators.output_error import OE as OE
-    from pmfid.estimators.recursive import Track as Track
     from pmfid.estimators.rls import RLS as RLS
     from pmfid.estimators.rsrivc import RSRIVC as RSRIVC
     from pmfid.estimators.srivc import SRIVC as SRIVC
+    from pmfid.estimators.track import Track as Track
     from pmfid.export.firmware import export_firmware as export_firmware
     from pmfid.linear.experiment import Experiment as Experiment
     from pmfid.linear.process import Process as Process
@@ -66,7 +66,7 @@ _PUBLIC = {
     "Process": "pmfid.linear.process",
     "Status": "pmfid.status",
     "TransferFunction": "pmfid.models.transfer_function",
-    "Track": "pmfid.estimators.recursive",
+    "Track": "pmfid.estimators.track",
     "Tracks": "pmfid.estimators.fleet",
     "UsageError": "pmfid.errors",
     "export_firmware": "pmfid.export.firmware",
