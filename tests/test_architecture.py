@@ -39,6 +39,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "linear": {"errors"},
     "estimators": ESTIMATORS,
     "monitor": MONITOR,
+    "testing": MONITOR,
     "simulation": {"errors"},
     "design": FILTERS | {"estimators", "monitor", "simulation", "session"},
     "session": SESSION,

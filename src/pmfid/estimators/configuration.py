@@ -55,6 +55,11 @@ def made(cls: Callable[..., E], configuration: Mapping[str, object]) -> E:
     return cls(**configuration)
 
 
+def changed(estimator: E, changes: Mapping[str, object]) -> E:
+    """The same method with some of its arguments changed, without samples: `dataclasses.replace` for a mapping."""
+    return made(type(estimator), configuration_of(estimator) | dict(changes))
+
+
 def like(cls: type[E], estimator: Estimator, **changes: object) -> E:
     """Another method with all of an estimator's configuration that it has a use for, but for the changes.
 

@@ -75,8 +75,8 @@ class RecursiveEstimator(Estimator):
         self._check_scheme()
         self._check_room()
         object.__setattr__(self, "runner", self.start())
-        # bound here so that a call costs no look-up in Python
-        object.__setattr__(self, "step", self.runner.kernel.step)
+        if type(self).step is RecursiveEstimator.step:  # bound here so that a call costs no look-up in Python
+            object.__setattr__(self, "step", self.runner.kernel.step)
 
     def _check_scheme(self) -> None:
         scheme = self.forgetting_scheme
