@@ -21,7 +21,7 @@ PACKAGE = Path(pmfid.__file__).parent
 REPOSITORY = Path(__file__).parents[1]
 CSRC = REPOSITORY / "csrc"
 
-GROUND = {"errors", "status", "_kernel32", "_kernel64", "kernel"}
+GROUND = {"errors", "status", "_estimate", "_kernel32", "_kernel64", "kernel"}
 FILTERS = GROUND | {"models", "encoder"}
 ESTIMATORS = FILTERS | {"filters", "transfer"}
 JUDGE = ESTIMATORS | {"estimators"}
@@ -31,9 +31,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
     "status": set(),
     "door": set(),
-    "_kernel": {"errors"},
+    "_estimate": {"errors"},
+    "_kernel": {"_estimate"},
     "_kernel32": {"_kernel64"},
-    "_kernel64": {"errors"},
+    "_kernel64": {"_estimate"},
     "kernel": {"errors", "pmfid"},
     "models": GROUND,
     "encoder": GROUND,
@@ -42,6 +43,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "estimators": ESTIMATORS,
     "judge": JUDGE,
     "monitor": JUDGE | {"door"},
+    "testing": JUDGE,
     "simulation": {"errors"},
     "design": {"errors", "door", "models", "simulation"},
     "export": JUDGE | {"pmfid"},

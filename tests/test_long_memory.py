@@ -38,12 +38,12 @@ def after_millions(cls: type[RecursiveEstimator], precision: str) -> RecursiveEs
     run = cart_run(3, samples=SAMPLES, increments=1024)
     estimator = cls(pmfid.Drive(2.0), run.encoder, 0.01, 30.0, precision=precision)
     estimator.run(run.u, run.counts)
-    state = np.frombuffer(estimator._kernel.raw_state(), structures(None, precision)["pmf_state_t"]).copy()
+    state = np.frombuffer(estimator.runner.kernel.raw_state(), structures(None, precision)["pmf_state_t"]).copy()
     sums = state[0]["direct"]
     for part in (sums["sums"]["cross"], sums["sums"]["square"], sums["sums"]["right"], sums["peak"]):
         part *= 1000
     state[0]["direct"]["sums"]["weight"] *= 1000
-    estimator._kernel.set_raw_state(state.tobytes())
+    estimator.runner.kernel.set_raw_state(state.tobytes())
     return estimator
 
 
@@ -81,7 +81,7 @@ def test_rest_costs_no_information() -> None:
 def test_only_long_memories_of_float32_carry_the_code() -> None:
     encoder = pmfid.Encoder(1e-5)
     found = [
-        shape_of(configuration(one._kernel, one.precision)).with_endless
+        shape_of(configuration(one.runner.kernel, one.precision)).with_endless
         for precision in ("float32", "float64")
         for forgetting in (1.0, 0.999)
         for one in [pmfid.BCRLS(pmfid.Drive(2.0), encoder, 0.01, 30.0, forgetting=forgetting, precision=precision)]

@@ -22,7 +22,7 @@ DT, CUTOFF, AXES, SAMPLES = 0.01, 50.0, 21, 700
 ENCODER = pmfid.Encoder(22.75e-6 * 4, max_speed=3.0)
 DRIVE = pmfid.Drive(2.0)
 ARRAYS = ("theta", "variance_factor", "inflation", "innovation", "innovation_variance", "status")
-WAYS = range(pmfid.BCRLS(DRIVE, ENCODER, DT, CUTOFF)._kernel.many(1).fastest_way + 1)
+WAYS = range(pmfid.BCRLS(DRIVE, ENCODER, DT, CUTOFF).runner.kernel.many(1).fastest_way + 1)
 START = {"mass": 1.0, "viscous_friction": 12.0, "coulomb_friction": 0.7}
 VARIANTS: list[tuple[type[RecursiveEstimator], dict[str, Any]]] = [
     *((cls, {}) for cls in RECURSIVE),
@@ -335,7 +335,7 @@ def test_a_fleet_says_what_it_is():
 
 def test_the_kernel_writes_only_where_there_is_room():
     axes, samples, p = 3, 10, 3
-    kernel = make(pmfid.BCRLS)._kernel.many(axes)
+    kernel = make(pmfid.BCRLS).runner.kernel.many(axes)
     u, counts = np.zeros((axes, samples)), np.zeros((axes, samples), np.int64)
 
     def results(rows: int = axes, kept: int = 4, parameters: int = p) -> list[np.ndarray]:
@@ -358,18 +358,18 @@ def test_the_kernel_writes_only_where_there_is_room():
 
 
 def test_only_the_words_in_use_are_kept():
-    packed = make(pmfid.BCRLS)._kernel.many(1).states.shape[1]
+    packed = make(pmfid.BCRLS).runner.kernel.many(1).states.shape[1]
     assert packed <= 1600
-    assert len(make(pmfid.BCRLS)._kernel.raw_state()) > 20_000
+    assert len(make(pmfid.BCRLS).runner.kernel.raw_state()) > 20_000
 
 
 def test_all_but_windows_and_simulated_processes_run_side_by_side():
     for cls, options in VARIANTS:
         window = options.get("forgetting_scheme") == "window"
-        assert make(cls, **options)._kernel.many(1).side_by_side == (not window)
+        assert make(cls, **options).runner.kernel.many(1).side_by_side == (not window)
     for cls, options in PROCESSES:
         alone = cls is pmfid.RSRIVC
-        assert make(cls, **({"model": PROCESS} | options))._kernel.many(1).side_by_side == (not alone)
+        assert make(cls, **({"model": PROCESS} | options)).runner.kernel.many(1).side_by_side == (not alone)
 
 
 @pytest.mark.skipif(COMPILER is None, reason="there is no C compiler cc on this machine")

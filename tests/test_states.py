@@ -43,7 +43,7 @@ def used(name: str, precision: str) -> RecursiveEstimator:
 
 def forged(estimator: RecursiveEstimator, field: str, value: float, element: int = 0) -> bytes:
     """The state with one number changed, and the checksum that belongs to it."""
-    types = structures(shape_of(configuration(estimator._kernel, estimator.precision)), estimator.precision)
+    types = structures(shape_of(configuration(estimator.runner.kernel, estimator.precision)), estimator.precision)
     data = bytearray(estimator.get_state())
     start = types["pmf_saved_t"].fields["state"][1]  # type: ignore[index]
     places = [(kind, start + at) for name, kind, at in leaves(types["pmf_state_t"]) if name == field]
@@ -56,7 +56,7 @@ def forged(estimator: RecursiveEstimator, field: str, value: float, element: int
 
 
 def fields(estimator: RecursiveEstimator) -> Iterator[tuple[str, str]]:
-    types = structures(shape_of(configuration(estimator._kernel, estimator.precision)), estimator.precision)
+    types = structures(shape_of(configuration(estimator.runner.kernel, estimator.precision)), estimator.precision)
     yield from dict.fromkeys((name, kind) for name, kind, _ in leaves(types["pmf_state_t"]))
 
 

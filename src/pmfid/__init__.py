@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pmfid._kernel64 import Estimate as Estimate
+    from pmfid._estimate import Estimate as Estimate
     from pmfid.encoder import Encoder as Encoder
     from pmfid.encoder import quantize as quantize
     from pmfid.errors import NotIdentifiableError as NotIdentifiableError
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from pmfid.estimators.known_step import RKnownStep as RKnownStep
     from pmfid.estimators.ls import LS as LS
     from pmfid.estimators.output_error import OE as OE
-    from pmfid.estimators.recursive import Track as Track
     from pmfid.estimators.results import Fit as Fit
     from pmfid.estimators.rls import RLS as RLS
     from pmfid.estimators.rsrivc import RSRIVC as RSRIVC
     from pmfid.estimators.srivc import SRIVC as SRIVC
+    from pmfid.estimators.track import Track as Track
     from pmfid.export.firmware import export_firmware as export_firmware
     from pmfid.models.drive import Drive as Drive
     from pmfid.models.drive import EquationModel as EquationModel
@@ -49,7 +49,7 @@ _PUBLIC = {
     "Equation": "pmfid.models.equation",
     "EquationModel": "pmfid.models.drive",
     "Term": "pmfid.models.equation",
-    "Estimate": "pmfid._kernel64",
+    "Estimate": "pmfid._estimate",
     "Fit": "pmfid.estimators.results",
     "Fleet": "pmfid.estimators.fleet",
     "IV": "pmfid.estimators.iv",
@@ -68,7 +68,7 @@ _PUBLIC = {
     "Process": "pmfid.transfer.process",
     "Status": "pmfid.status",
     "TransferFunction": "pmfid.models.transfer_function",
-    "Track": "pmfid.estimators.recursive",
+    "Track": "pmfid.estimators.track",
     "Tracks": "pmfid.estimators.fleet",
     "Result": "pmfid.session.result",
     "UsageError": "pmfid.errors",

@@ -9,7 +9,7 @@ from libc.string cimport memcpy
 cimport numpy as cnp
 import numpy as np
 
-from pmfid.errors import place_of
+from pmfid._estimate cimport Estimate
 
 IMPLAUSIBLE = "these numbers are no state of this configuration, whatever their checksum says"
 
@@ -131,63 +131,6 @@ cdef extern from "many/pmf_many.h":
                       unsigned char *) nogil
 
 
-cdef inline object _vector(const real_t *source, Py_ssize_t n):
-    cdef cnp.npy_intp shape = n
-    cdef object array = cnp.PyArray_SimpleNew(1, &shape, cnp.NPY_DOUBLE)
-    cdef double *target = <double *> cnp.PyArray_DATA(<cnp.ndarray> array)
-    cdef Py_ssize_t i
-    for i in range(n):
-        target[i] = source[i]
-    return array
-
-
-cdef class Estimate:
-    """What one sample left: a snapshot that later steps do not change.
-
-    theta: (p,) parameters, also by name, estimate["mass"]; theta_cov: (p, p) covariance = innovation variance times P; theta_std: (p,) its
-    diagonal's root; innovation: a priori error [unit of the target]; innovation_variance; status: `Status` bits.
-    """
-
-    cdef real_t _theta[PMF_MAX_PARAMETERS]
-    cdef real_t _factor[PMF_MAX_PARAMETERS * PMF_MAX_PARAMETERS]
-    cdef real_t _diagonal[PMF_MAX_PARAMETERS]
-    cdef real_t _inflation[PMF_MAX_PARAMETERS]
-    cdef Py_ssize_t _n
-    cdef tuple _names
-    cdef readonly double innovation
-    cdef readonly double innovation_variance
-    cdef readonly unsigned int status
-
-    @property
-    def theta(self):
-        return _vector(self._theta, self._n)
-
-    @property
-    def theta_cov(self):
-        if self.innovation_variance == 0.0:  # no innovation has been counted yet: nothing is known
-            return np.diag(np.full(self._n, np.inf))
-        scale = np.sqrt(self._scale())
-        factor = _vector(self._factor, self._n * self._n).reshape(self._n, self._n)
-        return self.innovation_variance * factor * np.multiply.outer(scale, scale)
-
-    def _scale(self):
-        inflation = _vector(self._inflation, self._n)
-        return np.where(inflation > 0.0, inflation, 1.0)
-
-    @property
-    def theta_std(self):
-        if self.innovation_variance == 0.0:
-            return np.full(self._n, np.inf)
-        return np.sqrt(_vector(self._diagonal, self._n) * self.innovation_variance * self._scale())
-
-    def __getitem__(self, name):
-        """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
-        return float(self._theta[place_of(name, self._names)])
-
-    def __repr__(self):
-        return f"Estimate(theta={self.theta}, theta_std={self.theta_std}, status={self.status})"
-
-
 cdef _set_recursion(pmf_recursion_config_t *target, source):
     target.n_parameters, target.instrumental = source["n_parameters"], source["instrumental"]
     target.first_column, target.min_updates = source["first_column"], source["min_updates"]
@@ -303,13 +246,16 @@ cdef class Kernel:
 
     cdef Estimate _snapshot(self):
         cdef Estimate estimate = Estimate.__new__(Estimate)
-        cdef Py_ssize_t n = pmf_parameters(&self.config)
+        cdef Py_ssize_t n = pmf_parameters(&self.config), i
         cdef const pmf_estimate_t *last = pmf_estimate(&self.config, &self.state)
+        cdef real_t factor[PMF_MAX_PARAMETERS * PMF_MAX_PARAMETERS]
+        pmf_covariance_factor(&self.config, &self.state, factor)
         estimate._n, estimate._names = n, self.names
-        memcpy(estimate._theta, last.theta, n * sizeof(real_t))
-        memcpy(estimate._diagonal, last.variance_factor, n * sizeof(real_t))
-        memcpy(estimate._inflation, last.inflation, n * sizeof(real_t))
-        pmf_covariance_factor(&self.config, &self.state, estimate._factor)
+        for i in range(n):
+            estimate._theta[i], estimate._diagonal[i] = last.theta[i], last.variance_factor[i]
+            estimate._inflation[i] = last.inflation[i]
+        for i in range(n * n):
+            estimate._factor[i] = factor[i]
         estimate.innovation = last.innovation
         estimate.innovation_variance = last.innovation_variance
         estimate.status = self.state.status

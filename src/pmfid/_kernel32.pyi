@@ -1,4 +1,3 @@
-from pmfid._kernel64 import Estimate as Estimate
 from pmfid._kernel64 import Kernel as Kernel
 from pmfid._kernel64 import ManyKernel as ManyKernel
 from pmfid._kernel64 import simulate as simulate

@@ -49,13 +49,13 @@ def estimators() -> Iterator[tuple[str, RecursiveEstimator]]:
 
 def folder_of(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
     """Writes the configuration, the state and its fields, for a build of the module's sizes or of an export's."""
-    config, precision = configuration(estimator._kernel, estimator.precision), estimator.precision
+    config, precision = configuration(estimator.runner.kernel, estimator.precision), estimator.precision
     shape = shape_of(config) if place == "export" else None
     types = structures(shape, precision)
     if shape is None:
-        state = np.frombuffer(estimator._kernel.raw_state(), types["pmf_state_t"])[0]
+        state = np.frombuffer(estimator.runner.kernel.raw_state(), types["pmf_state_t"])[0]
     else:
-        state = tight_state(estimator._kernel, precision, shape)
+        state = tight_state(estimator.runner.kernel, precision, shape)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "config").write_bytes(resized(config, types["pmf_config_t"]).tobytes())
     (folder / "state").write_bytes(state.tobytes())

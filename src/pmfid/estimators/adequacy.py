@@ -117,7 +117,7 @@ def examine(estimator: Estimator, u: ArrayLike, counts: ArrayLike, start: Floats
 
     Raises NotIdentifiableError where no fit can be found at all.
     """
-    method = like(IntervalML, estimator, prefilter_zeros=None, precision="float64")
+    method = like(IntervalML, estimator, prefilter_zeros=None, precision="float64", drift_cutoff=None)
     return weigh(method.best(u, counts, start))
 
 

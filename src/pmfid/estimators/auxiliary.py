@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -15,6 +15,9 @@ from pmfid.estimators.encoder_noise import impulse_products
 from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
 from pmfid.models.equation import STIFFNESS, Equation
+
+if TYPE_CHECKING:
+    from pmfid._kernel64 import Kernel
 
 NO_PARAMETER = 0xFF
 #: Time constant of the slow copy of the estimate that drives the model, in filter time constants: the instruments must
@@ -66,12 +69,13 @@ def _make_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
 def direct_estimator(estimator: Estimator) -> BCRLS:
     """The method that needs no auxiliary model: to start from, and to fall back on."""
     scheme = getattr(estimator, "forgetting_scheme", "exponential")
-    return like(BCRLS, estimator, model=estimator.model.symmetric, forgetting_scheme=scheme)
+    symmetric = estimator.model.symmetric
+    return like(BCRLS, estimator, model=symmetric, forgetting_scheme=scheme, forgetting=1.0, forgetting_of=None)
 
 
 def make_auxiliary_kernel(
     estimator: Estimator, forgetting: float, initial: Sequence[float] | None, adapt: bool
-) -> tuple[Any, int]:
+) -> tuple[Kernel, int]:
     """A kernel with auxiliary model, and its first instrumental column.
 
     initial: parameters of the model to start from (p,), or None: start from the direct estimate.

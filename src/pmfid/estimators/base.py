@@ -7,19 +7,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from numbers import Real
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError, whole_number
+from pmfid.estimators.configuration import configuration_of, freeze, made
+from pmfid.estimators.configuration import like as like
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
 from pmfid.filters.network import Network, Taps, scaled
 from pmfid.models.drive import Model
 from pmfid.models.equation import Equation
 from pmfid.status import Status
+
+if TYPE_CHECKING:
+    from pmfid._kernel64 import Kernel
 
 #: Time constants after which the filters' start has decayed to less than 1 %, by their order.
 SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
@@ -84,6 +89,7 @@ class Estimator:
     process_only: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
+        freeze(self)
         self._check_kinds()
         if self.equation.process and self.order == 2:
             object.__setattr__(self, "order", max(2, self.equation.order))
@@ -110,6 +116,9 @@ class Estimator:
         if self.precision not in ("float64", "float32"):
             raise UsageError(f"precision must be 'float64' or 'float32', got {self.precision!r}")
         self._check_zeros()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return made, (type(self), configuration_of(self))
 
     def _check_equation(self) -> None:
         """Can the method do with this equation?"""
@@ -200,7 +209,7 @@ class Estimator:
             columns += builder.instruments()
         return builder.network, columns
 
-    def make_kernel(self, forgetting: float = 1.0) -> Any:
+    def make_kernel(self, forgetting: float = 1.0) -> Kernel:
         """A new kernel in its initial state."""
         network, columns = self._columns
         direct = self.recursion_config(len(self.names), self.instrumental, forgetting)
@@ -234,10 +243,10 @@ class Estimator:
         return 1 if any(term.signal == "start" for term in self.equation.unknown) else self.settle_samples
 
     @property
-    def kernel_class(self) -> Any:
+    def kernel_class(self) -> type[Kernel]:
         from pmfid import _kernel32, _kernel64
 
-        return (_kernel32 if self.precision == "float32" else _kernel64).Kernel
+        return _kernel32.Kernel if self.precision == "float32" else _kernel64.Kernel
 
     @property
     def settle_samples(self) -> int:
@@ -264,15 +273,6 @@ class Estimator:
             "scheme": 0,
             "window_block": 1,
         }
-
-
-E = TypeVar("E", bound=Estimator)
-
-
-def like(cls: type[E], estimator: Estimator, **changes: Any) -> E:
-    """Another method with the same model, encoder and filters, but for the changes."""
-    names = ("model", "encoder", "dt", "cutoff", "order", "discretization", "precision", "prefilter_zeros")
-    return cls(**({name: getattr(estimator, name) for name in names} | changes))
 
 
 def default_zeros(cutoff: float) -> tuple[float, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.base import integer_counts, numbers
-from pmfid.estimators.recursive import RecursiveEstimator, Track
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.runner import Runner
+from pmfid.estimators.track import Track
 
 #: Axes that a thread takes at a time are a multiple of this: no vector of the kernel holds more.
 GROUP = 16
@@ -51,24 +53,35 @@ class Fleet:
     """Many axes with the configuration of one recursive estimator, each with a state of its own.
 
     Every axis gets the bits that the estimator alone would give; they are computed side by side, in vectors and on all
-    processors. All start from the present state of `estimator`, which itself does not change. axes: number, >= 1;
-    workers: threads, >= 1; None: as many as there are processors. Raises UsageError for other numbers, for an estimator
-    that is not recursive, and for more axes than the memory holds.
+    processors. All start from the present state of `estimator`, or of a `Runner`, which itself does not change. A copy,
+    by `copy`, `pickle` or a process pool, goes on with the same bits. axes: number, >= 1; workers: threads, >= 1; None:
+    as many as there are processors. Raises UsageError for other numbers, for an estimator that is not recursive, and
+    for more axes than the memory holds.
     """
 
-    def __init__(self, estimator: RecursiveEstimator, axes: int, *, workers: int | None = None) -> None:
-        if not isinstance(estimator, RecursiveEstimator):
+    def __init__(self, estimator: RecursiveEstimator | Runner, axes: int, *, workers: int | None = None) -> None:
+        if not isinstance(estimator, RecursiveEstimator | Runner):
             what = getattr(estimator, "method", type(estimator).__name__)
             raise UsageError(f"a fleet runs sample by sample, which {what} does not; use rls, bcrls, riv or rsrivc")
-        self.estimator = estimator
+        first = estimator if isinstance(estimator, Runner) else estimator.runner
+        self._source = first  # for its configuration: it may go on by itself
         self.axes = whole_number("axes", axes, 1, "it is the number of machines")
         remedy = "it is the number of threads; None: as many as there are processors"
         self.workers = _processors() if workers is None else whole_number("workers", workers, 1, remedy)
         try:
-            self._kernel = estimator._kernel.many(self.axes)
+            self._kernel = first.kernel.many(self.axes)
         except (MemoryError, OverflowError, ValueError):
             raise UsageError(f"the states of {axes} axes do not fit the memory; take fewer at a time") from None
+        self._first = self._kernel.states[:1].copy()
         self._way = self._kernel.fastest_way
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _resumed, (self.estimator, self._first, self.axes, self.workers, self.get_state())
+
+    @property
+    def estimator(self) -> RecursiveEstimator:
+        """The configuration, as a new estimator."""
+        return self._source.estimator
 
     def __repr__(self) -> str:
         return f"Fleet({self.estimator!r}, {self.axes}, workers={self.workers})"
@@ -90,7 +103,7 @@ class Fleet:
         if samples.size:
             self._run_all(u_table, counts_table, every or 0, results)
         theta, factor, inflation, innovation, variance, status = results
-        names, units = self.estimator.names, self.estimator.units
+        names, units = self._source.names, self._source.units
         return Tracks(names, units, theta, factor, inflation, innovation, variance, status, samples)
 
     def axis(self, index: int) -> RecursiveEstimator:
@@ -98,8 +111,8 @@ class Fleet:
         index = whole_number("index", index, None, "it is the number of an axis")
         if not -self.axes <= index < self.axes:
             raise UsageError(f"there are {self.axes} axes, from 0 on; got {index}")
-        single = replace(self.estimator)
-        self._kernel.load(single._kernel, index % self.axes)
+        single = self.estimator
+        self._kernel.load(single.runner.kernel, index % self.axes)
         return single
 
     def reset(self) -> None:
@@ -111,14 +124,14 @@ class Fleet:
         configuration continues from them."""
         from pmfid.kernel.saved import save_fleet
 
-        return save_fleet(self._kernel, self.estimator.precision)
+        return save_fleet(self._kernel, self._source.precision)
 
     def set_state(self, state: bytes) -> None:
         """Continues from saved states. Raises UsageError, and stays as it was, for those of another configuration or
         number of axes, damaged ones, and numbers that no sample could have made."""
         from pmfid.kernel.saved import load_fleet
 
-        load_fleet(self._kernel, self.estimator.precision, state)
+        load_fleet(self._kernel, self._source.precision, state)
 
     def _check(self, u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
         u_table, counts_table = numbers("u", u), integer_counts(counts)
@@ -133,7 +146,7 @@ class Fleet:
         return np.broadcast_to(u_table, counts_table.shape), counts_table
 
     def _results(self, kept: int) -> tuple[NDArray[Any], ...]:
-        shape, p = (self.axes, kept), len(self.estimator.names)
+        shape, p = (self.axes, kept), len(self._source.names)
         try:
             wide = [np.empty((*shape, p)) for _ in range(3)]
             return (*wide, np.empty(shape), np.empty(shape), np.empty(shape, np.uint32))
@@ -156,6 +169,16 @@ class Fleet:
         size = -(-self.axes // (self.workers * PIECES))
         size = -(-size // GROUP) * GROUP
         return (range(start, min(start + size, self.axes)) for start in range(0, self.axes, size))
+
+
+def _resumed(estimator: RecursiveEstimator, first: NDArray[np.uint8], axes: int, workers: int, state: bytes) -> Fleet:
+    runner = estimator.start()
+    single = runner.kernel.many(1)
+    single.set_states(first)
+    single.load(runner.kernel, 0)
+    fleet = Fleet(runner, axes, workers=workers)
+    fleet.set_state(state)
+    return fleet
 
 
 def _kept(samples: int, every: int | None) -> NDArray[np.int64]:

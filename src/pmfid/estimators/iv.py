@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,9 @@ from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.srivc import counted, fit_process, fixed_filters, without_start
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, STIFFNESS, Equation
 from pmfid.status import Status
+
+if TYPE_CHECKING:
+    from pmfid._kernel64 import Kernel
 
 MAX_ITERATIONS = 40
 TOLERANCE = 1e-7
@@ -140,13 +143,13 @@ class IV(BatchEstimator):
         A record that begins at rest, which the model says as well, has been at rest before: its first motion counts.
         rests: does it? None: as the counts and theta say.
         """
-        u, counts = check_arrays(u, counts)
-        check_size(u)
+        u_array, counts_array = check_arrays(u, counts)
+        check_size(u_array)
         kernel, first = make_auxiliary_kernel(self, 1.0, list(theta), adapt=False)
-        rests = self._rests(u, counts, theta) if rests is None else rests
+        rests = self._rests(u_array, counts_array, theta) if rests is None else rests
         before = 2 * self.settle_samples + 1 if rests else 0
-        u, counts = np.r_[np.zeros(before), u], np.r_[np.full(before, counts[:1]), counts]
-        columns, status = kernel.filter(u, counts)
+        rest = np.full(before, counts_array[:1])
+        columns, status = kernel.filter(np.r_[np.zeros(before), u_array], np.r_[rest, counts_array])
         columns, status = columns[before:], status[before:]
         used = (status & Status.SETTLING) == 0
         used[: 0 if before else int(START_PART * used.size)] = False
@@ -223,7 +226,7 @@ class RIV(RecursiveEstimator):
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)
 
-    def make_kernel(self, forgetting: float = 1.0) -> Any:
+    def make_kernel(self, forgetting: float = 1.0) -> Kernel:
         initial = None if self.initial is None else list(initial_vector(self.initial, self.names))
         return make_auxiliary_kernel(self, forgetting, initial, adapt=True)[0]
 

@@ -169,7 +169,7 @@ class OE(BatchEstimator):
         """theta (p,) of `IV`, or what that starts from, if it does not settle; and the status bits of the record.
 
         Raises NotIdentifiableError where the counts alone show that nothing can be identified."""
-        first = like(IV, self, initial=self.initial)
+        first = like(IV, self)
         try:
             columns, theta = first.settled(u, counts)
         except NotIdentifiableError:

@@ -5,57 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from pmfid.errors import UsageError, place_of
-from pmfid.estimators.base import Estimator, check_arrays, integer_counts
+from pmfid.errors import UsageError
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.configuration import configuration_of, made
 from pmfid.estimators.encoder_noise import shown
-from pmfid.status import Status
+from pmfid.estimators.runner import Runner
+from pmfid.estimators.track import Track as Track
 
 if TYPE_CHECKING:
+    from pmfid._estimate import Estimate
+    from pmfid._kernel64 import Kernel
     from pmfid.estimators.fleet import Tracks
-
-
-@dataclass(frozen=True)
-class Track:
-    """Estimates over a record of n samples with p parameters.
-
-    theta: (n, p); innovation: (n,) a priori error in the unit of the target; innovation_variance: (n,);
-    variance_factor: (n, p), the diagonal of P; inflation: (n, p), what coloured innovations make of the variances,
-    0 while not known; status: (n,) `Status` bits; names, units: of the p parameters.
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    theta: NDArray[np.float64]
-    variance_factor: NDArray[np.float64]
-    inflation: NDArray[np.float64]
-    innovation: NDArray[np.float64]
-    innovation_variance: NDArray[np.float64]
-    status: NDArray[np.uint32]
-
-    @cached_property
-    def theta_std(self) -> NDArray[np.float64]:
-        """(n, p) standard deviations, infinite until there is an estimate; scaled by the inflation once it is known."""
-        known = self.innovation_variance > 0
-        scale = np.where(self.inflation[known] > 0, self.inflation[known], 1.0)
-        std = np.full_like(self.theta, np.inf)
-        with np.errstate(over="ignore"):  # infinite is right where nothing is known
-            std[known] = np.sqrt(self.variance_factor[known] * self.innovation_variance[known, None] * scale)
-        return std
-
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """The (n,) track of one parameter. Raises UnknownParameterError, a KeyError, listing the names."""
-        return self.theta[..., place_of(name, self.names)]
-
-    def flagged(self, bit: Status) -> NDArray[np.bool_]:
-        """(n,) where a status bit is set."""
-        return np.asarray((self.status & bit) != 0)
 
 
 #: What becomes of old samples -> its number in csrc/pmf.h.
@@ -90,13 +55,16 @@ class RecursiveEstimator(Estimator):
     "window": the samples of the last memory alike, older ones not at all, in blocks of an eighth.
     forgetting_of: factors of single parameters, by name, that change more slowly than the others or never (1):
     {"b0": 1.0}. With the exponential scheme only; a parameter that is known to stay sharpens the others.
-    The object holds one state; `step` and `run` continue from it, `reset` goes back to the start.
+    The configuration is frozen; equality and hash are of it alone. What changes with the samples is a `Runner`:
+    `start()` makes as many as are needed. For a single one there is `runner`, the object's own: `step`, `run`, `reset`
+    and the like are short for its. A copy, by `copy`, `pickle` or a process pool, has a runner of its own that goes on
+    from the same state; `dataclasses.replace` begins anew.
     """
 
     forgetting: float = field(default=1.0, kw_only=True)
     forgetting_scheme: str = field(default="exponential", kw_only=True)
     forgetting_of: Mapping[str, float] | None = field(default=None, kw_only=True)
-    _kernel: Any = field(default=None, init=False, repr=False, compare=False)
+    runner: Runner = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -106,13 +74,9 @@ class RecursiveEstimator(Estimator):
             )
         self._check_scheme()
         self._check_room()
-        try:
-            object.__setattr__(self, "_kernel", self.make_kernel(self.forgetting))
-        except ValueError as error:  # more than it holds
-            raise UsageError(str(error)) from None
-        self._kernel.names = self.names
-        # bound here so that a call costs no look-up in Python
-        object.__setattr__(self, "step", self._kernel.step)
+        object.__setattr__(self, "runner", self.start())
+        if type(self).step is RecursiveEstimator.step:  # bound here so that a call costs no look-up in Python
+            object.__setattr__(self, "step", self.runner.kernel.step)
 
     def _check_scheme(self) -> None:
         scheme = self.forgetting_scheme
@@ -168,73 +132,64 @@ class RecursiveEstimator(Estimator):
             config["window_block"] = math.ceil(1 / (1 - forgetting) / WINDOW_BLOCKS)
         return config
 
-    def step(self, u: float, counts: int) -> Any:
-        """One sample: the input applied from now on, the count read now. Returns an `Estimate`.
+    def start(self, state: bytes | None = None) -> Runner:
+        """An estimation of its own, from the beginning or from a saved state, beside this object's and all others.
 
-        The estimate has theta (p,), theta_cov (p, p), theta_std (p,), innovation, innovation_variance and status.
-        A value that is not finite is flagged in the status and never enters.
+        Raises UsageError for a state that is not of this configuration.
         """
-        return self._kernel.step(u, counts)
+        runner = Runner(self, self._started())
+        if state is not None:
+            runner.set_state(state)
+        return runner
+
+    def _started(self) -> Kernel:
+        try:
+            return self.make_kernel(self.forgetting)
+        except ValueError as error:  # more than it holds
+            raise UsageError(str(error)) from None
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _resumed, (type(self), configuration_of(self), self.get_state())
+
+    def step(self, u: float, counts: int) -> Estimate:
+        """One sample in, one estimate out: `Runner.step` of `runner`."""
+        return self.runner.step(u, counts)
 
     def run(self, u: ArrayLike, counts: ArrayLike) -> Track:
-        """Many samples at once, from the present state; u, counts: (n,). The same bits as `step` in a loop.
-
-        Raises UsageError where the arrays differ in length or the counts are no integers.
-        """
-        return Track(self.names, self.units, *self._kernel.run(*check_arrays(u, counts)))
+        """Many samples at once, from the present state: `Runner.run` of `runner`."""
+        return self.runner.run(u, counts)
 
     def run_many(self, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
-        """Many axes at once, each from the present state of this estimator, which itself does not change.
-
-        u: (axes, n), or (n,) the same for all; counts: (axes, n). The result has the last estimate of each axis, or
-        every so many. Each axis has the bits of `run`. To go on with further samples use a `Fleet`.
-        Raises UsageError like `Fleet.run`.
-        """
-        from pmfid.estimators.fleet import Fleet
-
-        table = integer_counts(counts)
-        return Fleet(self, max(1, table.shape[0]) if table.ndim else 1).run(u, table, every=every)
+        """Many axes at once, each from the present state, which does not change: `Runner.run_many` of `runner`."""
+        return self.runner.run_many(u, counts, every=every)
 
     @property
-    def estimate(self) -> Any:
+    def estimate(self) -> Estimate:
         """The present `Estimate`."""
-        return self._kernel.estimate()
+        return self.runner.estimate
 
     def open_memory(self, keep: float, parameter: str | None = None) -> None:
-        """After a change of the plant: only the part `keep` in (0, 1] of what was gathered counts from now on.
-
-        parameter: what changed; what is known of the others for a given value of it stays. None: all. The estimate
-        stays where it is and its variance grows (covariance reset, Goodwin and Sin 1984, in information form); filters
-        and auxiliary model go on. Raises UsageError for another keep or an unknown parameter.
-        """
-        if not isinstance(keep, Real) or not 0 < keep <= 1:
-            raise UsageError(f"keep must be in (0, 1], got {keep!r}; 0.001 lets new samples prevail at once")
-        if parameter is not None and parameter not in self.names:
-            raise UsageError(f"parameter must be one of {list(self.names)} or None, got {parameter!r}")
-        self._kernel.open(keep, -1 if parameter is None else self.names.index(parameter))
+        """After a change of the plant: `Runner.open_memory` of `runner`."""
+        self.runner.open_memory(keep, parameter)
 
     def rebase(self, counts: int) -> None:
-        """The counter was set anew, as in a homing: it would have read `counts` at the last sample.
-
-        What was known stays. Without this call the jump is found, flagged, and the motion in its sample lost, where it
-        is larger than what the axis itself may do (`Encoder.guard`).
-        """
-        self._kernel.rebase(counts)
+        """The counter was set anew: `Runner.rebase` of `runner`."""
+        self.runner.rebase(counts)
 
     def reset(self) -> None:
         """Forgets all samples."""
-        self._kernel.reset()
+        self.runner.reset()
 
     def get_state(self) -> bytes:
-        """The whole state, with a version and checksums; `set_state` of an estimator with the same configuration, or
-        the firmware exported from it, continues from it."""
-        from pmfid.kernel.saved import save_state
-
-        return save_state(self._kernel, self.precision)
+        """The whole state, to go on from in Python or in firmware: `Runner.get_state` of `runner`."""
+        return self.runner.get_state()
 
     def set_state(self, state: bytes) -> None:
-        """Continues from a saved state. Raises UsageError, and stays as it was, for one of another configuration, a
-        damaged one, and numbers that no sample could have made, whatever their checksum."""
-        from pmfid.kernel.saved import load_state
+        """Continues from a saved state: `Runner.set_state` of `runner`."""
+        self.runner.set_state(state)
 
-        load_state(self._kernel, self.precision, state)
+
+def _resumed(cls: type[RecursiveEstimator], configuration: Mapping[str, object], state: bytes) -> RecursiveEstimator:
+    estimator = made(cls, configuration)
+    estimator.set_state(state)
+    return estimator

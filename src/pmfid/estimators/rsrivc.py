@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from math import comb
-from typing import Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from pmfid.errors import UsageError
 from pmfid.estimators.auxiliary import CHECK_TIME_CONSTANTS, COPY_TIME_CONSTANTS
@@ -14,6 +14,9 @@ from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.filters.columns import ColumnBuilder
 from pmfid.models.transfer_function import TransferFunction
+
+if TYPE_CHECKING:
+    from pmfid._kernel64 import Kernel
 
 #: The fastest pole that samples can tell: 2 / dt.
 FASTEST = 2.0
@@ -49,14 +52,8 @@ class RSRIVC(RecursiveEstimator):
             )
         super().__post_init__()
 
-    def make_kernel(self, forgetting: float = 1.0) -> Any:
-        direct = like(
-            BCRLS,
-            self,
-            forgetting=forgetting,
-            forgetting_scheme=self.forgetting_scheme,
-            forgetting_of=self.forgetting_of,
-        )
+    def make_kernel(self, forgetting: float = 1.0) -> Kernel:
+        direct = like(BCRLS, self, forgetting=forgetting)
         p = len(self.names)
         builder = ColumnBuilder(direct.equation, direct.spec)
         columns = [*builder.regressors(), builder.target(), *builder.instruments()]

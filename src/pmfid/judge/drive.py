@@ -118,7 +118,9 @@ def reference(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> dict[str
         fit = like(BCLS, estimator, prefilter_zeros=zeros).fit(u, counts)
         return _table(fit.names, fit.theta, fit.theta_std) if estimator.plain else {}
     if forgetting < 1:
-        track = like(RIV, estimator, prefilter_zeros=None, forgetting=forgetting).run(u, counts)
+        # as it forgets by itself: not every scheme is for instrumental variables
+        scheme = {"forgetting_scheme": "exponential", "forgetting_of": None}
+        track = like(RIV, estimator, prefilter_zeros=None, forgetting=forgetting, **scheme).run(u, counts)
         if track.status[-1] & (Status.FALLBACK | Status.STARTING | Status.POOR_EXCITATION):
             return {}
         return _table(track.names, track.theta[-1], track.theta_std[-1])

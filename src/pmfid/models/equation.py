@@ -111,6 +111,8 @@ class Equation:
     further: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "unknown", tuple(self.unknown))
+        object.__setattr__(self, "known", tuple(self.known))
         names = [term.name for term in self.unknown]
         if not self.unknown or not self.known or None in names or len(set(names)) < len(names):
             raise UsageError(

@@ -1,0 +1,85 @@
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
+"""The estimate after a sample: one class, whatever the precision of the kernel that made it."""
+
+cimport numpy as cnp
+import numpy as np
+
+from pmfid.errors import place_of
+
+cnp.import_array()
+
+
+cdef inline object _vector(const double *source, Py_ssize_t n):
+    cdef cnp.npy_intp shape = n
+    cdef object array = cnp.PyArray_SimpleNew(1, &shape, cnp.NPY_DOUBLE)
+    cdef double *target = <double *> cnp.PyArray_DATA(<cnp.ndarray> array)
+    cdef Py_ssize_t i
+    for i in range(n):
+        target[i] = source[i]
+    return array
+
+
+cdef _fill(double *target, source):
+    for i, value in enumerate(source):
+        target[i] = value
+
+
+cdef class Estimate:
+    """What one sample left: a snapshot that later steps do not change.
+
+    theta: (p,) parameters, also by name, estimate["mass"]; theta_cov: (p, p) covariance = innovation variance times P;
+    theta_std: (p,) its diagonal's root; innovation: a priori error [unit of the target]; innovation_variance;
+    status: `Status` bits. Made by `step`; it can be copied and pickled.
+    """
+
+    def __init__(self):
+        raise TypeError("an Estimate is what the step of a recursive estimator returns; it is not made by hand")
+
+    @property
+    def theta(self):
+        return _vector(self._theta, self._n)
+
+    @property
+    def theta_cov(self):
+        if self.innovation_variance == 0.0:  # no innovation has been counted yet: nothing is known
+            return np.diag(np.full(self._n, np.inf))
+        scale = np.sqrt(self._scale())
+        factor = _vector(self._factor, self._n * self._n).reshape(self._n, self._n)
+        return self.innovation_variance * factor * np.multiply.outer(scale, scale)
+
+    def _scale(self):
+        inflation = _vector(self._inflation, self._n)
+        return np.where(inflation > 0.0, inflation, 1.0)
+
+    @property
+    def theta_std(self):
+        if self.innovation_variance == 0.0:
+            return np.full(self._n, np.inf)
+        return np.sqrt(_vector(self._diagonal, self._n) * self.innovation_variance * self._scale())
+
+    def __getitem__(self, name):
+        """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        return float(self._theta[place_of(name, self._names)])
+
+    def __repr__(self):
+        return f"Estimate(theta={self.theta}, theta_std={self.theta_std}, status={self.status})"
+
+    def __reduce__(self):
+        vectors = self.theta, _vector(self._factor, self._n * self._n), _vector(self._diagonal, self._n)
+        return _restored, (self._names, *vectors, _vector(self._inflation, self._n), self.innovation,
+                           self.innovation_variance, self.status)
+
+
+def _restored(names, theta, factor, diagonal, inflation, innovation, innovation_variance, status):
+    """The estimate of which these are the parts; for pickle and copy."""
+    cdef Estimate estimate = Estimate.__new__(Estimate)
+    if len(theta) > PMF_MAX_PARAMETERS or not len(theta) == len(diagonal) == len(inflation) or \
+            len(factor) != len(theta) ** 2:
+        raise ValueError("these are not the parts of an estimate")
+    estimate._names, estimate._n = names, len(theta)
+    _fill(estimate._theta, theta)
+    _fill(estimate._factor, factor)
+    _fill(estimate._diagonal, diagonal)
+    _fill(estimate._inflation, inflation)
+    estimate.innovation, estimate.innovation_variance, estimate.status = innovation, innovation_variance, status
+    return estimate

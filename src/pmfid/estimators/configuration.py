@@ -1,0 +1,72 @@
+"""A configuration as a value: frozen, comparable, hashable, and enough to make its object again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from pmfid.estimators.base import Estimator
+
+E = TypeVar("E", bound="Estimator")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ByName(Mapping[str, float]):
+    """Numbers by the names of parameters, as a dict that does not change; equal to a dict of the same numbers."""
+
+    pairs: tuple[tuple[str, float], ...]
+
+    def __getitem__(self, name: str) -> float:
+        return dict(self.pairs)[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name, _ in self.pairs)
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self.pairs))
+
+    def __repr__(self) -> str:
+        return repr(dict(self.pairs))
+
+
+def freeze(estimator: Estimator) -> None:
+    """Gives an estimator copies that do not change of the lists, arrays and dicts it was made with."""
+    for name, value in configuration_of(estimator).items():
+        if isinstance(value, Mapping) and not isinstance(value, ByName):
+            object.__setattr__(estimator, name, ByName(tuple(value.items())))
+        elif isinstance(value, list | np.ndarray):
+            object.__setattr__(estimator, name, tuple(value))
+
+
+def configuration_of(estimator: Estimator) -> dict[str, object]:
+    """What an estimator was made with, by the names of its arguments."""
+    return {field.name: getattr(estimator, field.name) for field in fields(estimator) if field.init}
+
+
+def made(cls: Callable[..., E], configuration: Mapping[str, object]) -> E:
+    """A new estimator of a class, without samples."""
+    return cls(**configuration)
+
+
+def changed(estimator: E, changes: Mapping[str, object]) -> E:
+    """The same method with some of its arguments changed, without samples: `dataclasses.replace` for a mapping."""
+    return made(type(estimator), configuration_of(estimator) | dict(changes))
+
+
+def like(cls: type[E], estimator: Estimator, **changes: object) -> E:
+    """Another method with all of an estimator's configuration that it has a use for, but for the changes.
+
+    What names parameters (`initial`, `forgetting_of`) goes over with the same model only: another has others.
+    """
+    taken = {field.name for field in fields(cls) if field.init}
+    kept = {name: value for name, value in configuration_of(estimator).items() if name in taken}
+    if changes.get("model", estimator.model) != estimator.model:
+        kept = {name: value for name, value in kept.items() if not isinstance(value, ByName)}
+    return made(cls, kept | changes)

@@ -1,0 +1,125 @@
+"""An estimation that is under way: the state of a recursive estimator, apart from its configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from numbers import Real
+from typing import TYPE_CHECKING
+
+from numpy.typing import ArrayLike
+
+from pmfid.errors import UsageError
+from pmfid.estimators.base import check_arrays, integer_counts
+from pmfid.estimators.configuration import configuration_of, made
+from pmfid.estimators.track import Track
+
+if TYPE_CHECKING:
+    from pmfid._estimate import Estimate
+    from pmfid._kernel64 import Kernel
+    from pmfid.estimators.fleet import Tracks
+    from pmfid.estimators.recursive import RecursiveEstimator
+
+
+class Runner:
+    """What a recursive estimator has gathered from the samples so far, and the only object that samples change.
+
+    `estimator.start()` makes one. Copies, also by `copy.deepcopy`, `pickle` and process pools, go on from the present
+    state with the same bits and share nothing with the original. Two runners are equal only if they are one.
+    """
+
+    def __init__(self, estimator: RecursiveEstimator, kernel: Kernel) -> None:
+        # not the estimator itself, which has a runner of its own: the two would keep each other alive
+        self._type: type[RecursiveEstimator] = type(estimator)
+        self._configuration = configuration_of(estimator)
+        self.names, self.units, self.precision = estimator.names, estimator.units, estimator.precision
+        self.kernel = kernel
+        kernel.names = self.names
+        # bound here so that a call costs no look-up in Python
+        self.__dict__["step"] = kernel.step
+
+    @property
+    def estimator(self) -> RecursiveEstimator:
+        """The configuration, as a new estimator."""
+        return made(self._type, self._configuration)
+
+    def __repr__(self) -> str:
+        return f"Runner({self.estimator!r})"
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _resumed, (self._type, self._configuration, self.get_state())
+
+    def step(self, u: float, counts: int) -> Estimate:
+        """One sample: the input applied from now on, the count read now.
+
+        The estimate has theta (p,), theta_cov (p, p), theta_std (p,), innovation, innovation_variance and status.
+        A value that is not finite is flagged in the status and never enters. Raises TypeError for counts that are no
+        integer.
+        """
+        return self.kernel.step(u, counts)
+
+    def run(self, u: ArrayLike, counts: ArrayLike) -> Track:
+        """Many samples at once, from the present state; u, counts: (n,). The same bits as `step` in a loop.
+
+        Raises UsageError where the arrays differ in length or the counts are no integers.
+        """
+        return Track(self.names, self.units, *self.kernel.run(*check_arrays(u, counts)))
+
+    def run_many(self, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
+        """Many axes at once, each from the present state, which itself does not change.
+
+        u: (axes, n), or (n,) the same for all; counts: (axes, n). The result has the last estimate of each axis, or
+        every so many. Each axis has the bits of `run`. To go on with further samples use a `Fleet`.
+        Raises UsageError like `Fleet.run`.
+        """
+        from pmfid.estimators.fleet import Fleet
+
+        table = integer_counts(counts)
+        return Fleet(self, max(1, table.shape[0]) if table.ndim else 1).run(u, table, every=every)
+
+    @property
+    def estimate(self) -> Estimate:
+        """The present `Estimate`."""
+        return self.kernel.estimate()
+
+    def open_memory(self, keep: float, parameter: str | None = None) -> None:
+        """After a change of the plant: only the part `keep` in (0, 1] of what was gathered counts from now on.
+
+        parameter: what changed; what is known of the others for a given value of it stays. None: all. The estimate
+        stays where it is and its variance grows (covariance reset, Goodwin and Sin 1984, in information form); filters
+        and auxiliary model go on. Raises UsageError for another keep or an unknown parameter.
+        """
+        if not isinstance(keep, Real) or not 0 < keep <= 1:
+            raise UsageError(f"keep must be in (0, 1], got {keep!r}; 0.001 lets new samples prevail at once")
+        if parameter is not None and parameter not in self.names:
+            raise UsageError(f"parameter must be one of {list(self.names)} or None, got {parameter!r}")
+        self.kernel.open(keep, -1 if parameter is None else self.names.index(parameter))
+
+    def rebase(self, counts: int) -> None:
+        """The counter was set anew, as in a homing: it would have read `counts` at the last sample.
+
+        What was known stays. Without this call the jump is found, flagged, and the motion in its sample lost, where it
+        is larger than what the axis itself may do (`Encoder.guard`).
+        """
+        self.kernel.rebase(counts)
+
+    def reset(self) -> None:
+        """Forgets all samples."""
+        self.kernel.reset()
+
+    def get_state(self) -> bytes:
+        """The whole state, with a version and checksums; `set_state` of a runner with the same configuration, or the
+        firmware exported from it, continues from it."""
+        from pmfid.kernel.saved import save_state
+
+        return save_state(self.kernel, self.precision)
+
+    def set_state(self, state: bytes) -> None:
+        """Continues from a saved state. Raises UsageError, and stays as it was, for one of another configuration, a
+        damaged one, and numbers that no sample could have made, whatever their checksum."""
+        from pmfid.kernel.saved import load_state
+
+        load_state(self.kernel, self.precision, state)
+
+
+def _resumed(cls: type[RecursiveEstimator], configuration: Mapping[str, object], state: bytes) -> Runner:
+    return made(cls, configuration).start(state)

@@ -1,0 +1,49 @@
+"""What a recursive estimator says over a record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import place_of
+from pmfid.status import Status
+
+
+@dataclass(frozen=True)
+class Track:
+    """Estimates over a record of n samples with p parameters.
+
+    theta: (n, p); innovation: (n,) a priori error in the unit of the target; innovation_variance: (n,);
+    variance_factor: (n, p), the diagonal of P; inflation: (n, p), what coloured innovations make of the variances,
+    0 while not known; status: (n,) `Status` bits; names, units: of the p parameters.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    theta: NDArray[np.float64]
+    variance_factor: NDArray[np.float64]
+    inflation: NDArray[np.float64]
+    innovation: NDArray[np.float64]
+    innovation_variance: NDArray[np.float64]
+    status: NDArray[np.uint32]
+
+    @cached_property
+    def theta_std(self) -> NDArray[np.float64]:
+        """(n, p) standard deviations, infinite until there is an estimate; scaled by the inflation once it is known."""
+        known = self.innovation_variance > 0
+        scale = np.where(self.inflation[known] > 0, self.inflation[known], 1.0)
+        std = np.full_like(self.theta, np.inf)
+        with np.errstate(over="ignore"):  # infinite is right where nothing is known
+            std[known] = np.sqrt(self.variance_factor[known] * self.innovation_variance[known, None] * scale)
+        return std
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """The (n,) track of one parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        return self.theta[..., place_of(name, self.names)]
+
+    def flagged(self, bit: Status) -> NDArray[np.bool_]:
+        """(n,) where a status bit is set."""
+        return np.asarray((self.status & bit) != 0)

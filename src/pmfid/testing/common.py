@@ -1,0 +1,165 @@
+"""What every estimator owes, whether it takes whole records or runs."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.encoder import Encoder
+from pmfid.errors import UsageError
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.configuration import changed, configuration_of
+from pmfid.models.drive import Drive, EquationModel
+from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, VISCOUS_BACKWARD, VISCOUS_FORWARD
+from pmfid.testing.case import COPIES, Case, Floats, call, last, require, require_refusal, result_of
+
+#: Of its own parameters an estimator may miss so much on a fine record.
+NEAR = 0.1
+#: Of a change of units or signs a result may keep so much, for the counts are whole numbers.
+SAME, MIRRORED = 1e-3, 5e-3
+#: Units of position in one of another choice.
+THOUSAND = 1000.0
+#: Another sample time, at which every cutoff that was allowed still is.
+OTHER_DT = 0.5
+
+
+def configuration_is_a_value(case: Case) -> None:
+    """Frozen; equal to another of the same arguments, with the same hash, and to no other."""
+    estimator, same = case.configured, replace(case.configured)
+    require_refusal(FrozenInstanceError, "a new value of dt", lambda: setattr(estimator, "dt", 1.0))
+    require(estimator == same, "two of the same configuration are not equal")
+    require(hash(estimator) == hash(same), "two of the same configuration have two hashes")
+    require(estimator != replace(estimator, dt=OTHER_DT * estimator.dt), "another dt makes no difference to ==")
+    for name, again in COPIES.items():
+        other = again(estimator)
+        require(type(other) is type(estimator) and other == estimator, f"{name} gives another configuration")
+
+
+def wrong_arguments_are_refused(case: Case) -> None:
+    """At construction, with a UsageError: what no configuration can be."""
+    wrong: dict[str, tuple[object, ...]] = {
+        "dt": (0.0, float("nan")),
+        "cutoff": (-1.0, 2.1 / case.estimator.dt),
+        "order": (0, 2.5),
+        "discretization": ("none",),
+        "precision": ("float16",),
+        "model": (None,),
+        "encoder": (1e-5,),
+    }
+    taken = configuration_of(case.estimator)
+    for name, values in wrong.items():
+        for value in values if name in taken else ():
+            require_refusal(UsageError, f"{name} = {value!r}", partial(changed, case.estimator, {name: value}))
+
+
+def wrong_arrays_are_refused(case: Case) -> None:
+    """With a UsageError: two lengths, and counts that are no whole numbers."""
+    u, counts = case.fine.u, case.fine.counts
+    require_refusal(UsageError, "a count less than inputs", lambda: result_of(case.configured, u, counts[:-1]))
+    require_refusal(UsageError, "counts of 0.5", lambda: result_of(case.configured, u, counts + 0.5))
+
+
+def names_are_of_the_parameters(case: Case) -> None:
+    """As many as parameters and units, no two the same; a result is asked by them."""
+    names, result = case.configured.names, case.result
+    require(len(set(names)) == len(names), f"names are twice in {names}")
+    require(len(names) == len(case.configured.units) == case.theta.size, "there are not as many names as parameters")
+    require(tuple(result.names) == tuple(names), f"the result has the names {result.names}, the estimator {names}")
+    for name, value in zip(names, case.theta, strict=True):
+        require(bool(np.atleast_1d(result[name])[-1] == value), f"result[{name!r}] is not that parameter")
+    require_refusal(KeyError, "a parameter that is not there", lambda: result["no such parameter"])
+
+
+def inputs_stay_untouched(case: Case) -> None:
+    """u and counts are only read; lists and other integers give the same bits, and so does the next time."""
+    u, counts = (part.copy() for part in case.short)
+    again = call(case.configured, u, counts)
+    require(bool(np.all(u == case.short[0]) and np.all(counts == case.short[1])), "the arrays have changed")
+    theta = last(case.short_result.theta)
+    require(np.array_equal(last(again.theta), theta), "the same record gives other numbers the second time")
+    listed = call(case.configured, u.tolist(), counts.tolist())
+    require(np.array_equal(last(listed.theta), theta), "lists give other numbers than arrays")
+
+
+def finds_the_truth(case: Case) -> None:
+    """On a fine record of its own model."""
+    if case.fine.theta is None:
+        return
+    known = case.fine.theta != 0
+    truth, theta = case.fine.theta[known], case.theta[: known.size][known]
+    error = np.abs(theta / truth - 1)
+    require(bool(np.all(error < NEAR)), f"of {truth} it finds {theta}")
+
+
+def more_data_make_shorter_error_bars(case: Case) -> None:
+    """With few counts in a sample, of which none is forgotten: those of the whole record, and of its first third."""
+    u, counts = case.coarse.u, case.coarse.counts
+    few, long = u.size // 3, last(case.coarse_result.theta_std)
+    short = last(result_of(case.endless, u[:few], counts[:few]).theta_std)
+    require(bool(np.all(np.isfinite(long)) and np.all(long > 0)), f"the error bars are {long}")
+    require(bool(np.mean(np.log(long / short)) < 0), f"{few} samples give {short}, {u.size} give {long}")
+
+
+def mirrored(case: Case) -> None:
+    """Input and counts with the other sign: forward and backward change places, loads their sign."""
+    result = result_of(case.configured, -case.fine.u, -case.fine.counts)
+    _require_near(last(result.theta), _turned(case.configured, case.theta), case.theta, MIRRORED)
+
+
+def scales_with_the_units(case: Case) -> None:
+    """Position in a thousandth of its unit, forces as well: what does not depend on it stays, the rest goes with it."""
+    configured, factors = case.configured, _factors(case.configured)
+    changes: dict[str, object] = {"encoder": _in_thousandths(configured.encoder), "model": configured.model}
+    if not configured.equation.process:
+        changes["model"] = _in_thousandths_of_force(configured.model)
+    noise: float | None = getattr(configured, "noise_std", None)
+    if noise is not None:
+        changes["noise_std"] = THOUSAND * noise
+    result = result_of(changed(configured, changes), case.fine.u, case.fine.counts)
+    _require_near(last(result.theta), case.theta * factors, case.theta * factors, SAME)
+
+
+def _require_near(found: Floats, expected: Floats, scale: Floats, part: float) -> None:
+    size = np.maximum(np.abs(expected), part * np.max(np.abs(scale)))
+    require(bool(np.all(np.abs(found - expected) < part * size)), f"it is {found}, not {expected}")
+
+
+def _turned(estimator: Estimator, theta: Floats) -> Floats:
+    turned, roles = theta.copy(), estimator.equation.roles
+    for one, other in ((VISCOUS_FORWARD, VISCOUS_BACKWARD), (COULOMB_FORWARD, COULOMB_BACKWARD)):
+        here, there = roles[one], roles[other]
+        if here is not None and there is not None:
+            turned[here], turned[there] = theta[there], theta[here]
+    return turned * [-1.0 if signal in ("moving", "constant", "start") else 1.0 for signal in _signals(estimator)]
+
+
+def _factors(estimator: Estimator) -> NDArray[np.float64]:
+    """By which a parameter grows when position and force have a thousandth of their unit."""
+    grows = {"direction", "moving", "forward", "backward", "process_input", "constant", "start"}
+    return np.array([THOUSAND if signal in grows else 1.0 for signal in _signals(estimator)])
+
+
+def _signals(estimator: Estimator) -> list[str]:
+    """Of each parameter: what it multiplies; nothing for the coefficients of a pre-filter and a dead time."""
+    signals: list[str] = [term.signal for term in estimator.equation.unknown]
+    return signals + [""] * (len(estimator.names) - len(signals))
+
+
+def _in_thousandths(encoder: Encoder) -> Encoder:
+    speed = None if encoder.max_speed is None else THOUSAND * encoder.max_speed
+    return replace(encoder, resolution=THOUSAND * encoder.resolution, max_speed=speed)
+
+
+def _in_thousandths_of_force(model: object) -> object:
+    if isinstance(model, Drive):
+        return replace(model, input_gain=THOUSAND * model.input_gain)
+    if isinstance(model, EquationModel):
+        known = tuple(
+            replace(term, coefficient=THOUSAND * term.coefficient) if term.signal == "input" else term
+            for term in model.equation.known
+        )
+        return EquationModel(replace(model.equation, known=known))
+    raise UsageError(f"scales_with_the_units knows no {type(model).__name__}")

@@ -1,0 +1,170 @@
+"""Estimators as objects: a configuration that is a value, a state that is apart from it, and copies that share nothing.
+
+What holds for every estimator is in `pmfid.testing`, and runs in the tests of the contract."""
+
+from __future__ import annotations
+
+import copy
+import multiprocessing
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import FrozenInstanceError, replace
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid.estimators.base import like
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.registry import ESTIMATORS, methods_for
+from pmfid.estimators.runner import Runner
+from tests.conftest import cart_run
+
+DT, CUTOFF, SAMPLES = 0.01, 100 / 3, 1000
+PRECISIONS = ("float64", "float32")
+MODELS = {"drive": pmfid.Drive(2.0), "process": pmfid.TransferFunction(2, 1)}
+COPIES = (copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one)))
+RUN = cart_run(1, samples=1300)
+FIRST, LAST = (RUN.u[:SAMPLES], RUN.counts[:SAMPLES]), (RUN.u[SAMPLES:], RUN.counts[SAMPLES:])
+
+
+def recursive(precision: str) -> list[RecursiveEstimator]:
+    """Every recursive estimator on every model that it takes, and one for which `forgetting_of` is given."""
+    made = [
+        ESTIMATORS[method](model, RUN.encoder, DT, CUTOFF, forgetting=0.995, precision=precision)
+        for model in MODELS.values()
+        for method in methods_for(model)
+        if issubclass(ESTIMATORS[method], RecursiveEstimator)
+    ]
+    return [*made, replace(made[0], forgetting_of={"mass": 1.0})]
+
+
+def bits(estimator: RecursiveEstimator | Runner) -> bytes:
+    """What the last samples make of it, and the state after them."""
+    track = estimator.run(*LAST)
+    return track.theta.tobytes() + track.theta_std.tobytes() + track.status.tobytes() + estimator.get_state()
+
+
+def test_a_process_pool_goes_on_with_the_bits_and_the_original_does_not_move() -> None:
+    estimators = [estimator for precision in PRECISIONS for estimator in recursive(precision)]
+    for estimator in estimators:
+        estimator.run(*FIRST)
+    before = [estimator.get_state() for estimator in estimators]
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        elsewhere = list(pool.map(bits, estimators))
+    assert [estimator.get_state() for estimator in estimators] == before
+    assert elsewhere == [bits(estimator) for estimator in estimators]
+
+
+@pytest.mark.parametrize("again", COPIES)
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_copy_of_a_runner_goes_on_with_the_bits(precision: str, again) -> None:
+    for estimator in recursive(precision):
+        estimator.run(*FIRST)
+        runner = estimator.start(estimator.get_state())
+        other = again(runner)
+        assert other.estimator == estimator
+        expected, moved = bits(estimator), bits(other)
+        assert moved == expected
+        assert bits(runner) == expected
+
+
+def test_runners_share_nothing_with_the_estimator_that_started_them() -> None:
+    estimator = recursive("float64")[0]
+    untouched = estimator.get_state()
+    one, two = estimator.start(), estimator.start()
+    one.run(*FIRST)
+    two.run(*LAST)
+    assert estimator.get_state() == untouched
+    assert one.get_state() != two.get_state()
+    assert np.array_equal(one.estimate.theta, estimator.run(*FIRST).theta[-1])
+
+
+def test_a_foreign_state_starts_no_runner() -> None:
+    estimator = recursive("float64")[0]
+    with pytest.raises(pmfid.UsageError, match="same method"):
+        estimator.start(replace(estimator, cutoff=2 * CUTOFF).get_state())
+
+
+@pytest.mark.parametrize("again", COPIES)
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_copy_of_a_fleet_goes_on_with_the_bits_and_has_its_beginning(precision: str, again) -> None:
+    first, last = (np.array([part, 2 * part]) for part in (FIRST[0], LAST[0]))
+    counts, later = (np.array([part, part]) for part in (FIRST[1], LAST[1]))
+    estimator = pmfid.BCRLS(MODELS["drive"], RUN.encoder, DT, CUTOFF, forgetting=0.995, precision=precision)
+    estimator.run(*FIRST)
+    fleet = pmfid.Fleet(estimator, 2)
+    fleet.run(first, counts)
+    estimator.run(*LAST)  # the fleet's beginning is its own
+    other = again(fleet)
+    before = fleet.get_state()
+    moved = other.run(last, later).theta
+    assert fleet.get_state() == before
+    assert np.array_equal(fleet.run(last, later).theta, moved)
+    fleet.reset()
+    other.reset()
+    assert other.get_state() == fleet.get_state() != before
+
+
+def test_a_configuration_is_a_value() -> None:
+    given, zeros = {"mass": 1.0}, [-1.0, -3.0]
+    one = pmfid.BCRLS(
+        MODELS["drive"], RUN.encoder, DT, CUTOFF, forgetting=0.99, forgetting_of=given, prefilter_zeros=zeros
+    )
+    same = replace(one)
+    given["mass"], zeros[0] = 0.99, -2.0  # the caller's own objects
+    assert one.forgetting_of == {"mass": 1.0}
+    assert one.prefilter_zeros == (-1.0, -3.0)
+    assert one == same
+    assert hash(one) == hash(same)
+    assert one != replace(one, forgetting_of={"mass": 0.995})
+    assert len({one, same, replace(one, forgetting_of=None)}) == 2
+    with pytest.raises(FrozenInstanceError):
+        one.forgetting = 0.5
+    with pytest.raises(TypeError):
+        one.forgetting_of["mass"] = 0.5
+
+
+def test_the_order_of_names_is_no_part_of_a_configuration() -> None:
+    start = {"mass": 1.0, "viscous_friction": 10.0, "coulomb_friction": 1.0}
+    one, two = (
+        pmfid.RIV(MODELS["drive"], RUN.encoder, DT, CUTOFF, initial=initial)
+        for initial in (start, dict(reversed(list(start.items()))))
+    )
+    assert one == two
+    assert hash(one) == hash(two)
+
+
+def test_an_equation_of_lists_is_a_value_too() -> None:
+    terms = [pmfid.Term("output", 2, "mass"), pmfid.Term("output", 1, "drag")]
+    model = pmfid.EquationModel(pmfid.Equation(terms, [pmfid.Term("input", coefficient=2.0)]))
+    assert hash(pmfid.LS(model, RUN.encoder, DT, CUTOFF)) == hash(pmfid.LS(model, RUN.encoder, DT, CUTOFF))
+
+
+START = {"mass": 1.0, "viscous_friction": 10.0, "coulomb_friction": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "target"),
+    [
+        (pmfid.IV, {"initial": START}, pmfid.OE),
+        (pmfid.OE, {"initial": START, "drift_cutoff": 0.0}, pmfid.IntervalML),
+        (pmfid.KnownStep, {"noise_std": 1e-5}, pmfid.RKnownStep),
+        (pmfid.RLS, {"forgetting": 0.99, "forgetting_scheme": "window"}, pmfid.BCRLS),
+        (pmfid.RLS, {"forgetting": 0.99, "forgetting_of": {"mass": 1.0}}, pmfid.RIV),
+    ],
+)
+def test_like_keeps_all_that_the_other_method_has_a_use_for(source, options, target) -> None:
+    other = like(target, source(MODELS["drive"], RUN.encoder, DT, CUTOFF, order=3, **options))
+    assert type(other) is target
+    assert (other.order, other.model) == (3, MODELS["drive"])
+    assert {name: getattr(other, name) for name in options} == options
+
+
+def test_like_leaves_the_names_of_another_model_behind() -> None:
+    """The numbers stay."""
+    directional = pmfid.Drive(2.0, friction="directional")
+    method = pmfid.RIV(directional, RUN.encoder, DT, CUTOFF, forgetting=0.99, forgetting_of={"mass": 1.0})
+    other = like(pmfid.RIV, method, model=directional.symmetric)
+    assert other.forgetting_of is None
+    assert other.forgetting == 0.99
