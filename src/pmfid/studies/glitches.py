@@ -181,8 +181,9 @@ def page(places: int) -> str:
             "increments, "
             f"{places} places each, sizes of 100 to 1e9 counts ({REST_JUMP} at rest) and 30 to 1e30 times the largest "
             "input, drawn evenly in their logarithm. Deviation: of the worst parameter from the track without the "
-            f"fault, in percent of the parameter, or of {STDS:g} of its standard deviations, with the fault or without, "
-            "where they are more, at any time from the fault on (median, 99 % quantile, largest), and two memories behind it (99 %, largest).",
+            f"fault, in percent of the parameter, or of {STDS:g} of its standard deviations, with the fault or "
+            "without, where they are more, at any time from the fault on (median, 99 % quantile, largest), and two "
+            "memories behind it (99 %, largest).",
             "",
             *table(
                 [
