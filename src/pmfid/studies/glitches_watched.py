@@ -23,8 +23,7 @@ from pmfid.studies.machines import AXES, Axis, truth
 from pmfid.studies.monitoring.axis import random_stop_and_go
 from pmfid.studies.truth import Floats, table
 
-#: The second was held back.
-WATCHED = ("cart", "gantry")
+WATCHED = ("cart", "rotary")
 INCREMENTS, MEMORY = 1024, 100  # samples
 #: Earliest and latest fault, how much later the mass changes, and the time to find that [s].
 FAULT, LATER, FOUND_WITHIN = (10.0, 15.0), 10.0, 5.0
