@@ -139,6 +139,7 @@ enum {
 #define PMF_BLOCK_MEMORY 100U  /* blocks of innovations */
 #define PMF_LOOK 4U            /* updates between two looks at the size of the motion: no column changes much faster */
 #define PMF_SWING_BITS 15U     /* what they may show, in this half memory and in the last */
+#define PMF_BRIDGED 0x80000000U /* from encoder to filters alone: a wrong count was replaced as well as an encoder can tell */
 #define PMF_GUARD_SUSPECTS 3U  /* suspicious changes in a row; then it is what the axis does */
 #define PMF_GUARD_DOUBTS 3U    /* on the last two inputs, as bits; that before the last has the higher one */
 #ifdef PMF_FLOAT32
@@ -537,7 +538,7 @@ PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const p
 PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state);
 /* Judges the model against the measured velocity; true where its instruments may be used. */
 PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
-                                    const real_t *column);
+                                    const real_t *column, truth_t held);
 /* Do the changes of the input follow the innovations? PMF_FEEDBACK or 0; `where`: the recursion has made a step. */
 PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const pmf_recursion_state_t *recursion,
                                        truth_t where, real_t change);

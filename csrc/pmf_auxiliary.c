@@ -226,22 +226,23 @@ static void try_again(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_
 }
 
 PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
-                                    const real_t *column)
+                                    const real_t *column, truth_t held)
 {
     real_t measured = column[config->check_column], apart = measured - column[config->check_column + 1U];
     real_t limit;
-    truth_t running = state->running != 0U, judged, lost;
+    truth_t running = state->running != 0U, looks, judged, lost;
     if (config->adapt == 0U) {
         return running | PMF_NOT(running); /* a check that is never made is passed */
     }
     if (!PMF_ANY(running)) {
         return running;
     }
-    state->power = PMF_IF(running, config->memory * state->power + measured * measured, state->power);
-    state->mismatch = PMF_IF(running, config->memory * state->mismatch + apart * apart, state->mismatch);
+    looks = running & PMF_NOT(held);
+    state->power = PMF_IF(looks, config->memory * state->power + measured * measured, state->power);
+    state->mismatch = PMF_IF(looks, config->memory * state->mismatch + apart * apart, state->mismatch);
     limit = config->mismatch_limit * state->power + config->noise_power;
-    judged = running & (state->trial == 0U);
-    state->trial -= PMF_BIT(running & PMF_NOT(judged), 1U);
+    judged = looks & (state->trial == 0U);
+    state->trial -= PMF_BIT(looks & PMF_NOT(judged), 1U);
     lost = judged & (state->mismatch > limit);
     state->trusted = PMF_IF(judged, PMF_W(1), state->trusted);
     PMF_WHERE(lost, state, try_again(config, state, measured));

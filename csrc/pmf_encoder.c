@@ -155,23 +155,37 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
 #endif
 }
 
+#if PMF_WITH_GUARD
+/* Did counts come where they belong, as far as an encoder can tell? A stop could hide where it is slow. */
+static whole_t bridged(const pmf_encoder_state_t *state, integer_t change, integer_t motion)
+{
+    truth_t close = (change - motion <= 1) & (motion - change <= 1);
+    return PMF_BIT(close & (magnitude(motion) >= FAST_COUNTS) & (state->guard.doubt == 0U), PMF_BRIDGED);
+}
+#endif
+
 PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
                                  whole_t count, real_t *signal)
 {
     uint32_t mask = config->count_mask;
     truth_t started = state->started != 0U;
-    integer_t change = PMF_IF(started, signed_count(mask, (count - state->count) & mask), 0);
+    integer_t change = PMF_IF(started, signed_count(mask, (count - state->count) & mask), 0), motion;
     whole_t counts = magnitude(change), status = check(config, state, &input, &change, &counts), fast;
     real_t changed, predicted, innovation;
 #if PMF_WITH_GUARD
     if (config->guard != 0U) {
-        status |= pmf_guard(config, state, input, count, (status & PMF_COUNT_JUMP) != 0U, &change);
+        truth_t apart = (status & PMF_COUNT_JUMP) != 0U;
+        status |= pmf_guard(config, state, input, count, apart, &change);
         counts = magnitude(change);
+        motion = PMF_IF(apart, change, state->guard.change); /* counts that are put back are none */
+        status |= bridged(state, change, motion);
     } else {
         state->count = count;
+        motion = change;
     }
 #else
     state->count = count;
+    motion = change;
 #endif
     fast = next_fast(state->fast, counts);
     /* Position of the axis within the new count, in counts; a count says "in the middle". */
@@ -184,7 +198,7 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     signal[PMF_VELOCITY] = config->velocity_per_count * changed;
 
     track(config, state, innovation, predicted);
-    status |= note_motion(config, state, change);
+    status |= note_motion(config, state, motion);
     state->mean_velocity = signal[PMF_VELOCITY];
 #if PMF_WITH_SPLIT
     state->change = change;

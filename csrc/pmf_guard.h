@@ -6,7 +6,7 @@
  * lately, in proportion to the input. A change beyond that is left out and the predicted one taken in its place. The next
  * sample says what it was:
  *   it changes as predicted: the counter was set anew, its zero has moved and all goes on;
- *   it comes back: a wrong reading;
+ *   it comes back: a wrong reading, and what was missed meanwhile came evenly over the samples since the last good one;
  *   it goes on from the suspicious one: a blow, say, so what was held back is added, and nothing is lost.
  * An input far beyond the largest one lately is judged before the filters get it, two samples later: by then the counts have
  * answered, or it has stayed; else the last one counts in its place. Nothing here touches a sample that is not suspicious.
@@ -20,6 +20,7 @@
 
 #define FIRST_SAMPLES 4U             /* a record may begin in motion */
 #define STEP PMF_R(4.0)              /* by which the encoder's step alone spoils a prediction */
+#define NOISE PMF_R(2.0)             /* of a second difference of counts */
 #define REST_EDGE PMF_R(6.0)         /* less than that is never suspicious: at rest */
 #define MOTION_EDGE PMF_R(8.0)       /* and in motion */
 #define CAUTION PMF_R(3.0)           /* times what was missed so far */
@@ -81,42 +82,94 @@ static real_t limit_of(const pmf_encoder_config_t *config, const pmf_encoder_sta
     return PMF_IF(moves, MOTION_EDGE, REST_EDGE) + PMF_IF(learned, CAUTION, EARLY_CAUTION) * last * share;
 }
 
+PMF_SELDOM integer_t rounded(real_t x)
+{
+    x = PMF_IF(size_of(x) > LARGEST_RATE, PMF_R(0.0), x);
+    return PMF_TO_INTEGER(x + PMF_IF(x < PMF_R(0.0), PMF_R(-0.5), PMF_R(0.5)));
+}
+
+PMF_SELDOM integer_t sum_of(integer_t a, integer_t b)
+{
+    return signed_count(0xffffffffU, ((whole_t)a + (whole_t)b) & 0xffffffffU);
+}
+
+/* The change that is foreseen. Two differences of counts may be two counts off. */
+static integer_t foreseen_change(integer_t change, real_t rate)
+{
+    real_t sure = size_of(rate) - NOISE;
+    sure = PMF_IF(sure > PMF_R(0.0), sure, PMF_R(0.0));
+    return sum_of(change, rounded(PMF_IF(rate < PMF_R(0.0), -sure, sure)));
+}
+
+/* While it learns: a jump is missed by J and -2 J, a wrong reading by J and -3 J. Was that the largest so far? */
+PMF_SELDOM truth_t was_wild(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t missed)
+{
+    real_t first = guard->missed, size = size_of(first);
+    truth_t wild = (size_of(missed + PMF_R(2.5) * first) <= PMF_R(0.75) * size) & (size > guard->scatter);
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) { /* its output may step */
+        return wild & PMF_NOT(wild);
+    }
+#endif
+    return wild & (size > MOTION_EDGE) & (guard->seen < config->guard);
+}
+
+/* What a wrong count taught would hide all others. */
+PMF_SELDOM void learn_anew(pmf_guard_state_t *guard, truth_t where, real_t change)
+{
+    guard->scatter = PMF_IF(where, PMF_R(0.0), guard->scatter);
+    guard->seen = PMF_IF(where & (guard->seen > FIRST_SAMPLES), PMF_W(FIRST_SAMPLES), guard->seen);
+    guard->missed = PMF_IF(where, PMF_R(0.0), guard->missed);
+    guard->rate = PMF_IF(where, PMF_R(0.0), guard->rate);
+    guard->change = PMF_IF(where, rounded(change), guard->change);
+}
+
 /* Decides on a change from the accepted count where it or one before is suspicious. A doubtful input counts as none. */
 PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, whole_t count, truth_t apart,
                             integer_t *change)
 {
     pmf_guard_state_t *guard = &state->guard;
     uint32_t mask = config->count_mask;
-    truth_t suspected = guard->suspect != 0U, back, anew, real, sound, open;
+    truth_t suspected = guard->suspect != 0U, back, anew, real, sound, open, closes, wild;
     integer_t read = PMF_IF(suspected, signed_count(mask, (count - guard->reading) & mask), *change), foreseen;
     real_t driven = PMF_IF((guard->doubt & 1U) == 0U, state->input,
                            PMF_IF((guard->doubt & 2U) == 0U, state->input_before, guard->held));
     real_t predicted = guard->rate + guard->gain * (driven - guard->held), before = PMF_TO_REAL(guard->change);
+    real_t gap = PMF_TO_REAL((integer_t)guard->suspect);
     real_t part = PMF_TO_REAL(read) - before, whole = PMF_TO_REAL(*change) - before, pending = whole - part;
-    real_t missed = part - predicted, missed_whole = whole - predicted, size = size_of(missed), most, limit, rate;
-    limit = limit_of(config, state, &open);
-    back = (size_of(missed_whole) <= limit) | open | apart;
+    real_t missed = part - predicted, missed_whole = whole - predicted, size = size_of(missed), most, limit, rate, share;
+    real_t steady = before - guard->rate;
+    limit = (PMF_R(1.0) + gap) * limit_of(config, state, &open); /* what is missed adds up until the next good sample */
+    back = (size_of(missed_whole) <= limit) & PMF_NOT(suspected & (size < size_of(missed_whole)));
+    back = back | open | apart;
     anew = suspected & PMF_NOT(back) & (size <= limit) & (size < size_of(missed - pending));
     real = suspected & PMF_NOT(back | anew) &
            ((size_of(missed - PMF_R(1.5) * pending) <= size_of(pending) + limit) | (guard->suspect >= PMF_GUARD_SUSPECTS));
     sound = back | anew | real;
-    guard->missed = missed;
+    wild = back & PMF_NOT(suspected | apart) & was_wild(config, guard, missed_whole);
+    /* What was missed since the last good sample came evenly: all at once, it would be taken for an acceleration. */
+    closes = suspected & sound & PMF_NOT(real | open | apart);
+    guard->missed = PMF_IF(back, missed_whole, missed);
+    share = guard->missed / (PMF_R(1.0) + gap);
     most = CAUTION * guard->scatter + MOTION_EDGE;
-    most = PMF_IF(real & (size > most), most, missed);
-    learn_scatter(config, guard, sound & PMF_NOT(apart), PMF_IF(back, missed_whole, most));
-    /* while more are suspicious the predicted change stays the same */
-    rate = PMF_IF(suspected | (size_of(predicted) > LARGEST_RATE), PMF_R(0.0), predicted);
-    foreseen = PMF_TO_INTEGER(rate + PMF_IF(rate < PMF_R(0.0), PMF_R(-0.5), PMF_R(0.5)));
-    foreseen = signed_count(0xffffffffU, ((whole_t)guard->change + (whole_t)foreseen) & 0xffffffffU);
-    rate = PMF_IF(sound, PMF_IF(back, whole, PMF_IF(real, part - pending, part)), rate);
+    most = PMF_IF(real & (size > most), most, guard->missed);
+    learn_scatter(config, guard, sound & PMF_NOT(apart | wild), PMF_IF(closes, share, most));
+    rate = PMF_IF(size_of(predicted) > LARGEST_RATE, PMF_R(0.0), predicted);
+    foreseen = foreseen_change(guard->change, rate);
+    rate = PMF_IF(sound, PMF_IF(closes, predicted + share, PMF_IF(back, whole, part - pending)), rate);
     guard->rate = PMF_IF(apart, PMF_R(0.0), rate);
 #if PMF_WITH_PROCESS
     if (config->process != 0U) { /* its output has a zero that cannot move */
         anew = anew & PMF_NOT(anew);
     }
 #endif
-    *change = PMF_IF(sound, PMF_IF(anew, read, *change), foreseen);
-    guard->change = PMF_IF(apart, guard->change, PMF_IF(sound & PMF_NOT(back), read, *change));
+    /* nobody knows what a moved zero hid; its neighbours' mean is the best guess */
+    read = PMF_IF(closes & back, sum_of(guard->change, rounded(predicted + share)), read);
+    *change = PMF_IF(sound, PMF_IF(anew, sum_of(read, rounded(missed - share)), *change), foreseen);
+    guard->change = PMF_IF(apart, guard->change, PMF_IF(sound, PMF_IF(closes | real, read, *change), foreseen));
+    if (PMF_ANY(wild)) {
+        learn_anew(guard, wild, steady);
+    }
     guard->reading = PMF_IF(sound, guard->reading, count);
     guard->suspect = PMF_IF(sound, PMF_W(0), guard->suspect + 1U);
     state->count = PMF_IF(sound, count, (state->count + (whole_t)*change) & 0xffffffffU);
@@ -192,8 +245,9 @@ static whole_t pmf_guard(const pmf_encoder_config_t *config, pmf_encoder_state_t
     real_t edge = REST_EDGE + PMF_IF(state->moving > PMF_R(0.0), CAUTION * guard->scatter, PMF_R(0.0));
     truth_t plain = (missed * missed <= edge * edge) & ((guard->suspect | guard->doubt) == 0U) & PMF_NOT(apart);
     real_t beyond = guard->scatter + STEP, least = SWINGS * guard->peak;
+    truth_t looks = (guard->seen < config->guard) & (missed * missed > REST_EDGE * REST_EDGE); /* the lesson may be wrong */
     whole_t status = PMF_W(0);
-    if (PMF_ALL(plain)) {
+    if (PMF_ALL(plain & PMF_NOT(looks))) {
         if (PMF_ANY(missed * missed > beyond * beyond)) {
             learn_scatter(config, guard, plain, missed);
         }

@@ -71,7 +71,10 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     truth_t settling;
 #if PMF_WITH_GUARD
     truth_t suspicious = (status & (PMF_INVALID_INPUT | PMF_COUNT_JUMP)) != 0U;
-    state->hold = PMF_IF(suspicious, PMF_W(config->encoder.guard_hold), state->hold - PMF_BIT(state->hold > 0U, 1U));
+    truth_t bridged = ((status & PMF_BRIDGED) != 0U) & (state->hold == config->encoder.guard_hold); /* by the sample before */
+    state->hold = PMF_IF(suspicious, PMF_W(config->encoder.guard_hold),
+                         PMF_IF(bridged, PMF_W(0), state->hold - PMF_BIT(state->hold > 0U, 1U)));
+    status = status & ~(uint32_t)PMF_BRIDGED;
 #endif
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
@@ -158,7 +161,12 @@ static void forget_start(pmf_state_t *state, truth_t where)
 static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, whole_t direct_status, truth_t settled)
 {
     const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
-    truth_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column), in_charge, borrows;
+#if PMF_WITH_GUARD
+    truth_t held = state->hold != 0U; /* the measured velocity is not what the axis did */
+#else
+    truth_t held = settled & PMF_NOT(settled);
+#endif
+    truth_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column, held), in_charge, borrows;
     whole_t status, stepped = PMF_W(0);
     /* what was gathered with a wrong direction would stay */
     PMF_WHERE(PMF_NOT(trusted) & (state->instrument.updates != 0U), &state->instrument,

@@ -59,7 +59,7 @@ class Spoiled:
 class Effect:
     """missed: faults without a flag at their sample; largest, after: largest deviation of a parameter from the track
     without the faults, from the first fault on and two memories behind it: 0.02 is 2 % of the parameter, or one
-    standard deviation where that is more."""
+    standard deviation, of either track, where that is more."""
 
     missed: int
     faults: int
@@ -69,7 +69,7 @@ class Effect:
 
 def spoil(kind: str, u: Floats, counts: Counts, rng: np.random.Generator) -> Spoiled | None:
     """A record of (n,) samples with a fault of this kind at a random place; None where it never rests."""
-    u, counts, n = u.copy(), counts.copy(), u.size
+    n = u.size
     places = np.array([rng.integers(n // 3, n - 2 * MEMORY - 50)])
     if kind == "1 % glitches":
         places = n // 3 + np.flatnonzero(rng.random(n - n // 3) < 0.01)
@@ -79,7 +79,18 @@ def spoil(kind: str, u: Floats, counts: Counts, rng: np.random.Generator) -> Spo
         if resting.size == 0:
             return None
         places = rng.choice(resting, 1)
-    size = rng.choice([-1.0, 1.0], places.size) * 10 ** rng.uniform(*SIZES.get(kind, (1.0, 1.0)), places.size)
+    return spoil_at(kind, u, counts, places, sizes_of(kind, places.size, rng))
+
+
+def sizes_of(kind: str, faults: int, rng: np.random.Generator) -> Floats:
+    """Signed sizes (faults,) of faults of this kind [counts, or times the largest input]."""
+    signs = rng.choice([-1.0, 1.0], faults)
+    return np.asarray(signs * 10 ** rng.uniform(*SIZES.get(kind, (1.0, 1.0)), faults))
+
+
+def spoil_at(kind: str, u: Floats, counts: Counts, places: NDArray[np.intp], size: Floats) -> Spoiled:
+    """A record of (n,) samples with faults of sizes (k,) at places (k,)."""
+    u, counts = u.copy(), counts.copy()
     if kind == "spike":
         u[places] = size * np.max(np.abs(u))
     elif kind.startswith("jump"):
@@ -94,7 +105,8 @@ def effect(estimator: RecursiveEstimator, clean: Track, record: Spoiled) -> Effe
     estimator.reset()
     track = estimator.run(record.u, record.counts)
     first = int(record.places[0])
-    scale = np.maximum(np.abs(clean.theta[first:]), STDS * clean.theta_std[first:])
+    std = np.maximum(clean.theta_std[first:], track.theta_std[first:])
+    scale = np.maximum(np.abs(clean.theta[first:]), STDS * std)
     apart = np.max(np.abs(track.theta[first:] - clean.theta[first:]) / scale, axis=1)
     missed = int(np.sum(~track.flagged(SUSPICIOUS)[record.places]))
     return Effect(missed, record.places.size, float(apart.max()), float(apart[2 * MEMORY]))
@@ -169,8 +181,9 @@ def page(places: int) -> str:
             "increments, "
             f"{places} places each, sizes of 100 to 1e9 counts ({REST_JUMP} at rest) and 30 to 1e30 times the largest "
             "input, drawn evenly in their logarithm. Deviation: of the worst parameter from the track without the "
-            f"fault, in percent of the parameter, or of {STDS:g} of its standard deviations where they are more, at "
-            "any time from the fault on (median, 99 % quantile, largest), and two memories behind it (99 %, largest).",
+            f"fault, in percent of the parameter, or of {STDS:g} of its standard deviations, with the fault or "
+            "without, where they are more, at any time from the fault on (median, 99 % quantile, largest), and two "
+            "memories behind it (99 %, largest).",
             "",
             *table(
                 [

@@ -22,15 +22,20 @@ REFERENCE_SEED = 7
 INCREMENTS = 1024
 
 
-def random_stop_and_go(samples: int, rng: np.random.Generator) -> Floats:
-    """Position reference (samples,) [m]: moves to and fro whose stroke, time and dwell vary by +-VARIATION."""
+def random_stop_and_go(
+    samples: int,
+    rng: np.random.Generator,
+    move: tuple[float, float, float] = (STROKE, MOVE_TIME, DWELL_TIME),
+    dt: float = CART_DT,
+) -> Floats:
+    """Position reference (samples,) [m]: moves to and fro; stroke, its time and dwell, `move`, vary by +-VARIATION."""
     parts, total, x, forward = [np.zeros(1)], 1, 0.0, True
     while total < samples:
-        stroke, move, dwell = np.array([STROKE, MOVE_TIME, DWELL_TIME]) * rng.uniform(1 - VARIATION, 1 + VARIATION, 3)
+        stroke, time, dwell = np.array(move) * rng.uniform(1 - VARIATION, 1 + VARIATION, 3)
         target = stroke if forward else 0.0
-        tau = np.arange(1, round(move / CART_DT) + 1) * CART_DT / move
+        tau = np.arange(1, round(time / dt) + 1) * dt / time
         rise = np.clip(tau, 0, 1) ** 3 * (10 + np.clip(tau, 0, 1) * (6 * np.clip(tau, 0, 1) - 15))
-        parts += [x + (target - x) * rise, np.full(round(dwell / CART_DT), target)]
+        parts += [x + (target - x) * rise, np.full(round(dwell / dt), target)]
         total, x, forward = total + parts[-1].size + parts[-2].size, target, not forward
     return np.concatenate(parts)[:samples]
 

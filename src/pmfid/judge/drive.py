@@ -174,13 +174,22 @@ def count_jump(counts: NDArray[np.int64]) -> str:
     position; empty where there is none."""
     change = np.abs(np.diff(counts))
     worst = int(np.argmax(change))
-    usual = float(np.quantile(change, 0.99))
+    usual = float(np.quantile(_motion(counts, change), 0.99))
     if not change[worst] > JUMP * (usual + 1):
         return ""
     return (
         f"the counts jump by {change[worst]} at row {worst + 2}, usually by {usual:.3g} at most: a counter that "
         "wraps needs [encoder] bits; for lost counts give max_speed"
     )
+
+
+def _motion(counts: NDArray[np.int64], change: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Sizes (n - 1,) of the changes (n - 1,) of the counts (n,), without wrong readings, which come back at once: a few
+    of a hundred would else be what is usual."""
+    if change.size < 2:
+        return change
+    across = np.abs(counts[2:] - counts[:-2])
+    return np.asarray(np.r_[np.minimum(np.minimum(change[:-1], change[1:]), across), change[-1:]])
 
 
 def recent(estimator: Estimator, samples: int) -> slice:

@@ -1,0 +1,151 @@
+"""What jumps of the counter, wrong readings and spikes do to the monitor, as a page:
+`python -m studies.glitches_watched --out docs/glitches_watched.md`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from pmfid.encoder import Encoder
+from pmfid.estimators.iv import RIV
+from pmfid.models.drive import Drive
+from pmfid.monitor.calibration import Calibration, calibrate
+from pmfid.monitor.events import Alarm, Outlier, Watch
+from pmfid.monitor.monitor import Monitor
+from pmfid.paper.truth import Floats, table
+from pmfid.simulation import Schedule, position_control
+from studies.glitches import CUTOFF, KINDS, Counts, Spoiled, sizes_of, spoil_at
+from studies.machines import AXES, Axis, truth
+from studies.monitoring.axis import random_stop_and_go
+
+WATCHED = ("cart", "rotary")
+INCREMENTS, MEMORY = 1024, 100  # samples
+#: Earliest and latest fault, how much later the mass changes, and the time to find that [s].
+FAULT, LATER, FOUND_WITHIN = (10.0, 15.0), 10.0, 5.0
+MASS_STEP = 1.2
+REFERENCE, HOURS = 600.0, 2.0  # of the record that calibrates [s], of its replays
+
+
+@dataclass(frozen=True)
+class Watched:
+    """alarms: false ones; found: was the step of the mass told, with its size; told: samples told as outliers, for so
+    many faults."""
+
+    alarms: int
+    found: bool
+    told: int
+    faults: int
+
+
+def _record(axis: Axis, schedule: Schedule, seconds: float, rng: np.random.Generator) -> tuple[Floats, Counts]:
+    reference = random_stop_and_go(round(seconds / axis.dt), rng, (axis.stroke, axis.move, axis.dwell), axis.dt)
+    resolution = _resolution(axis)
+    kp, kd, u_max = (axis.control[name] for name in ("kp", "kd", "u_max"))
+    phase = resolution * rng.random()
+    motion, counts = position_control(
+        schedule, reference, axis.dt, kp=kp, kd=kd, u_max=u_max, resolution=resolution, phase=phase
+    )
+    return motion.u, counts
+
+
+def _resolution(axis: Axis) -> float:
+    return axis.resolution * 4096 / INCREMENTS
+
+
+def _riv(axis: Axis, initial: bool) -> RIV:
+    plain = RIV(
+        Drive(axis.drive.input_gain), Encoder(_resolution(axis)), axis.dt, CUTOFF / axis.dt, forgetting=1 - 1 / MEMORY
+    )
+    return replace(plain, initial=dict(zip(plain.names, truth(axis).tolist(), strict=True))) if initial else plain
+
+
+@cache
+def _calibration(name: str) -> Calibration:
+    axis = AXES[name]
+    u, counts = _record(axis, Schedule(((0.0, axis.drive),)), REFERENCE, np.random.default_rng(7))
+    return calibrate(_riv(axis, initial=False), truth(axis), u, counts, hours=HOURS)
+
+
+def _spoiled(kind: str, u: Floats, counts: Counts, first: int, dt: float, rng: np.random.Generator) -> Spoiled | None:
+    """The fault at the sample `first`, or the next at which the axis rests; 1 % glitches from there to the end."""
+    places = np.array([first])
+    if kind == "1 % glitches":
+        places = first + np.flatnonzero(rng.random(u.size - first) < 0.01)
+    if kind == "jump at rest":
+        rests = [k for k in range(first, first + round(4.0 / dt)) if np.ptp(counts[k - 20 : k + 1]) == 0]
+        if not rests:
+            return None
+        places = np.array(rests[:1])
+    return spoil_at(kind, u, counts, places, sizes_of(kind, places.size, rng))
+
+
+def watched(name: str, kind: str, runs: int) -> Iterator[Watched]:
+    """A fault, and LATER a step of the mass, in so many runs."""
+    axis, calibration = AXES[name], _calibration(name)
+    for seed in range(runs):
+        rng = np.random.default_rng([seed, KINDS.index(kind)])
+        fault = rng.uniform(*FAULT)
+        step = fault + LATER
+        schedule = Schedule(((0.0, axis.drive), (step, replace(axis.drive, mass=MASS_STEP * axis.drive.mass))))
+        u, counts = _record(axis, schedule, step + FOUND_WITHIN, rng)
+        spoiled = _spoiled(kind, u, counts, round(fault / axis.dt), axis.dt, rng)
+        if spoiled is None:
+            continue
+        monitor = Monitor(_riv(axis, initial=True), calibration, Watch())
+        samples = zip(spoiled.u.tolist(), spoiled.counts.tolist(), strict=True)
+        events = [event for a, b in samples for event in monitor.step(a, b)[1]]
+        alarms = [event for event in events if isinstance(event, Alarm)]
+        right = [one for one in alarms if one.time > step and one.parameter == "mass" and 0.1 < one.relative < 0.3]
+        told = sum(isinstance(event, Outlier) for event in events)
+        yield Watched(len(alarms) - len(right[:1]), bool(right), told, spoiled.places.size)
+
+
+def rows(runs: int) -> Iterator[list[str]]:
+    """Axis, fault, runs, false alarms, steps found, outliers told."""
+    for name in WATCHED:
+        for kind in KINDS:
+            found = list(watched(name, kind, runs))
+            told, faults = sum(one.told for one in found), sum(one.faults for one in found)
+            alarms, steps = sum(one.alarms for one in found), sum(one.found for one in found)
+            row = [name, kind, str(len(found)), str(alarms), f"{steps} of {len(found)}", f"{told} for {faults}"]
+            print(" | ".join(row), flush=True)
+            yield row
+
+
+def page(runs: int) -> str:
+    """The page, with so many runs of each fault."""
+    return "\n".join(
+        [
+            "# Samples that no motion explains, under the monitor",
+            "",
+            f"Written by `python -m studies.glitches_watched`. `riv` with a memory of {MEMORY} samples, "
+            f"{INCREMENTS} increments, stop-and-go whose strokes, times and dwells vary, thresholds from {HOURS:g} h "
+            f"of replays of {REFERENCE:g} s. A fault of the sizes of [glitches](glitches.md) {FAULT[0]:g} to "
+            f"{FAULT[1]:g} s after the start (1 % glitches: from there to the end), {LATER:g} s later the mass is "
+            f"{MASS_STEP:g} times as large, {FOUND_WITHIN:g} s after that the record ends. Found: an alarm on the mass "
+            "between +10 and +30 %; every other alarm is a false one.",
+            "",
+            *table(["axis", "fault", "runs", "false alarms", "steps found", "samples told"], list(rows(runs))),
+            "",
+        ]
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, help="the page")
+    parser.add_argument("--runs", type=int, default=50, help="of each fault (default: %(default)s)")
+    options = parser.parse_args()
+    text = page(options.runs)
+    print(text)
+    if options.out is not None:
+        options.out.write_text(text, "utf-8")
+
+
+if __name__ == "__main__":
+    main()
