@@ -67,6 +67,7 @@ study: .venv/installed
 	.venv/bin/python -m pmfid.studies.laboratory --out docs/laboratory.md --images docs/images
 	.venv/bin/python -m pmfid.studies.black_box --out docs/black_box.md
 	.venv/bin/python -m pmfid.studies.glitches --out docs/glitches.md
+	.venv/bin/python -m pmfid.studies.scale --out docs/scale.md
 	.venv/bin/python -m tests.hostile.study --out docs/hostile.md
 
 # Attacks at length, an hour at most: crafted states under the sanitizers, openings, names in exports, calls, pipes.
