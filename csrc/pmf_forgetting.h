@@ -112,28 +112,30 @@ PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf
 }
 
 /* Sums the squares of the acceleration in motion, in units of what the encoder shows, over this half memory of motion and
- * the last. Is another one over, and were both more than the encoder's errors could feign, and did it show how the axis sped
- * up and slowed down? All but that, as a constant speed or running down, says little, however long. */
+ * the last. Is another one over? */
 PMF_INLINE truth_t note_swing(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead,
                               real_t square, truth_t moves)
 {
-    whole_t both = PMF_W(SPED_UP | SLOWED_DOWN);
     state->moved += PMF_BIT(moves, 1U);
     state->swings |= PMF_IF(moves & (square > PMF_R(1.0)),
                             PMF_IF(lead < PMF_R(0.0), PMF_W(SLOWED_DOWN), PMF_W(SPED_UP)), PMF_W(0));
     state->power = PMF_IF(moves, state->power + square, state->power);
-    return moves & PMF_NOT(state->moved < config->half_memory) &
-           (((state->swings | (state->swings >> 2)) & both) == both) &
-           (state->power > (scalar_t)config->half_memory) & (state->power_before > (scalar_t)config->half_memory);
+    return moves & PMF_NOT(state->moved < config->half_memory);
+}
+
+/* Were both more than the encoder's errors could feign, and did it show how the axis sped up and slowed down? All but that,
+ * as a constant speed or running down, says little, however long. */
+PMF_INLINE truth_t excites(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
+{
+    real_t least = PMF_ALIKE((scalar_t)config->half_memory);
+    whole_t both = PMF_W(SPED_UP | SLOWED_DOWN);
+    return (((state->swings | (state->swings >> 2)) & both) == both) & (state->power > least) &
+           (state->power_before > least);
 }
 
 /* The next half memory of motion begins. */
-PMF_INLINE void end_half_memory(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
+PMF_INLINE void end_half_memory(pmf_recursion_state_t *state, truth_t ends)
 {
-    truth_t ends = PMF_NOT(state->moved < config->half_memory);
-    if (!PMF_ANY(ends)) {
-        return;
-    }
     state->moved = PMF_IF(ends, PMF_W(0), state->moved);
     state->swings = PMF_IF(ends, (state->swings & PMF_W(SPED_UP | SLOWED_DOWN)) * HALF_MEMORIES, state->swings);
     state->power_before = PMF_IF(ends, state->power, state->power_before);

@@ -108,7 +108,7 @@ PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursio
                               truth_t looks, uint32_t p, real_t known)
 {
     real_t square = config->shown * lead * lead;
-    truth_t moves = looks & (square > SOME), excited;
+    truth_t moves = looks & (square > SOME), ends, excited;
     uint32_t i;
     if (SCHEME(config) == PMF_CONSTANT_TRACE) {
         state->excited -= PMF_BIT(looks & (state->excited != 0U), 1U);
@@ -116,18 +116,22 @@ PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursio
     if (!PMF_ANY(moves)) {
         return;
     }
-    excited = note_swing(config, state, lead, square, moves);
+    known *= config->shown;
+    state->outdated = PMF_IF(moves & (known < LITTLE * config->outgrown * state->power_before), PMF_W(0), state->outdated);
+    ends = note_swing(config, state, lead, square, moves);
+    if (!PMF_ANY(ends)) {
+        return;
+    }
+    excited = ends & excites(config, state);
     for (i = 0; i < p; ++i) {
         state->peak[i] = PMF_IF(excited, config->leak * state->peak[i], state->peak[i]);
     }
     if (SCHEME(config) == PMF_CONSTANT_TRACE) {
         state->excited = PMF_IF(excited, PMF_W(2U * config->half_memory), state->excited);
     }
-    known *= config->shown;
     excited = excited & (known > config->outgrown * (state->power + state->power_before));
-    state->outdated = PMF_IF(moves & (known < LITTLE * config->outgrown * state->power_before), PMF_W(0), state->outdated);
     state->outdated = PMF_IF(excited, PMF_W(2U * config->half_memory * PMF_LOOK), state->outdated);
-    end_half_memory(config, state);
+    end_half_memory(state, ends);
 }
 
 /* Adds the regularisation and says whether there is information left to forget. */
