@@ -259,9 +259,9 @@ typedef struct {
     scalar_t correlated;   /* updates whose errors are taken to be the same until there are such blocks */
     uint32_t half_memory;  /* in looks at the size of the motion; 0: nothing is forgotten */
     uint32_t leading;      /* the parameter of the highest derivative */
-    scalar_t haste, leak;  /* weights of what is outdated at the next sample, and of the peaks at the next look at them */
+    scalar_t haste, leak;  /* weights of what is outdated at the next sample, and of the peaks after half a memory of motion */
     scalar_t shown; /* inverse square of what the encoder shows of the leading column */
-    scalar_t outgrown; /* information in that column, over its largest square of late, from which on it is from larger motions */
+    scalar_t outgrown; /* information in that column, over its squares at the looks of late, from which on it is from larger motions */
 #if PMF_WITH_AUXILIARY
     uint32_t growing;      /* 1: the first samples, gathered with a model that was still wrong, count the less */
 #endif
@@ -296,7 +296,7 @@ typedef struct {
 typedef struct {
     pmf_sums_t sums;
     real_t peak[PMF_MAX_PARAMETERS];                       /* largest information seen in motions of the present size */
-    real_t largest, before; /* square of the leading column, in this half memory of motion and in the last */
+    real_t power, power_before; /* squares of the leading column over what the encoder shows, of this half memory of motion, and the last */
     real_t factor[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* information = L D L^T: L below the diagonal */
     real_t inverse_pivot[PMF_MAX_PARAMETERS];              /* 1 / D */
     pmf_estimate_t estimate;
@@ -310,6 +310,7 @@ typedef struct {
     whole_t moved;   /* looks at samples in motion in this half memory */
     whole_t swings;  /* what these, and those of the last one, showed of the leading column, as bits */
     whole_t outdated; /* updates in which to forget in haste: the information is from larger motions than those of late */
+    whole_t excited;  /* constant trace: looks for which the axis is taken to be excited */
     whole_t since;    /* updates since the start, or since then; saturating */
     whole_t frozen;  /* too little information left to forget any more */
 #if PMF_WITH_NOISE

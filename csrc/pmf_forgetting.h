@@ -21,6 +21,13 @@
 #define SCHEME(config) ((config)->scheme)
 #endif
 
+#define SPED_UP 1U
+#define SLOWED_DOWN 2U
+#define HALF_MEMORIES 4U /* the same bits of the last half memory are so many times as large */
+#define SOME PMF_R(0.0625) /* of what the encoder shows, squared: the axis moves */
+
+#define LARGER(a, b) PMF_IF((a) > (b), a, b)
+
 /* Directional forgetting (Cao and Schwartz 2000): W - (1 - f) W phi phi^T W / (phi^T W phi). What phi says nothing of is
  * not forgotten, so that there is nothing to wind up and no regularisation is needed. */
 PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *phi,
@@ -87,7 +94,8 @@ PMF_INLINE real_t forget_separately(const pmf_recursion_config_t *config, pmf_re
 #endif
 
 /* Weight of the past at the next sample. With constant trace the part of P by which the last one had lowered it, but
- * never less than forgetting twice as fast. */
+ * never less than forgetting twice as fast. In motions that excite the axis it forgets as ever at least: else, where
+ * these are less than those whose trace is kept, what is known from the larger ones would stay for good. */
 PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
     real_t least = PMF_ALIKE(config->forgetting * config->forgetting), weight = PMF_ALIKE(config->forgetting);
@@ -95,36 +103,43 @@ PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf
         return PMF_R(1.0);
     }
     if (SCHEME(config) == PMF_CONSTANT_TRACE) {
-        truth_t below = (state->trace > PMF_R(0.0)) & PMF_NOT(state->trace > PMF_R(1.0));
-        weight = PMF_IF(below, PMF_IF(state->trace > least, state->trace, least), PMF_R(1.0));
+        truth_t known = state->trace > PMF_R(0.0), renewed = PMF_NOT(known) & (state->since < state->updates);
+        real_t part = PMF_IF(known, LARGER(state->trace, least), PMF_R(1.0));
+        weight = PMF_IF((state->excited != 0U) & (known | renewed), weight, PMF_R(1.0));
+        weight = PMF_IF(part < weight, part, weight);
     }
     return PMF_IF(state->frozen != 0U, PMF_R(1.0), weight);
 }
 
-#define LARGER(a, b) PMF_IF((a) > (b), a, b)
-
-#define SPED_UP 1U
-#define SLOWED_DOWN 2U
-#define HALF_MEMORIES 4U /* the same bits of the last half memory are so many times as large */
-
-/* Keeps the largest square of the acceleration in motion, of this half memory of motion and of the last. Did the encoder show
- * lately how the axis sped up and slowed down? All but that, as a constant speed or running down, says little, however
- * long. */
+/* Sums the squares of the acceleration in motion, in units of what the encoder shows, over this half memory of motion and
+ * the last. Is another one over? */
 PMF_INLINE truth_t note_swing(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead,
                               real_t square, truth_t moves)
 {
-    truth_t ends = moves & (state->moved >= config->half_memory);
-    whole_t both = PMF_W(SPED_UP | SLOWED_DOWN);
-    if (PMF_ANY(ends)) {
-        state->moved = PMF_IF(ends, PMF_W(0), state->moved);
-        state->swings = PMF_IF(ends, (state->swings & both) * HALF_MEMORIES, state->swings);
-        state->before = PMF_IF(ends, state->largest, state->before);
-        state->largest = PMF_IF(ends, PMF_R(0.0), state->largest);
-    }
     state->moved += PMF_BIT(moves, 1U);
-    state->swings |= PMF_IF(moves, PMF_IF(lead < PMF_R(0.0), PMF_W(SLOWED_DOWN), PMF_W(SPED_UP)), PMF_W(0));
-    state->largest = PMF_IF(moves & (square > state->largest), square, state->largest);
-    return ((state->swings | (state->swings >> 2)) & both) == both;
+    state->swings |= PMF_IF(moves & (square > PMF_R(1.0)),
+                            PMF_IF(lead < PMF_R(0.0), PMF_W(SLOWED_DOWN), PMF_W(SPED_UP)), PMF_W(0));
+    state->power = PMF_IF(moves, state->power + square, state->power);
+    return moves & PMF_NOT(state->moved < config->half_memory);
+}
+
+/* Were both more than the encoder's errors could feign, and did it show how the axis sped up and slowed down? All but that,
+ * as a constant speed or running down, says little, however long. */
+PMF_INLINE truth_t excites(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
+{
+    real_t least = PMF_ALIKE((scalar_t)config->half_memory);
+    whole_t both = PMF_W(SPED_UP | SLOWED_DOWN);
+    return (((state->swings | (state->swings >> 2)) & both) == both) & (state->power > least) &
+           (state->power_before > least);
+}
+
+/* The next half memory of motion begins. */
+PMF_INLINE void end_half_memory(pmf_recursion_state_t *state, truth_t ends)
+{
+    state->moved = PMF_IF(ends, PMF_W(0), state->moved);
+    state->swings = PMF_IF(ends, (state->swings & PMF_W(SPED_UP | SLOWED_DOWN)) * HALF_MEMORIES, state->swings);
+    state->power_before = PMF_IF(ends, state->power, state->power_before);
+    state->power = PMF_IF(ends, PMF_R(0.0), state->power);
 }
 
 /* With a model that follows the estimate the first samples were gathered with a poor one: until the memory is full each

@@ -117,10 +117,10 @@ PMF_SELDOM uint32_t check_check(const pmf_check_t *check)
 /* What says how large the motion is, and was. */
 PMF_SELDOM uint32_t check_scale(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
-    return not_negative(state->peak, REALS(state->peak)) & not_negative(&state->largest, 1U) &
-           not_negative(&state->before, 1U) & at_most(state->moved, config->half_memory) &
-           at_most(state->swings, PMF_SWING_BITS) & at_most(state->outdated, config->half_memory * PMF_LOOK) &
-           at_most(state->frozen, 1U);
+    return not_negative(state->peak, REALS(state->peak)) & not_negative(&state->power, 1U) &
+           not_negative(&state->power_before, 1U) & at_most(state->moved, config->half_memory) &
+           at_most(state->swings, PMF_SWING_BITS) & at_most(state->outdated, 2U * config->half_memory * PMF_LOOK) &
+           at_most(state->excited, 2U * config->half_memory) & at_most(state->frozen, 1U);
 }
 
 PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)

@@ -20,6 +20,7 @@
 #define FREEZE PMF_R(1e-3)  /* and below FREEZE times it there is nothing left worth forgetting */
 #define LEAST_CLEAN PMF_R(0.02) /* of a column's information */
 #define MIN_BLOCKS 8.0
+#define LITTLE PMF_SCALAR(0.25) /* of what begins the haste ends it */
 #define SKIPPED_INNOVATIONS 4U /* innovations of a fresh estimate say nothing of the noise */
 #define JUDGED 16U /* updates between two verdicts on the model, half-way between two looks; a power of two */
 #define NEGLIGIBLE PMF_R(1e-6) /* mean square part of the target that no model need explain */
@@ -100,24 +101,37 @@ PMF_INLINE whole_t subtract_noise(const pmf_recursion_config_t *config, const pm
     return poor;
 }
 
-/* In motions that excite the axis the peaks come down to what these can give. Where more is known than the largest
- * acceleration of the last memory could give for good, it is from larger motions, and forgotten in haste: a memory is one of
- * time, whatever the size of the motion. */
+/* After every half memory of motions that excite the axis the peaks come down to what these can give. Where more is known
+ * than accelerations like those of late could give for good, it is from larger motions, and forgotten in haste: a memory is
+ * one of time, whatever the size of the motion. */
 PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead,
                               truth_t looks, uint32_t p, real_t known)
 {
-    real_t square = lead * lead;
-    truth_t moves = looks & (config->shown * square > PMF_R(1.0)), excited;
+    real_t square = config->shown * lead * lead;
+    truth_t moves = looks & (square > SOME), ends, excited;
     uint32_t i;
+    if (SCHEME(config) == PMF_CONSTANT_TRACE) {
+        state->excited -= PMF_BIT(looks & (state->excited != 0U), 1U);
+    }
     if (!PMF_ANY(moves)) {
         return;
     }
-    excited = moves & note_swing(config, state, lead, square, moves);
+    known *= config->shown;
+    state->outdated = PMF_IF(moves & (known < LITTLE * config->outgrown * state->power_before), PMF_W(0), state->outdated);
+    ends = note_swing(config, state, lead, square, moves);
+    if (!PMF_ANY(ends)) {
+        return;
+    }
+    excited = ends & excites(config, state);
     for (i = 0; i < p; ++i) {
         state->peak[i] = PMF_IF(excited, config->leak * state->peak[i], state->peak[i]);
     }
-    excited = excited & (known > config->outgrown * LARGER(state->largest, state->before));
-    state->outdated = PMF_IF(excited, PMF_W(config->half_memory * PMF_LOOK), state->outdated);
+    if (SCHEME(config) == PMF_CONSTANT_TRACE) {
+        state->excited = PMF_IF(excited, PMF_W(2U * config->half_memory), state->excited);
+    }
+    excited = excited & (known > config->outgrown * (state->power + state->power_before));
+    state->outdated = PMF_IF(excited, PMF_W(2U * config->half_memory * PMF_LOOK), state->outdated);
+    end_half_memory(state, ends);
 }
 
 /* Adds the regularisation and says whether there is information left to forget. */

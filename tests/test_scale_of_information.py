@@ -10,6 +10,7 @@ import pytest
 import pmfid
 from pmfid import Status
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, Schedule, prbs, quantize, simulate_drive
+from studies.scale import outcomes
 from tests.test_forgetting import CASES
 
 MEMORY = 500
@@ -37,6 +38,29 @@ def test_a_change_of_mass_is_followed_after_a_change_of_amplitude(cls, scheme, b
         )
         np.testing.assert_allclose(track["mass"][-1], LOADED.mass, rtol=0.05)
         assert not track.flagged(Status.POOR_EXCITATION)[-1]
+
+
+@pytest.mark.parametrize("factor", [1 / 100, 1 / 30])
+@pytest.mark.parametrize("scheme", ["exponential", "window"])
+def test_the_instruments_forget_a_large_input_as_the_sums_do(scheme, factor):
+    """bcrls: the slow pre-filter zero's own memory ends within that of the estimator."""
+    found = [
+        one for one in outcomes("cart", factor, 4) if (one.setting.method, one.setting.scheme) == ("bcrls", scheme)
+    ]
+    assert max(one.error for one in found) < 0.05
+    assert not any(one.flagged for one in found)
+
+
+def test_a_motion_that_the_encoder_shows_only_in_the_mean_is_enough():
+    """Single accelerations of the rotary axis are within what its encoder may feign."""
+    found = [one for one in outcomes("rotary", 1 / 10, 4) if one.setting.scheme in ("exponential", "constant-trace")]
+    assert max(one.error for one in found) < 0.05
+
+
+def test_pre_filter_zeros_do_not_outlast_the_memory(drive):
+    for memory, slow in ((500, 0.4), (10**6, 50 / 300), (10, 50 / 30)):
+        estimator = pmfid.BCRLS(drive, pmfid.Encoder(CART_RESOLUTION), CART_DT, 50.0, forgetting=1 - 1 / memory)
+        np.testing.assert_allclose(estimator.zeros, (-5.0, -slow), rtol=1e-6)
 
 
 @pytest.mark.parametrize("cls", [pmfid.RLS, pmfid.BCRLS, pmfid.RIV])

@@ -26,7 +26,7 @@ static const uint32_t whole_in_state[] = {
 };
 static const uint32_t whole_in_recursion[] = {
     IN_RECURSION(updates), IN_RECURSION(started), IN_RECURSION(block_updates), IN_RECURSION(blocks),
-    IN_RECURSION(moved), IN_RECURSION(swings), IN_RECURSION(outdated), IN_RECURSION(since),
+    IN_RECURSION(moved), IN_RECURSION(swings), IN_RECURSION(outdated), IN_RECURSION(excited), IN_RECURSION(since),
     IN_RECURSION(unmodelled), IN_RECURSION(frozen), IN_RECURSION(window_block), IN_RECURSION(window_updates)
 };
 #define LENGTH(list) (uint32_t)(sizeof list / sizeof list[0])

@@ -46,6 +46,8 @@ PROCESS_PIVOT = 1e-7
 #: After so many updates theta is moved by the innovation alone; without forgetting float64 never needs to.
 RESIDUAL_UPDATES = 256
 
+#: Time constants of the slowest pre-filter zero in a memory, at least.
+ZERO_MEMORIES = 2
 #: What a motion may do is learned for so many times the settling of the filters before it is taken strictly, and
 #: forgotten over so many times that; in samples in motion.
 LEARNING, LEARNED = 8, 128
@@ -165,6 +167,11 @@ class Estimator:
         return self.model.equation
 
     @property
+    def memory(self) -> float:
+        """Of what was gathered [s]."""
+        return math.inf
+
+    @property
     def zeros(self) -> tuple[float, ...]:
         """Zeros of the pre-filter polynomial f(s) [rad/s]; () where there is no pre-filter."""
         if self.prefilter_zeros is not None:
@@ -173,7 +180,7 @@ class Estimator:
             return ()
         if self.equation.process:
             return process_zeros(self.cutoff, self._zeros_needed)
-        return default_zeros(self.cutoff)[: self._zeros_needed]
+        return default_zeros(self.cutoff, self.memory)[: self._zeros_needed]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -275,14 +282,30 @@ class Estimator:
         }
 
 
-def default_zeros(cutoff: float) -> tuple[float, float]:
+def memory_of(forgetting: float, dt: float) -> float:
+    """dt / (1 - forgetting) [s]."""
+    return dt / (1 - forgetting) if forgetting < 1 else math.inf
+
+
+def default_zeros(cutoff: float, memory: float = math.inf) -> tuple[float, float]:
     """Pre-filter zeros where nothing is known of the plant: a tenth of the cutoff, and a thirtieth of that.
 
     The compensation is an instrumental variable method with s u/f and s^2 u/f for instruments. They resemble the
     drive's velocity and acceleration most for zeros at its own poles, 0 and -d/m; with one slow zero the other may
     lie anywhere near or above d/m.
+    memory: of the estimator [s], see `within_memory`.
     """
-    return (-cutoff / 10, -cutoff / 300)
+    return within_memory(cutoff / 10, cutoff / 300, memory)
+
+
+def within_memory(fast: float, slow: float, memory: float) -> tuple[float, float]:
+    """Two pre-filter zeros [rad/s] from their sizes, fit for an estimator with this memory [s].
+
+    A slow zero is a filter that remembers the input: where it did so for longer than a part of the memory, the
+    instruments after a large motion would be what is left of it, and weak. So it is faster then, but no faster than a
+    third of the other: too much alike, both would say the same.
+    """
+    return (-fast, -min(max(slow, ZERO_MEMORIES / memory), max(slow, fast / 3)))
 
 
 def process_zeros(cutoff: float, n: int) -> tuple[float, ...]:

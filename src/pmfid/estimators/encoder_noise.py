@@ -10,8 +10,8 @@ from pmfid.estimators.base import Estimator
 from pmfid.filters.columns import ColumnBuilder
 from pmfid.filters.network import LATE_POSITION, SPLIT_FORWARD, VELOCITY, Network, Taps
 
-#: A column of so many times the size that the encoder's error can have in it is a motion that the encoder shows.
-SHOWN = 2.0
+#: Frequencies of the gain that an encoder's error meets at most.
+FREQUENCIES = 4096
 
 
 def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[np.float64]:
@@ -47,10 +47,11 @@ def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps
 def shown(estimator: Estimator) -> float:
     """The inverse square of what the encoder shows of the regressor of the highest derivative.
 
-    An error of half a step at every sample, of the sign that matters most, makes no more than the bound that this is
-    `SHOWN` times of: what is beyond is a motion.
+    An error of half a step at every sample, at the frequency that matters most, makes no larger root mean square than
+    this: what is beyond is a motion.
     """
     builder = ColumnBuilder(estimator.equation, estimator.spec)
     column = builder.regressors()[estimator.equation.leading]
     (response,) = impulse_responses(estimator, builder.network, [column])
-    return float((SHOWN * estimator.encoder.resolution / 2 * np.sum(np.abs(response))) ** -2)
+    gain = np.max(np.abs(np.fft.rfft(response, max(FREQUENCIES, 2 * response.size))))
+    return float((estimator.encoder.resolution / 2 * gain) ** -2)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
-from pmfid.estimators.base import Estimator
+from pmfid.estimators.base import Estimator, memory_of
 from pmfid.estimators.configuration import configuration_of, made
 from pmfid.estimators.encoder_noise import shown
 from pmfid.estimators.runner import Runner
@@ -31,6 +31,8 @@ SEPARATE = 4
 TRACE_REGULARIZATION = 1e-6
 #: What is known from larger motions than those of late is forgotten so many times as fast.
 HASTE = 8
+#: That is more than so many times what motions like those of the last memory give.
+OUTGROWN = 3
 #: The kernel looks at the size of the motion every so many samples (PMF_LOOK of csrc/pmf.h).
 LOOK = 4
 #: The sliding window drops one of its 8 blocks at a time: it holds 7 to 8 of them.
@@ -106,6 +108,10 @@ class RecursiveEstimator(Estimator):
                 f"{', '.join(self.names)}; use fewer {cure}{other}"
             )
 
+    @property
+    def memory(self) -> float:
+        return memory_of(self.forgetting, self.dt)
+
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
     ) -> dict[str, Any]:
@@ -114,11 +120,11 @@ class RecursiveEstimator(Estimator):
         config["scheme"] = FORGETTING_SCHEMES[scheme]
         if forgetting < 1 and not self.equation.process:
             config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / LOOK)
-            config["haste"], config["leak"] = forgetting**HASTE, forgetting ** (HASTE * LOOK)
+            config["haste"], config["leak"] = forgetting**HASTE, math.exp(-HASTE / 2)
             config["leading"], config["shown"] = self.equation.leading, shown(self)
             directions = parameters if scheme == "directional" else 1
             config["forgetting"] = forgetting**directions  # one direction at a time: only so all have the same memory
-            config["outgrown"] = directions / (1 - config["forgetting"])
+            config["outgrown"] = OUTGROWN * LOOK
         if self.forgetting_of and forgetting < 1:  # as with directional forgetting: innovations only
             config["residual_updates"] = 0
             config["scheme"] = SEPARATE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.estimators.base import Estimator, like
+from pmfid.estimators.base import Estimator, like, within_memory
 from pmfid.estimators.bcls import BCLS
 
 #: Candidates for the faster zero as a part of the cutoff; the slower one is a thirtieth of it.
@@ -35,7 +35,7 @@ def candidates(estimator: Estimator, needed: int) -> list[tuple[float, ...]]:
     """Sets of `needed` zeros [rad/s] to choose from."""
     cutoff = estimator.cutoff
     if not estimator.equation.process:
-        return [(-cutoff * part, -cutoff * part / RATIO)[:needed] for part in FRACTIONS]
+        return [within_memory(cutoff * part, cutoff * part / RATIO, estimator.memory)[:needed] for part in FRACTIONS]
     ratios = PROCESS_RATIOS if needed > 1 else PROCESS_RATIOS[:1]
     return [
         tuple(-cutoff * part * float(step) for step in np.geomspace(1, 1 / ratio, needed))

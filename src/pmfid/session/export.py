@@ -8,7 +8,7 @@ import numpy as np
 
 from pmfid.errors import UsageError
 from pmfid.estimators.auto import AUTO
-from pmfid.estimators.base import default_zeros
+from pmfid.estimators.base import default_zeros, memory_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.session.config import NO_ENCODER, Axis, EstimatorConfig
@@ -32,7 +32,8 @@ def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None =
         record = _no_record(axis, dt)
         if ESTIMATORS[config.method].instrumental and config.prefilter_zeros is None and not model.equation.process:
             needed = len(model.equation.symmetric.noisy)
-            config = config.model_copy(update={"prefilter_zeros": default_zeros(config.cutoff)[:needed]})
+            zeros = default_zeros(config.cutoff, memory_of(config.forgetting, record.dt))
+            config = config.model_copy(update={"prefilter_zeros": zeros[:needed]})
     estimator = make_estimator(axis.model_copy(update={"estimator": config}), record)
     encoder = replace(estimator.encoder, bits=axis.encoder.bits or 32)
     return replace(estimator, encoder=encoder)  # type: ignore[return-value]
