@@ -32,7 +32,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "_kernel": {"_estimate"},
     "_kernel32": {"_kernel64"},
     "_kernel64": {"_estimate"},
-    "layout": {"errors", "pmfid"},
+    "layout": {"errors", "pmfid", "_kernel64"},
     "models": GROUND,
     "encoder": GROUND,
     "filters": FILTERS,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -74,7 +74,7 @@ class BatchEstimator(Estimator):
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         """None: the kernel filters, and holds columns of more parameters than it could estimate."""
         return super().recursion_config(0, instrumental, forgetting, first_column)
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
@@ -108,7 +108,7 @@ class RecursiveEstimator(Estimator):
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         config = super().recursion_config(parameters, instrumental, forgetting, first_column)
         scheme = self.forgetting_scheme if forgetting < 1 else "exponential"
         config["scheme"] = FORGETTING_SCHEMES[scheme]
@@ -117,8 +117,8 @@ class RecursiveEstimator(Estimator):
             config["haste"], config["leak"] = forgetting**HASTE, forgetting ** (HASTE * LOOK)
             config["leading"], config["shown"] = self.equation.leading, shown(self)
             directions = parameters if scheme == "directional" else 1
-            config["forgetting"] = forgetting**directions  # one direction at a time: only so all have the same memory
-            config["outgrown"] = directions / (1 - config["forgetting"])
+            share = forgetting**directions  # one direction at a time: only so all have the same memory
+            config["forgetting"], config["outgrown"] = share, directions / (1 - share)
         if self.forgetting_of and forgetting < 1:  # as with directional forgetting: innovations only
             config["residual_updates"] = 0
             config["scheme"] = SEPARATE
