@@ -102,7 +102,7 @@ def main() -> None:
 @click.option("--delay", type=int, help="Dead time of a transfer function in samples.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 def identify(
-    records: tuple[Path, ...], config: Path, quantize: float | None, out: Path | None, as_json: bool, **options: Any
+    records: tuple[Path, ...], config: Path, quantize: float | None, out: Path | None, as_json: bool, **options: object
 ) -> None:
     """Identify the parameters of RECORD, a CSV, Parquet or MATLAB .mat file.
 
@@ -280,7 +280,7 @@ main.add_command(reproduce)
 main.add_command(export)
 
 
-def _print_json(content: dict[str, Any]) -> None:
+def _print_json(content: dict[str, object]) -> None:
     import json
 
     click.echo(json.dumps(content, allow_nan=False))

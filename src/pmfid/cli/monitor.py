@@ -119,7 +119,7 @@ class _Teller:
     def __init__(self, as_json: bool, to_stderr: bool) -> None:
         self._json, self._stderr, self._failed = as_json, to_stderr, False
 
-    def __call__(self, event: dict[str, Any]) -> None:
+    def __call__(self, event: dict[str, object]) -> None:
         if self._json:
             import json
 

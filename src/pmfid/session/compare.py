@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.registry import methods_for
@@ -25,9 +24,9 @@ class Comparison:
     results: Mapping[str, Result | ProcessResult]
     refused: dict[str, str]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """The object that `--json` prints."""
-        methods: dict[str, Any] = {name: result.to_json() for name, result in self.results.items()}
+        methods: dict[str, object] = {name: result.to_json() for name, result in self.results.items()}
         methods |= {name: {"error": reason} for name, reason in self.refused.items()}
         return {"record": self.name, "samples": self.samples, "methods": methods}
 
@@ -76,7 +75,7 @@ def _with_method(axis: Axis, method: str) -> Axis:
     return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"method": method})})
 
 
-def _reasons(results: Mapping[str, Any], refused: Mapping[str, Exception]) -> dict[str, str]:
+def _reasons(results: Mapping[str, object], refused: Mapping[str, Exception]) -> dict[str, str]:
     if not results:
         raise next(iter(refused.values()))
     return {method: str(error) for method, error in refused.items()}
