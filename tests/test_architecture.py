@@ -35,7 +35,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "_kernel": {"_estimate"},
     "_kernel32": {"_kernel64"},
     "_kernel64": {"_estimate"},
-    "kernel": {"errors", "pmfid"},
+    "kernel": {"errors", "pmfid", "_kernel64"},
     "models": GROUND,
     "encoder": GROUND,
     "filters": FILTERS,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate as Estimate
@@ -81,7 +81,7 @@ __version__ = "0.1.0"
 __all__ = sorted(_PUBLIC)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'pmfid' has no attribute {name!r}")
     value = getattr(import_module(_PUBLIC[name]), name)

@@ -13,10 +13,10 @@ class Kernel:
         self,
         stages: Sequence[tuple[int, float, float, float]],
         columns: Sequence[Sequence[tuple[int, float]]],
-        encoder: Mapping[str, float],
-        direct: Mapping[str, float],
+        encoder: Mapping[str, object],
+        direct: Mapping[str, object],
         settle_samples: int,
-        instrument: Mapping[str, float] | None = None,
+        instrument: Mapping[str, object] | None = None,
         auxiliary: Mapping[str, object] | None = None,
         first_samples: int | None = None,
         linear: Mapping[str, object] | None = None,
@@ -53,12 +53,12 @@ class ManyKernel:
     def load(self, kernel: Kernel, axis: int) -> None: ...
     def run(
         self,
-        u: NDArray[np.float64],
-        counts: NDArray[np.int64],
+        u: NDArray[np.floating],
+        counts: NDArray[np.integer],
         first: int,
         end: int,
         every: int,
-        results: Sequence[NDArray[np.float64]],
+        results: Sequence[NDArray[np.float64] | NDArray[np.uint32]],
         way: int,
     ) -> None: ...
     def reset(self) -> None: ...

@@ -44,7 +44,7 @@ def export(
     dt: float | None,
     alarms: Any,
     no_guard: bool,
-    **options: Any,
+    **options: object,
 ) -> None:
     """Write the estimator of AXIS.toml as C99 that computes the same bits on a drive.
 

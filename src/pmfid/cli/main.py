@@ -99,7 +99,7 @@ def main() -> None:
 @click.option("--delay", type=int, help="Dead time of a transfer function in samples.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 def identify(
-    records: tuple[Path, ...], config: Path, quantize: float | None, out: Path | None, as_json: bool, **options: Any
+    records: tuple[Path, ...], config: Path, quantize: float | None, out: Path | None, as_json: bool, **options: object
 ) -> None:
     """Identify the parameters of RECORD, a CSV, Parquet or MATLAB .mat file.
 
@@ -142,14 +142,13 @@ def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Pa
     1 to 5 poles, fewer zeros, dead times of 0 to 5 samples; the configuration's n, m and delay are not used.
     """
     from pmfid.session.config import load_axis
-    from pmfid.session.identify import kind_of
-    from pmfid.session.processes import search_json, search_order
+    from pmfid.session.processes import Processes, search_json, search_order
 
     structure = {"model.kind": "transfer_function", "model.n": 1, "model.m": 0, "model.delay": 0}
     structure |= {"model.integrators": 0, "model.dead_time": 0.0}
     axis = load_axis(config, {"estimator.cutoff": cutoff, **structure})
     with progress("structures", quiet=as_json) as tell:
-        search = search_order(kind_of(axis).read(records, axis), axis, tell)
+        search = search_order(Processes().read(records, axis), axis, tell)
     if out is not None:
         from pmfid.report.process import write_search
 

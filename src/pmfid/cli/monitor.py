@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import sys
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from pmfid.session.config import Axis
+    from pmfid.session.kinds import Progress
+    from pmfid.session.monitored.run import History, MonitoredRun
+    from pmfid.session.monitored.setup import Setup
+    from pmfid.session.monitored.sinks import Sink
+    from pmfid.session.monitored.stream import Stop
+    from pmfid.session.records import Record
 
 
 @click.command(short_help="Watch a record or a pipe and tell what changes.")
@@ -75,7 +85,7 @@ def _check_places(out: Path | None, report: Path | None, inputs: list[Path]) -> 
             raise UsageError(f"--report {report} would overwrite {path}; choose another name")
 
 
-def _write_report(path: Path, name: str, setup: Any, run: Any, history: Any, tell: _Teller) -> None:
+def _write_report(path: Path, name: str, setup: Setup, run: MonitoredRun, history: History, tell: _Teller) -> None:
     """What came from a pipe is nowhere else: its page replaces no other."""
     from pmfid.report.monitored import write_monitored
     from pmfid.session.row_file import fresh, is_stream
@@ -85,7 +95,9 @@ def _write_report(path: Path, name: str, setup: Any, run: Any, history: Any, tel
     tell.line(f"report: {place}")
 
 
-def _run(setup: Any, axis: Any, data: Any, out: Path | None, stop: Any, tell: _Teller, keep: bool) -> Any:
+def _run(
+    setup: Setup, axis: Axis, data: Record | None, out: Path | None, stop: Stop, tell: _Teller, keep: bool
+) -> tuple[MonitoredRun, History | None, Sink]:
     """The run, its history, and where the estimates went."""
     from pmfid.session.monitored.run import History, header, watch
     from pmfid.session.monitored.sinks import open_sink
@@ -103,7 +115,7 @@ def _run(setup: Any, axis: Any, data: Any, out: Path | None, stop: Any, tell: _T
     return run, history, sink
 
 
-def _complain(run: Any, sink: Any) -> None:
+def _complain(run: MonitoredRun, sink: Sink) -> None:
     """Raises UsageError for what ended the run before its time, or is missing in its file."""
     from pmfid.errors import UsageError
 
@@ -119,7 +131,7 @@ class _Teller:
     def __init__(self, as_json: bool, to_stderr: bool) -> None:
         self._json, self._stderr, self._failed = as_json, to_stderr, False
 
-    def __call__(self, event: dict[str, Any]) -> None:
+    def __call__(self, event: dict[str, object]) -> None:
         if self._json:
             import json
 
@@ -141,13 +153,13 @@ class _Teller:
         except OSError as error:
             self._failed = self._failed or _report_failure(error)
 
-    def start(self, setup: Any, out: Path | None) -> None:
+    def start(self, setup: Setup, out: Path | None) -> None:
         """What is watched and how, and where the estimates go."""
         from pmfid.session.monitored.setup import start_object
 
         self({**start_object(setup), "out": None if out is None else str(out)})
 
-    def end(self, run: Any, sink: Any) -> None:
+    def end(self, run: MonitoredRun, sink: Sink) -> None:
         """The totals; what was skipped also on standard error, where it is seen."""
         from pmfid.cli.monitor_lines import skipped
 
@@ -166,7 +178,7 @@ def _report_failure(error: OSError) -> bool:
     return True
 
 
-def _progress(quiet: bool) -> Any:
+def _progress(quiet: bool) -> AbstractContextManager[Progress | None]:
     from pmfid.cli.progress import progress
 
     return progress("calibration", quiet)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+#: What was written as JSON: texts, numbers, and tables of them, each known by its key alone.
+Told = dict[str, Any]
 
-def sentence(event: dict[str, Any]) -> str:
+
+def sentence(event: Told) -> str:
     """One line, or more at the start."""
     return _SENTENCES[event["event"]](event)
 
 
-def _start(event: dict[str, Any]) -> str:
+def _start(event: Told) -> str:
     normal = ", ".join(f"{name} {value:.4g} {event['units'][name]}" for name, value in event["nominal"].items())
     source = "from the cache" if event["cached"] else "now in the cache"
     made = "drawn from the reference" if event["record_hours"] else "simulated"
@@ -25,58 +28,58 @@ def _start(event: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _alarm(event: dict[str, Any]) -> str:
+def _alarm(event: Told) -> str:
     name = event["parameter"].replace("_", " ")
     size = f"{event['change']:+.3g} ± {event['std']:.1g} {event['unit']}".rstrip()
     part = f"{100 * event['relative']:+.1f} %"
     return f"{event['time']:.2f} s  ALARM  {name} {part} ({size}) since {event['changed_at']:.2f} s"
 
 
-def _settled(event: dict[str, Any]) -> str:
+def _settled(event: Told) -> str:
     values = (_value(name, found) for name, found in event["parameters"].items())
     return f"{event['time']:.2f} s  now {', '.join(values)}"
 
 
-def _value(name: str, found: dict[str, Any]) -> str:
+def _value(name: str, found: Told) -> str:
     change = "" if found["change"] is None else f" ({100 * found['change']:+.1f} %)"
     return f"{name.replace('_', ' ')} {found['value']:.4g}{change}"
 
 
-def _state(event: dict[str, Any]) -> str:
+def _state(event: Told) -> str:
     return f"{event['time']:.2f} s  {event['state']}" + (f": {event['reason']}" if event["reason"] else "")
 
 
-def _bad_line(event: dict[str, Any]) -> str:
+def _bad_line(event: Told) -> str:
     return f"{event['time']:.2f} s  {event['event']}: {event['problem']}"
 
 
-def _gap(event: dict[str, Any]) -> str:
+def _gap(event: Told) -> str:
     return f"{event['time']:.2f} s  {event['missing']} samples are missing before this one"
 
 
-def _clock(event: dict[str, Any]) -> str:
+def _clock(event: Told) -> str:
     return f"{event['time']:.2f} s  the clock was set by {event['jump']:+.6g} s, or the logger started again"
 
 
-def _outlier(event: dict[str, Any]) -> str:
+def _outlier(event: Told) -> str:
     what = "counts jumped" if event["signal"] == "counts" else "input jumped or was no number"
     return f"{event['time']:.2f} s  {what}: left out, the watch goes on"
 
 
-def _write_error(event: dict[str, Any]) -> str:
+def _write_error(event: Told) -> str:
     return f"{event['file']} cannot be written: {event['problem']}; the watch goes on"
 
 
-def _written_again(event: dict[str, Any]) -> str:
+def _written_again(event: Told) -> str:
     return f"{event['file']} is written again, {event['lost']} rows were lost"
 
 
-def _end(event: dict[str, Any]) -> str:
+def _end(event: Told) -> str:
     found = [f"{event['samples']} samples", f"{event['alarms']} alarm{'s' * (event['alarms'] != 1)}"]
     return ", ".join(found + skipped(event))
 
 
-def skipped(event: dict[str, Any]) -> list[str]:
+def skipped(event: Told) -> list[str]:
     """What was no sample, from the totals."""
     parts = [
         f"{event[name]} {word}{'s' * (event[name] != 1)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from scipy.signal import lfilter
@@ -18,6 +18,8 @@ from pmfid.models.equation import STIFFNESS, Equation
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
+
+T = TypeVar("T")
 
 NO_PARAMETER = 0xFF
 #: Time constant of the slow copy of the estimate that drives the model, in filter time constants: the instruments must
@@ -39,16 +41,16 @@ MODEL_CHECK_TIME_CONSTANTS = 50.0
 
 def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
     """What `_make_columns` makes, once for each estimator: an iteration asks for it at every turn."""
-    found: tuple[Network, list[Taps], int, int] = _kept(estimator, _make_columns)
-    return found
+    return _kept(estimator, _make_columns)
 
 
-def _kept(estimator: Estimator, make: Callable[[Estimator], Any]) -> Any:
+def _kept(estimator: Estimator, make: Callable[[Estimator], T]) -> T:
     """make(estimator), from the second time on what it gave the first time; an estimator's configuration is frozen."""
     kept = estimator.__dict__
     if make.__name__ not in kept:
         kept[make.__name__] = make(estimator)
-    return kept[make.__name__]
+    found: T = kept[make.__name__]
+    return found
 
 
 def _make_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
@@ -119,7 +121,7 @@ def make_auxiliary_kernel(
     return kernel, first
 
 
-def _check_of_model(estimator: Estimator) -> dict[str, Any]:
+def _check_of_model(estimator: Estimator) -> dict[str, object]:
     """Which innovations the encoder's step explains, as if its error were white, and over what memory they count."""
     network, columns, first, _ = auxiliary_columns(estimator)
     products = impulse_products(estimator, network, columns[first : first + len(estimator.names)])

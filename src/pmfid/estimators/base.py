@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from numbers import Real
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,9 @@ from pmfid.status import Status
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
+
+#: Real numbers in their own type.
+Numbers = NDArray[np.integer | np.floating]
 
 #: Time constants after which the filters' start has decayed to less than 1 %, by their order.
 SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
@@ -262,7 +265,7 @@ class Estimator:
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         """A recursion's part of the kernel configuration."""
         exact = forgetting == 1 and self.precision == "float64"
         process = self.equation.process
@@ -332,7 +335,7 @@ def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[np.float64], 
     return u_array, counts_array
 
 
-def numbers(name: str, values: ArrayLike) -> NDArray[Any]:
+def numbers(name: str, values: ArrayLike) -> Numbers:
     """An array of real numbers in their own type; raises UsageError where they are none, or rows differ in length."""
     if np.ma.is_masked(values):
         raise UsageError(f"{name} has masked elements, which a plain array would show as numbers; fill them first")
@@ -346,7 +349,7 @@ def numbers(name: str, values: ArrayLike) -> NDArray[Any]:
     return array
 
 
-def integer_counts(counts: ArrayLike) -> NDArray[Any]:
+def integer_counts(counts: ArrayLike) -> Numbers:
     """Counts of any shape as an array of whole numbers; raises UsageError where they are none."""
     given = numbers("counts", counts)
     if given.dtype.kind in "iu":

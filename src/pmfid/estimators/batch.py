@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +26,7 @@ class BatchEstimator(Estimator):
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         """None: the kernel filters, and holds columns of more parameters than it could estimate."""
         return super().recursion_config(0, instrumental, forgetting, first_column)
 

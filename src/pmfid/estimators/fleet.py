@@ -6,16 +6,21 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, whole_number
-from pmfid.estimators.base import integer_counts, numbers
+from pmfid.estimators.base import Numbers, integer_counts, numbers
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.runner import Runner
 from pmfid.estimators.track import Track
+
+N = TypeVar("N", bound=np.number)
+Floats = NDArray[np.float64]
+#: theta, diagonal of P, its inflation, innovation, its variance, status.
+Results = tuple[Floats, Floats, Floats, Floats, Floats, NDArray[np.uint32]]
 
 #: Axes that a thread takes at a time are a multiple of this: no vector of the kernel holds more.
 GROUP = 16
@@ -133,10 +138,9 @@ class Fleet:
 
         load_fleet(self._kernel, self._source.precision, state)
 
-    def _check(self, u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
-        u_table, counts_table = numbers("u", u), integer_counts(counts)
-        u_table = _in_place(u_table, (np.float32, np.float64), np.float64)
-        counts_table = _in_place(counts_table, (np.int32, np.int64), np.int64)
+    def _check(self, u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
+        u_table: NDArray[np.floating] = _in_place(numbers("u", u), (np.float32, np.float64), np.float64)
+        counts_table: NDArray[np.integer] = _in_place(integer_counts(counts), (np.int32, np.int64), np.int64)
         fits = counts_table.ndim == 2 and counts_table.shape[0] == self.axes
         if not fits or u_table.shape not in (counts_table.shape, counts_table.shape[1:]):
             raise UsageError(
@@ -145,17 +149,17 @@ class Fleet:
             )
         return np.broadcast_to(u_table, counts_table.shape), counts_table
 
-    def _results(self, kept: int) -> tuple[NDArray[Any], ...]:
+    def _results(self, kept: int) -> Results:
         shape, p = (self.axes, kept), len(self._source.names)
         try:
-            wide = [np.empty((*shape, p)) for _ in range(3)]
-            return (*wide, np.empty(shape), np.empty(shape), np.empty(shape, np.uint32))
+            theta, factor, inflation = (np.empty((*shape, p)) for _ in range(3))
+            return theta, factor, inflation, np.empty(shape), np.empty(shape), np.empty(shape, np.uint32)
         except MemoryError:
             raise UsageError(
                 f"{kept} estimates of {self.axes} axes do not fit the memory; keep fewer with a larger `every`"
             ) from None
 
-    def _run_all(self, u: NDArray[Any], counts: NDArray[Any], every: int, results: tuple[NDArray[Any], ...]) -> None:
+    def _run_all(self, u: NDArray[np.floating], counts: NDArray[np.integer], every: int, results: Results) -> None:
         def run(piece: range) -> None:
             self._kernel.run(u, counts, piece.start, piece.stop, every, results, self._way)
 
@@ -187,7 +191,7 @@ def _kept(samples: int, every: int | None) -> NDArray[np.int64]:
     return last if every is None else np.union1d(np.arange(every - 1, samples, every), last)
 
 
-def _in_place(array: NDArray[Any], readable: tuple[type, ...], other: type) -> NDArray[Any]:
+def _in_place(array: Numbers, readable: tuple[type[N], ...], other: type[N]) -> NDArray[N]:
     """The array itself where the kernel can read it, else a copy as type `other`."""
     native = array.dtype.type if array.dtype.type in readable else other
     return np.require(array, np.dtype(native), ["ALIGNED"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +60,7 @@ class RKnownStep(RecursiveEstimator):
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         config = super().recursion_config(parameters, instrumental, forgetting, first_column)
         noise = noise_covariance(self, self.noise_std)
         return config | {"compensated": 1, "noise": noise[:-1, :-1].tolist(), "target_noise": noise[:-1, -1].tolist()}

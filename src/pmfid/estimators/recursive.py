@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
@@ -114,7 +114,7 @@ class RecursiveEstimator(Estimator):
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         config = super().recursion_config(parameters, instrumental, forgetting, first_column)
         scheme = self.forgetting_scheme if forgetting < 1 else "exponential"
         config["scheme"] = FORGETTING_SCHEMES[scheme]

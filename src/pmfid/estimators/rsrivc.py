@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from math import comb
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar, cast
 
 from pmfid.errors import UsageError
 from pmfid.estimators.auxiliary import CHECK_TIME_CONSTANTS, COPY_TIME_CONSTANTS
@@ -67,7 +67,7 @@ class RSRIVC(RecursiveEstimator):
             linear=self._linear_config(builder, len(columns)),
         )
 
-    def _linear_config(self, builder: ColumnBuilder, first: int) -> dict[str, Any]:
+    def _linear_config(self, builder: ColumnBuilder, first: int) -> dict[str, object]:
         """The model's part of the kernel configuration."""
         model, per_sample = cast(TransferFunction, self.model), self.cutoff * self.dt
         n, update = model.n, max(1, round(1 / per_sample))

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.kernel.structures import structures
+from pmfid.kernel.structures import Structured, structures
 
 #: Logarithm of the likelihood ratio that raises an alarm: by chance about once in exp(10) = 22000 intervals.
 THRESHOLD = 10.0
@@ -45,7 +43,7 @@ class ParameterAlarm:
             raise UsageError("an alarm needs forgetting below 1: an estimate that remembers everything follows nothing")
         return math.ceil(MEMORIES / (1 - estimator.forgetting))
 
-    def structure(self, estimator: RecursiveEstimator) -> NDArray[Any]:
+    def structure(self, estimator: RecursiveEstimator) -> Structured:
         """The `pmf_alarm_config_t`. Raises UsageError for a parameter that the estimator has not."""
         if self.parameter not in estimator.names:
             raise UsageError(f"an alarm's parameter must be one of {list(estimator.names)}, got {self.parameter!r}")

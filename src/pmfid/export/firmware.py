@@ -6,7 +6,6 @@ import re
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +18,7 @@ from pmfid.export.initializer import initializer, literal
 from pmfid.export.names import check_names, remark
 from pmfid.export.samples import made_up_record, moving_part, recorded
 from pmfid.kernel.saved import configuration, recursions_of, shape_of
-from pmfid.kernel.structures import header, layout_number, resized, source_folder, structures
+from pmfid.kernel.structures import Structured, header, layout_number, resized, source_folder, structures
 
 #: Template -> file in the folder; NAME is the prefix.
 FILES = {
@@ -84,7 +83,7 @@ def _check_folder(folder: Path, prefix: str, files: set[str]) -> None:
         raise UsageError(f"{folder} has other things in it, for example {others[0]}; give an empty folder")
 
 
-def _render(context: Mapping[str, Any]) -> dict[str, str]:
+def _render(context: Mapping[str, object]) -> dict[str, str]:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -95,7 +94,9 @@ def _render(context: Mapping[str, Any]) -> dict[str, str]:
     return {template: environment.get_template(template).render(context) for template in FILES}
 
 
-def _context(estimator: RecursiveEstimator, prefix: str, record: tuple[ArrayLike, ArrayLike] | None) -> dict[str, Any]:
+def _context(
+    estimator: RecursiveEstimator, prefix: str, record: tuple[ArrayLike, ArrayLike] | None
+) -> dict[str, object]:
     import pmfid
 
     kernel, precision = estimator.make_kernel(estimator.forgetting), estimator.precision
@@ -128,7 +129,7 @@ def _context(estimator: RecursiveEstimator, prefix: str, record: tuple[ArrayLike
     }
 
 
-def fixed_recursion(config: Any) -> tuple[int, int, int] | None:
+def fixed_recursion(config: Structured) -> tuple[int, int, int] | None:
     """Number of parameters, whether there are instruments, and scheme of forgetting, if all recursions agree."""
     kinds = {(int(one["n_parameters"]), int(one["instrumental"]), int(one["scheme"])) for one in recursions_of(config)}
     return kinds.pop() if len(kinds) == 1 else None

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import SupportsInt
 
 import numpy as np
-from numpy.typing import NDArray
+
+from pmfid.kernel.structures import Structured
 
 INDENT = "    "
 
 
-def literal(number: Any) -> str:
+def literal(number: SupportsInt) -> str:
     """A number as a C constant: hexadecimal where it is a float, so that nothing is rounded.
 
     Raises ValueError for a float that is not finite: C99 has no constant for it.
@@ -24,7 +25,7 @@ def literal(number: Any) -> str:
     return f"{int(number)}U" if isinstance(number, np.unsignedinteger) else str(int(number))
 
 
-def initializer(structure: NDArray[Any], level: int = 0) -> str:
+def initializer(structure: Structured, level: int = 0) -> str:
     """A structure, or an array of them, as a braced initialiser; every field has its name beside it.
 
     By position and not by designators, so that C++17 reads it as well.
@@ -37,12 +38,12 @@ def initializer(structure: NDArray[Any], level: int = 0) -> str:
     return "{\n" + "\n".join(lines) + f"\n{INDENT * level}}}"
 
 
-def _remark(name: str, value: Any) -> str:
+def _remark(name: str, value: Structured) -> str:
     scalar_float = value.ndim == 0 and value.dtype.kind == "f"
     return f"{name} = {float(value):.9g}" if scalar_float else name
 
 
-def _value(value: Any, level: int) -> str:
+def _value(value: Structured, level: int) -> str:
     if value.ndim == 0:
         return initializer(value, level) if value.dtype.names else literal(value[()])
     if value.dtype.names:
@@ -57,7 +58,7 @@ def _rows(rows: list[str], level: int) -> str:
     return "{\n" + "".join(f"{inner}{row},\n" for row in rows) + f"{INDENT * level}}}"
 
 
-def _flat(row: Any) -> str:
+def _flat(row: Structured) -> str:
     """One line: the numbers of an array, or the fields of a small structure."""
     values = [row[name] for name in row.dtype.names] if row.dtype.names else list(row)
     return "{" + ", ".join(literal(value[()]) for value in values) + "}"

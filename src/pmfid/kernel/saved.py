@@ -5,24 +5,26 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
-from pmfid.kernel.structures import Shape, Structures, constants_of, layout_number, resized, structures
+from pmfid.kernel.structures import Shape, Structured, Structures, constants_of, layout_number, resized, structures
+
+if TYPE_CHECKING:
+    from pmfid._kernel64 import Kernel, ManyKernel
 
 #: Forgetting from which on a sum of float32 may be full, and the samples that it then holds.
 LONG_MEMORY, MOST_WEIGHT = 0.999999, 2**19
 
 
-def configuration(kernel: Any, precision: str) -> NDArray[Any]:
+def configuration(kernel: Kernel, precision: str) -> Structured:
     """The kernel's configuration, at the module's own sizes."""
     return np.frombuffer(kernel.raw_config(), structures(None, precision)["pmf_config_t"])[0]  # type: ignore[no-any-return]
 
 
-def shape_of(config: NDArray[Any]) -> Shape:
+def shape_of(config: Structured) -> Shape:
     """The sizes and parts that a configuration needs."""
     constants, network = constants_of(None), config["network"]
     linear = config["linear"]
@@ -52,18 +54,18 @@ def shape_of(config: NDArray[Any]) -> Shape:
     )
 
 
-def recursions_of(config: NDArray[Any]) -> list[NDArray[Any]]:
+def recursions_of(config: Structured) -> list[Structured]:
     """The recursions that a configuration uses."""
     two = config["auxiliary"]["enabled"] or config["linear"]["enabled"]
     return [config["direct"], config["instrument"]] if two else [config["direct"]]
 
 
-def long_memory(recursion: NDArray[Any]) -> bool:
+def long_memory(recursion: Structured) -> bool:
     """Whether a recursion of float32 forgets so slowly that its sums may be full (csrc/pmf_forgetting.h)."""
     return recursion["forgetting"].dtype == np.float32 and bool(recursion["forgetting"] >= np.float32(LONG_MEMORY))
 
 
-def columns_of(config: NDArray[Any]) -> int:
+def columns_of(config: Structured) -> int:
     """Columns of the network, and behind them the model's of a linear process: regressors, target, instruments."""
     n, linear = int(config["network"]["n_columns"]), config["linear"]
     return int(linear["first_column"]) + 2 * int(config["instrument"]["n_parameters"]) + 1 if linear["enabled"] else n
@@ -75,7 +77,7 @@ def split_signals() -> range:
     return range(constants["PMF_MOVING"], constants["PMF_SIGNALS"])
 
 
-def tight_state(kernel: Any, precision: str, shape: Shape) -> NDArray[Any]:
+def tight_state(kernel: Kernel, precision: str, shape: Shape) -> Structured:
     """The kernel's state as firmware with its configuration has it; shape: of the configuration."""
     own = np.frombuffer(kernel.raw_state(), structures(None, precision)["pmf_state_t"])[0]
     state = resized(own, structures(shape, precision)["pmf_state_t"])
@@ -85,7 +87,7 @@ def tight_state(kernel: Any, precision: str, shape: Shape) -> NDArray[Any]:
     return state
 
 
-def save_state(kernel: Any, precision: str) -> bytes:
+def save_state(kernel: Kernel, precision: str) -> bytes:
     """The bytes of the `pmf_saved_t` that firmware with the kernel's configuration would write."""
     config = configuration(kernel, precision)
     shape = shape_of(config)
@@ -96,7 +98,7 @@ def save_state(kernel: Any, precision: str) -> bytes:
     return saved.tobytes()
 
 
-def load_state(kernel: Any, precision: str, data: bytes) -> None:
+def load_state(kernel: Kernel, precision: str, data: bytes) -> None:
     """Sets the kernel's state to what `save_state` or firmware wrote. Raises UsageError for anything else."""
     if not isinstance(data, bytes | bytearray | memoryview):
         raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
@@ -116,7 +118,7 @@ def load_state(kernel: Any, precision: str, data: bytes) -> None:
         kernel.set_raw_state(resized(saved["state"], own).tobytes())
 
 
-def take_guard(kernel: Any, other: Any, precision: str) -> None:
+def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
     """Gives a kernel at its start what another one of the same encoder has learned of the motion."""
     own, known = (
         np.frombuffer(one.raw_state(), structures(None, precision)["pmf_state_t"]).copy() for one in (kernel, other)
@@ -130,7 +132,7 @@ FLEET_HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", 
 FLEET_MAGIC, FLEET_VERSION = 0x46464D50, 1  # "PMFF"
 
 
-def save_fleet(kernel: Any, precision: str) -> bytes:
+def save_fleet(kernel: ManyKernel, precision: str) -> bytes:
     """The bytes of all axes of a `ManyKernel`, behind what says whose they are."""
     head = _fleet_head(kernel, precision)
     states: bytes = kernel.states.tobytes()
@@ -138,7 +140,7 @@ def save_fleet(kernel: Any, precision: str) -> bytes:
     return head.tobytes() + states
 
 
-def load_fleet(kernel: Any, precision: str, data: bytes) -> None:
+def load_fleet(kernel: ManyKernel, precision: str, data: bytes) -> None:
     """Sets the states of a `ManyKernel` to what `save_fleet` wrote. Raises UsageError for anything else."""
     if not isinstance(data, bytes | bytearray | memoryview):
         raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
@@ -155,7 +157,7 @@ def load_fleet(kernel: Any, precision: str, data: bytes) -> None:
         kernel.set_states(np.frombuffer(data, np.uint8, offset=place).reshape(kernel.states.shape))
 
 
-def _fleet_head(kernel: Any, precision: str) -> NDArray[Any]:
+def _fleet_head(kernel: ManyKernel, precision: str) -> Structured:
     head = np.zeros((), FLEET_HEAD)
     head["magic"], head["version"] = FLEET_MAGIC, FLEET_VERSION
     head["layout"] = layout_number(structures(None, precision)["pmf_state_t"])
@@ -183,7 +185,7 @@ _FOREIGN = (
 )
 
 
-def _envelope(config: NDArray[Any], shape: Shape, precision: str) -> NDArray[Any]:
+def _envelope(config: Structured, shape: Shape, precision: str) -> Structured:
     """A `pmf_saved_t` of a configuration, still without state and checksum."""
     types, constants = structures(shape, precision), constants_of(shape)
     saved = np.zeros((), types["pmf_saved_t"])

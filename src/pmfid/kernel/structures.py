@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +29,11 @@ _OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
     ast.Div: operator.floordiv,
 }
 
-Structures = dict[str, np.dtype[Any]]
+Structures = dict[str, np.dtype[np.void]]
+#: One structure, or a part of it, as NumPy sees it.
+Structured = NDArray[np.void]
+#: Name, type and dimensions of a member.
+Field = tuple[str, np.dtype[np.generic], tuple[int, ...]]
 
 
 @dataclass(frozen=True)
@@ -148,8 +151,8 @@ def _chosen(body: str, constants: Mapping[str, int]) -> str:
     return "\n".join(kept)
 
 
-def _fields(body: str, types: Structures, constants: Mapping[str, int]) -> list[Any]:
-    fields: list[Any] = []
+def _fields(body: str, types: Structures, constants: Mapping[str, int]) -> list[Field]:
+    fields: list[Field] = []
     for declaration in filter(None, (part.strip() for part in body.split(";"))):
         kind, names = declaration.split(None, 1)
         for name in names.split(","):
@@ -158,14 +161,14 @@ def _fields(body: str, types: Structures, constants: Mapping[str, int]) -> list[
     return fields
 
 
-def resized(source: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
+def resized(source: Structured, dtype: np.dtype[np.void]) -> Structured:
     """A structure with the same values in a layout with other sizes, zeros where there was nothing."""
     target = np.zeros((), dtype)
     copy_fields(source, target)
     return target
 
 
-def copy_fields(source: NDArray[Any], target: NDArray[Any]) -> None:
+def copy_fields(source: Structured, target: Structured) -> None:
     """Copies what two records of structures have in common: fields of the same name, of arrays the first elements."""
     for name in set(source.dtype.names or ()) & set(target.dtype.names or ()):
         one, other = source[name], target[name]
@@ -176,12 +179,12 @@ def copy_fields(source: NDArray[Any], target: NDArray[Any]) -> None:
             other[part] = one[part]
 
 
-def layout_number(dtype: np.dtype[Any]) -> int:
+def layout_number(dtype: np.dtype[np.void]) -> int:
     """CRC-32 of names, types and places of all fields, the number PMF_LAYOUT of an export."""
     return zlib.crc32("\n".join(_places(dtype, "")).encode())
 
 
-def _places(dtype: np.dtype[Any], prefix: str) -> list[str]:
+def _places(dtype: np.dtype[np.void], prefix: str) -> list[str]:
     lines, fields = [f"{prefix} {dtype.itemsize}"], dtype.fields or MappingProxyType({})
     for name in dtype.names or ():
         entry, offset = fields[name][:2]

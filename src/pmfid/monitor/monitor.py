@@ -6,10 +6,10 @@ import math
 from collections import deque
 from dataclasses import dataclass, field, replace
 from operator import index
-from typing import Any
 
 import numpy as np
 
+from pmfid._estimate import Estimate
 from pmfid.estimators.base import like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.recursive import RecursiveEstimator
@@ -89,7 +89,7 @@ class Monitor:
     def _block_time(self) -> float:
         return self._front.settle_samples * self._front.dt
 
-    def step(self, u: float, counts: int) -> tuple[Any, list[Event]]:
+    def step(self, u: float, counts: int) -> tuple[Estimate, list[Event]]:
         """One sample as in `RecursiveEstimator.step`: the estimate, and what there is to tell.
 
         After a sample that was lost, u not finite, the counts go on from the last: whatever the counter did meanwhile,
@@ -136,7 +136,7 @@ class Monitor:
         self._silence, self._gathered, self._refined, self._crossed, self._suspected = 0, 0.0, False, 0.0, 0
         self.statistic = 0.0
 
-    def _on_block(self, block: Blocks, estimate: Any) -> list[Event]:
+    def _on_block(self, block: Blocks, estimate: Estimate) -> list[Event]:
         x, w = (part[0] for part in self._scale.standardise(block))
         information = float(w.mean())
         self._silence = 0 if information > INFORMATIVE else self._silence + 1
@@ -158,7 +158,7 @@ class Monitor:
             events += [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm(estimate)]
         return events
 
-    def _look_around(self, estimate: Any) -> list[Event]:
+    def _look_around(self, estimate: Estimate) -> list[Event]:
         """Whether there is anything to tell from."""
         if estimate.status & Status.STARTING:
             return self._enter(STARTING, "the estimate has not started")
@@ -181,7 +181,7 @@ class Monitor:
     def _time(self) -> float:
         return (self.samples - 1) * self.estimator.dt
 
-    def _alarm(self, estimate: Any) -> list[Event]:
+    def _alarm(self, estimate: Estimate) -> list[Event]:
         cause = self._cause(estimate)
         clear = self._gathered >= CAUSE_INFORMATION and cause.share >= CAUSE_SHARE
         if not clear and self._gathered < CAUSE_LATEST:
@@ -207,7 +207,7 @@ class Monitor:
         self._gathered, self._refined = 0.0, False
         return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
 
-    def _cause(self, estimate: Any) -> Cause:
+    def _cause(self, estimate: Estimate) -> Cause:
         latest = max(0, len(self._recent) - self._suspected) + TRANSITION
         names, gain = self._front.names, self.estimator.equation.input_gain
         cause = explain(Blocks.joined(self._recent), self._scale, self.reference, names, gain, latest)
@@ -215,7 +215,7 @@ class Monitor:
             return cause
         return sized(cause, np.array(estimate.theta), np.array(estimate.theta_cov), self.reference, names, gain)
 
-    def _settle(self, block: Blocks, information: float, estimate: Any) -> list[Event]:
+    def _settle(self, block: Blocks, information: float, estimate: Estimate) -> list[Event]:
         """First the estimate becomes the model, then what the blocks say beside it the reference."""
         self._gathered += information
         if self._refined:
@@ -239,7 +239,7 @@ class Monitor:
         self._refer(theta)
         return [Settled(self._time, theta, std, self._before), *self._enter(WATCHING, "")]
 
-    def _usable(self, estimate: Any) -> bool:
+    def _usable(self, estimate: Estimate) -> bool:
         unusable = Status.STARTING | Status.POOR_EXCITATION | Status.FALLBACK | Status.SETTLING
         return not estimate.status & unusable and self._plausible(np.array(estimate.theta))
 

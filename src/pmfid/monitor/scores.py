@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from pmfid.estimators.auxiliary import make_auxiliary_kernel, role_values
 from pmfid.estimators.base import Estimator
 from pmfid.kernel.saved import take_guard
 from pmfid.status import Status
+
+if TYPE_CHECKING:
+    from pmfid._kernel64 import Kernel
 
 Floats = NDArray[np.float64]
 
@@ -64,7 +67,7 @@ def block_samples(estimator: Estimator) -> int:
     return estimator.settle_samples
 
 
-def reference_kernel(estimator: Estimator, theta: Sequence[float]) -> tuple[Any, int]:
+def reference_kernel(estimator: Estimator, theta: Sequence[float]) -> tuple[Kernel, int]:
     """A kernel whose auxiliary model keeps theta (p,), and its first instrumental column."""
     return make_auxiliary_kernel(estimator, 1.0, list(theta), adapt=False)
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
 from pmfid.estimators.registry import methods_for
 from pmfid.session.config import Axis
 from pmfid.session.identify import explained, kind_of
-from pmfid.session.kinds import Progress
+from pmfid.session.kinds import Progress, Records
 from pmfid.session.result import Result
 
 
@@ -23,14 +22,14 @@ class Comparison:
     results: Mapping[str, Result]
     refused: dict[str, str]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """The object that `--json` prints."""
-        methods: dict[str, Any] = {name: result.to_json() for name, result in self.results.items()}
+        methods: dict[str, object] = {name: result.to_json() for name, result in self.results.items()}
         methods |= {name: {"error": reason} for name, reason in self.refused.items()}
         return {"record": self.name, "samples": self.samples, "methods": methods}
 
 
-def compare(data: Any, axis: Axis, done: Progress | None = None) -> Comparison:
+def compare(data: Records, axis: Axis, done: Progress | None = None) -> Comparison:
     """Runs every method with the settings of `axis` on what `kind_of(axis).read` gives; `done` is called with the part
     that has run. Raises UsageError as `identify` does, and what the first method raised where none has an answer."""
     kind, methods = kind_of(axis), methods_for(axis.model.make())

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -284,7 +284,7 @@ def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis
     return load_sections(Axis, path, overrides, "an AXIS.toml", _without_encoder)
 
 
-def _without_encoder(raw: dict[str, Any]) -> None:
+def _without_encoder(raw: dict[str, object]) -> None:
     """A transfer function needs no encoder: its output is a number, or in counts. Of an unknown kind only that is
     said."""
     model = raw.get("model")

@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import cast
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.session.config import Axis
 from pmfid.session.drives import Drives
-from pmfid.session.kinds import Kind, Progress
+from pmfid.session.kinds import Kind, Progress, Records
 from pmfid.session.processes import Processes
 from pmfid.session.result import Result
 
 #: Flags of results that a mistake in the columns may explain.
 SUSPICIOUS = {"implausible", "uncertain", "count_jump", "fallback"}
-KINDS: dict[str, Kind[Any]] = {"drive": Drives(), "equation": Drives(), "transfer_function": Processes()}
+KINDS: dict[str, Kind[Records]] = {
+    # a kind gets what it has read itself, which is one of these
+    "drive": cast("Kind[Records]", Drives()),
+    "equation": cast("Kind[Records]", Drives()),
+    "transfer_function": cast("Kind[Records]", Processes()),
+}
 
 
-def kind_of(axis: Axis) -> Kind[Any]:
+def kind_of(axis: Axis) -> Kind[Records]:
     """The kind of plant that [model] describes."""
     return KINDS[axis.model.kind]
 
 
-def identify(data: Any, axis: Axis, progress: Progress | None = None) -> Result:
+def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Result:
     """Estimates the parameters from what `kind_of(axis).read` gives; `progress` is called while a recursive method
     runs.
 

@@ -11,12 +11,16 @@ from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.session.config import Axis
+from pmfid.session.records import Record
 from pmfid.session.result import Result
+from pmfid.transfer.experiment import Experiment
 
 #: Called with the part of the work that is done, 0 to 1.
 Progress = Callable[[float], None]
 
 Data = TypeVar("Data")
+#: What some kind of plant reads.
+Records = Record | Sequence[Experiment]
 
 
 class Kind(ABC, Generic[Data]):

@@ -6,9 +6,8 @@ import os
 from collections.abc import Callable
 from itertools import count
 from pathlib import Path
-from typing import Any
 
-Tell = Callable[[dict[str, Any]], None]
+Tell = Callable[[dict[str, object]], None]
 
 #: What waits for a place on the disk [bytes]; further lines are lost.
 MOST_WAITING = 1 << 20

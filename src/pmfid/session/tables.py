@@ -19,7 +19,7 @@ __all__ = ["Floats", "Table", "column", "from_array", "lookup", "read_table"]
 
 Floats = NDArray[np.float64]
 #: Column by name: a polars series from a CSV or Parquet file, an array from a .mat file.
-Table = Mapping[str, Any]
+Table = Mapping[str, object]
 
 #: Polars' end of the name of a column that is there already.
 _TWICE = "_duplicated_0"
@@ -84,7 +84,7 @@ def column(table: Table, key: str, name: str) -> Floats:
     return from_array(label, value).ravel() if isinstance(value, np.ndarray) else _from_series(label, value)
 
 
-def from_array(label: str, array: NDArray[Any]) -> Floats:
+def from_array(label: str, array: NDArray[np.generic]) -> Floats:
     """An array as float64 in its own shape; raises UsageError, with the label, unless it is a real vector."""
     if array.dtype.kind not in "biuf":
         raise UsageError(f"{label} is not a real numeric array but {array.dtype}; save it as a vector of double")
@@ -118,14 +118,14 @@ def _parse_csv(data: bytes) -> Table:
         raise UsageError("the columns are not separated by commas; export with comma separators and decimal points")
     # All as text first: a column is converted, and complained about, only if it is used.
     frame = pl.read_csv(data, infer_schema=False, null_values=_MISSING)
-    table: dict[str, Any] = {}
+    table: dict[str, object] = {}
     for column in frame.columns:
         name = column.strip()
         table[f"{name}{_TWICE}" if name in table else name] = frame[column]
     return table
 
 
-class _ParquetTable(Mapping[str, Any]):
+class _ParquetTable(Mapping[str, object]):
     """The columns of a Parquet file, each read when it is asked for."""
 
     def __init__(self, data: bytes) -> None:

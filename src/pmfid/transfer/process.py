@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,10 @@ from pmfid.errors import UsageError
 from pmfid.transfer.experiment import Stretch
 from pmfid.transfer.propagate import Grid
 from pmfid.transfer.sensitivity import Structure, channels
+
+if TYPE_CHECKING:
+    import control
+    from scipy import signal
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -164,13 +168,13 @@ class Process:
         std = np.sqrt(np.maximum(0.0, np.einsum("it,ij,jt->t", sensitivity, scaled_cov, sensitivity)))
         return b @ single[: b.size], std
 
-    def to_scipy(self) -> Any:
+    def to_scipy(self) -> signal.TransferFunction:
         """`scipy.signal.TransferFunction`; it has no dead time, so that must be added by the caller."""
         from scipy.signal import TransferFunction
 
         return TransferFunction(self.b[::-1], np.r_[1.0, self.a[::-1]])
 
-    def to_control(self) -> Any:
+    def to_control(self) -> control.TransferFunction:
         """`control.TransferFunction` of python-control, without the dead time. Raises UsageError where that is not
         installed."""
         try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -76,7 +75,7 @@ class Appraisal:
         covariances = {name: worth.covariance for name, worth in self.worths.items()}
         return best_input(self.design.problem, self.rule, covariances)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """The object that `--json` prints; null in place of what is infinite or not proved."""
         design, worth = self.design, self.worths["design"]
         return {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -69,7 +68,7 @@ class Commissioning:
         or a wish."""
         return bool(self.rounds and self.wanted) and reached(self.problem, self.rounds[-1].known, self.wanted)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """The object that `--json` prints."""
         return {
             "reached": self.reached,
@@ -80,12 +79,12 @@ class Commissioning:
         }
 
     @staticmethod
-    def _next(choice: Choice) -> dict[str, Any]:
+    def _next(choice: Choice) -> dict[str, object]:
         design = choice.design
         numbers = {"value": design.value, "predicted_std": design.predicted_std}
         return numbers | {"input": choice.name, "expected_std": dict(choice.std)}
 
-    def _round(self, each: Round) -> dict[str, Any]:
+    def _round(self, each: Round) -> dict[str, object]:
         std = each.known.std(self.problem.names)
         known = each.known
         values = {

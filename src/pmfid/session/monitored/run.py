@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pmfid._estimate import Estimate
 from pmfid.errors import UsageError
 from pmfid.monitor.events import Event, Outlier, Settled, StateChange
 from pmfid.monitor.monitor import Monitor
@@ -19,7 +20,7 @@ TOLD, KEPT = 10, 10_000
 
 Tell = Callable[[dict[str, Any]], None]
 #: Called with each sample, its estimate and the monitor's state.
-Observer = Callable[[Sample, Any, str], None]
+Observer = Callable[[Sample, Estimate, str], None]
 
 
 @dataclass
@@ -31,7 +32,7 @@ class History:
     rows: list[tuple[Any, ...]] = field(default_factory=list, init=False)
     _taken: int = field(default=0, init=False)
 
-    def __call__(self, sample: Sample, estimate: Any, state: str) -> None:
+    def __call__(self, sample: Sample, estimate: Estimate, state: str) -> None:
         """A sample and what it gave."""
         if self._taken % self.stride == 0:
             if len(self.rows) >= MOST_ROWS:
@@ -142,7 +143,7 @@ def _interrupted(sample: Sample, monitor: Monitor, run: MonitoredRun, tell: Tell
     return monitor.skip(1)
 
 
-def _row(time: float, estimate: Any, state: str) -> tuple[float | int | str, ...]:
+def _row(time: float, estimate: Estimate, state: str) -> tuple[float | int | str, ...]:
     theta, std = estimate.theta.tolist(), estimate.theta_std.tolist()  # infinite while nothing is known
     return (time, *theta, *std, estimate.innovation, estimate.status, state)
 

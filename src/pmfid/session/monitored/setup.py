@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -131,7 +130,7 @@ def _nominal(estimator: RecursiveEstimator, given: dict[str, float] | None, sour
         raise UsageError(f"[monitor] nominal must name {list(names)}, got {list(given)}") from None
 
 
-def start_object(setup: Setup) -> dict[str, Any]:
+def start_object(setup: Setup) -> dict[str, object]:
     """What is watched and how, for `--json`."""
     monitor = setup.monitor
     front = like(IV, monitor.estimator, prefilter_zeros=None)

@@ -7,7 +7,8 @@ import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, BinaryIO, NoReturn
+from types import FrameType
+from typing import BinaryIO, NoReturn
 
 from pmfid.errors import UsageError
 from pmfid.session.config import Axis
@@ -36,7 +37,7 @@ class Stop:
     requested: bool = field(default=False, init=False)
     _waiting: bool = field(default=False, init=False)
 
-    def _handle(self, number: int, frame: Any) -> None:
+    def _handle(self, number: int, frame: FrameType | None) -> None:
         self.requested = True
         if self._waiting:
             raise _InterruptedError

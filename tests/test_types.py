@@ -1,0 +1,41 @@
+"""What the public names take and give has a type: no `Any` at any signature."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+
+import pytest
+
+import pmfid
+import pmfid.testing
+from pmfid.estimators.runner import Runner
+from pmfid.monitor.monitor import Monitor
+
+DOORS = [getattr(pmfid, name) for name in pmfid.__all__]
+DOORS += [Runner, Monitor, pmfid.testing.check_estimator, pmfid.testing.checks_of]
+
+
+def signatures(thing: object) -> dict[str, str]:
+    """Of a function, or the public members of a class, as text."""
+    if not inspect.isclass(thing):
+        return {thing.__name__: str(inspect.signature(thing))}
+    found = {}
+    for name, member in inspect.getmembers(thing):
+        function = member.fget if isinstance(member, property) else member
+        ours = getattr(function, "__module__", "") or ""
+        if (not name.startswith("_") or name == "__init__") and inspect.isfunction(function) and "pmfid" in ours:
+            found[name] = str(inspect.signature(function))
+    return found
+
+
+@pytest.mark.parametrize("thing", DOORS, ids=lambda thing: thing.__name__)
+def test_no_any_at_a_public_signature(thing: object) -> None:
+    assert [name for name, text in signatures(thing).items() if re.search(r"\bAny\b", text)] == []
+
+
+def test_the_signatures_are_seen() -> None:
+    assert "Estimate" in signatures(pmfid.RIV)["step"]
+    assert len(signatures(pmfid.RIV)) > 15
+    assert "Any" in str(inspect.signature(importlib.import_module("pmfid.session.tables").lookup))
