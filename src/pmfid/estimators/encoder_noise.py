@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
@@ -12,6 +14,8 @@ from pmfid.filters.network import LATE_POSITION, SPLIT_FORWARD, VELOCITY, Networ
 
 #: A column of so many times the size that the encoder's error can have in it is a motion that the encoder shows.
 SHOWN = 2.0
+#: Samples of a response that are in memory at once.
+PART = 2**17
 
 
 def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[np.float64]:
@@ -28,20 +32,23 @@ def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[n
 
 def impulse_products(estimator: Estimator, network: Network, columns: list[Taps]) -> NDArray[np.float64]:
     """(c, c): sum over time of the products of the columns' responses to one wrong position."""
-    g = impulse_responses(estimator, network, columns)
-    return np.asarray(g @ g.T)
+    parts = impulse_responses(estimator, network, columns)
+    return np.asarray(sum((g @ g.T for g in parts), start=np.zeros(2 * (len(columns),))))
 
 
-def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps]) -> NDArray[np.float64]:
-    """(c, n): the columns' responses to one wrong position."""
-    samples = 4 * estimator.settle_samples
-    nodes = [np.zeros(samples) for _ in range(network.first)]
-    nodes[VELOCITY][:2] = np.array([1.0, -1.0]) / estimator.dt  # the mean velocities of one wrong position
-    nodes[SPLIT_FORWARD][1:3] = nodes[VELOCITY][:2]
-    nodes[LATE_POSITION][1:3] = 0.5
-    for source, a, b0, b1 in network.stages:
-        nodes.append(lfilter([b0, b1], [1.0, -a], nodes[source]))
-    return np.array([sum(weight * nodes[node] for node, weight in taps) for taps in columns])
+def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps]) -> Iterator[NDArray[np.float64]]:
+    """(c, n) one after the other: the columns' responses to one wrong position, of a low cutoff millions of samples."""
+    samples, memories = 4 * estimator.settle_samples, [np.zeros(1) for _ in network.stages]
+    for first in range(0, samples, PART):
+        nodes = [np.zeros(min(PART, samples - first)) for _ in range(network.first)]
+        if first == 0:
+            nodes[VELOCITY][:2] = np.array([1.0, -1.0]) / estimator.dt  # the mean velocities of one wrong position
+            nodes[SPLIT_FORWARD][1:3] = nodes[VELOCITY][:2]
+            nodes[LATE_POSITION][1:3] = 0.5
+        for k, (source, a, b0, b1) in enumerate(network.stages):
+            response, memories[k] = lfilter([b0, b1], [1.0, -a], nodes[source], zi=memories[k])
+            nodes.append(response)
+        yield np.array([sum(weight * nodes[node] for node, weight in taps) for taps in columns])
 
 
 def shown(estimator: Estimator) -> float:
@@ -52,5 +59,5 @@ def shown(estimator: Estimator) -> float:
     """
     builder = ColumnBuilder(estimator.equation, estimator.spec)
     column = builder.regressors()[estimator.equation.leading]
-    (response,) = impulse_responses(estimator, builder.network, [column])
-    return float((SHOWN * estimator.encoder.resolution / 2 * np.sum(np.abs(response))) ** -2)
+    reach = sum(float(np.sum(np.abs(part))) for part in impulse_responses(estimator, builder.network, [column]))
+    return float((SHOWN * estimator.encoder.resolution / 2 * reach) ** -2)
