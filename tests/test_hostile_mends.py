@@ -158,6 +158,13 @@ def test_a_design_from_rest_for_the_worst_case_ends_in_numbers(tmp_path: Path) -
     assert _stds(problem, np.zeros((2, 2))) == {"mass": math.inf, "viscous_friction": math.inf}
 
 
+def test_more_starts_than_anybody_waits_for_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "spec.toml").write_text(Path(__file__).parents[1].joinpath("examples", "cart_design.toml").read_text())
+    for option, least in (("starts", 10**400), ("seed", 2**63)):
+        with pytest.raises(UsageError, match=rf"\[search\] {option} = "):
+            load_spec(tmp_path / "spec.toml", {f"search.{option}": least})
+
+
 def test_a_limit_that_limits_nothing_is_refused(tmp_path: Path) -> None:
     lines = Path(__file__).parents[1].joinpath("examples", "cart_design.toml").read_text()
     (tmp_path / "spec.toml").write_text(lines.replace("input = 3.0 ", "input = 1e308"))
