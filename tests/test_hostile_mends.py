@@ -158,11 +158,12 @@ def test_a_design_from_rest_for_the_worst_case_ends_in_numbers(tmp_path: Path) -
     assert _stds(problem, np.zeros((2, 2))) == {"mass": math.inf, "viscous_friction": math.inf}
 
 
-def test_more_starts_than_anybody_waits_for_are_refused(tmp_path: Path) -> None:
+def test_more_than_anybody_waits_for_is_refused(tmp_path: Path) -> None:
     (tmp_path / "spec.toml").write_text(Path(__file__).parents[1].joinpath("examples", "cart_design.toml").read_text())
-    for option, least in (("starts", 10**400), ("seed", 2**63)):
-        with pytest.raises(UsageError, match=rf"\[search\] {option} = "):
-            load_spec(tmp_path / "spec.toml", {f"search.{option}": least})
+    for option, least in (("search.starts", 10**400), ("search.seed", 2**63), ("motion.duration", 1e30)):
+        section, key = option.split(".")
+        with pytest.raises(UsageError, match=rf"\[{section}\] {key} = "):
+            load_spec(tmp_path / "spec.toml", {option: least})
 
 
 def test_a_limit_that_limits_nothing_is_refused(tmp_path: Path) -> None:

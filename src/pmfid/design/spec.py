@@ -74,7 +74,7 @@ class ExperimentSpec(FileSection):
 class MotionSpec(FileSection):
     """[motion]: from where to where in what time, forward throughout unless `directions` says otherwise."""
 
-    duration: Positive = Field(description="the length of the motion in s")
+    duration: Positive = Field(le=1e6, description="the length of the motion in s, at most 1e6")
     intervals: int = Field(ge=1, description="the number of intervals of constant input, at least 1")
     start: float = Field(0.0, description="the position in m at the start")
     start_velocity: float = Field(0.0, description="the velocity in m/s at the start")
