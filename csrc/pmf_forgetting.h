@@ -48,6 +48,9 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
         real_t part = (PMF_R(1.0) - config->forgetting) * along[i] / size;
         for (j = 0; j <= i; ++j) {
             real_t less = state->sums.cross[i][j] - part * along[j];
+            if (i == j) { /* below zero by rounding, or in a state from elsewhere that is no sum of squares */
+                less = PMF_IF(less > PMF_R(0.0), less, PMF_R(0.0));
+            }
             state->sums.cross[i][j] = PMF_IF(where, less, state->sums.cross[i][j]);
         }
     }

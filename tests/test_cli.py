@@ -137,7 +137,11 @@ def with_gap(row: int, seconds: float) -> Change:
         (with_gap(1500, 0.5), "time has 1 gap", "cut the record at the gap"),
         (edited("t", 1001, 10.002), "time steps differ by up to 20.0%", "resample the record to a fixed rate"),
         (edited("t", 1001, 9.99), "time does not increase strictly: row 1001", "duplicate"),
-        (edited("t", 1001, 9.98), "time does not increase strictly: row 1001", "sort or cut the record"),
+        (
+            edited("t", 1001, 9.98),
+            "time does not increase strictly: row 1001",
+            "keep the rows up to 1000 or those from 1001 on",
+        ),
         (lambda frame: frame.head(0), "the record has 0 samples", "record longer"),
         (lambda frame: frame.head(1), "the record has 1 sample,", "record longer"),
     ],

@@ -1,24 +1,69 @@
-"""A hundred random configurations and records, broken and not: no traceback, no warning, no number that is not finite.
+"""Random calls of every command, broken and not: no traceback, no warning, no number that is not finite.
 
-`python -m tests.hostile.study` tries 2000.
+`python -m tests.hostile.study` tries thousands.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from tests.hostile.verdict import judge
+from tests.hostile.commands import COMMANDS, Case
+from tests.hostile.plants import PLANTS, Columns
+from tests.hostile.records import as_csv
+from tests.hostile.verdict import judge, run
 
 CASES, GROUP = 100, 10
+ROTARY = """
+[record]
+input = "u"
+output = "y"
+time = "t"
+[encoder]
+resolution = 0.003
+[model]
+input_gain = 0.05
+[estimator]
+cutoff = 100.0
+"""
+PROCESS = """
+[record]
+input = "u"
+output = "y"
+time = "t"
+reference = "r"
+[model]
+kind = "transfer_function"
+n = 2
+m = 0
+[estimator]
+cutoff = 3.0
+"""
 
 
 @pytest.mark.parametrize("start", range(0, CASES, GROUP))
-def test_every_case_ends_as_the_pages_promise(start: int) -> None:
+def test_every_call_ends_as_the_pages_promise(start: int) -> None:
     faults = {seed: verdict.faults for seed in range(start, start + GROUP) if (verdict := judge(seed)).faults}
     assert not faults
 
 
-@pytest.mark.parametrize("seed", [216, 1081, 1668])
-def test_cases_that_ended_in_a_traceback(seed: int) -> None:
+def test_every_command_is_called() -> None:
+    from pmfid.cli.main import main
+
+    assert set(main.commands) | {"none"} == set(COMMANDS)
+    assert sum(part for _, part in COMMANDS.values()) == pytest.approx(1)
+
+
+def called(folder: Path, command: str, plant: str, axis: str, **columns: np.ndarray) -> tuple[str, ...]:
+    record: Columns = PLANTS[plant](0)[0] | columns
+    files = {"axis.toml": axis.encode(), "run.csv": as_csv(np.random.default_rng(0), record)}
+    return run(Case((command, "run.csv", "--config", "axis.toml", "--json"), files), folder).faults
+
+
+def test_calls_that_ended_in_a_traceback(tmp_path: Path) -> None:
     """A drive by a method for processes compared, a reference of 1e200, a cutoff of 1e-320."""
-    assert judge(seed).faults == ()
+    assert called(tmp_path, "compare", "rotary", ROTARY + 'method = "rsrivc"\n') == ()
+    assert called(tmp_path, "identify", "process", PROCESS, r=np.full(120, 1e200)) == ()
+    assert called(tmp_path, "identify", "rotary", ROTARY.replace("100.0", "1e-320") + 'method = "rknown-step"') == ()

@@ -43,14 +43,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield place
 
 
-def start(folder: Path, *arguments: str, before: Callable[[], None] | None = None, **pipes: Any) -> Any:
-    """`pmfid monitor -` on N samples, which have been written to it; its input stays open."""
+def start(
+    folder: Path, *arguments: str, before: Callable[[], None] | None = None, samples: int = N, **pipes: Any
+) -> Any:
+    """`pmfid monitor -` on so many samples, which have been written to it; its input stays open."""
     command = [sys.executable, "-c", START, "monitor", "-", "--config", str(folder / "axis.toml"), "--json", *arguments]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **pipes}
     process = subprocess.Popen(command, stdin=subprocess.PIPE, preexec_fn=before, **pipes)
     assert process.stdin is not None
-    process.stdin.write(b"".join(lines(N * CART_DT)))
-    process.stdin.flush()
+    if samples:
+        process.stdin.write(b"".join(lines(samples * CART_DT)))
+        process.stdin.flush()
     return process
 
 

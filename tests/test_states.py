@@ -26,6 +26,7 @@ FREE = {"encoder.count", "encoder.change", "encoder.travel", "encoder.guard.chan
 CASES = {name: (cls, options) for name, cls, options in [
     ("bcrls", pmfid.BCRLS, {}),
     ("window", pmfid.RLS, {"forgetting_scheme": "window"}),
+    ("directional", pmfid.RLS, {"forgetting_scheme": "directional"}),
     ("riv", pmfid.RIV, {"model": pmfid.Drive(2.0, offset=True)}),
     ("known-step", pmfid.RKnownStep, {}),
     ("rsrivc", pmfid.RSRIVC, LAGS),

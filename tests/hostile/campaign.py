@@ -15,15 +15,23 @@ import numpy as np
 import pytest
 
 from tests.hostile.crafted import PLACES, attack, estimators, folder_of, program
-from tests.hostile.names import faults_of_name, hostile_names
+from tests.hostile.names import faults_of_names, hostile_names
 from tests.hostile.openings import faults_of
-from tests.hostile.verdict import judge
+from tests.hostile.study import judged
 
 #: How often in full, and for a look: crafted states (of all estimators and places together), openings, names, calls.
 FULL = {"states": 300_000, "openings": 10_000, "names": 1000, "calls": 20_000}
 QUICK = {"states": 3000, "openings": 500, "names": 20, "calls": 50}
 #: Files of the tests that attack files, pipes, signals and many axes; they are quick and complete.
-FILES = ("test_pipe_faults.py", "test_monitor_files.py", "test_monitor_run.py", "test_many.py", "test_export_names.py")
+FILES = (
+    "test_pipe_faults.py",
+    "test_monitor_files.py",
+    "test_monitor_run.py",
+    "test_many.py",
+    "test_export_names.py",
+    "test_closed_streams.py",
+    "test_unpacked.py",
+)
 Faults = Iterator[str]
 
 
@@ -55,15 +63,13 @@ def openings(amount: int) -> Faults:
 
 
 def names(amount: int) -> Faults:
-    for name, unit in hostile_names(amount):
-        if fault := faults_of_name(name, unit):
-            yield f"name {name!r}, unit {unit!r}: {fault}"
+    yield from faults_of_names(hostile_names(amount))
 
 
 def calls(amount: int) -> Faults:
-    for seed in range(amount):
-        for fault in judge(seed).faults:
-            yield f"call {seed}: {fault}"
+    for seed, verdict in judged(range(amount)):
+        for fault in verdict.faults:
+            yield f"call {seed}, {verdict.command}: {fault}"
 
 
 def files(_: int) -> Faults:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -12,8 +12,13 @@ import numpy as np
 
 import pmfid
 from pmfid.errors import UsageError
+from pmfid.models.equation import Signal
 from tests.firmware.build import GCC, REQUIRED, WARNINGS, command
 
+#: Input and counts of the self-test: it is not run.
+REST = (np.zeros(20), np.zeros(20, np.int64))
+#: Terms that the names of one export stand at.
+SLOTS: list[tuple[Signal, int]] = [("output", 2), ("output", 1), ("direction", 0), ("output", 0), ("moving", 0)]
 #: Pieces of C, of the shell, of Make, of templates, of terminals and of other alphabets.
 PIECES = ["*/", "/*", "//", "\\", "??/", "\n", "\r", '"', "'", "#define mass 1", ";", "int x;", "main", "}", "{{", "}}"]
 PIECES += [
@@ -60,39 +65,66 @@ def hostile_names(amount: int) -> Iterator[tuple[str, str]]:
         yield (name if number % 2 else f"{rng.choice(['mass', 'int', 'M', 'printf', 'x_1', 'step'])}"), unit
 
 
-def faults_of_name(name: str, unit: str) -> str:
-    """What is wrong with the export; "" where it is refused, or compiles with -Werror to what a harmless unit gives."""
+def faults_of_names(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """What is wrong with the exports of these names and units: each is refused alone, or compiles with -Werror to what
+    a harmless unit gives; several at a time, because a compiler takes longer than all else."""
+    waiting: dict[str, str] = {}
+    for name, unit in pairs:
+        fault = _refused(name, unit)
+        if fault is None:
+            if name.lower() in map(str.lower, waiting) or len(waiting) == len(SLOTS):
+                yield from _faults_together(waiting)
+                waiting = {}
+            waiting[name] = unit
+        elif fault:
+            yield f"name {name!r}, unit {unit!r}: {fault}"
+    if waiting:
+        yield from _faults_together(waiting)
+
+
+def _refused(name: str, unit: str) -> str | None:
+    """None where the export takes it, else what is wrong with the refusal, "" for nothing."""
     with tempfile.TemporaryDirectory() as root:
         folder = Path(root) / "hostile"
         try:
-            _export(name, unit, folder)
+            _export({name: unit}, folder)
         except UsageError as error:
             return "a folder in spite of a refusal" if folder.exists() else _refusal(str(error))
-        for file, text in _harmless(name).items():
+    return None
+
+
+def _faults_together(named: dict[str, str]) -> Iterator[str]:
+    with tempfile.TemporaryDirectory() as root:
+        folder = Path(root)
+        _export(named, folder)
+        for file, text in _harmless(tuple(named)).items():
             if _without_comments(folder / file) != text:
-                return f"{file} is not what a harmless unit gives"
+                yield f"{named}: {file} is not what harmless units give"
         for file in ("main.c", "selftest.c"):
             done = command([GCC.compiler, *REQUIRED, *WARNINGS, "-fsyntax-only", file], folder)
             if done.returncode != 0:
-                return f"{file}: {done.stderr[:300]}"
-    return ""
+                yield f"{named}: {file}: {done.stderr[:300]}"
 
 
 def _refusal(message: str) -> str:
     return "a refusal with control characters" if re.search(r"[\x00-\x1f\x7f]", message) else ""
 
 
-def _export(name: str, unit: str, folder: Path) -> None:
-    terms = (pmfid.Term("output", 2, name, unit), pmfid.Term("output", 1, "drag"))
-    model = pmfid.EquationModel(pmfid.Equation(terms, (pmfid.Term("input"),)))
-    pmfid.export_firmware(pmfid.RLS(model, pmfid.Encoder(1e-3), 0.01, 20.0), folder, prefix="axis")
+def _export(named: dict[str, str], folder: Path) -> None:
+    """An equation whose parameters have these names and units."""
+    further = {} if len(named) > 1 else {"drag": ""}
+    terms = [
+        pmfid.Term(*slot, name, unit) for slot, (name, unit) in zip(SLOTS, (named | further).items(), strict=False)
+    ]
+    model = pmfid.EquationModel(pmfid.Equation(tuple(terms), (pmfid.Term("input"),)))
+    pmfid.export_firmware(pmfid.RLS(model, pmfid.Encoder(1e-3), 0.01, 20.0), folder, prefix="axis", record=REST)
 
 
 @cache
-def _harmless(name: str) -> dict[str, str]:
-    """File -> its text without comments, with a harmless unit."""
+def _harmless(names: tuple[str, ...]) -> dict[str, str]:
+    """File -> its text without comments, with harmless units."""
     with tempfile.TemporaryDirectory() as root:
-        _export(name, "kg", Path(root))
+        _export(dict.fromkeys(names, "kg"), Path(root))
         return {path.name: _without_comments(path) for path in Path(root).iterdir()}
 
 

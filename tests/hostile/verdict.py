@@ -1,84 +1,149 @@
-"""Runs a case as the command does, and judges what came out by what the pages promise."""
+"""Runs a call as the command does, and judges what came of it by what the pages promise."""
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import re
+import resource
+import signal
 import tempfile
+import time
 import traceback
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from unittest import mock
 
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 from pmfid.cli.main import main
-from tests.hostile.draw import Case, draw
+from tests.hostile.commands import Case
+from tests.hostile.draw import draw
 
 #: Exit codes of the commands: done, wrong usage or unreadable input, data that cannot identify the parameters.
 DONE, USAGE, NOT_IDENTIFIABLE = 0, 2, 3
 NOT_FINITE = re.compile(r"(?<![\w'\"\[])[-+]?(nan|inf|infinity)(?![\w'\"\]])", re.IGNORECASE)
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]")
+#: What a command says that takes long.
+PROGRESS = re.compile(r"^pmfid: .*% after \d+ s\n", re.MULTILINE)
+#: A call that takes more of the processor hangs [s], one that takes more memory has unpacked something [kB].
+HANGS, TOO_MUCH = 60.0, 400_000
+#: A calibration of two short runs is enough here: hours of simulated work, and length of a run [s].
+HOURS, RUN_TIME = 0.04, 80.0
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The exit code of a case, and what is wrong with how it ended; empty where all is as promised."""
+    """The command and exit code of a call, its processor time [s], and what is wrong with how it ended: empty where all
+    is as promised."""
 
+    command: str
     code: int
+    seconds: float
     faults: tuple[str, ...]
 
 
+class HangsError(Exception):
+    """The call took too long."""
+
+
 def judge(seed: int) -> Verdict:
-    """Draws a case, runs it in a folder of its own with every warning an error, and judges."""
+    """Draws a call, runs it in a folder of its own with every warning an error, and judges."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        case = draw(seed, folder)
-        return run(case, folder)
+        return run(draw(seed, folder), folder)
 
 
 def run(case: Case, folder: Path) -> Verdict:
-    record, axis = folder / case.name, folder / "axis.toml"
-    record.write_bytes(case.record)
-    axis.write_text(case.axis, encoding="utf-8")
-    command, *options = case.command
-    options = [str(folder / "out") if option == "out" else option for option in options]
-    files = [str(axis), "--record", str(record)] if command == "export" else [str(record), "--config", str(axis)]
-    with warnings.catch_warnings():
+    for name, data in case.files.items():
+        (folder / name).write_bytes(data)
+    before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
+    with _limited(), _cheap_calibration(folder), contextlib.chdir(folder), warnings.catch_warnings():
         warnings.simplefilter("error")
-        result = CliRunner().invoke(main, [command, *files, *options])
-    faults = []
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        error = result.exception
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        faults.append(f"{type(error).__name__}: {error} at {Path(last.filename).name}:{last.lineno}")
-    return Verdict(result.exit_code, (*faults, *_said(result.exit_code, result.stdout, result.stderr, options)))
+        result = CliRunner().invoke(main, list(case.arguments), input=case.piped)
+    seconds, more = time.process_time() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    faults = [*_error(result), *_said(case, result)]
+    faults += [f"{name} is not what it was" for name, data in case.files.items() if _read(folder / name) != data]
+    faults += [f"{more / 1000:.0f} MB more than any call before"] if more > TOO_MUCH else []
+    return Verdict(case.arguments[0] if case.arguments else "", result.exit_code, seconds, tuple(faults))
 
 
-def _said(code: int, out: str, err: str, options: list[str]) -> list[str]:
-    faults = [
-        f"control character in {name}" for name, text in (("stdout", out), ("stderr", err)) if CONTROL.search(text)
-    ]
+@contextlib.contextmanager
+def _limited() -> Iterator[None]:
+    """Raises HangsError inside of the block after too much time of the processor."""
+
+    def stop(number: int, frame: object) -> None:
+        raise HangsError(f"more than {HANGS:g} s")
+
+    before = signal.signal(signal.SIGVTALRM, stop)
+    signal.setitimer(signal.ITIMER_VIRTUAL, HANGS)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        signal.signal(signal.SIGVTALRM, before)
+
+
+@contextlib.contextmanager
+def _cheap_calibration(folder: Path) -> Iterator[None]:
+    with (
+        mock.patch("pmfid.session.monitored.setup.simulated_hours", return_value=HOURS),
+        mock.patch("pmfid.monitor.calibration.RUN_TIME", RUN_TIME),
+        mock.patch.dict(os.environ, {"PMFID_CACHE": str(folder / "cache")}),
+    ):
+        yield
+
+
+def _read(path: Path) -> bytes:
+    return path.read_bytes() if path.is_file() else b""
+
+
+def _error(result: Result) -> list[str]:
+    error = result.exception
+    if error is None or isinstance(error, SystemExit):
+        return []
+    places = [f"{Path(place.filename).name}:{place.lineno}" for place in traceback.extract_tb(error.__traceback__)]
+    return [f"{type(error).__name__}: {error} at {' '.join(places[-3:])}"]
+
+
+def _said(case: Case, result: Result) -> list[str]:
+    out, err, code = result.stdout, PROGRESS.sub("", result.stderr), result.exit_code
+    texts = {"stdout": out, "stderr": err}
+    faults = [f"control character in {name}" for name, text in texts.items() if CONTROL.search(text)]
     if code not in (DONE, USAGE, NOT_IDENTIFIABLE):
         return [*faults, f"exit code {code}"]
+    watches = case.arguments[:1] == ("monitor",)
+    rows = watches and "-" in case.arguments[2:]  # estimates; the bar of one that is not known yet is infinite
+    if "--json" in case.arguments and not {"--help", "-h"} & set(case.arguments) and not rows:
+        faults += _json(out, several=watches)
     if code == DONE:
-        numbers = NOT_FINITE.search(out)
-        faults += (
-            [f"a number that is not finite: {out[max(0, numbers.start() - 60) : numbers.end() + 20]!r}"]
-            if numbers
-            else []
-        )
-        if "--json" in options:
-            faults += _json(out)
-        return [*faults, *(["said on stderr: " + err[:100]] if err else [])]
-    faults += ["output in spite of an error"] if out else []
-    one = err.startswith("pmfid: ") and err.count("\n") <= 1 + err.count("\n  ")
-    return faults if one or "Error: " in err else [*faults, f"no one-line error: {err[:200]!r}"]
+        return [
+            *faults,
+            *([] if rows else _finite(out)),
+            *([f"said on stderr: {err[:100]}"] if err and not watches else []),
+        ]
+    if out and not (watches or (code == NOT_IDENTIFIABLE and '"relax"' in out)):
+        faults.append("output in spite of an error")
+    last = "\n".join(err.splitlines()[-1 - err.count("\n  ") :]) if watches else err
+    one = last.startswith("pmfid: ") and last.count("\n") <= 1 + last.count("\n  ")
+    return faults if one or "Error: " in err or "Usage: " in err else [*faults, f"no one-line error: {err[:200]!r}"]
 
 
-def _json(out: str) -> list[str]:
+def _finite(out: str) -> list[str]:
+    number = NOT_FINITE.search(out)
+    text = "" if number is None else out[max(0, number.start() - 60) : number.end() + 20]
+    return [f"a number that is not finite: {text!r}"] if number else []
+
+
+def _json(out: str, several: bool) -> list[str]:
+    """One object on one line; of a watch as many as there are events."""
+    lines = out.splitlines()
     try:
-        json.loads(out)
+        for line in lines:
+            json.loads(line)
     except ValueError as error:
         return [f"no JSON: {error}"]
-    return [] if out.count("\n") == 1 else ["more than one line of JSON"]
+    return ["more than one line of JSON"] if len(lines) > 1 and not several else []

@@ -65,8 +65,17 @@ class Group(click.Group):
 @click.version_option(__version__)
 def main() -> None:
     """Mass and friction of a drive, or a transfer function, from input and a coarse encoder."""
+    _open_closed_streams()
     for variable in THREADS:  # NumPy is loaded by the commands, and reads them then
         os.environ.setdefault(variable, "1")
+
+
+def _open_closed_streams() -> None:
+    """A stream that was closed, as by `<&-`, is empty or takes everything: else the next file that is opened would get
+    its number, and what is printed would stand in it."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 @main.command(short_help="Identify the parameters of a record.")

@@ -171,12 +171,14 @@ def without_nuisance(difference: Difference, columns: Floats, nuisance: Floats, 
 def inverted(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
     """(S^T S)^-1 (p, p) of the sensitivities S (n, p). Raises NotIdentifiableError where one of them is zero or a
     combination of the others, naming the parameter."""
-    parts, inverse = parts_of_their_own(sensitivity)
+    with np.errstate(over="ignore"):  # of a wide step a motion may run away: infinitely sensitive, then
+        parts, inverse = parts_of_their_own(sensitivity)
+        size = np.linalg.norm(sensitivity, axis=0)
+        sizes = np.outer(size, size)
     worst = int(np.argmin(parts))
     if not parts[worst] > APART:
         raise NotIdentifiableError(
             f"the position depends on {names[worst]} hardly, or just as on the others: too little excitation; record "
             "reversals, and speeds and accelerations that vary"
         )
-    size = np.linalg.norm(sensitivity, axis=0)
-    return np.asarray(inverse @ inverse.T / np.outer(size, size))
+    return np.asarray(inverse @ inverse.T / sizes)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
@@ -10,8 +12,10 @@ from pmfid.estimators.base import Estimator
 from pmfid.filters.columns import ColumnBuilder
 from pmfid.filters.network import LATE_POSITION, SPLIT_FORWARD, VELOCITY, Network, Taps
 
-#: Frequencies of the gain that an encoder's error meets at most.
-FREQUENCIES = 4096
+#: Samples of a response that are in memory at once.
+PART = 2**17
+#: Frequencies at which the gain that an encoder's error meets is looked at, and the decades below that of the samples.
+FREQUENCIES, DECADES = 4096, 9
 
 
 def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[np.float64]:
@@ -28,20 +32,23 @@ def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[n
 
 def impulse_products(estimator: Estimator, network: Network, columns: list[Taps]) -> NDArray[np.float64]:
     """(c, c): sum over time of the products of the columns' responses to one wrong position."""
-    g = impulse_responses(estimator, network, columns)
-    return np.asarray(g @ g.T)
+    parts = impulse_responses(estimator, network, columns)
+    return np.asarray(sum((g @ g.T for g in parts), start=np.zeros(2 * (len(columns),))))
 
 
-def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps]) -> NDArray[np.float64]:
-    """(c, n): the columns' responses to one wrong position."""
-    samples = 4 * estimator.settle_samples
-    nodes = [np.zeros(samples) for _ in range(network.first)]
-    nodes[VELOCITY][:2] = np.array([1.0, -1.0]) / estimator.dt  # the mean velocities of one wrong position
-    nodes[SPLIT_FORWARD][1:3] = nodes[VELOCITY][:2]
-    nodes[LATE_POSITION][1:3] = 0.5
-    for source, a, b0, b1 in network.stages:
-        nodes.append(lfilter([b0, b1], [1.0, -a], nodes[source]))
-    return np.array([sum(weight * nodes[node] for node, weight in taps) for taps in columns])
+def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps]) -> Iterator[NDArray[np.float64]]:
+    """(c, n) one after the other: the columns' responses to one wrong position, of a low cutoff millions of samples."""
+    samples, memories = 4 * estimator.settle_samples, [np.zeros(1) for _ in network.stages]
+    for first in range(0, samples, PART):
+        nodes = [np.zeros(min(PART, samples - first)) for _ in range(network.first)]
+        if first == 0:
+            nodes[VELOCITY][:2] = np.array([1.0, -1.0]) / estimator.dt  # the mean velocities of one wrong position
+            nodes[SPLIT_FORWARD][1:3] = nodes[VELOCITY][:2]
+            nodes[LATE_POSITION][1:3] = 0.5
+        for k, (source, a, b0, b1) in enumerate(network.stages):
+            response, memories[k] = lfilter([b0, b1], [1.0, -a], nodes[source], zi=memories[k])
+            nodes.append(response)
+        yield np.array([sum(weight * nodes[node] for node, weight in taps) for taps in columns])
 
 
 def shown(estimator: Estimator) -> float:
@@ -52,6 +59,17 @@ def shown(estimator: Estimator) -> float:
     """
     builder = ColumnBuilder(estimator.equation, estimator.spec)
     column = builder.regressors()[estimator.equation.leading]
-    (response,) = impulse_responses(estimator, builder.network, [column])
-    gain = np.max(np.abs(np.fft.rfft(response, max(FREQUENCIES, 2 * response.size))))
+    gain = np.max(np.abs(frequency_response(estimator, builder.network, column)))
     return float((estimator.encoder.resolution / 2 * gain) ** -2)
+
+
+def frequency_response(estimator: Estimator, network: Network, column: Taps) -> NDArray[np.complex128]:
+    """(FREQUENCIES,) of a column to a wrong position, up to half the sampling frequency."""
+    late = np.exp(-1j * np.geomspace(np.pi * 10.0**-DECADES, np.pi, FREQUENCIES))
+    nodes = [np.zeros(FREQUENCIES, complex) for _ in range(network.first)]
+    nodes[VELOCITY] = (1 - late) / estimator.dt
+    nodes[SPLIT_FORWARD] = late * nodes[VELOCITY]
+    nodes[LATE_POSITION] = (late + late**2) / 2
+    for source, a, b0, b1 in network.stages:
+        nodes.append((b0 + b1 * late) / (1 - a * late) * nodes[source])
+    return np.asarray(sum(weight * nodes[node] for node, weight in column), complex)

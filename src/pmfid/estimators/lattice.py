@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.base import Estimator, held
 from pmfid.estimators.difference import first_speed
@@ -21,6 +22,8 @@ Floats = NDArray[np.float64]
 
 #: Places of the lattice that are tried: their mean square is exact for the harmonics that hold nine tenths of it.
 PLACES = 8
+#: A simulated motion that goes further runs away [counts].
+MOST_COUNTS = 2.0**53
 
 
 def lattice_scatter(
@@ -48,4 +51,11 @@ def _simulated(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[n
     step, gain = estimator.encoder.resolution, estimator.equation.input_gain
     roles = role_values(estimator, list(theta))
     velocity = _kernel64.simulate(roles, gain, estimator.dt, held(u), start * step, 0.0)[0]
-    return np.asarray(np.r_[0.0, np.cumsum(velocity[:-1])] * estimator.dt / step)
+    place = np.asarray(np.r_[0.0, np.cumsum(velocity[:-1])] * estimator.dt / step)
+    if not np.max(np.abs(place)) < MOST_COUNTS:
+        values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
+        raise NotIdentifiableError(
+            f"the motion simulated with the estimate ({values}) runs away: check the model and the signs of input and "
+            "output, or record a livelier motion"
+        )
+    return place

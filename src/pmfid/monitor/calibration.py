@@ -37,8 +37,12 @@ TAIL = 100
 NOISIER = 3.0
 #: Maxima of a record that the line is fitted to, and confidence of that, in standard errors of what they tell.
 SEEN, CONFIDENCE = 30, 1.645
-#: Blocks that a record of normal work must have.
+#: A simulated machine that goes further runs away [counts].
+MOST_COUNTS = 2.0**53
+#: Blocks that a simulated run must have.
 LEAST_BLOCKS = 200
+#: Blocks that a record of normal work must have: the scatter of fewer says nothing of its noise.
+LEAST_RECORD_BLOCKS = 8
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ def calibrate(
     x, scale = x / sigma, replace(scale, sigma=scale.sigma * sigma)
     noise, own = np.ones(theta.size), None
     if counts is not None:
-        record = scores(estimator, theta, u, counts)[start_blocks(estimator, theta) :]
+        record = _record_blocks(estimator, theta, u, counts)
         noise = noise_ratio(scale, record)
         scale = replace(scale, sigma=scale.sigma * noise)
         own = scale.standardise(record)
@@ -129,6 +133,19 @@ def calibrate(
         for name, detector in make_detectors(block_keep(estimator), precision).items()
     }
     return Calibration(theta, scale, precision, tails, noise, hours, record_hours)
+
+
+def _record_blocks(estimator: Estimator, theta: Floats, u: Floats, counts: Counts) -> Blocks:
+    """Of a record of normal work, once the model has its velocity; raises UsageError where hardly any are left."""
+    start = start_blocks(estimator, theta)
+    blocks = scores(estimator, theta, u, counts)[start:]
+    if len(blocks.score) < LEAST_RECORD_BLOCKS:
+        least = (start + LEAST_RECORD_BLOCKS) * block_samples(estimator) * estimator.dt
+        raise UsageError(
+            f"the record of normal work has {u.size * estimator.dt:.3g} s, its scatter shows from {least:.3g} s on: "
+            "record longer, 10 minutes or more for good thresholds"
+        )
+    return blocks
 
 
 def _detector_tail(detector: Detector, x: Floats, w: Floats, block_time: float, record_hours: float) -> Tail:
@@ -160,6 +177,12 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
 
     mean = simulate(role_values(estimator, list(theta)), estimator.equation.input_gain, estimator.dt, u)[0]
     position = np.concatenate([[0.0], np.cumsum(mean[:-1] * estimator.dt)])
+    if not np.max(np.abs(position)) < MOST_COUNTS * estimator.encoder.resolution:
+        values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
+        raise NotIdentifiableError(
+            f"the model with the normal parameters ({values}) runs away under the recorded input: give nominal values "
+            "of a machine that does not, or take a record of normal work that tells them"
+        )
     return quantize(position + phase * estimator.encoder.resolution, estimator.encoder.resolution)
 
 

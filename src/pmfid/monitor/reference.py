@@ -29,7 +29,7 @@ def powers(x: Floats, w: Floats, edge: float) -> tuple[Floats, Floats]:
     means, errors = [], []
     for length in LENGTHS:
         n = x.shape[1] // length * length
-        sums = [part[:, :n].reshape(x.shape[0] * (n // length), length, -1).sum(axis=1) for part in (x, w)]
+        sums = [part[:, :n].reshape(x.shape[0] * (n // length), length, x.shape[2]).sum(axis=1) for part in (x, w)]
         told = sums[1].mean(axis=1) > 0
         power = sums[0][told] ** 2 / (sums[1][told] + edge)
         count = max(1, len(power))

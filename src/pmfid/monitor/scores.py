@@ -98,7 +98,7 @@ def gather(columns: Floats, status: NDArray[np.uint32], theta: Floats, size: int
     """Whole blocks of `size` samples from phi, z, zeta in columns (n, 2 p + 1), and (n,) where one has none but
     unusable samples, which count for nothing: there the filters settle, and the simulated motion has lost the plant."""
     p, n = theta.size, columns.shape[0] // size
-    rows = columns[: n * size].reshape(n, size, -1)
+    rows = columns[: n * size].reshape(n, size, columns.shape[1])
     zeta = np.where((status[: n * size].reshape(n, size, 1) & UNUSABLE) == 0, rows[..., p + 1 : 2 * p + 1], 0.0)
     error = rows[..., p] - rows[..., :p] @ theta
     turned = zeta.transpose(0, 2, 1)

@@ -71,7 +71,7 @@ def criteria_table(appraisal: Appraisal) -> Rows:
         standard = appraisal.standard.get(name)
         surviving = "-" if worth.surviving is None else f"{worth.surviving:.3f}"
         bent = "" if standard is None else "bent" if standard.bent else "exact"
-        gain = "" if standard is None else f"{appraisal.gain[name]:.3g}"
+        gain = "" if standard is None or not math.isfinite(appraisal.gain[name]) else f"{appraisal.gain[name]:.3g}"
         rows.append([name.replace("_", " "), f"{worth.value:.4g}", gain, surviving, bent])
     return header, rows
 

@@ -40,6 +40,8 @@ STRIP_BITS = {
     "unmodelled": Status.UNMODELLED,
     "bad input": Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET,
 }
+#: Samples with one of these were left out.
+LEFT_OUT = Status.INVALID_INPUT | Status.COUNT_JUMP
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,7 @@ def run_figure(data: RunData) -> Figure:
         ):
             _line(axes, data.t, values, lw=0.8, color=COLOURS[0])
             axes.set_ylabel(_label(name, unit))
+            _show_accepted(axes, values, data.status)
         spread = 1.5 * np.percentile(np.abs(data.innovation[_trusted(data)]), 99.9) if np.any(_trusted(data)) else 0.0
         if spread > 0:
             panels[-1].set_ylim(-spread, spread)
@@ -106,6 +109,16 @@ def _trusted(data: RunData) -> NDArray[np.bool_]:
     """Where the estimate is neither starting nor swinging after an alarm."""
     doubtful = Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION
     return np.asarray(((data.status & doubtful) == 0) & (data.state != SUSPICIOUS))
+
+
+def _show_accepted(axes: Axes, values: Floats, status: NDArray[np.uint32]) -> None:
+    """A sample that was left out, as at a jump of the counts, has no say in the range, nor have its neighbours, whose
+    difference quotients reach over it: all others would be flat."""
+    left_out = np.pad((status & LEFT_OUT) != 0, 1)
+    shown = values[~(left_out[:-2] | left_out[1:-1] | left_out[2:]) & np.isfinite(values)]
+    if 0 < shown.size < values.size:
+        margin = max(0.05 * float(np.ptp(shown)), 1e-12)
+        axes.set_ylim(float(shown.min()) - margin, float(shown.max()) + margin)
 
 
 def _limits(axes: Axes, values: Floats, nominal: float) -> None:

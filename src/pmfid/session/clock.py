@@ -97,10 +97,13 @@ def _check_steps(time: Floats, steps: Floats, median: float) -> None:
     back = np.flatnonzero(steps <= 0)
     if len(back):
         k = back[0]
-        duplicate = "it is a duplicate: drop one of the two rows, or write time with more digits"
         raise UsageError(
             f"time does not increase strictly: row {k + 2} ({time[k + 1]:.9g}) follows {time[k]:.9g}; "
-            f"{duplicate if steps[k] == 0 else 'sort or cut the record'}"
+            + (
+                "it is a duplicate: drop one of the two rows, or write time with more digits"
+                if steps[k] == 0
+                else _back(k, median)
+            )
         )
     gaps = np.flatnonzero(steps > 1.5 * median)
     if len(gaps):
@@ -115,3 +118,13 @@ def _check_steps(time: Floats, steps: Floats, median: float) -> None:
             f"time steps differ by up to {worst:.1%} of the median {median:g} s, 10 % is allowed; "
             f"resample the record to a fixed rate"
         )
+
+
+def _back(k: int, median: float) -> str:
+    """What to do where the time goes back after step k: mostly the logger has started again, rarely rows are mixed."""
+    if median <= 0:
+        return "most rows go back: sort them by time"
+    return (
+        f"if the logger started again there, keep the rows up to {k + 1} or those from {k + 2} on; if rows are mixed, "
+        "sort them"
+    )

@@ -21,6 +21,9 @@ from pmfid.session.toml_file import FileSection, load_sections
 
 __all__ = ["Spec", "load_spec", "make_problem"]
 
+#: No machine bears more, in any unit.
+MOST_LIMIT = 1e100
+
 Criterion = Literal["trace", "D", "A", "E", "ME", "c"]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -71,7 +74,7 @@ class ExperimentSpec(FileSection):
 class MotionSpec(FileSection):
     """[motion]: from where to where in what time, forward throughout unless `directions` says otherwise."""
 
-    duration: Positive = Field(description="the length of the motion in s")
+    duration: Positive = Field(le=1e6, description="the length of the motion in s, at most 1e6")
     intervals: int = Field(ge=1, description="the number of intervals of constant input, at least 1")
     start: float = Field(0.0, description="the position in m at the start")
     start_velocity: float = Field(0.0, description="the velocity in m/s at the start")
@@ -102,6 +105,13 @@ class LimitsSpec(FileSection):
         0.0, description="the least speed in m/s while the axis moves; at 0.0 it may park where the model is wrong"
     )
 
+    @model_validator(mode="after")
+    def _limits(self) -> Self:
+        for name, value in self.model_dump(exclude_none=True).items():
+            if np.max(np.abs(value)) > MOST_LIMIT:
+                raise ValueError(f"{name} = {value!r} limits nothing; leave it out, or give what the machine bears")
+        return self
+
 
 class PriorSpec(FileSection):
     """[prior]: standard deviations known beforehand, from an earlier estimate or a data sheet."""
@@ -126,8 +136,8 @@ class RobustSpec(FileSection):
 class SearchSpec(FileSection):
     """[search]: how hard to look."""
 
-    starts: int = Field(20, ge=1, description="the number of random starts")
-    seed: int = Field(0, ge=0, description="a whole number, at least 0")
+    starts: int = Field(20, ge=1, le=1_000_000, description="the number of random starts, at most a million")
+    seed: int = Field(0, ge=0, lt=2**63, description="a whole number, at least 0 and below 2**63")
 
 
 #: How a run is recorded where SPEC.toml does not say.

@@ -25,6 +25,8 @@ Table = Mapping[str, object]
 _TWICE = "_duplicated_0"
 #: Values that a file may unpack to, in bytes: so many times its own size, or this many; more is a bomb or a mistake.
 _MOST_TIMES, _MOST_BYTES = 20, 2**28
+#: How gzip, zlib, zstd and bzip2 begin.
+_PACKED = (b"\x1f\x8b", b"x\x01", b"x\x9c", b"x\xda", b"\x28\xb5\x2f\xfd", b"BZh9")
 _MISSING = ["", "NA", "N/A", "null", "NULL", "None"]
 # Types of the elements of a MATLAB v5 file ("MAT-File Format", MathWorks, table 1-1); the others are reserved.
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED, _UTF8 = 1, 5, 6, 14, 15, 16
@@ -111,6 +113,8 @@ def _from_series(label: str, series: Any) -> Floats:
 def _parse_csv(data: bytes) -> Table:
     import polars as pl
 
+    if data.startswith(_PACKED):  # polars would unpack it, however large
+        raise UsageError("a packed file; unpack it first, and mind how large it becomes")
     if b"\0" in data:
         raise UsageError("not a text file; use the ending that tells its type, or export it as UTF-8 CSV")
     header = data.lstrip().splitlines()[0]

@@ -22,6 +22,9 @@ CRITERIA = {
     "c": "1 / (c' inverse(S) c): variance of one combination of the parameters",
 }
 
+#: Information below is none.
+TINY = 1e-200
+
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
@@ -49,7 +52,8 @@ class Criterion:
         try:
             slope = _slope(self.name, S, self.combination)
         except np.linalg.LinAlgError:
-            ridge = 1e-9 * max(float(np.trace(S)), 1e-300)
+            size = float(np.trace(S))
+            ridge = 1e-9 * (size if size > TINY else 1.0)
             slope = _slope(self.name, S + ridge * np.eye(self.size), self.combination)
         return np.asarray(G @ slope @ G.T)
 
@@ -118,9 +122,9 @@ def _along(S: Float, combination: Float) -> Float:
 
 
 def _slope(name: str, S: Float, combination: Float | None) -> Float:
-    """d log value / d S."""
+    """d log value / d S. Raises LinAlgError where S is singular, and with `trace` where it is nothing."""
     p = len(S)
-    if name == "trace":
+    if name == "trace" and np.trace(S) > TINY:
         return np.asarray(np.eye(p) / np.trace(S))
     if name == "D":
         return np.asarray(np.linalg.inv(S) / p)
@@ -131,6 +135,8 @@ def _slope(name: str, S: Float, combination: Float | None) -> Float:
         pull = np.linalg.solve(S, combination)
         return np.outer(pull, pull) / float(combination @ pull)
     eigenvalues, vectors = np.linalg.eigh(S)
+    if name == "trace" or not eigenvalues[0] > 0:
+        raise np.linalg.LinAlgError("no information")
     least = np.outer(vectors[:, 0], vectors[:, 0]) / eigenvalues[0]
     if name == "E":
         return np.asarray(least)

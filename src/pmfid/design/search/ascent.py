@@ -107,8 +107,7 @@ class Climber:
             return np.asarray(values[0])
         if not self.worst:
             return np.asarray(values.mean(axis=0))
-        least = values.min(axis=0)
-        return np.asarray(least - np.log(np.exp(-SHARPNESS * (values - least)).mean(axis=0)) / SHARPNESS)
+        return np.asarray(values.min(axis=0) - np.log(np.exp(-SHARPNESS * _above(values)).mean(axis=0)) / SHARPNESS)
 
     def _slope(self, s: list[Float]) -> Float:
         """Gradient of the log value to the input, from the weighted sensitivities (p, N) of each case."""
@@ -116,7 +115,7 @@ class Climber:
         weights = np.ones(1)
         if len(s) > 1:
             values = np.array([self.criterion.log_value(F) for F in informations])
-            weights = np.exp(-SHARPNESS * (values - values.min())) if self.worst else np.ones(len(s))
+            weights = np.exp(-SHARPNESS * _above(values)) if self.worst else np.ones(len(s))
             weights /= weights.sum()
         slope = np.zeros(self.oracle.shape.inputs)
         for maps, here, F, weight in zip(self.maps, s, informations, weights, strict=True):
@@ -163,3 +162,9 @@ class Climber:
             if abs(seen - value) < TOLERANCE and np.abs(where - u).max() < scale:
                 return (best, best_u) if best > value else (value, u)
         return None
+
+
+def _above(values: Float) -> Float:
+    """Log values over the least of all cases, (cases, ...); also where some are -inf, as at rest."""
+    least = values.min(axis=0)
+    return np.asarray(np.subtract(values, least, out=np.zeros(values.shape), where=values != least))

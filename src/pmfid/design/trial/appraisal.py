@@ -156,8 +156,9 @@ def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Fl
 def _stds(problem: Problem, fisher: Float) -> dict[str, float]:
     scale = problem.scale[: len(problem.unknown)]
     values, vectors = np.linalg.eigh(fisher * np.outer(scale, scale))
-    with np.errstate(divide="ignore"):
-        variance = (vectors**2 / np.where(values > 1e-12 * values[-1], values, 0.0)).sum(axis=1)
+    told = values > 1e-12 * max(values[-1], 0.0)
+    variance = (vectors[:, told] ** 2 / values[told]).sum(axis=1)
+    variance[np.any(vectors[:, ~told] ** 2 > 0, axis=1)] = math.inf
     return {name: float(std) for name, std in zip(problem.unknown, scale * np.sqrt(variance), strict=True)}
 
 

@@ -11,6 +11,8 @@ from pmfid.session.monitored.timeline import Line
 
 #: Beyond it neighbouring whole numbers are no longer separate doubles.
 _MAX_COUNT = 2.0**53
+#: Of a stamp, in s, though it may be in ns by mistake: in samples it must stay a number.
+_MOST_TIME = 1e30
 #: How a line begins that is for people.
 COMMENTS = ("#", "%", "//", ";")
 
@@ -35,6 +37,8 @@ class LineParser:
             if name not in names:
                 known = ", ".join(names[:30])
                 raise UsageError(f"standard input has no column {name!r}; it has {known}{did_you_mean(name, names)}")
+            if names.count(name) > 1:
+                raise UsageError(f"standard input has two columns {name!r}; rename one of them")
         self._columns, self._width = [names.index(name) for name in self._wanted], len(names)
 
     def __call__(self, line: bytes) -> Line | None:
@@ -58,8 +62,8 @@ class LineParser:
 
     def _values(self, cells: list[str]) -> Line:
         time = self._unit * float(cells[2]) if len(cells) == 3 else math.nan
-        if len(cells) == 3 and not math.isfinite(time):
-            raise ValueError("a time that is not finite")
+        if len(cells) == 3 and not abs(time) < _MOST_TIME:
+            raise ValueError("a time that is not finite, or beyond all clocks")
         try:
             u, output = self._scale * float(cells[0]), float(cells[1])
             if not (math.isfinite(u) and math.isfinite(output)):

@@ -1,0 +1,257 @@
+"""Calls of every command: the files that each takes, and its options, hostile ones among them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pmfid.estimators import METHODS
+from pmfid.simulation import SCENARIOS
+from tests.hostile.configurations import axis, monitor, some
+from tests.hostile.lines import as_pipe
+from tests.hostile.plants import PLANTS, Columns
+from tests.hostile.records import as_csv, as_file, with_defects
+from tests.hostile.specs import NAMES as SPEC_NAMES
+from tests.hostile.specs import spec
+
+Rng = np.random.Generator
+
+#: Methods that run sample by sample.
+RECURSIVE = ("auto", "rls", "bcrls", "rknown-step", "riv", "rsrivc")
+#: Values of an option that nobody means.
+ODD = [
+    "0",
+    "-1",
+    "1e308",
+    "1e-320",
+    "nan",
+    "inf",
+    "-inf",
+    "1e400",
+    "",
+    "x",
+    "9" * 400,
+    "1_0",
+    "\u0661",
+    "0x10",
+    "--json",
+]
+
+
+@dataclass(frozen=True)
+class Case:
+    """What one call gets: the words after `pmfid`, the files of its folder by name, and what is piped into it."""
+
+    arguments: tuple[str, ...]
+    files: dict[str, bytes]
+    piped: bytes = b""
+
+
+def options(rng: Rng, chance: float, **choices: list[str]) -> list[str]:
+    """Options with a value of theirs, or one time in ten with an odd one; `no_guard` is --no-guard."""
+    found = []
+    for key, value in some(rng, chance, **choices).items():
+        odd = rng.random() < 0.07
+        found += [f"--{key.replace('_', '-')}", str(rng.choice(ODD)) if odd else value]
+    return found
+
+
+def _flags(rng: Rng, chance: float, *names: str) -> list[str]:
+    return [name for name in names if rng.random() < chance]
+
+
+# --- of a record ------------------------------------------------------------------------------------------------------
+
+
+#: Of five plants as many, for what takes each.
+ANY = (*4 * ("cart",), *2 * ("heavy", "process"), "rotary", "rest")
+
+
+def _plant(rng: Rng, names: tuple[str, ...] = ANY) -> tuple[str, Columns, Columns]:
+    """The kind of its model, its columns, and facts."""
+    plant = str(rng.choice(names))
+    columns, facts = PLANTS[plant](int(rng.integers(4)))
+    kind = "transfer_function" if plant == "process" else str(rng.choice(["drive", "equation"], p=[0.75, 0.25]))
+    return kind, columns, facts
+
+
+def _recorded(rng: Rng, folder: Path, methods: tuple[str, ...] = METHODS) -> tuple[dict[str, bytes], str]:
+    """AXIS.toml and a record of it, and the name of the record."""
+    kind, columns, facts = _plant(rng)
+    text = axis(rng, kind, facts, methods)
+    name, data = as_file(rng, with_defects(rng, columns), folder)
+    return {"axis.toml": text.encode(), name: data}, name
+
+
+def _identify(rng: Rng, folder: Path) -> Case:
+    files, name = _recorded(rng, folder)
+    chosen = options(rng, 0.1, method=list(METHODS), cutoff=["10", "-1", "1e9"], quantize=["1e-3"])
+    chosen += options(rng, 0.03, resolution=["1e-3"], forgetting=["0.9"], order=["4", "9"])
+    chosen += options(rng, 0.02, n=["1", "2"], m=["0", "1"], delay=["1", "20"])
+    chosen += [*_out(rng, 0.01), *_flags(rng, 0.6, "--json"), *(_more(rng, name))]
+    return Case(("identify", name, "--config", "axis.toml", *chosen), files)
+
+
+def _more(rng: Rng, name: str) -> list[str]:
+    """The record once more, or one that is not there."""
+    return [str(rng.choice([name, "nowhere.csv", "."]))] if rng.random() < 0.03 else []
+
+
+def _out(rng: Rng, chance: float) -> list[str]:
+    """Where results go: a new folder, or now and then a file that is there, or no place at all."""
+    place = str(rng.choice(["out", "axis.toml", "axis.toml/out", "a" * 300], p=[0.7, 0.1, 0.1, 0.1]))
+    return ["--out", place] if rng.random() < chance else []
+
+
+def _compare(rng: Rng, folder: Path) -> Case:
+    files, name = _recorded(rng, folder)
+    chosen = options(rng, 0.1, quantize=["1e-3"], cutoff=["10"]) + _out(rng, 0.03)
+    return Case(("compare", name, "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files)
+
+
+def _order(rng: Rng, folder: Path) -> Case:
+    files, name = _recorded(rng, folder)
+    chosen = options(rng, 0.1, cutoff=["10"]) + _out(rng, 0.03)
+    return Case(("order", name, "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files)
+
+
+def _export(rng: Rng, folder: Path) -> Case:
+    files, name = _recorded(rng, folder, (*RECURSIVE, *RECURSIVE, "ls"))
+    chosen = options(rng, 0.2, precision=["float32", "float64"], method=list(RECURSIVE))
+    chosen += options(
+        rng, 0.1, dt=["0.01", "1e-3"], prefix=["axis", "int", "µ", "a b", "../x"], forgetting=["0.99", "1"]
+    )
+    chosen += _flags(rng, 0.1, "--no-guard") + _alarms(rng)
+    out = _out(rng, 1.0) if rng.random() < 0.2 else ["--out", "out"]
+    record = ["--record", name] if rng.random() < 0.8 else []
+    return Case(("export", "axis.toml", *record, *out, *chosen), files)
+
+
+def _alarms(rng: Rng) -> list[str]:
+    numbers = ["1", "0.5", "0", "-1", "nan", "inf", "1e308"]
+    name = str(rng.choice(["mass", "m", "viscous_friction", "b0", "x", ""]))
+    return ["--alarm", name, *rng.choice(numbers, 2).tolist()] if rng.random() < 0.15 else []
+
+
+# --- watching ---------------------------------------------------------------------------------------------------------
+
+
+def _monitor(rng: Rng, folder: Path) -> Case:
+    """A record of normal work, and another one as a file or, with what loggers do, through a pipe."""
+    kind, columns, facts = _plant(rng, (*12 * ("watched",), "cart", "heavy", "rotary", "rest", "process"))
+    kind = "drive" if kind == "equation" and rng.random() < 0.7 else kind
+    text = axis(rng, kind, facts, (*2 * ("riv", "bcrls", "auto"), "rknown-step", "rls")) + monitor(rng, facts)
+    files = {"normal.csv": as_csv(rng, with_defects(rng, columns) if rng.random() < 0.2 else columns)}
+    files["axis.toml"] = text.encode()
+    chosen = options(rng, 0.1, mtbf_hours=["0.1", "24"], detector=["cusum", "glr"], tolerance=["0.05", "0"])
+    places = ["rows.csv", "rows.parquet", "-", "normal.csv", "axis.toml", "nowhere/x.csv", "x.txt", "."]
+    chosen += options(rng, 0.3, out=places) + options(rng, 0.01, report=["page.html", "normal.csv", "nowhere/x.html"])
+    chosen += _flags(rng, 0.6, "--json")
+    if rng.random() < 0.5:
+        return Case(("monitor", "-", "--config", "axis.toml", *chosen), files, as_pipe(rng, columns))
+    name, files_of_run = as_file(rng, with_defects(rng, columns), folder)
+    return Case(("monitor", name, "--config", "axis.toml", *chosen), files | {name: files_of_run})
+
+
+def _simulate(rng: Rng, folder: Path) -> Case:
+    """Short runs of the cart."""
+    scenario = (
+        [str(rng.choice([*SCENARIOS, *SCENARIOS, *SCENARIOS, "PRBS", "\x1b[31m"]))] if rng.random() < 0.97 else []
+    )
+    out = [
+        "--out",
+        str(rng.choice(["run.csv", "run.CSV", "run", "new/run.csv", "."], p=[0.83, 0.05, 0.03, 0.06, 0.03])),
+    ]
+    duration = [
+        "--duration",
+        str(
+            rng.choice(
+                ["1", "2.5", "0.5", "0.05", "0.001", "-1", "nan", "inf", "400000"],
+                p=[0.4, 0.3, 0.1, 0.1, 0.02, 0.02, 0.02, 0.02, 0.02],
+            )
+        ),
+    ]
+    chosen = options(rng, 0.2, seed=["0", "7", "-3", "4294967296"], increments=["4096", "1", "0", "1000000000"])
+    chosen += options(
+        rng, 0.2, bits=["8", "2", "32", "33"], missed=["0.1", "1", "2", "-0.5"], jitter=["0.3", "-1", "1e9"]
+    )
+    chosen += (
+        options(rng, 0.2, line_error=["0.2", "-1", "1e300"]) + _flags(rng, 0.3, "--truth") + _flags(rng, 0.03, "--list")
+    )
+    return Case(("simulate", *scenario, *out, *duration, *chosen), {})
+
+
+# --- design -----------------------------------------------------------------------------------------------------------
+
+
+def _design(rng: Rng, folder: Path) -> Case:
+    chosen = options(rng, 0.1, unknown=[*SPEC_NAMES, "colour"], criterion=["trace", "D", "c", "F"], starts=["1", "2"])
+    chosen += options(rng, 0.1, seed=["0", "3"], workers=["1", "2"], motions=["1", "2"]) + _out(rng, 0.01)
+    chosen += ["--certify", str(rng.choice(["0", "0.01", "-1", "nan", "x"], p=[0.8, 0.14, 0.02, 0.02, 0.02]))]
+    chosen += _flags(rng, 0.6, "--json")
+    return Case(("design", "spec.toml", *chosen), {"spec.toml": spec(rng, 22.75e-6).encode()})
+
+
+def _commission(rng: Rng, folder: Path) -> Case:
+    _, columns, facts = _plant(rng, ("cart", "cart", "heavy", "rest"))
+    files = {"spec.toml": spec(rng, facts["resolution"]).encode()}
+    chosen = options(rng, 0.2, want=["mass=0.01", "mass=", "=1", "mass=nan", "colour=1", "mass=-1", "mass=0"])
+    chosen += options(rng, 0.1, truth=["mass=1.6", "mass=0", "mass=inf", "x=1"], criterion=["trace", "c"], starts=["1"])
+    rounds = str(rng.choice(["1", "2", "0", "x"], p=[0.8, 0.1, 0.05, 0.05]))
+    chosen = [*chosen, "--rounds", rounds, *_flags(rng, 0.6, "--json")]
+    runs = []
+    for _ in range(int(rng.choice([0, 1, 2], p=[0.3, 0.6, 0.1]))):
+        name, data = as_file(rng, with_defects(rng, columns), folder)
+        files[name], runs = data, [*runs, name]
+    return Case(("commission", "spec.toml", *runs, *chosen, *_out(rng, 0.01)), files)
+
+
+# --- the rest ---------------------------------------------------------------------------------------------------------
+
+
+def _demo(rng: Rng, folder: Path) -> Case:
+    """Refusals alone: a demo takes a minute."""
+    wrong = [["--seed", "-1"], ["--seed", "x"], ["--seed"], ["--out"], ["--what"], ["prbs"], ["--out", "taken"]]
+    return Case(("demo", *wrong[rng.integers(len(wrong))]), {"taken": b"a file"})
+
+
+def _reproduce(rng: Rng, folder: Path) -> Case:
+    """Refusals alone, too."""
+    wrong = [
+        ["6"],
+        ["2", "x"],
+        ["--seeds", "0"],
+        ["--seeds", "-1"],
+        ["--seeds", "x"],
+        ["--jobs", "0"],
+        ["--jobs", "-2"],
+    ]
+    wrong += [["encoders", "--out", "taken"], ["\x1b[31m"], ["--jobs", "nan"]]
+    return Case(("reproduce", *wrong[rng.integers(len(wrong))]), {"taken": b"a file"})
+
+
+def _none(rng: Rng, folder: Path) -> Case:
+    """No command, a wrong one, none of its files."""
+    further = ["--help", "-h", "--json", "nowhere.csv", "--config"]  # with --out a demo would run
+    words: list[tuple[str, ...]] = [(), ("--version",), ("--help",), ("identfy",), ("",), ("\x1b[31m",), ("-x",)]
+    words = [*words, *((name, *rng.choice(further, 2).tolist()) for name in COMMANDS)]
+    return Case(words[rng.integers(len(words))], {})
+
+
+#: Command -> how its calls are drawn, and its part of all calls: what takes long is seldom.
+COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
+    "identify": (_identify, 0.32),
+    "monitor": (_monitor, 0.2),
+    "simulate": (_simulate, 0.13),
+    "export": (_export, 0.15),
+    "design": (_design, 0.07),
+    "commission": (_commission, 0.06),
+    "compare": (_compare, 0.008),
+    "order": (_order, 0.002),
+    "demo": (_demo, 0.01),
+    "reproduce": (_reproduce, 0.01),
+    "none": (_none, 0.04),
+}

@@ -1,0 +1,203 @@
+"""What generated calls found, each at its cause: `python -m tests.hostile.study`."""
+
+from __future__ import annotations
+
+import math
+import re
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from pmfid.cli.main import main
+from pmfid.design.search.ascent import _above
+from pmfid.design.trial.appraisal import _stds
+from pmfid.encoder import Encoder
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators import encoder_noise
+from pmfid.estimators.difference import inverted
+from pmfid.estimators.iv import RIV
+from pmfid.estimators.known_step import RKnownStep
+from pmfid.kernel.saved import configuration
+from pmfid.models.drive import Drive
+from pmfid.monitor.calibration import calibrate, simulated_counts
+from pmfid.monitor.reference import LENGTHS, powers
+from pmfid.monitor.scores import scores
+from pmfid.report.monitored import _velocity
+from pmfid.report.monitored_figures import RunData, run_figure
+from pmfid.session.clock import sample_period
+from pmfid.session.config import RecordConfig, load_axis
+from pmfid.session.design_spec import load_spec, make_problem
+from pmfid.session.monitored.lines import LineParser
+from pmfid.status import Status
+from tests.test_front import CART
+from tests.test_states import forged, used
+
+THETA = np.array([1.07, 12.8, 0.8])
+NAMES = ("mass", "viscous_friction", "coulomb_friction")
+
+
+def riv() -> RIV:
+    return RIV(Drive(2.0), Encoder(2e-4), 0.01, 30.0, forgetting=0.995, initial=dict(zip(NAMES, THETA, strict=True)))
+
+
+# --- a monitor's reference --------------------------------------------------------------------------------------------
+
+
+def test_sums_that_a_record_is_too_short_for_say_nothing() -> None:
+    mean, error = powers(np.ones((1, 5, 3)), np.ones((1, 5, 3)), 0.0)
+    short = [length > 5 for length in LENGTHS]
+    assert np.all(np.isinf(error[short]))
+    np.testing.assert_array_equal(mean[short], 1.0)
+    np.testing.assert_array_equal(mean[0], 1.0)
+
+
+def test_a_record_without_a_block_has_none() -> None:
+    assert scores(riv(), THETA, np.zeros(5), np.zeros(5, np.int64)).score.shape == (0, 3)
+
+
+def test_a_reference_that_shows_no_scatter_is_refused() -> None:
+    u = np.where(np.arange(120) // 20 % 2, 3.0, -3.0)
+    with pytest.raises(UsageError, match=r"has 1\.2 s, its scatter shows from .* record longer, 10 minutes or more"):
+        calibrate(riv(), THETA, u, simulated_counts(riv(), THETA, u, 0.5), hours=0.5)
+
+
+def test_normal_parameters_of_a_machine_that_runs_away_are_refused() -> None:
+    with pytest.raises(NotIdentifiableError, match="runs away under the recorded input"):
+        simulated_counts(riv(), np.array([1.0, -200.0, 0.1]), np.ones(2000), 0.5)
+
+
+# --- a pipe -----------------------------------------------------------------------------------------------------------
+
+
+def parser(tmp_path: Path, header: bytes) -> LineParser:
+    (tmp_path / "axis.toml").write_text(CART.replace("[record]", '[record]\ntime = "t"'))
+    return LineParser(header, load_axis(tmp_path / "axis.toml"))
+
+
+def test_a_stamp_beyond_all_clocks_is_a_bad_line(tmp_path: Path) -> None:
+    parse = parser(tmp_path, b"t,u,counts\n")
+    line = parse(b"1e308,1.0,3\n")
+    assert line is not None
+    assert line.problem == "a time that is not finite, or beyond all clocks"
+
+
+def test_two_columns_of_one_name_are_refused_in_a_pipe(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="standard input has two columns 'u'; rename one of them"):
+        parser(tmp_path, b"t,u,counts, u\n")
+
+
+# --- a record ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_logger_that_started_again_is_cut_there() -> None:
+    time = np.r_[np.arange(300), np.arange(200)] * 0.01
+    config = RecordConfig(input="u", output="y", time="t")
+    with pytest.raises(UsageError, match="keep the rows up to 300 or those from 301 on") as caught:
+        sample_period(time, config)
+    assert "row 301" in str(caught.value)
+    for part in (time[:300], time[300:]):
+        assert sample_period(part, config)[0] == pytest.approx(0.01)
+
+
+def test_a_motion_that_runs_away_at_a_wide_step_is_infinitely_sensitive() -> None:
+    sensitivity = np.random.default_rng(0).standard_normal((50, 2)) * [1.0, 1e200]
+    covariance = inverted(sensitivity, ("mass", "stiffness"))
+    assert covariance[0, 0] > 0
+    assert covariance[1, 1] == 0
+
+
+# --- memory -----------------------------------------------------------------------------------------------------------
+
+
+def slow() -> RKnownStep:
+    return RKnownStep(Drive(2.0), Encoder(2e-4), 1e-5, 0.5, forgetting=1.0)
+
+
+def test_a_low_cutoff_takes_no_memory() -> None:
+    """Responses of millions of samples once took gigabytes, whatever the record."""
+    tracemalloc.start()
+    try:
+        slow().make_kernel()
+        assert tracemalloc.get_traced_memory()[1] < 100e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_the_noise_is_the_same_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    estimator = RKnownStep(Drive(2.0), Encoder(2e-4), 0.01, 30.0)
+    whole = encoder_noise.noise_covariance(estimator, None)
+    monkeypatch.setattr(encoder_noise, "PART", 7)
+    np.testing.assert_allclose(encoder_noise.noise_covariance(estimator, None), whole, rtol=1e-12, atol=1e-18)
+    shown = encoder_noise.shown(estimator)
+    monkeypatch.undo()
+    assert encoder_noise.shown(estimator) == pytest.approx(shown, rel=1e-12)
+
+
+# --- a design ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_worst_of_cases_that_tell_nothing_tells_nothing() -> None:
+    values = np.array([[-math.inf, -math.inf, 1.0], [-math.inf, 2.0, 1.0]])
+    np.testing.assert_array_equal(_above(values), [[0.0, 0.0, 0.0], [0.0, math.inf, 0.0]])
+
+
+def test_a_design_from_rest_for_the_worst_case_ends_in_numbers(tmp_path: Path) -> None:
+    """Standard inputs that tell nothing once gave a gain of inf."""
+    lines = ["[drive]", "input_gain = 2.0", "mass = 1.5", "viscous_friction = 6.0", "coulomb_friction = 0.6"]
+    lines += ["[encoder]", "resolution = 1e-5", "[experiment]", 'unknown = ["mass", "viscous_friction"]']
+    lines += ['criterion = "E"', "[motion]", "duration = 1.0", "intervals = 3", "[limits]", "input = 3.0"]
+    lines += ["[robust]", "mass = 0.1", 'average = "worst"', "[search]", "starts = 1"]
+    (tmp_path / "spec.toml").write_text("\n".join(lines))
+    result = CliRunner().invoke(main, ["design", str(tmp_path / "spec.toml"), "--certify", "0"])
+    assert result.exit_code == 0
+    assert re.search(r"\b(inf|nan)\b", result.stdout) is None
+    problem = make_problem(load_spec(tmp_path / "spec.toml"))
+    assert _stds(problem, np.zeros((2, 2))) == {"mass": math.inf, "viscous_friction": math.inf}
+
+
+def test_more_than_anybody_waits_for_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "spec.toml").write_text(Path(__file__).parents[1].joinpath("examples", "cart_design.toml").read_text())
+    for option, least in (("search.starts", 10**400), ("search.seed", 2**63), ("motion.duration", 1e30)):
+        section, key = option.split(".")
+        with pytest.raises(UsageError, match=rf"\[{section}\] {key} = "):
+            load_spec(tmp_path / "spec.toml", {option: least})
+
+
+def test_a_limit_that_limits_nothing_is_refused(tmp_path: Path) -> None:
+    lines = Path(__file__).parents[1].joinpath("examples", "cart_design.toml").read_text()
+    (tmp_path / "spec.toml").write_text(lines.replace("input = 3.0 ", "input = 1e308"))
+    with pytest.raises(UsageError, match=r"\[limits\]: input = 1e\+308 limits nothing; leave it out"):
+        load_spec(tmp_path / "spec.toml")
+
+
+# --- the kernel -------------------------------------------------------------------------------------------------------
+
+
+def test_directional_forgetting_takes_no_information_below_zero() -> None:
+    """A state from elsewhere may be no sum of squares: the variance became negative."""
+    estimator = used("directional", "float32")
+    parameters = int(configuration(estimator._kernel, "float32")["direct"]["n_parameters"])
+    for element in range(1, parameters * parameters):
+        estimator.set_state(forged(estimator, "direct.sums.cross", 1e9, element))
+        track = estimator.run(np.tile([3.0, -3.0], 30), np.arange(60))
+        assert np.all(track.variance_factor >= 0)
+
+
+# --- a page -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_range_of_the_velocity_is_that_of_accepted_samples() -> None:
+    n, t = 200, 0.01 * np.arange(200)
+    counts, status = np.sin(10 * t), np.zeros(n, np.uint32)
+    counts[90:] += 1e6
+    status[90] = Status.COUNT_JUMP
+    theta = np.tile(THETA, (n, 1))
+    words = np.full(n, "watching")
+    data = RunData(NAMES, ("kg", "N s/m", "N"), t, t, _velocity(counts, t), theta, theta, t, status, words, THETA, [])
+    panels = {axes.get_ylabel(): axes for axes in run_figure(data).axes}
+    (low, high) = next(axes.get_ylim() for name, axes in panels.items() if "velocity" in name)
+    assert -12 < low < -9
+    assert 9 < high < 12
