@@ -14,6 +14,12 @@
 #else
 #define PMF_INLINE static inline
 #endif
+/* Not in lanes, whose vectors a call would bring into memory and back. */
+#if defined(__GNUC__) && !defined(PMF_LANES)
+#define PMF_APART static __attribute__((noinline))
+#else
+#define PMF_APART PMF_INLINE
+#endif
 
 #define N PMF_MAX_PARAMETERS
 #ifdef PMF_FLOAT32

@@ -325,15 +325,15 @@ cdef class Kernel:
         """The present estimate."""
         return self._snapshot()
 
-    def run(self, const double[::1] u, const int64_t[::1] counts):
+    def run(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None):
         """u, counts: (n,) -> theta (n, p), diagonal of P (n, p), its inflation (n, p), innovation (n,), its variance (n,), status (n,)."""
         cdef Py_ssize_t n = u.shape[0], p = pmf_parameters(&self.config), k, i
-        cdef double[:, ::1] theta = np.empty((n, p))
-        cdef double[:, ::1] factor = np.empty((n, p))
-        cdef double[:, ::1] inflation = np.empty((n, p))
-        cdef double[::1] innovation = np.empty(n)
-        cdef double[::1] variance = np.empty(n)
-        cdef uint32_t[::1] status = np.empty(n, np.uint32)
+        cdef cnp.ndarray[double, ndim=2, mode="c"] theta = np.empty((n, p))
+        cdef cnp.ndarray[double, ndim=2, mode="c"] factor = np.empty((n, p))
+        cdef cnp.ndarray[double, ndim=2, mode="c"] inflation = np.empty((n, p))
+        cdef cnp.ndarray[double, mode="c"] innovation = np.empty(n)
+        cdef cnp.ndarray[double, mode="c"] variance = np.empty(n)
+        cdef cnp.ndarray[uint32_t, mode="c"] status = np.empty(n, np.uint32)
         cdef const pmf_estimate_t *last
         with nogil:
             for k in range(n):
@@ -345,20 +345,19 @@ cdef class Kernel:
                     inflation[k, i] = last.inflation[i]
                 innovation[k] = last.innovation
                 variance[k] = last.innovation_variance
-        return (np.asarray(theta), np.asarray(factor), np.asarray(inflation), np.asarray(innovation), np.asarray(variance),
-                np.asarray(status))
+        return theta, factor, inflation, innovation, variance, status
 
-    def filter(self, const double[::1] u, const int64_t[::1] counts):
+    def filter(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None):
         """Encoder and filters alone. u, counts: (n,) -> columns (n, c) and status (n,)."""
         cdef Py_ssize_t n = u.shape[0], c = self.config.network.n_columns, k, i
-        cdef double[:, ::1] columns = np.empty((n, c))
-        cdef uint32_t[::1] status = np.empty(n, np.uint32)
+        cdef cnp.ndarray[double, ndim=2, mode="c"] columns = np.empty((n, c))
+        cdef cnp.ndarray[uint32_t, mode="c"] status = np.empty(n, np.uint32)
         with nogil:
             for k in range(n):
                 status[k] = pmf_filter(&self.config, &self.state, <real_t> u[k], <uint32_t> counts[k])
                 for i in range(c):
                     columns[k, i] = self.state.network.column[i]
-        return np.asarray(columns), np.asarray(status)
+        return columns, status
 
     def many(self, Py_ssize_t axes):
         """So many axes from the present state."""
@@ -386,6 +385,10 @@ cdef class Kernel:
         memcpy(&self.state, &taken, sizeof(pmf_state_t))
 
 
+cdef inline void *_numbers(cnp.ndarray array):
+    return cnp.PyArray_DATA(array)
+
+
 cdef _set_rows(pmf_rows_t *rows, cnp.ndarray table):
     rows.start = <const unsigned char *> cnp.PyArray_DATA(table)
     rows.axis, rows.sample, rows.size = table.strides[0], table.strides[1], table.itemsize
@@ -402,6 +405,9 @@ cdef _check_tables(u, counts, results, axes, parameters, every):
     shapes = [(axes, kept, parameters)] * 3 + [(axes, kept)] * 3
     if [np.shape(result) for result in results] != shapes:
         raise ValueError(f"the results must have shapes {shapes}, got {[np.shape(result) for result in results]}")
+    for result, kind in zip(results, (np.float64,) * 5 + (np.uint32,), strict=True):
+        if type(result) is not np.ndarray or result.dtype != kind or not result.flags.carray:
+            raise ValueError(f"the results must be arrays of float64, the last of uint32, without gaps; got {result!r}")
 
 
 cdef class ManyKernel:
@@ -440,7 +446,7 @@ cdef class ManyKernel:
 
         Raises ValueError, and stays as it was, for another shape or values that no sample could have made.
         """
-        cdef const unsigned char[:, ::1] taken = np.array(states, np.uint8, order="C")
+        cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] taken = np.array(states, np.uint8, order="C", ndmin=2)
         cdef Py_ssize_t axis
         cdef pmf_state_t state
         if np.shape(states) != self.states.shape:
@@ -459,7 +465,7 @@ cdef class ManyKernel:
 
     def load(self, Kernel kernel, Py_ssize_t axis):
         """Gives a kernel of the same configuration the state of one axis."""
-        cdef const unsigned char[:, ::1] states = self.states
+        cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] states = self.states
         pmf_clear(&kernel.state, sizeof(pmf_state_t))
         pmf_unpack(&self.layout, &states[axis, 0], &kernel.state)
 
@@ -469,25 +475,24 @@ cdef class ManyKernel:
         (axes, kept), to be filled with every so many estimates and the last. Releases the interpreter meanwhile.
         Raises ValueError where an array has another shape or type than that: the C asks nothing."""
         cdef pmf_many_t many
-        cdef double[:, :, ::1] theta = results[0], factor = results[1], inflation = results[2]
-        cdef double[:, ::1] innovation = results[3], variance = results[4]
-        cdef uint32_t[:, ::1] status = results[5]
-        cdef unsigned char[:, ::1] states = self.states
+        cdef unsigned char *states
         _check_tables(u, counts, results, self.states.shape[0], pmf_parameters(&self.config), every)
-        if states.shape[1] != <Py_ssize_t> self.layout.packed_size or not 0 <= first <= end <= states.shape[0]:
-            raise ValueError(f"there are {states.shape[0]} axes, got {first} to {end}")
+        if self.states.shape[1] != self.layout.packed_size or not 0 <= first <= end <= self.states.shape[0]:
+            raise ValueError(f"there are {self.states.shape[0]} axes, got {first} to {end}")
         if u.shape[1] == 0 or first == end:
             return
         _set_rows(&many.input, u)
         _set_rows(&many.counts, counts)
-        many.way, many.samples, many.every, many.kept = way, u.shape[1], every, theta.shape[1]
-        many.theta, many.variance_factor, many.inflation = &theta[0, 0, 0], &factor[0, 0, 0], &inflation[0, 0, 0]
-        many.innovation, many.innovation_variance, many.status = &innovation[0, 0], &variance[0, 0], &status[0, 0]
+        many.way, many.samples, many.every, many.kept = way, u.shape[1], every, results[0].shape[1]
+        many.theta, many.variance_factor = <double *> _numbers(results[0]), <double *> _numbers(results[1])
+        many.inflation, many.innovation = <double *> _numbers(results[2]), <double *> _numbers(results[3])
+        many.innovation_variance, many.status = <double *> _numbers(results[4]), <uint32_t *> _numbers(results[5])
+        states = <unsigned char *> _numbers(self.states)
         with nogil:
-            pmf_many_run(&self.config, &self.layout, &many, first, end, &states[0, 0])
+            pmf_many_run(&self.config, &self.layout, &many, first, end, states)
 
 
-def simulate(parameters, double input_gain, double dt, const double[::1] u, double velocity=0.0, double position=0.0):
+def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, double velocity=0.0, double position=0.0):
     """The auxiliary model alone: a body with friction under a held input.
 
     parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness); u: (n,),
@@ -498,9 +503,9 @@ def simulate(parameters, double input_gain, double dt, const double[::1] u, doub
     cdef pmf_auxiliary_state_t state
     cdef real_t signal[PMF_SIGNALS]
     cdef Py_ssize_t n = u.shape[0], k
-    cdef double[::1] mean = np.empty(n)
-    cdef double[::1] direction = np.empty(n)
-    cdef double[::1] moving = np.empty(n)
+    cdef cnp.ndarray[double, mode="c"] mean = np.empty(n)
+    cdef cnp.ndarray[double, mode="c"] direction = np.empty(n)
+    cdef cnp.ndarray[double, mode="c"] moving = np.empty(n)
     pmf_clear(&config, sizeof(config))
     pmf_clear(&state, sizeof(state))
     pmf_clear(signal, sizeof(signal))
@@ -515,4 +520,4 @@ def simulate(parameters, double input_gain, double dt, const double[::1] u, doub
             mean[k] = signal[PMF_AUXILIARY + PMF_VELOCITY]
             direction[k] = signal[PMF_AUXILIARY + PMF_DIRECTION]
             moving[k] = signal[PMF_AUXILIARY + PMF_MOVING]
-    return np.asarray(mean), np.asarray(direction), np.asarray(moving), state.velocity
+    return mean, direction, moving, state.velocity
