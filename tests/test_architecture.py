@@ -27,11 +27,11 @@ SESSION = MONITOR | {"monitor"}
 #: Room -> the rooms that it may import, besides itself; "pmfid" is the package's own `__init__`.
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
-    "status": set(),
+    "status": {"layout"},
     "_kernel": {"errors"},
     "_kernel32": {"_kernel64"},
     "_kernel64": {"errors"},
-    "layout": {"errors", "pmfid"},
+    "layout": {"errors", "pmfid", "_kernel32", "_kernel64"},
     "models": GROUND,
     "encoder": GROUND,
     "filters": FILTERS,

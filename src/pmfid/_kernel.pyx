@@ -18,8 +18,6 @@ cnp.import_array()
 cdef extern from "pmf.h":
     ctypedef double real_t
     enum:
-        PMF_MAX_STAGES
-        PMF_MAX_TAPS
         PMF_MAX_PARAMETERS
         PMF_MAX_COLUMNS
         PMF_ROLES
@@ -30,61 +28,18 @@ cdef extern from "pmf.h":
         PMF_DIRECTION
         PMF_MOVING
         PMF_LATE_INPUT
-        PMF_WINDOW_BLOCKS
-        PMF_MAX_ORDER
-    ctypedef struct pmf_encoder_config_t:
-        real_t velocity_per_count, position_per_count, position_gain, velocity_gain, smooth_end, smooth_start
-        uint32_t count_mask, max_change, standstill_samples, process, guard, guard_hold
-        real_t spike, guard_leak
-    ctypedef struct pmf_stage_t:
-        uint32_t source
-        real_t a, b0, b1
-    ctypedef struct pmf_tap_t:
-        uint32_t node
-        real_t weight
+    # Of the configuration only what is read here: Python fills it by name from pmf.h.
     ctypedef struct pmf_network_config_t:
-        uint32_t n_stages, n_columns
-        pmf_stage_t stage[PMF_MAX_STAGES]
-        uint32_t tap_end[PMF_MAX_COLUMNS]
-        pmf_tap_t tap[PMF_MAX_TAPS]
+        uint32_t n_columns
     ctypedef struct pmf_network_state_t:
         real_t column[PMF_MAX_COLUMNS]
-    ctypedef struct pmf_recursion_config_t:
-        uint32_t n_parameters, instrumental, first_column, min_updates, residual_updates
-        real_t forgetting, regularization, pivot
-        uint32_t compensated, block, scheme, window_block, growing, half_memory, leading
-        real_t correlated, haste, leak, shown, outgrown
-        real_t keep[PMF_MAX_PARAMETERS]
-        real_t unexplained, check_samples
-        real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]
-        real_t target_noise[PMF_MAX_PARAMETERS]
-        real_t target_power
     ctypedef struct pmf_auxiliary_config_t:
-        uint32_t enabled, adapt, has_initial, check_column, target_column, mass_column, trial_samples
-        uint32_t direct_index[PMF_ROLES]
-        uint32_t index[PMF_ROLES]
-        uint32_t sensitivities
-        real_t jump_gain
-        uint32_t cause[PMF_ROLES]
-        uint32_t role[PMF_ROLES]
-        real_t dt, input_gain, position_gain, smoothing, memory, mismatch_limit, noise_power
-        real_t initial[PMF_ROLES]
-    ctypedef struct pmf_linear_config_t:
-        uint32_t enabled, n, m, offset, input_node, first_column, update_samples, settle_samples, start_updates
-        real_t half_dt, smoothing, memory
-        real_t scale[PMF_MAX_ORDER + 1]
-        real_t limit[PMF_MAX_ORDER]
+        real_t dt, input_gain
     ctypedef struct pmf_auxiliary_state_t:
         real_t parameter[PMF_ROLES]
         real_t velocity, position
     ctypedef struct pmf_config_t:
-        uint32_t settle_samples, first_samples
-        pmf_encoder_config_t encoder
-        pmf_auxiliary_config_t auxiliary
-        pmf_linear_config_t linear
         pmf_network_config_t network
-        pmf_recursion_config_t direct
-        pmf_recursion_config_t instrument
     ctypedef struct pmf_state_t:
         uint32_t status
         pmf_network_state_t network
@@ -123,6 +78,7 @@ cdef extern from "many/pmf_many.h":
         uint32_t *status
     ctypedef struct pmf_layout_t:
         uint32_t packed_size, lane_words
+    uint32_t pmf_fits(const pmf_config_t *) nogil
     uint32_t pmf_layout(const pmf_config_t *, pmf_layout_t *) nogil
     void pmf_pack(const pmf_layout_t *, const pmf_state_t *, unsigned char *) nogil
     void pmf_unpack(const pmf_layout_t *, const unsigned char *, pmf_state_t *) nogil
@@ -188,35 +144,12 @@ cdef class Estimate:
         return f"Estimate(theta={self.theta}, theta_std={self.theta_std}, status={self.status})"
 
 
-cdef _set_recursion(pmf_recursion_config_t *target, source):
-    target.n_parameters, target.instrumental = source["n_parameters"], source["instrumental"]
-    target.first_column, target.min_updates = source["first_column"], source["min_updates"]
-    target.residual_updates, target.forgetting = source["residual_updates"], source["forgetting"]
-    target.regularization, target.pivot, target.block = source["regularization"], source["pivot"], source["block"]
-    target.scheme, target.window_block = source["scheme"], source["window_block"]
-    target.correlated, target.growing = source["correlated"], source.get("growing", 0)
-    target.leading = source.get("leading", 0)
-    target.haste, target.leak = source.get("haste", 1.0), source.get("leak", 1.0)
-    target.half_memory = source.get("half_memory", 0)
-    target.shown, target.outgrown = source.get("shown", 0.0), source.get("outgrown", 0.0)
-    target.compensated, noise = source.get("compensated", 0), source.get("noise")
-    target.unexplained, target.check_samples = source.get("unexplained", 0.0), source.get("check_samples", 0.0)
-    for i in range(target.n_parameters):
-        for j in range(target.n_parameters):
-            target.noise[i][j] = noise[i][j] if noise is not None else 0.0
-    target_noise, target.target_power = source.get("target_noise"), source.get("target_power", 0.0)
-    keep = source.get("keep")
-    for i in range(target.n_parameters):
-        target.keep[i] = keep[i] if keep is not None else 1.0
-        target.target_noise[i] = target_noise[i] if target_noise is not None else 0.0
-
-
 cdef class Kernel:
     """One configured kernel with its state.
 
-    stages: rows (source, a, b0, b1); columns: per column a list of (node, weight);
-    encoder, direct, instrument, auxiliary, linear: the fields of the C structures by name; without the last two there
-    is no model that is simulated. names: of the parameters, for the estimates. Raises ValueError where a size is exceeded.
+    config: the bytes of a `pmf_config_t` of this module's sizes (`pmfid.layout.configuration` fills it, `raw_config` gives
+    it). names: of the parameters, for the estimates. Raises ValueError for another number of bytes, and for numbers that
+    would lead beyond the kernel's memory.
     """
 
     cdef pmf_config_t config
@@ -226,67 +159,16 @@ cdef class Kernel:
     dtype = np.dtype(np.float32 if sizeof(real_t) == 4 else np.float64)
     max_parameters = PMF_MAX_PARAMETERS
 
-    def __init__(self, stages, columns, encoder, direct, settle_samples, instrument=None, auxiliary=None, first_samples=None, linear=None):
-        cdef pmf_network_config_t *net = &self.config.network
+    def __init__(self, bytes config not None):
+        cdef pmf_config_t taken
         self.names = ()
-        pmf_clear(&self.config, sizeof(self.config))
-        n_taps = sum(len(column) for column in columns)
-        if len(stages) > PMF_MAX_STAGES or n_taps > PMF_MAX_TAPS or len(columns) > PMF_MAX_COLUMNS \
-                or max(direct["n_parameters"], (instrument or direct)["n_parameters"]) > PMF_MAX_PARAMETERS:
-            raise ValueError(
-                f"the equation needs {len(stages)} stages, {n_taps} taps and {direct['n_parameters']} parameters; the "
-                f"kernel holds {PMF_MAX_STAGES}, {PMF_MAX_TAPS} and {PMF_MAX_PARAMETERS}; use a lower order")
-        self.config.encoder = encoder
-        _set_recursion(&self.config.direct, direct)
-        if auxiliary is not None:
-            _set_recursion(&self.config.instrument, instrument)
-            self._set_auxiliary(auxiliary)
-        if linear is not None:
-            _set_recursion(&self.config.instrument, instrument)
-            self._set_linear(linear)
-        self.config.settle_samples = settle_samples
-        self.config.first_samples = settle_samples if first_samples is None else first_samples
-        net.n_stages, net.n_columns = len(stages), len(columns)
-        for i, (source, a, b0, b1) in enumerate(stages):
-            net.stage[i].source, net.stage[i].a, net.stage[i].b0, net.stage[i].b1 = source, a, b0, b1
-        tap = 0
-        for i, column in enumerate(columns):
-            for node, weight in column:
-                net.tap[tap].node, net.tap[tap].weight = node, weight
-                tap += 1
-            net.tap_end[i] = tap
+        if len(config) != sizeof(pmf_config_t):
+            raise ValueError(f"a configuration has {sizeof(pmf_config_t)} bytes, got {len(config)}")
+        memcpy(&taken, <const char *> config, sizeof(pmf_config_t))
+        if pmf_fits(&taken) == 0:
+            raise ValueError("these numbers are no configuration: one of them would lead beyond the kernel's memory")
+        memcpy(&self.config, &taken, sizeof(pmf_config_t))
         pmf_init(&self.config, &self.state)
-
-    cdef _set_auxiliary(self, auxiliary):
-        cdef pmf_auxiliary_config_t *config = &self.config.auxiliary
-        config.enabled = 1
-        config.adapt, config.has_initial = auxiliary["adapt"], auxiliary["has_initial"]
-        config.check_column, config.trial_samples = auxiliary["check_column"], auxiliary["trial_samples"]
-        config.target_column, config.mass_column = auxiliary["target_column"], auxiliary["mass_column"]
-        config.dt, config.input_gain = auxiliary["dt"], auxiliary["input_gain"]
-        config.position_gain = auxiliary["position_gain"]
-        config.smoothing, config.memory = auxiliary["smoothing"], auxiliary["memory"]
-        config.mismatch_limit, config.noise_power = auxiliary["mismatch_limit"], auxiliary["noise_power"]
-        for role in range(PMF_ROLES):
-            config.direct_index[role] = auxiliary["direct_index"][role]
-            config.index[role] = auxiliary["index"][role]
-            config.initial[role] = auxiliary["initial"][role]
-        config.jump_gain, config.sensitivities = auxiliary["jump_gain"], len(auxiliary["cause"])
-        for i, (cause, role) in enumerate(zip(auxiliary["cause"], auxiliary["role"], strict=True)):
-            config.cause[i], config.role[i] = cause, role
-
-    cdef _set_linear(self, linear):
-        cdef pmf_linear_config_t *config = &self.config.linear
-        config.enabled = 1
-        config.n, config.m, config.offset = linear["n"], linear["m"], linear["offset"]
-        config.input_node, config.first_column = linear["input_node"], linear["first_column"]
-        config.update_samples, config.settle_samples = linear["update_samples"], linear["settle_samples"]
-        config.start_updates, config.half_dt = linear["start_updates"], linear["half_dt"]
-        config.smoothing, config.memory = linear["smoothing"], linear["memory"]
-        for i in range(config.n + 1):
-            config.scale[i] = linear["scale"][i]
-        for i in range(config.n):
-            config.limit[i] = linear["limit"][i]
 
     def reset(self):
         """Back to the state before the first sample."""

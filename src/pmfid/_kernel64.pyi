@@ -1,4 +1,4 @@
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +22,7 @@ class Kernel:
     dtype: np.dtype[np.floating]
     max_parameters: int
     names: tuple[str, ...]
-    def __init__(
-        self,
-        stages: Sequence[tuple[int, float, float, float]],
-        columns: Sequence[Sequence[tuple[int, float]]],
-        encoder: Mapping[str, float],
-        direct: Mapping[str, float],
-        settle_samples: int,
-        instrument: Mapping[str, float] | None = None,
-        auxiliary: Mapping[str, object] | None = None,
-        first_samples: int | None = None,
-        linear: Mapping[str, object] | None = None,
-    ) -> None: ...
+    def __init__(self, config: bytes) -> None: ...
     def reset(self) -> None: ...
     def open(self, keep: float, parameter: int = -1) -> None: ...
     def step(self, u: float, counts: int) -> Estimate: ...
