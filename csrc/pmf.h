@@ -196,7 +196,7 @@ typedef struct {
     whole_t count;
     whole_t idle; /* samples since the last count, saturating */
     whole_t gap;  /* samples between counts lately */
-    whole_t fast, fast_before;
+    whole_t fast;
     whole_t started; /* of a linear process 2 after the second sample */
     integer_t change;  /* of the last interval */
     whole_t travel; /* counts since the first one, modulo 2^32 */

@@ -57,7 +57,7 @@ PMF_SELDOM uint32_t check_guard(const pmf_encoder_config_t *config, const pmf_gu
 PMF_SELDOM uint32_t check_encoder(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state)
 {
     return at_most(state->idle, config->standstill_samples) & at_most(state->gap > 0U ? state->gap - 1U : 0U, config->standstill_samples) &
-           at_most(state->fast, PMF_FAST_SAMPLES) & at_most(state->fast_before, PMF_FAST_SAMPLES) &
+           at_most(state->fast, PMF_FAST_SAMPLES) &
            at_most(state->started, 2U) & within(&state->position, 1U, -MOST_COUNTS, MOST_COUNTS) &
            within(&state->velocity, 1U, -MOST_COUNTS, MOST_COUNTS) &
            within(&state->velocity_before, 1U, -MOST_COUNTS, MOST_COUNTS) &

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid import Status
+from pmfid import Status, _kernel64
 from pmfid.estimators.fleet import _kept
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import RECURSIVE
@@ -22,7 +22,7 @@ DT, CUTOFF, AXES, SAMPLES = 0.01, 50.0, 21, 700
 ENCODER = pmfid.Encoder(22.75e-6 * 4, max_speed=3.0)
 DRIVE = pmfid.Drive(2.0)
 ARRAYS = ("theta", "variance_factor", "inflation", "innovation", "innovation_variance", "status")
-WAYS = range(pmfid.BCRLS(DRIVE, ENCODER, DT, CUTOFF)._kernel.many(1).fastest_way + 1)
+WAYS = range(_kernel64.ManyKernel.fastest_way + 1)
 START = {"mass": 1.0, "viscous_friction": 12.0, "coulomb_friction": 0.7}
 VARIANTS: list[tuple[type[RecursiveEstimator], dict[str, Any]]] = [
     *((cls, {}) for cls in RECURSIVE),

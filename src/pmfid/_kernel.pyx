@@ -79,7 +79,7 @@ cdef extern from "many/pmf_many.h":
     ctypedef struct pmf_layout_t:
         uint32_t packed_size, lane_words
     uint32_t pmf_fits(const pmf_config_t *) nogil
-    uint32_t pmf_layout(const pmf_config_t *, pmf_layout_t *) nogil
+    uint32_t pmf_layout(const pmf_config_t *, const unsigned char *, pmf_layout_t *) nogil
     void pmf_pack(const pmf_layout_t *, const pmf_state_t *, unsigned char *) nogil
     void pmf_unpack(const pmf_layout_t *, const unsigned char *, pmf_state_t *) nogil
     uint32_t pmf_many_way() nogil
@@ -241,9 +241,9 @@ cdef class Kernel:
                     columns[k, i] = self.state.network.column[i]
         return columns, status
 
-    def many(self, Py_ssize_t axes):
-        """So many axes from the present state."""
-        return ManyKernel(self, axes)
+    def many(self, Py_ssize_t axes, bytes is_whole):
+        """So many axes from the present state; is_whole: of `pmfid.layout.structures.whole_words`."""
+        return ManyKernel(self, axes, is_whole)
 
     def raw_config(self):
         """The bytes of the configuration, as a `pmf_config_t` of this module's sizes."""
@@ -306,9 +306,11 @@ cdef class ManyKernel:
 
     fastest_way = pmf_many_way()
 
-    def __init__(self, Kernel kernel, Py_ssize_t axes):
+    def __init__(self, Kernel kernel, Py_ssize_t axes, bytes is_whole not None):
         self.config = kernel.config
-        if pmf_layout(&self.config, &self.layout) == 0:
+        if 4 * len(is_whole) != sizeof(pmf_state_t):
+            raise ValueError(f"a state has {sizeof(pmf_state_t) // 4} words, got {len(is_whole)}")
+        if pmf_layout(&self.config, <const unsigned char *> is_whole, &self.layout) == 0:
             raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/many/pmf_many.h")
         cdef cnp.ndarray own = np.zeros(self.layout.packed_size, np.uint8)
         pmf_pack(&self.layout, &kernel.state, <unsigned char *> cnp.PyArray_DATA(own))

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.base import integer_counts, numbers
 from pmfid.estimators.recursive import RecursiveEstimator, Track
+from pmfid.layout.structures import whole_words
 
 #: Axes that a thread takes at a time are a multiple of this: no vector of the kernel holds more.
 GROUP = 16
@@ -65,7 +66,7 @@ class Fleet:
         remedy = "it is the number of threads; None: as many as there are processors"
         self.workers = _processors() if workers is None else whole_number("workers", workers, 1, remedy)
         try:
-            self._kernel = estimator._kernel.many(self.axes)
+            self._kernel = estimator._kernel.many(self.axes, whole_words(estimator.precision))
         except (MemoryError, OverflowError, ValueError):
             raise UsageError(f"the states of {axes} axes do not fit the memory; take fewer at a time") from None
         self._way = self._kernel.fastest_way

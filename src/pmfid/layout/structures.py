@@ -6,10 +6,11 @@ The module's own structures have room for every configuration; an export and a s
 from __future__ import annotations
 
 import ast
+import math
 import operator
 import re
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -174,6 +175,25 @@ def copy_fields(source: NDArray[Any], target: NDArray[Any]) -> None:
         else:
             part = tuple(slice(min(sizes)) for sizes in zip(one.shape, other.shape, strict=True))
             other[part] = one[part]
+
+
+@cache
+def whole_words(precision: str) -> bytes:
+    """For every four bytes of the module's state 1 where they are a whole number, else 0."""
+    state = structures(None, precision)["pmf_state_t"]
+    words = np.zeros(state.itemsize // 4, np.uint8)
+    words[[place // 4 for place in _whole_places(state, 0)]] = 1
+    return words.tobytes()
+
+
+def _whole_places(dtype: np.dtype[Any], start: int) -> Iterator[int]:
+    if dtype.names is None:
+        yield from [start] if dtype.kind in "iu" else []
+        return
+    for entry, offset in ((dtype.fields or {})[name][:2] for name in dtype.names):
+        base, shape = entry.subdtype or (entry, ())
+        for number in range(math.prod(shape)):
+            yield from _whole_places(base, start + offset + number * base.itemsize)
 
 
 def layout_number(dtype: np.dtype[Any]) -> int:
