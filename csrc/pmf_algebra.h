@@ -4,7 +4,7 @@
 #ifndef PMF_ALGEBRA_H
 #define PMF_ALGEBRA_H
 
-#include "pmf.h"
+#include "pmf_internal.h"
 
 /* The loops unroll only where the number of parameters arrives as a constant. */
 #if defined(PMF_PARAMETERS)

@@ -1,8 +1,8 @@
 /* Can these numbers be a configuration of this build?
  * SPDX-License-Identifier: Apache-2.0
  *
- * Python fills the structure and hands it over whole. What steers memory, as a number of turns or as an index, is compared
- * here with the room that there is, whoever filled it; an exported configuration has been through this.
+ * Python fills the structure and hands it over whole. What steers memory, as a number of turns or as an index, is
+ * compared here with the room that there is, whoever filled it; an exported configuration has been through this.
  */
 #include "pmf_many.h"
 
@@ -51,8 +51,11 @@ static uint32_t is_parameter(uint32_t index)
 
 static uint32_t auxiliary_fits(const pmf_auxiliary_config_t *model)
 {
-    uint32_t role, i, fits = model->target_column < PMF_MAX_COLUMNS && model->mass_column < PMF_MAX_COLUMNS &&
-                             model->check_column < PMF_MAX_COLUMNS - 2U && model->sensitivities <= PMF_ROLES ? 1U : 0U;
+    uint32_t role, i,
+        fits = model->target_column < PMF_MAX_COLUMNS && model->mass_column < PMF_MAX_COLUMNS &&
+                       model->check_column < PMF_MAX_COLUMNS - 2U && model->sensitivities <= PMF_ROLES
+                   ? 1U
+                   : 0U;
     for (role = 0; role < PMF_ROLES && model->adapt != 0U; ++role) {
         fits &= is_parameter(model->index[role]) & is_parameter(model->direct_index[role]);
     }

@@ -8,9 +8,9 @@
 #include <stddef.h>
 
 #define MAX_RANGES 96U
-#define IN_STATE(member) (uint32_t) offsetof(pmf_state_t, member)
+#define IN_STATE(member) (uint32_t)offsetof(pmf_state_t, member)
 #define END_IN_STATE(member) (IN_STATE(member) + (uint32_t)sizeof(((pmf_state_t *)0)->member))
-#define IN_RECURSION(member) (uint32_t) offsetof(pmf_recursion_state_t, member)
+#define IN_RECURSION(member) (uint32_t)offsetof(pmf_recursion_state_t, member)
 
 typedef struct {
     uint32_t from, to;
@@ -73,8 +73,7 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
               END_IN_STATE(network.node));
     leave_out(unused, IN_STATE(network.memory) + network->n_stages * (uint32_t)sizeof(scalar_t),
               END_IN_STATE(network.memory));
-    leave_out(unused, IN_STATE(network.column) + columns * (uint32_t)sizeof(scalar_t),
-              END_IN_STATE(network.column));
+    leave_out(unused, IN_STATE(network.column) + columns * (uint32_t)sizeof(scalar_t), END_IN_STATE(network.column));
     leave_recursion(unused, IN_STATE(direct), &config->direct);
     if (config->encoder.guard == 0U) {
         leave_out(unused, IN_STATE(hold), END_IN_STATE(hold));
@@ -112,7 +111,8 @@ static uint32_t has_lane(uint32_t offset)
 {
     uint32_t direct = IN_STATE(direct), instrument = IN_STATE(instrument), from = IN_RECURSION(window);
     uint32_t to = IN_RECURSION(window_updates) + 4U;
-    return (offset >= direct + from && offset < direct + to) || (offset >= instrument + from && offset < instrument + to)
+    return (offset >= direct + from && offset < direct + to) ||
+                   (offset >= instrument + from && offset < instrument + to)
                ? 0U
                : 1U;
 }
@@ -151,7 +151,8 @@ uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, p
     layout->reals = layout->words;
     add_words(layout, &unused, is_whole, 1U);
     layout->packed_size = (layout->packed_size + 7U) / 8U * 8U;
-    if (config->direct.scheme == PMF_WINDOW || config->instrument.scheme == PMF_WINDOW || config->linear.enabled != 0U) {
+    if (config->direct.scheme == PMF_WINDOW || config->instrument.scheme == PMF_WINDOW ||
+        config->linear.enabled != 0U) {
         layout->lane_words = 0U;
     }
     return layout->words < PMF_MAX_WORDS && unused.ranges < MAX_RANGES ? 1U : 0U;

@@ -15,7 +15,7 @@ IMPLAUSIBLE = "these numbers are no state of this configuration, whatever their 
 
 cnp.import_array()
 
-cdef extern from "pmf.h":
+cdef extern from "pmf_internal.h":
     ctypedef double real_t
     enum:
         PMF_MAX_PARAMETERS

@@ -33,6 +33,9 @@ _OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
 
 Structures = dict[str, np.dtype[Any]]
 
+#: What firmware includes, and what the kernel's sources share beyond it; all structures are in the first.
+HEADERS = ("pmf.h", "pmf_internal.h")
+
 
 @dataclass(frozen=True)
 class Shape:
@@ -118,9 +121,9 @@ def _value(node: ast.AST, constants: Mapping[str, int]) -> int:
 
 @cache
 def constants_of(shape: Shape | None) -> dict[str, int]:
-    """Integers that pmf_sizes.h and pmf.h name. shape: None: of the module."""
+    """Integers that pmf_sizes.h and `HEADERS` name. shape: None: of the module."""
     constants = {} if shape is None else shape.macros()
-    for text in (header("pmf_sizes.h"), header("pmf.h")):
+    for text in map(header, ("pmf_sizes.h", *HEADERS)):
         for name, expression in re.findall(r"^#define (PMF_\w+) +(\S.*)$", text, re.MULTILINE):
             with suppress(ValueError):  # not an integer: a macro of the arithmetic
                 constants.setdefault(name, value(expression, constants))
@@ -190,7 +193,8 @@ def _whole_places(dtype: np.dtype[Any], start: int) -> Iterator[int]:
     if dtype.names is None:
         yield from [start] if dtype.kind in "iu" else []
         return
-    for entry, offset in ((dtype.fields or {})[name][:2] for name in dtype.names):
+    fields = dtype.fields or MappingProxyType({})
+    for entry, offset in (fields[name][:2] for name in dtype.names):
         base, shape = entry.subdtype or (entry, ())
         for number in range(math.prod(shape)):
             yield from _whole_places(base, start + offset + number * base.itemsize)
