@@ -29,50 +29,16 @@ typedef double scalar_t;
 #define PMF_SCALAR(x) (x)
 #endif
 
-/* The configuration consists of scalars. What depends on the data is written in the types and with the choices below,
- * so that the same source also runs several axes side by side: many/pmf_lanes.h then defines them for vectors. */
+/* The configuration consists of scalars. What depends on the data is written in these types, so that the same source also
+ * runs several axes side by side: many/pmf_lanes.h then defines them for vectors. */
 #ifdef PMF_LANES
 #include "many/pmf_lanes.h"
 #else
 typedef scalar_t real_t;
 typedef uint32_t whole_t;
 typedef int32_t integer_t;
-typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_API
 #define PMF_R(x) PMF_SCALAR(x)
-#define PMF_W(x) ((uint32_t)(x))
-#define PMF_ALIKE(x) (x)
-#define PMF_TO_REAL(x) ((real_t)(x))
-#define PMF_TO_INTEGER(x) ((integer_t)(x))
-#define PMF_IF(truth, yes, no) ((truth) ? (yes) : (no))
-#define PMF_ANY(truth) ((truth) != 0)
-#define PMF_ALL(truth) ((truth) != 0)
-/* Does `action`, which changes nothing but `object` (a pointer) that is kept, where the truth holds. */
-#define PMF_WHERE(truth, object, action) \
-    do {                                 \
-        if ((truth) != 0) {              \
-            action;                      \
-        }                                \
-    } while (0)
-#endif
-#ifdef PMF_LANES
-#define PMF_LINEAR 0 /* its matrices would pay in lanes only where all axes compute them at once */
-#else
-#define PMF_LINEAR PMF_WITH_LINEAR
-#endif
-#ifdef PMF_FLOAT32
-#define PMF_ENDLESS PMF_WITH_ENDLESS
-#else
-#define PMF_ENDLESS 0 /* no sum of float64 is ever full */
-#endif
-#define PMF_NOT(truth) ((truth) == 0)
-#define PMF_BIT(truth, bit) PMF_IF(truth, PMF_W(bit), PMF_W(0))
-
-/* What runs seldom is compiled for size. */
-#if defined(__GNUC__)
-#define PMF_SELDOM __attribute__((cold, noinline)) static
-#else
-#define PMF_SELDOM static
 #endif
 
 /* Signals of one sampling interval. A block of eight comes from the counts (nodes 0..7) and one from the auxiliary
@@ -130,23 +96,6 @@ enum {
     PMF_UNMODELLED = 512,
     PMF_FEEDBACK = 1024
 };
-#define PMF_STATUS_BITS (2 * PMF_FEEDBACK - 1) /* all of them */
-
-#define PMF_FOLLOWED 4U /* so often is the slow copy of the estimate taken on; a power of two */
-
-/* Limits of what a state may hold. */
-#define PMF_FAST_SAMPLES 3U    /* after two counts in one sample or more */
-#define PMF_BLOCK_MEMORY 100U  /* blocks of innovations */
-#define PMF_LOOK 4U            /* updates between two looks at the size of the motion: no column changes much faster */
-#define PMF_SWING_BITS 15U     /* what they may show, in this half memory and in the last */
-#define PMF_BRIDGED 0x80000000U /* from encoder to filters alone: a wrong count was replaced as well as an encoder can tell */
-#define PMF_GUARD_SUSPECTS 3U  /* suspicious changes in a row; then it is what the axis does */
-#define PMF_GUARD_DOUBTS 3U    /* on the last two inputs, as bits; that before the last has the higher one */
-#ifdef PMF_FLOAT32
-#define PMF_LARGEST_INPUT PMF_R(1e15)
-#else
-#define PMF_LARGEST_INPUT PMF_R(1e100)
-#endif
 
 /* What becomes of old samples, beside the regularisation. */
 enum {
@@ -197,7 +146,7 @@ typedef struct {
     whole_t count;
     whole_t idle; /* samples since the last count, saturating */
     whole_t gap;  /* samples between counts lately */
-    whole_t fast, fast_before;
+    whole_t fast;
     whole_t started; /* of a linear process 2 after the second sample */
     integer_t change;  /* of the last interval */
     whole_t travel; /* counts since the first one, modulo 2^32 */
@@ -464,7 +413,6 @@ PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t 
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p);
 /* The estimate of the last step. */
 const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state);
-void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
 /* Opens the memory after a change of the plant: of what was gathered on one parameter, or with PMF_NO_PARAMETER on all, only
  * the part root^2 counts on, 0 < root <= 1. The estimate stays where it is; filters and auxiliary model go on. What the
  * innovations said of the error bars counts anew, also with root = 1. */
@@ -523,42 +471,6 @@ uint32_t pmf_arithmetic(void);
 
 /* Byte-wise, so that padding is zero too and two states can be compared. */
 PMF_API void pmf_clear(void *memory, uint32_t size);
-/* Byte-wise, too: an assignment need not copy the padding, which a checksum covers. */
-void pmf_copy(const void *from, void *to, uint32_t size);
-
-/* The parts; `signal` has PMF_SIGNALS entries. */
-PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
-                                 whole_t count, real_t *signal);
-/* Needs the encoder's signals of the same step. */
-PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal);
-/* The equation holds exactly for the model; what its columns leave is the error of the discretisation, and the same
- * for the plant. It is taken from the target. Regressors and target then know that the model's stops and reversals move
- * with its parameters. `first`: the column of the first regressor. */
-PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state,
-                                   uint32_t first, real_t *column);
-PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state);
-/* Judges the model against the measured velocity; true where its instruments may be used. */
-PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
-                                    const real_t *column, truth_t held);
-/* Do the changes of the input follow the innovations? PMF_FEEDBACK or 0; `where`: the recursion has made a step. */
-PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const pmf_recursion_state_t *recursion,
-                                       truth_t where, real_t change);
-/* Moves the copy towards an estimate, whose parameters are found by `index`. */
-PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, truth_t where,
-                                  const real_t *theta, const uint32_t *index);
-#if PMF_LINEAR
-/* Columns of the linear process, from the network's nodes of the same step. */
-void pmf_linear_step(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *node, real_t *column);
-/* The recursion on them where the model has settled, else the direct estimate: its status. */
-uint32_t pmf_linear_estimate(const pmf_config_t *config, pmf_state_t *state, uint32_t direct_status, uint32_t settled);
-/* Lets everything gathered so far count by a factor <= 1. */
-void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor);
-#endif
-PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
-PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
-                                   const real_t *column);
-/* Encoder, auxiliary model and network alone, for batch methods: the columns are in state->network.column. */
-PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
 
 #ifdef __cplusplus
 }

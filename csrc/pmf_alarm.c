@@ -5,7 +5,7 @@
  * x = theta - nominal of variance v, the ratio of a shift by s is s (x - s / 2) / v. Where the status says that the
  * estimate is not to be trusted, and where the variance is large, the sums hold still: no alarm without excitation.
  */
-#include "pmf.h"
+#include "pmf_internal.h"
 
 #define UNTRUSTED (PMF_STARTING | PMF_SETTLING | PMF_POOR_EXCITATION | PMF_RESET | PMF_UNMODELLED)
 

@@ -4,7 +4,7 @@
 #ifndef PMF_ALGEBRA_H
 #define PMF_ALGEBRA_H
 
-#include "pmf.h"
+#include "pmf_internal.h"
 
 /* The loops unroll only where the number of parameters arrives as a constant. */
 #if defined(PMF_PARAMETERS)
@@ -13,6 +13,12 @@
 #define PMF_INLINE static inline __attribute__((always_inline))
 #else
 #define PMF_INLINE static inline
+#endif
+/* Not in lanes, whose vectors a call would bring into memory and back. */
+#if defined(__GNUC__) && !defined(PMF_LANES)
+#define PMF_APART static __attribute__((noinline))
+#else
+#define PMF_APART PMF_INLINE
 #endif
 
 #define N PMF_MAX_PARAMETERS

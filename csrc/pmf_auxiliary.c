@@ -7,16 +7,17 @@
  * of C libraries differ in their last bits. A constant force allows one stop in an interval at most, so the two
  * phases below are all there is, and the work is the same for every sample.
  */
-#include "pmf.h"
+#include "pmf_internal.h"
 
 #if PMF_WITH_AUXILIARY
 
 #define NEWTON_TURNS 3
 #define FEEDBACK_MEMORY PMF_R(0.999)
-#define FEEDBACK_STARTS 250U /* innovations of a young estimate are large and say nothing; as many more make a verdict */
+#define FEEDBACK_STARTS \
+    250U /* innovations of a young estimate are large and say nothing; as many more make a verdict */
 #define FEEDBACK_TURNS 16U /* so many updates in turn are looked at, and not: that costs half */
-/* Squared correlation of what the controller makes of the encoder's error with what the equation makes of it: 0.14 to 0.8
- * under position control, in open loop at most 0.04, however seldom the input changes. */
+/* Squared correlation of what the controller makes of the encoder's error with what the equation makes of it: 0.14 to
+ * 0.8 under position control, in open loop at most 0.04, however seldom the input changes. */
 #define FEEDBACK_PART PMF_R(0.09)
 
 typedef struct {
@@ -25,7 +26,7 @@ typedef struct {
 } body_t;
 
 typedef struct {
-    real_t velocity, left;                /* left: of the interval, as a part */
+    real_t velocity, left; /* left: of the interval, as a part */
     real_t distance[2], moving[2]; /* forward, backward; in parts of the interval */
 } phase_t;
 
@@ -49,8 +50,8 @@ static real_t stop_time(real_t z, real_t speed, real_t target)
     real_t x = PMF_R(2.0) * q / (PMF_R(2.0) - q);
     uint32_t i;
     for (i = 0; i < NEWTON_TURNS; ++i) {
-        real_t f = q * (PMF_R(120.0) + x * (PMF_R(60.0) + x * (PMF_R(12.0) + x))) -
-                   x * (PMF_R(120.0) + PMF_R(2.0) * x * x);
+        real_t f =
+            q * (PMF_R(120.0) + x * (PMF_R(60.0) + x * (PMF_R(12.0) + x))) - x * (PMF_R(120.0) + PMF_R(2.0) * x * x);
         real_t slope = q * (PMF_R(60.0) + x * (PMF_R(24.0) + PMF_R(3.0) * x)) - PMF_R(120.0) - PMF_R(6.0) * x * x;
         x -= f / slope;
     }
@@ -123,9 +124,9 @@ static real_t left_behind_stop(const body_t *body, truth_t forward)
     return PMF_IF((behind > PMF_R(0.0)) & (before > PMF_R(0.0)), behind / before, PMF_R(0.0));
 }
 
-/* m w' + d w = -signal for the deviation w of the velocity by each parameter, and at a stop the rest of m w is lost, as if
- * by a blow. The sum of friction and input in the equation changes by the same blow: that is its derivative. Behind the
- * filters of the equation, as two stages of their delay, it is what regressors and target lack. */
+/* m w' + d w = -signal for the deviation w of the velocity by each parameter, and at a stop the rest of m w is lost, as
+ * if by a blow. The sum of friction and input in the equation changes by the same blow: that is its derivative. Behind
+ * the filters of the equation, as two stages of their delay, it is what regressors and target lack. */
 static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const body_t *body,
                              real_t before, real_t after, const real_t *signal)
 {

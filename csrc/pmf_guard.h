@@ -14,7 +14,7 @@
 #ifndef PMF_GUARD_H
 #define PMF_GUARD_H
 
-#include "pmf.h"
+#include "pmf_internal.h"
 
 #if PMF_WITH_GUARD
 

@@ -6,15 +6,15 @@
  * The filters of y and x are trapezoidal and those of u exact behind its hold: with F_T = 1 / A(s_T) the equation
  * A(s_T) F_T y = sum b_j ZOH{s^j / A} u holds without any error of the discretisation at the true A.
  *
- * Any other filters would do as well: the equation holds behind each. Where 1 / A rings for too long, data go behind those of
- * a more damped polynomial, which stay, and the instruments alone keep 1 / A: for a resonance that costs at most a factor 2
- * of the variance, however fast they are, and nothing that data have to forget comes with them or with a step of the copy.
- * Behind them the equation holds exactly with the coefficients of the copy's sampled form (`bend`).
+ * Any other filters would do as well: the equation holds behind each. Where 1 / A rings for too long, data go behind
+ * those of a more damped polynomial, which stay, and the instruments alone keep 1 / A: for a resonance that costs at
+ * most a factor 2 of the variance, however fast they are, and nothing that data have to forget comes with them or with
+ * a step of the copy. Behind them the equation holds exactly with the coefficients of the copy's sampled form (`bend`).
  *
  * Time counts in samples: state j is dt^(j-n) s^j / A(s) of its signal, and A has the coefficients a_i dt^(n-i). States
  * move by increments, which keeps float32 accurate where poles are slow. When A moves they are carried over. The matrix
- * exponential is a Taylor polynomial after six halvings, for no libm gives the same bits everywhere; it is computed once
- * in update_samples, the rest is the same for every sample.
+ * exponential is a Taylor polynomial after six halvings, for no libm gives the same bits everywhere; it is computed
+ * once in update_samples, the rest is the same for every sample.
  */
 #include "pmf_linear_filters.h"
 
@@ -22,16 +22,16 @@
 #define SETTLED PMF_R(0.05)
 #define SETTLED_FAST PMF_R(0.01) /* behind filters that data go through for good, and that forget soon */
 #define DISCOUNT PMF_R(2.0)
-#define WORST PMF_R(1.0)        /* mean square error of the model over the mean square output: it explains nothing */
+#define WORST PMF_R(1.0) /* mean square error of the model over the mean square output: it explains nothing */
 #define WORST_DAMPED PMF_R(2.0) /* ... without any correlation, at the same power */
-#define LEAST PMF_R(2.0)        /* over the samples so far: a copy must decay so fast */
-#define IN_TIME PMF_R(4.5)      /* ... and its filters, to settle in as many samples again */
-#define RATE PMF_R(30.0)        /* ... and those of data, where its own would not: the faster, the more samples are left */
-#define AGAIN PMF_R(3.0)        /* times the samples */
-#define DOUBTFUL PMF_R(0.05)    /* of what was gathered behind filters that became too slow */
-#define PART PMF_R(0.3)         /* of the direct estimate's samples */
-#define LONGER PMF_R(4.0)       /* error bars, squared */
-#define SHORT_BAR PMF_R(0.01)   /* of the parameter */
+#define LEAST PMF_R(2.0) /* over the samples so far: a copy must decay so fast */
+#define IN_TIME PMF_R(4.5) /* ... and its filters, to settle in as many samples again */
+#define RATE PMF_R(30.0) /* ... and those of data, where its own would not: the faster, the more samples are left */
+#define AGAIN PMF_R(3.0) /* times the samples */
+#define DOUBTFUL PMF_R(0.05) /* of what was gathered behind filters that became too slow */
+#define PART PMF_R(0.3) /* of the direct estimate's samples */
+#define LONGER PMF_R(4.0) /* error bars, squared */
+#define SHORT_BAR PMF_R(0.01) /* of the parameter */
 
 /* Behind filters that are not its own a process obeys the equation of its sampled form, exactly; that is the one of its
  * parameters but for these differences. */
@@ -80,7 +80,8 @@ static const pmf_linear_filter_t *data_filter(const pmf_linear_state_t *state)
     return state->damped != 0U ? &state->fast : &state->own;
 }
 
-/* Has the step response of the data's 1 / A stayed at its end? A transient of the size of the change of A decays with it. */
+/* Has the step response of the data's 1 / A stayed at its end? A transient of the size of the change of A decays with
+ * it. */
 static void note_settling(const pmf_linear_config_t *config, pmf_linear_state_t *state)
 {
     const pmf_linear_filter_t *filter = data_filter(state);
@@ -242,8 +243,9 @@ static void go_behind_fast(const pmf_linear_config_t *config, pmf_linear_state_t
 }
 
 /* A model from an estimate, and filters for data that settle in as many samples again as there were: its own where they
- * do. Any others of the same order will do, and lose little (the equation holds behind every filter), if the instruments
- * keep the model's: where it rings for long, or noise makes it unstable, they are those of a more damped one. */
+ * do. Any others of the same order will do, and lose little (the equation holds behind every filter), if the
+ * instruments keep the model's: where it rings for long, or noise makes it unstable, they are those of a more damped
+ * one. */
 static uint32_t begin(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, real_t samples)
 {
     real_t a[M];
@@ -264,11 +266,11 @@ static uint32_t begin(const pmf_linear_config_t *config, pmf_linear_state_t *sta
     return 1U;
 }
 
-/* Moves the copy towards an estimate, as far as that is stable, where the filters are about to be computed anew. If it turns
- * out that they would not settle in time, data leave them; 1: that is now. Where nothing is forgotten, fast ones are made
- * anew once there is time for slower ones, which tell more of the noise. */
-static uint32_t follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, real_t samples,
-                       uint32_t forgets)
+/* Moves the copy towards an estimate, as far as that is stable, where the filters are about to be computed anew. If it
+ * turns out that they would not settle in time, data leave them; 1: that is now. Where nothing is forgotten, fast ones
+ * are made anew once there is time for slower ones, which tell more of the noise. */
+static uint32_t follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta,
+                       real_t samples, uint32_t forgets)
 {
     real_t a[M];
     uint32_t leaving;
@@ -311,8 +313,8 @@ static real_t bar(const pmf_estimate_t *estimate, uint32_t i, uint32_t inflated)
     return estimate->variance_factor[i] * estimate->innovation_variance * inflation;
 }
 
-/* The refined estimate takes over once it has gathered a fair part of what the direct one has, if its error bars are not
- * much longer, or short enough. Behind filters that are not its own innovations are not white. */
+/* The refined estimate takes over once it has gathered a fair part of what the direct one has, if its error bars are
+ * not much longer, or short enough. Behind filters that are not its own innovations are not white. */
 static uint32_t refined_enough(const pmf_config_t *config, const pmf_state_t *state)
 {
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;

@@ -1,10 +1,9 @@
-/* Filters 1 / A(s) of a polynomial that changes: exact behind a held signal, trapezoidal behind a sampled one. Included by
- * pmf_linear.c alone.
- * SPDX-License-Identifier: Apache-2.0
+/* Filters 1 / A(s) of a polynomial that changes: exact behind a held signal, trapezoidal behind a sampled one. Included
+ * by pmf_linear.c alone. SPDX-License-Identifier: Apache-2.0
  */
 #ifndef PMF_LINEAR_FILTERS_H
 #define PMF_LINEAR_FILTERS_H
-#include "pmf.h"
+#include "pmf_internal.h"
 
 #if PMF_LINEAR
 #define M PMF_MAX_ORDER
@@ -129,8 +128,8 @@ static void make_filter(pmf_linear_filter_t *filter, uint32_t n, const real_t *a
     }
 }
 
-/* left = (1 + E / 2)^-1 E and right = (1 + E / 2)^-1 g: what x[k+1] = x[k] + E x[k] + g u is for the means of both ends,
- * x[k+1] - x[k] = left (x[k] + x[k+1]) / 2 + right u. */
+/* left = (1 + E / 2)^-1 E and right = (1 + E / 2)^-1 g: what x[k+1] = x[k] + E x[k] + g u is for the means of both
+ * ends, x[k+1] - x[k] = left (x[k] + x[k+1]) / 2 + right u. */
 static void mean_form(const pmf_linear_filter_t *filter, uint32_t n, real_t left[M][M], real_t right[M])
 {
     real_t half[M][M];
@@ -253,8 +252,8 @@ static void held(const pmf_linear_filter_t *filter, uint32_t n, real_t u, real_t
     }
 }
 
-/* The trapezoidal rule with the mean of a signal over the sample: the middle of the states, c + q / 2^(n-i) with the last
- * one's increment q, is each one's increment but for the one above. */
+/* The trapezoidal rule with the mean of a signal over the sample: the middle of the states, c + q / 2^(n-i) with the
+ * last one's increment q, is each one's increment but for the one above. */
 static void trapezoidal(const pmf_linear_filter_t *filter, uint32_t n, real_t mean, real_t w[M])
 {
     real_t middle[M + 1], q = mean;

@@ -4,7 +4,7 @@
  * A chain of first-order stages keeps float32 accurate where direct-form sections of the same filter lose
  * three digits at small pole * dt.
  */
-#include "pmf.h"
+#include "pmf_internal.h"
 
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
 {

@@ -1,7 +1,7 @@
 /* Opens the memory of an estimate: P grows, theta stays.
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "pmf.h"
+#include "pmf_internal.h"
 
 #ifdef PMF_FLOAT32
 #define FAINT PMF_R(1e-6) /* of a number, little more than its rounding */

@@ -1,12 +1,12 @@
 /* Can these numbers be a state of this configuration?
  * SPDX-License-Identifier: Apache-2.0
  *
- * A checksum says that a state was not damaged, not that it is one: whoever can write the bytes can compute it. So before
- * a state is taken, every whole number is compared with what the configuration lets it become (one of them is an
+ * A checksum says that a state was not damaged, not that it is one: whoever can write the bytes can compute it. So
+ * before a state is taken, every whole number is compared with what the configuration lets it become (one of them is an
  * index), and every real one must be finite and where it has a sign, have it. What passes may still be wrong; it cannot
  * write where it should not, hold the estimator still, or be not a number.
  */
-#include "pmf.h"
+#include "pmf_internal.h"
 
 #ifdef PMF_FLOAT32
 #define LARGEST PMF_R(3.402823466e38)
@@ -46,24 +46,24 @@ PMF_SELDOM uint32_t at_most(uint32_t number, uint32_t most)
 #if PMF_WITH_GUARD
 PMF_SELDOM uint32_t check_guard(const pmf_encoder_config_t *config, const pmf_guard_state_t *state)
 {
-    return at_most(state->seen, config->guard) &
-           at_most(state->suspect, PMF_GUARD_SUSPECTS) & at_most(state->doubt, PMF_GUARD_DOUBTS) &
-           within(&state->rate, 1U, -MOST_COUNTS, MOST_COUNTS) & not_negative(&state->scatter, 1U) &
-           within(&state->peak, 1U, PMF_R(0.0), PMF_LARGEST_INPUT) & finite(&state->gain, 1U) &
-           finite(&state->missed, 1U) & within(&state->held, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT);
+    return at_most(state->seen, config->guard) & at_most(state->suspect, PMF_GUARD_SUSPECTS) &
+           at_most(state->doubt, PMF_GUARD_DOUBTS) & within(&state->rate, 1U, -MOST_COUNTS, MOST_COUNTS) &
+           not_negative(&state->scatter, 1U) & within(&state->peak, 1U, PMF_R(0.0), PMF_LARGEST_INPUT) &
+           finite(&state->gain, 1U) & finite(&state->missed, 1U) &
+           within(&state->held, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT);
 }
 #endif
 
 PMF_SELDOM uint32_t check_encoder(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state)
 {
-    return at_most(state->idle, config->standstill_samples) & at_most(state->gap > 0U ? state->gap - 1U : 0U, config->standstill_samples) &
-           at_most(state->fast, PMF_FAST_SAMPLES) & at_most(state->fast_before, PMF_FAST_SAMPLES) &
-           at_most(state->started, 2U) & within(&state->position, 1U, -MOST_COUNTS, MOST_COUNTS) &
+    return at_most(state->idle, config->standstill_samples) &
+           at_most(state->gap > 0U ? state->gap - 1U : 0U, config->standstill_samples) &
+           at_most(state->fast, PMF_FAST_SAMPLES) & at_most(state->started, 2U) &
+           within(&state->position, 1U, -MOST_COUNTS, MOST_COUNTS) &
            within(&state->velocity, 1U, -MOST_COUNTS, MOST_COUNTS) &
            within(&state->velocity_before, 1U, -MOST_COUNTS, MOST_COUNTS) &
            within(&state->innovation, 1U, -MOST_COUNTS, MOST_COUNTS) &
-           within(&state->direction, 1U, PMF_R(-1.0), PMF_R(1.0)) &
-           within(&state->moving, 1U, PMF_R(0.0), PMF_R(1.0)) &
+           within(&state->direction, 1U, PMF_R(-1.0), PMF_R(1.0)) & within(&state->moving, 1U, PMF_R(0.0), PMF_R(1.0)) &
            within(&state->input, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) &
            within(&state->input_before, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) & finite(&state->mean_velocity, 1U)
 #if PMF_WITH_GUARD
@@ -134,8 +134,7 @@ PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const 
            /* a block may end some updates late, and of those without a status */
            at_most(state->block_updates, state->updates) &
 #if PMF_WITH_NOISE
-           check_check(&state->check) & check_check(&state->check_before) &
-           at_most(state->unmodelled, PMF_UNMODELLED) &
+           check_check(&state->check) & check_check(&state->check_before) & at_most(state->unmodelled, PMF_UNMODELLED) &
 #endif
            not_negative(state->reference, REALS(state->reference)) & not_negative(&state->trace, 1U);
 }
@@ -179,7 +178,8 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
 #if PMF_WITH_GUARD
            at_most(state->hold, config->encoder.guard_hold) &
 #endif
-           check_encoder(&config->encoder, &state->encoder) & finite((const real_t *)(const void *)&state->network, REALS(state->network)) &
+           check_encoder(&config->encoder, &state->encoder) &
+           finite((const real_t *)(const void *)&state->network, REALS(state->network)) &
            check_recursion(&config->direct, &state->direct);
 #if PMF_WITH_AUXILIARY
     fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->borrowed);

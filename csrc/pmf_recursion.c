@@ -395,24 +395,46 @@ PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_s
     return PMF_IF(finite_state(state, p, instrumental), status, PMF_W(PMF_RESET | PMF_STARTING));
 }
 
-/* The same code with the number of parameters as a constant: loops unroll, the bits stay. */
+#if !defined(PMF_PARAMETERS)
+/* The same code with the number of parameters as a constant: loops unroll, the bits stay. In functions of their own, for the
+ * time that a compiler takes grows faster than what it compiles. */
+#define FIXED(p, instrumental)                                                                                    \
+    PMF_APART whole_t checked_##p##_##instrumental(const pmf_recursion_config_t *config,                          \
+                                                   pmf_recursion_state_t *state, const real_t *column)            \
+    {                                                                                                             \
+        return checked(config, state, column, p##U, instrumental##U);                                             \
+    }
+FIXED(3, 0)
+FIXED(3, 1)
+FIXED(4, 0)
+FIXED(4, 1)
+FIXED(5, 0)
+#if PMF_MAX_PARAMETERS >= 8 && !defined(PMF_LANES)
+FIXED(5, 1)
+FIXED(6, 0)
+FIXED(6, 1)
+FIXED(7, 0)
+FIXED(8, 0)
+#endif
+#endif
+
 static whole_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
 {
 #ifdef PMF_PARAMETERS
     return checked(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
 #else
     switch (config->n_parameters * 2U + config->instrumental) {
-    case 6: return checked(config, state, column, 3U, 0U);
-    case 7: return checked(config, state, column, 3U, 1U);
-    case 8: return checked(config, state, column, 4U, 0U);
-    case 9: return checked(config, state, column, 4U, 1U);
-    case 10: return checked(config, state, column, 5U, 0U);
+    case 6: return checked_3_0(config, state, column);
+    case 7: return checked_3_1(config, state, column);
+    case 8: return checked_4_0(config, state, column);
+    case 9: return checked_4_1(config, state, column);
+    case 10: return checked_5_0(config, state, column);
 #if PMF_MAX_PARAMETERS >= 8 && !defined(PMF_LANES)
-    case 11: return checked(config, state, column, 5U, 1U);
-    case 12: return checked(config, state, column, 6U, 0U);
-    case 13: return checked(config, state, column, 6U, 1U);
-    case 14: return checked(config, state, column, 7U, 0U);
-    case 16: return checked(config, state, column, 8U, 0U);
+    case 11: return checked_5_1(config, state, column);
+    case 12: return checked_6_0(config, state, column);
+    case 13: return checked_6_1(config, state, column);
+    case 14: return checked_7_0(config, state, column);
+    case 16: return checked_8_0(config, state, column);
 #endif
     default: return checked(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
     }

@@ -1,5 +1,5 @@
-/* Sizes and parts of this build: here room for every configuration. `pmfid export` writes this file anew, tight for its own.
- * SPDX-License-Identifier: Apache-2.0
+/* Sizes and parts of this build: here room for every configuration. `pmfid export` writes this file anew, tight for its
+ * own. SPDX-License-Identifier: Apache-2.0
  */
 #ifndef PMF_SIZES_H
 #define PMF_SIZES_H
@@ -14,17 +14,18 @@
 
 /* 0 leaves a part out, its code and its memory. */
 #define PMF_WITH_AUXILIARY 1 /* the auxiliary model and its recursion */
-#define PMF_WITH_LINEAR 1    /* the model of a linear process and its recursion */
-#define PMF_WITH_PROCESS 1   /* an output that no encoder's friction holds: its start and its own noise */
-#define PMF_WITH_SEPARATE 1  /* forgetting by parameter */
-#define PMF_WITH_GUARD 1     /* against samples that no motion explains */
-#define PMF_WITH_ENDLESS 1   /* float32 that forgets nothing, or so slowly that its sums may be full */
-#define PMF_WITH_SPLIT 1     /* signals beyond input, velocity and direction */
-#define PMF_WITH_NOISE 1     /* known covariance of the noise */
+#define PMF_WITH_LINEAR 1 /* the model of a linear process and its recursion */
+#define PMF_WITH_PROCESS 1 /* an output that no encoder's friction holds: its start and its own noise */
+#define PMF_WITH_SEPARATE 1 /* forgetting by parameter */
+#define PMF_WITH_GUARD 1 /* against samples that no motion explains */
+#define PMF_WITH_ENDLESS 1 /* float32 that forgets nothing, or so slowly that its sums may be full */
+#define PMF_WITH_SPLIT 1 /* signals beyond input, velocity and direction */
+#define PMF_WITH_NOISE 1 /* known covariance of the noise */
 
 #define PMF_LAYOUT 0U /* CRC-32 of the state's fields; in the module Python knows it */
 
 /* An export also says how many parameters every recursion has (PMF_PARAMETERS), whether it has instruments
- * (PMF_INSTRUMENTAL) and how it forgets (PMF_SCHEME), and PMF_FLOAT32 where the arithmetic is that; here the module's build does. */
+ * (PMF_INSTRUMENTAL) and how it forgets (PMF_SCHEME), and PMF_FLOAT32 where the arithmetic is that; here the module's
+ * build does. */
 
 #endif

@@ -1,7 +1,7 @@
 /* A state that outlives a loss of power, and what the arithmetic of this build does to its bits.
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "pmf.h"
+#include "pmf_internal.h"
 
 #define POLYNOMIAL 0xedb88320U /* CRC-32 of ISO 3309, bits reversed */
 

@@ -1,9 +1,9 @@
 /* One sample straight through: encoder, network, recursion.
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "pmf.h"
+#include "pmf_internal.h"
 
-#define TAKE_OVER PMF_R(3.0)  /* times the samples, or the variance */
+#define TAKE_OVER PMF_R(3.0) /* times the samples, or the variance */
 #define SHORT_BAR PMF_R(0.01) /* of the mass */
 
 #ifndef PMF_LANES
@@ -66,8 +66,7 @@ PMF_API uint32_t pmf_parameters(const pmf_config_t *config)
 
 PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
-    whole_t status =
-        pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
+    whole_t status = pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
     truth_t settling;
 #if PMF_WITH_GUARD
     truth_t suspicious = (status & (PMF_INVALID_INPUT | PMF_COUNT_JUMP)) != 0U;
@@ -101,8 +100,8 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
         if (config->auxiliary.enabled != 0U) {
             /* by now the measured velocity is known: the model need not run up to it with its own time constant */
             truth_t half_way = settling & (state->settle == config->settle_samples / 2U);
-            state->auxiliary.velocity = PMF_IF(half_way, state->network.column[config->auxiliary.check_column],
-                                               state->auxiliary.velocity);
+            state->auxiliary.velocity =
+                PMF_IF(half_way, state->network.column[config->auxiliary.check_column], state->auxiliary.velocity);
             state->auxiliary.position =
                 PMF_IF(half_way, state->network.node[PMF_LATE_POSITION], state->auxiliary.position);
         }
@@ -135,8 +134,8 @@ static void borrow_estimate(const pmf_config_t *config, pmf_state_t *state)
     borrowed->innovation_variance = state->direct.estimate.innovation_variance;
 }
 
-/* The instrumental estimate takes over once it has gathered a fair part of what the direct one has, which began before, and
- * knows the mass about as well, or well enough. */
+/* The instrumental estimate takes over once it has gathered a fair part of what the direct one has, which began before,
+ * and knows the mass about as well, or well enough. */
 static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
 {
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;
@@ -148,8 +147,8 @@ static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
     return (state->instrument.started > 0U) & ((state->direct.started == 0U) | enough);
 }
 
-/* What the instrumental estimate left unexplained on its way, by orders of magnitude more than the direct one at times, is no
- * noise: it would stay in the error bars where nothing is forgotten. */
+/* What the instrumental estimate left unexplained on its way, by orders of magnitude more than the direct one at times,
+ * is no noise: it would stay in the error bars where nothing is forgotten. */
 static void forget_start(pmf_state_t *state, truth_t where)
 {
     real_t limit = state->instrument.weight * state->direct.estimate.innovation_variance;

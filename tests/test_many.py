@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid import Status
+from pmfid import Status, _kernel64
 from pmfid.estimators.fleet import _kept
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import RECURSIVE
+from pmfid.kernel.structures import whole_words
 from tests.conftest import cart_run
 from tests.test_architecture import C_FLAGS, COMPILER, CSRC
 
@@ -22,7 +23,7 @@ DT, CUTOFF, AXES, SAMPLES = 0.01, 50.0, 21, 700
 ENCODER = pmfid.Encoder(22.75e-6 * 4, max_speed=3.0)
 DRIVE = pmfid.Drive(2.0)
 ARRAYS = ("theta", "variance_factor", "inflation", "innovation", "innovation_variance", "status")
-WAYS = range(pmfid.BCRLS(DRIVE, ENCODER, DT, CUTOFF).runner.kernel.many(1).fastest_way + 1)
+WAYS = range(_kernel64.ManyKernel.fastest_way + 1)
 START = {"mass": 1.0, "viscous_friction": 12.0, "coulomb_friction": 0.7}
 VARIANTS: list[tuple[type[RecursiveEstimator], dict[str, Any]]] = [
     *((cls, {}) for cls in RECURSIVE),
@@ -335,7 +336,7 @@ def test_a_fleet_says_what_it_is():
 
 def test_the_kernel_writes_only_where_there_is_room():
     axes, samples, p = 3, 10, 3
-    kernel = make(pmfid.BCRLS).runner.kernel.many(axes)
+    kernel = make(pmfid.BCRLS).runner.kernel.many(axes, whole_words("float64"))
     u, counts = np.zeros((axes, samples)), np.zeros((axes, samples), np.int64)
 
     def results(rows: int = axes, kept: int = 4, parameters: int = p) -> list[np.ndarray]:
@@ -346,6 +347,11 @@ def test_the_kernel_writes_only_where_there_is_room():
     short = [*results()[:5], np.empty((axes, 3), np.uint32)]
     for wrong in (results(kept=3), results(kept=5), results(rows=2), results(parameters=2), short):
         with pytest.raises(ValueError, match="must have shapes"):
+            kernel.run(u, counts, 0, axes, 3, wrong, 0)
+    single, split = results(), results()
+    single[1], split[4] = single[1].astype(np.float32), np.empty((2 * axes, 4))[::2]
+    for wrong in (single, split):
+        with pytest.raises(ValueError, match="must be arrays of float64"):
             kernel.run(u, counts, 0, axes, 3, wrong, 0)
     for wrong_u, wrong_counts in ((u[:2], counts[:2]), (u[:, :9], counts)):
         with pytest.raises(ValueError, match=r"must be \(3, n\)"):
@@ -358,7 +364,7 @@ def test_the_kernel_writes_only_where_there_is_room():
 
 
 def test_only_the_words_in_use_are_kept():
-    packed = make(pmfid.BCRLS).runner.kernel.many(1).states.shape[1]
+    packed = make(pmfid.BCRLS).runner.kernel.many(1, whole_words("float64")).states.shape[1]
     assert packed <= 1600
     assert len(make(pmfid.BCRLS).runner.kernel.raw_state()) > 20_000
 
@@ -366,10 +372,12 @@ def test_only_the_words_in_use_are_kept():
 def test_all_but_windows_and_simulated_processes_run_side_by_side():
     for cls, options in VARIANTS:
         window = options.get("forgetting_scheme") == "window"
-        assert make(cls, **options).runner.kernel.many(1).side_by_side == (not window)
+        assert make(cls, **options).runner.kernel.many(1, whole_words("float64")).side_by_side == (not window)
     for cls, options in PROCESSES:
         alone = cls is pmfid.RSRIVC
-        assert make(cls, **({"model": PROCESS} | options)).runner.kernel.many(1).side_by_side == (not alone)
+        assert make(cls, **({"model": PROCESS} | options)).runner.kernel.many(
+            1, whole_words("float64")
+        ).side_by_side == (not alone)
 
 
 @pytest.mark.skipif(COMPILER is None, reason="there is no C compiler cc on this machine")

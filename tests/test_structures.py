@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from pmfid.estimators.auxiliary import FOLLOWED
 from pmfid.estimators.recursive import LOOK
-from pmfid.kernel.structures import constants_of, value
+from pmfid.kernel.structures import constants_of, header, structures, value, whole_words
 
 
 @pytest.mark.parametrize(
@@ -53,3 +55,29 @@ def test_the_header_has_the_sizes() -> None:
     assert constants["PMF_OTHER_CONFIG"] == 4
     assert (constants["PMF_LOOK"], constants["PMF_FOLLOWED"]) == (LOOK, FOLLOWED)
     assert "PMF_UNKNOWN" not in constants
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_the_words_of_a_state_that_are_whole_numbers(precision: str) -> None:
+    state, words = structures(None, precision)["pmf_state_t"], whole_words(precision)
+
+    def place(*names: str) -> int:
+        at, kind = 0, state
+        for name in names:
+            kind, offset = (kind.fields or {})[name][:2]
+            at += offset
+        return at // 4
+
+    assert 4 * len(words) == state.itemsize
+    assert [words[place(*names)] for names in (("status",), ("encoder", "guard", "change"), ("linear", "damped"))] == [
+        1
+    ] * 3
+    assert [words[place(*names)] for names in (("encoder", "position"), ("instrument", "trace"))] == [0] * 2
+    window = place("direct", "window")
+    assert not any(words[window : place("direct", "window_block")])
+
+
+def test_firmware_needs_none_of_the_inner_names() -> None:
+    assert re.findall(r'#include "(.*?)"', header("pmf.h")) == ["pmf_sizes.h", "many/pmf_lanes.h"]
+    assert "pmf_recursion_step" not in header("pmf.h")
+    assert "pmf_recursion_step" in header("pmf_internal.h")

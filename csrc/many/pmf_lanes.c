@@ -88,8 +88,8 @@ static void take_counts(const pmf_rows_t *rows, uint64_t axis, uint64_t sample, 
     const unsigned char *at = rows->start + (int64_t)axis * rows->axis + (int64_t)sample * rows->sample;
     uint32_t k;
     for (k = 0; k < samples; ++k, at += rows->sample) {
-        target[k * PMF_LANES] = rows->size == 4U ? *(const uint32_t *)(const void *)at
-                                                 : (uint32_t) * (const uint64_t *)(const void *)at;
+        target[k * PMF_LANES] =
+            rows->size == 4U ? *(const uint32_t *)(const void *)at : (uint32_t)*(const uint64_t *)(const void *)at;
     }
 }
 

@@ -3,8 +3,8 @@
  *
  * Every operation on a vector is the same IEEE operation on each element, so each axis has the bits of the scalar
  * kernel. A branch that the axes take differently computes both sides and chooses. Needs the vector extensions of gcc
- * or clang. PMF_LANES is the number of axes, PMF_LANE_BYTES that of bytes. Whole numbers are as wide as the reals, so that one kind of truth (all
- * bits set or none) fits both; what counts modulo 2^32 is masked.
+ * or clang. PMF_LANES is the number of axes, PMF_LANE_BYTES that of bytes. Whole numbers are as wide as the reals, so
+ * that one kind of truth (all bits set or none) fits both; what counts modulo 2^32 is masked.
  */
 #ifndef PMF_LANES_H
 #define PMF_LANES_H
@@ -40,21 +40,20 @@ typedef int32_t narrow_t __attribute__((vector_size(PMF_LANES * 4)));
 
 #define PMF_TYPE(yes, no) __typeof__((yes) - (no))
 #define PMF_BITS(type, x) ((truth_t)((x) - (type){0}))
-#define PMF_IF(truth, yes, no)                                                           \
-    ((PMF_TYPE(yes, no))((PMF_BITS(PMF_TYPE(yes, no), yes) & (truth)) |                  \
-                         (PMF_BITS(PMF_TYPE(yes, no), no) & ~(truth))))
+#define PMF_IF(truth, yes, no) \
+    ((PMF_TYPE(yes, no))((PMF_BITS(PMF_TYPE(yes, no), yes) & (truth)) | (PMF_BITS(PMF_TYPE(yes, no), no) & ~(truth))))
 #define PMF_ANY(truth) pmf_any(truth)
 #define PMF_ALL(truth) (!pmf_any(~(truth)))
-#define PMF_WHERE(truth, object, action)                              \
-    do {                                                              \
-        truth_t where_ = (truth);                                     \
-        if (PMF_ALL(where_)) {                                        \
-            action;                                                   \
-        } else if (PMF_ANY(where_)) {                                 \
-            __typeof__(*(object)) kept_ = *(object);                  \
-            action;                                                   \
-            pmf_restore(where_, object, &kept_, sizeof kept_);        \
-        }                                                             \
+#define PMF_WHERE(truth, object, action)                       \
+    do {                                                       \
+        truth_t where_ = (truth);                              \
+        if (PMF_ALL(where_)) {                                 \
+            action;                                            \
+        } else if (PMF_ANY(where_)) {                          \
+            __typeof__(*(object)) kept_ = *(object);           \
+            action;                                            \
+            pmf_restore(where_, object, &kept_, sizeof kept_); \
+        }                                                      \
     } while (0)
 
 static inline int pmf_any(truth_t truth)

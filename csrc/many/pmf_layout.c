@@ -8,28 +8,9 @@
 #include <stddef.h>
 
 #define MAX_RANGES 96U
-#define IN_STATE(member) (uint32_t) offsetof(pmf_state_t, member)
+#define IN_STATE(member) (uint32_t)offsetof(pmf_state_t, member)
 #define END_IN_STATE(member) (IN_STATE(member) + (uint32_t)sizeof(((pmf_state_t *)0)->member))
-#define IN_RECURSION(member) (uint32_t) offsetof(pmf_recursion_state_t, member)
-
-/* All members that are whole numbers, in the order of the structures. */
-static const uint32_t whole_in_state[] = {
-    IN_STATE(status), IN_STATE(settle), IN_STATE(hold),
-    IN_STATE(encoder.count), IN_STATE(encoder.idle), IN_STATE(encoder.gap), IN_STATE(encoder.fast),
-    IN_STATE(encoder.fast_before), IN_STATE(encoder.started), IN_STATE(encoder.change), IN_STATE(encoder.travel),
-    IN_STATE(encoder.guard.seen), IN_STATE(encoder.guard.suspect), IN_STATE(encoder.guard.reading),
-    IN_STATE(encoder.guard.doubt), IN_STATE(encoder.guard.change),
-    IN_STATE(auxiliary.running), IN_STATE(auxiliary.trial), IN_STATE(auxiliary.trusted), IN_STATE(auxiliary.in_charge),
-    IN_STATE(auxiliary.feedback), IN_STATE(auxiliary.turn),
-    IN_STATE(linear.since), IN_STATE(linear.wait), IN_STATE(linear.age), IN_STATE(linear.unsettled),
-    IN_STATE(linear.settled), IN_STATE(linear.running), IN_STATE(linear.in_charge), IN_STATE(linear.damped)
-};
-static const uint32_t whole_in_recursion[] = {
-    IN_RECURSION(updates), IN_RECURSION(started), IN_RECURSION(block_updates), IN_RECURSION(blocks),
-    IN_RECURSION(moved), IN_RECURSION(swings), IN_RECURSION(outdated), IN_RECURSION(excited), IN_RECURSION(since),
-    IN_RECURSION(unmodelled), IN_RECURSION(frozen), IN_RECURSION(window_block), IN_RECURSION(window_updates)
-};
-#define LENGTH(list) (uint32_t)(sizeof list / sizeof list[0])
+#define IN_RECURSION(member) (uint32_t)offsetof(pmf_recursion_state_t, member)
 
 typedef struct {
     uint32_t from, to;
@@ -92,8 +73,7 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
               END_IN_STATE(network.node));
     leave_out(unused, IN_STATE(network.memory) + network->n_stages * (uint32_t)sizeof(scalar_t),
               END_IN_STATE(network.memory));
-    leave_out(unused, IN_STATE(network.column) + columns * (uint32_t)sizeof(scalar_t),
-              END_IN_STATE(network.column));
+    leave_out(unused, IN_STATE(network.column) + columns * (uint32_t)sizeof(scalar_t), END_IN_STATE(network.column));
     leave_recursion(unused, IN_STATE(direct), &config->direct);
     if (config->encoder.guard == 0U) {
         leave_out(unused, IN_STATE(hold), END_IN_STATE(hold));
@@ -126,41 +106,23 @@ static uint32_t is_used(const unused_t *unused, uint32_t offset)
     return 1U;
 }
 
-static uint32_t is_whole(uint32_t offset)
-{
-    const uint32_t *list = whole_in_state;
-    uint32_t length = LENGTH(whole_in_state), i;
-    uint32_t direct = offset >= IN_STATE(direct) && offset < END_IN_STATE(direct) ? 1U : 0U;
-    uint32_t instrument = offset >= IN_STATE(instrument) && offset < END_IN_STATE(instrument) ? 1U : 0U;
-    if (direct != 0U || instrument != 0U) {
-        offset -= direct != 0U ? IN_STATE(direct) : IN_STATE(instrument);
-        list = whole_in_recursion;
-        length = LENGTH(whole_in_recursion);
-    }
-    for (i = 0; i < length; ++i) {
-        if (list[i] == offset) {
-            return 1U;
-        }
-    }
-    return 0U;
-}
-
 /* Lanes are compiled without windows. */
 static uint32_t has_lane(uint32_t offset)
 {
     uint32_t direct = IN_STATE(direct), instrument = IN_STATE(instrument), from = IN_RECURSION(window);
     uint32_t to = IN_RECURSION(window_updates) + 4U;
-    return (offset >= direct + from && offset < direct + to) || (offset >= instrument + from && offset < instrument + to)
+    return (offset >= direct + from && offset < direct + to) ||
+                   (offset >= instrument + from && offset < instrument + to)
                ? 0U
                : 1U;
 }
 
 /* One pass over all words; adds the reals in use, or the whole numbers. */
-static void add_words(pmf_layout_t *layout, const unused_t *unused, uint32_t whole)
+static void add_words(pmf_layout_t *layout, const unused_t *unused, const unsigned char *is_whole, uint32_t whole)
 {
     uint32_t offset = 0, lane = 0;
     while (offset < sizeof(pmf_state_t)) {
-        uint32_t found = is_whole(offset), lies = has_lane(offset);
+        uint32_t found = is_whole[offset / 4U], lies = has_lane(offset);
         uint32_t size = found != 0U ? 4U : (uint32_t)sizeof(scalar_t);
         if (found == 0U && offset % sizeof(scalar_t) != 0U) { /* the gap before an aligned real */
             offset += 4U;
@@ -179,17 +141,18 @@ static void add_words(pmf_layout_t *layout, const unused_t *unused, uint32_t who
     layout->lane_words = lane;
 }
 
-uint32_t pmf_layout(const pmf_config_t *config, pmf_layout_t *layout)
+uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, pmf_layout_t *layout)
 {
     unused_t unused;
     find_unused(config, &unused);
     layout->words = 0U;
     layout->packed_size = 0U;
-    add_words(layout, &unused, 0U);
+    add_words(layout, &unused, is_whole, 0U);
     layout->reals = layout->words;
-    add_words(layout, &unused, 1U);
+    add_words(layout, &unused, is_whole, 1U);
     layout->packed_size = (layout->packed_size + 7U) / 8U * 8U;
-    if (config->direct.scheme == PMF_WINDOW || config->instrument.scheme == PMF_WINDOW || config->linear.enabled != 0U) {
+    if (config->direct.scheme == PMF_WINDOW || config->instrument.scheme == PMF_WINDOW ||
+        config->linear.enabled != 0U) {
         layout->lane_words = 0U;
     }
     return layout->words < PMF_MAX_WORDS && unused.ranges < MAX_RANGES ? 1U : 0U;

@@ -51,7 +51,7 @@ static real_t input_at(const pmf_rows_t *rows, uint64_t axis, uint64_t sample)
 static uint32_t count_at(const pmf_rows_t *rows, uint64_t axis, uint64_t sample)
 {
     const unsigned char *at = rows->start + (int64_t)axis * rows->axis + (int64_t)sample * rows->sample;
-    return rows->size == 4U ? *(const uint32_t *)(const void *)at : (uint32_t) * (const uint64_t *)(const void *)at;
+    return rows->size == 4U ? *(const uint32_t *)(const void *)at : (uint32_t)*(const uint64_t *)(const void *)at;
 }
 
 static void keep(const pmf_config_t *config, const pmf_state_t *state, const pmf_many_t *many, uint64_t row)

@@ -7,7 +7,7 @@
 #ifndef PMF_MANY_H
 #define PMF_MANY_H
 
-#include "../pmf.h"
+#include "../pmf_internal.h"
 
 /* Ways to compute: one axis after the other, or in vectors of 16, 32 (AVX2) or 64 bytes (AVX-512). */
 enum { PMF_ONE_BY_ONE = 0, PMF_LANES_16, PMF_LANES_32, PMF_LANES_64, PMF_WAYS };
@@ -23,7 +23,7 @@ typedef struct {
 typedef struct {
     uint32_t reals, words;
     uint32_t packed_size; /* bytes of a packed state */
-    uint32_t lane_words;  /* vectors in a state of lanes; 0: this configuration has no lanes */
+    uint32_t lane_words; /* vectors in a state of lanes; 0: this configuration has no lanes */
     pmf_word_t word[PMF_MAX_WORDS];
 } pmf_layout_t;
 
@@ -36,14 +36,14 @@ typedef struct {
 
 typedef struct {
     uint32_t way;
-    pmf_rows_t input;  /* float or double */
+    pmf_rows_t input; /* float or double */
     pmf_rows_t counts; /* int32_t or int64_t */
     uint64_t samples;
     uint64_t every; /* the estimates of so many samples each are kept, and that of the last; 0: of the last alone */
-    uint64_t kept;  /* estimates of each axis: */
+    uint64_t kept; /* estimates of each axis: */
     double *theta, *variance_factor, *inflation; /* axes x kept x parameters */
-    double *innovation, *innovation_variance;    /* axes x kept */
-    uint32_t *status;                            /* axes x kept */
+    double *innovation, *innovation_variance; /* axes x kept */
+    uint32_t *status; /* axes x kept */
 } pmf_many_t;
 
 /* Axes `first` to `first + axes`, no more than there are lanes, through all samples; packed: their states. */
@@ -57,8 +57,11 @@ typedef struct {
 extern const pmf_lanes_t pmf_lanes_16, pmf_lanes_32, pmf_lanes_64;
 
 #ifndef PMF_LANES
-/* Returns 0 where the words are more than a layout holds. */
-uint32_t pmf_layout(const pmf_config_t *config, pmf_layout_t *layout);
+/* 1: these can be the numbers of a configuration of this build, 0: they would lead beyond its memory. */
+uint32_t pmf_fits(const pmf_config_t *config);
+/* is_whole: for every four bytes of a pmf_state_t 1 where they are a whole number, else 0. Returns 0 where the words
+ * are more than a layout holds. */
+uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, pmf_layout_t *layout);
 void pmf_pack(const pmf_layout_t *layout, const pmf_state_t *state, unsigned char *packed);
 /* What is not in use is left as it is: zero, in a state that pmf_init() or pmf_clear() has made. */
 void pmf_unpack(const pmf_layout_t *layout, const unsigned char *packed, pmf_state_t *state);

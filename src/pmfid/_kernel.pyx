@@ -15,11 +15,9 @@ IMPLAUSIBLE = "these numbers are no state of this configuration, whatever their 
 
 cnp.import_array()
 
-cdef extern from "pmf.h":
+cdef extern from "pmf_internal.h":
     ctypedef double real_t
     enum:
-        PMF_MAX_STAGES
-        PMF_MAX_TAPS
         PMF_MAX_PARAMETERS
         PMF_MAX_COLUMNS
         PMF_ROLES
@@ -30,61 +28,18 @@ cdef extern from "pmf.h":
         PMF_DIRECTION
         PMF_MOVING
         PMF_LATE_INPUT
-        PMF_WINDOW_BLOCKS
-        PMF_MAX_ORDER
-    ctypedef struct pmf_encoder_config_t:
-        real_t velocity_per_count, position_per_count, position_gain, velocity_gain, smooth_end, smooth_start
-        uint32_t count_mask, max_change, standstill_samples, process, guard, guard_hold
-        real_t spike, guard_leak
-    ctypedef struct pmf_stage_t:
-        uint32_t source
-        real_t a, b0, b1
-    ctypedef struct pmf_tap_t:
-        uint32_t node
-        real_t weight
+    # Of the configuration only what is read here: Python fills it by name from pmf.h.
     ctypedef struct pmf_network_config_t:
-        uint32_t n_stages, n_columns
-        pmf_stage_t stage[PMF_MAX_STAGES]
-        uint32_t tap_end[PMF_MAX_COLUMNS]
-        pmf_tap_t tap[PMF_MAX_TAPS]
+        uint32_t n_columns
     ctypedef struct pmf_network_state_t:
         real_t column[PMF_MAX_COLUMNS]
-    ctypedef struct pmf_recursion_config_t:
-        uint32_t n_parameters, instrumental, first_column, min_updates, residual_updates
-        real_t forgetting, regularization, pivot
-        uint32_t compensated, block, scheme, window_block, growing, half_memory, leading
-        real_t correlated, haste, leak, shown, outgrown
-        real_t keep[PMF_MAX_PARAMETERS]
-        real_t unexplained, check_samples
-        real_t noise[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]
-        real_t target_noise[PMF_MAX_PARAMETERS]
-        real_t target_power
     ctypedef struct pmf_auxiliary_config_t:
-        uint32_t enabled, adapt, has_initial, check_column, target_column, mass_column, trial_samples
-        uint32_t direct_index[PMF_ROLES]
-        uint32_t index[PMF_ROLES]
-        uint32_t sensitivities
-        real_t jump_gain
-        uint32_t cause[PMF_ROLES]
-        uint32_t role[PMF_ROLES]
-        real_t dt, input_gain, position_gain, smoothing, memory, mismatch_limit, noise_power
-        real_t initial[PMF_ROLES]
-    ctypedef struct pmf_linear_config_t:
-        uint32_t enabled, n, m, offset, input_node, first_column, update_samples, settle_samples, start_updates
-        real_t half_dt, smoothing, memory
-        real_t scale[PMF_MAX_ORDER + 1]
-        real_t limit[PMF_MAX_ORDER]
+        real_t dt, input_gain
     ctypedef struct pmf_auxiliary_state_t:
         real_t parameter[PMF_ROLES]
         real_t velocity, position
     ctypedef struct pmf_config_t:
-        uint32_t settle_samples, first_samples
-        pmf_encoder_config_t encoder
-        pmf_auxiliary_config_t auxiliary
-        pmf_linear_config_t linear
         pmf_network_config_t network
-        pmf_recursion_config_t direct
-        pmf_recursion_config_t instrument
     ctypedef struct pmf_state_t:
         uint32_t status
         pmf_network_state_t network
@@ -123,7 +78,8 @@ cdef extern from "many/pmf_many.h":
         uint32_t *status
     ctypedef struct pmf_layout_t:
         uint32_t packed_size, lane_words
-    uint32_t pmf_layout(const pmf_config_t *, pmf_layout_t *) nogil
+    uint32_t pmf_fits(const pmf_config_t *) nogil
+    uint32_t pmf_layout(const pmf_config_t *, const unsigned char *, pmf_layout_t *) nogil
     void pmf_pack(const pmf_layout_t *, const pmf_state_t *, unsigned char *) nogil
     void pmf_unpack(const pmf_layout_t *, const unsigned char *, pmf_state_t *) nogil
     uint32_t pmf_many_way() nogil
@@ -131,35 +87,14 @@ cdef extern from "many/pmf_many.h":
                       unsigned char *) nogil
 
 
-cdef _set_recursion(pmf_recursion_config_t *target, source):
-    target.n_parameters, target.instrumental = source["n_parameters"], source["instrumental"]
-    target.first_column, target.min_updates = source["first_column"], source["min_updates"]
-    target.residual_updates, target.forgetting = source["residual_updates"], source["forgetting"]
-    target.regularization, target.pivot, target.block = source["regularization"], source["pivot"], source["block"]
-    target.scheme, target.window_block = source["scheme"], source["window_block"]
-    target.correlated, target.growing = source["correlated"], source.get("growing", 0)
-    target.leading = source.get("leading", 0)
-    target.haste, target.leak = source.get("haste", 1.0), source.get("leak", 1.0)
-    target.half_memory = source.get("half_memory", 0)
-    target.shown, target.outgrown = source.get("shown", 0.0), source.get("outgrown", 0.0)
-    target.compensated, noise = source.get("compensated", 0), source.get("noise")
-    target.unexplained, target.check_samples = source.get("unexplained", 0.0), source.get("check_samples", 0.0)
-    for i in range(target.n_parameters):
-        for j in range(target.n_parameters):
-            target.noise[i][j] = noise[i][j] if noise is not None else 0.0
-    target_noise, target.target_power = source.get("target_noise"), source.get("target_power", 0.0)
-    keep = source.get("keep")
-    for i in range(target.n_parameters):
-        target.keep[i] = keep[i] if keep is not None else 1.0
-        target.target_noise[i] = target_noise[i] if target_noise is not None else 0.0
 
 
 cdef class Kernel:
     """One configured kernel with its state.
 
-    stages: rows (source, a, b0, b1); columns: per column a list of (node, weight);
-    encoder, direct, instrument, auxiliary, linear: the fields of the C structures by name; without the last two there
-    is no model that is simulated. names: of the parameters, for the estimates. Raises ValueError where a size is exceeded.
+    config: the bytes of a `pmf_config_t` of this module's sizes (`pmfid.kernel.configuration` fills it, `raw_config` gives
+    it). names: of the parameters, for the estimates. Raises ValueError for another number of bytes, and for numbers that
+    would lead beyond the kernel's memory.
     """
 
     cdef pmf_config_t config
@@ -169,67 +104,16 @@ cdef class Kernel:
     dtype = np.dtype(np.float32 if sizeof(real_t) == 4 else np.float64)
     max_parameters = PMF_MAX_PARAMETERS
 
-    def __init__(self, stages, columns, encoder, direct, settle_samples, instrument=None, auxiliary=None, first_samples=None, linear=None):
-        cdef pmf_network_config_t *net = &self.config.network
+    def __init__(self, bytes config not None):
+        cdef pmf_config_t taken
         self.names = ()
-        pmf_clear(&self.config, sizeof(self.config))
-        n_taps = sum(len(column) for column in columns)
-        if len(stages) > PMF_MAX_STAGES or n_taps > PMF_MAX_TAPS or len(columns) > PMF_MAX_COLUMNS \
-                or max(direct["n_parameters"], (instrument or direct)["n_parameters"]) > PMF_MAX_PARAMETERS:
-            raise ValueError(
-                f"the equation needs {len(stages)} stages, {n_taps} taps and {direct['n_parameters']} parameters; the "
-                f"kernel holds {PMF_MAX_STAGES}, {PMF_MAX_TAPS} and {PMF_MAX_PARAMETERS}; use a lower order")
-        self.config.encoder = encoder
-        _set_recursion(&self.config.direct, direct)
-        if auxiliary is not None:
-            _set_recursion(&self.config.instrument, instrument)
-            self._set_auxiliary(auxiliary)
-        if linear is not None:
-            _set_recursion(&self.config.instrument, instrument)
-            self._set_linear(linear)
-        self.config.settle_samples = settle_samples
-        self.config.first_samples = settle_samples if first_samples is None else first_samples
-        net.n_stages, net.n_columns = len(stages), len(columns)
-        for i, (source, a, b0, b1) in enumerate(stages):
-            net.stage[i].source, net.stage[i].a, net.stage[i].b0, net.stage[i].b1 = source, a, b0, b1
-        tap = 0
-        for i, column in enumerate(columns):
-            for node, weight in column:
-                net.tap[tap].node, net.tap[tap].weight = node, weight
-                tap += 1
-            net.tap_end[i] = tap
+        if len(config) != sizeof(pmf_config_t):
+            raise ValueError(f"a configuration has {sizeof(pmf_config_t)} bytes, got {len(config)}")
+        memcpy(&taken, <const char *> config, sizeof(pmf_config_t))
+        if pmf_fits(&taken) == 0:
+            raise ValueError("these numbers are no configuration: one of them would lead beyond the kernel's memory")
+        memcpy(&self.config, &taken, sizeof(pmf_config_t))
         pmf_init(&self.config, &self.state)
-
-    cdef _set_auxiliary(self, auxiliary):
-        cdef pmf_auxiliary_config_t *config = &self.config.auxiliary
-        config.enabled = 1
-        config.adapt, config.has_initial = auxiliary["adapt"], auxiliary["has_initial"]
-        config.check_column, config.trial_samples = auxiliary["check_column"], auxiliary["trial_samples"]
-        config.target_column, config.mass_column = auxiliary["target_column"], auxiliary["mass_column"]
-        config.dt, config.input_gain = auxiliary["dt"], auxiliary["input_gain"]
-        config.position_gain = auxiliary["position_gain"]
-        config.smoothing, config.memory = auxiliary["smoothing"], auxiliary["memory"]
-        config.mismatch_limit, config.noise_power = auxiliary["mismatch_limit"], auxiliary["noise_power"]
-        for role in range(PMF_ROLES):
-            config.direct_index[role] = auxiliary["direct_index"][role]
-            config.index[role] = auxiliary["index"][role]
-            config.initial[role] = auxiliary["initial"][role]
-        config.jump_gain, config.sensitivities = auxiliary["jump_gain"], len(auxiliary["cause"])
-        for i, (cause, role) in enumerate(zip(auxiliary["cause"], auxiliary["role"], strict=True)):
-            config.cause[i], config.role[i] = cause, role
-
-    cdef _set_linear(self, linear):
-        cdef pmf_linear_config_t *config = &self.config.linear
-        config.enabled = 1
-        config.n, config.m, config.offset = linear["n"], linear["m"], linear["offset"]
-        config.input_node, config.first_column = linear["input_node"], linear["first_column"]
-        config.update_samples, config.settle_samples = linear["update_samples"], linear["settle_samples"]
-        config.start_updates, config.half_dt = linear["start_updates"], linear["half_dt"]
-        config.smoothing, config.memory = linear["smoothing"], linear["memory"]
-        for i in range(config.n + 1):
-            config.scale[i] = linear["scale"][i]
-        for i in range(config.n):
-            config.limit[i] = linear["limit"][i]
 
     def reset(self):
         """Back to the state before the first sample."""
@@ -271,15 +155,15 @@ cdef class Kernel:
         """The present estimate."""
         return self._snapshot()
 
-    def run(self, const double[::1] u, const int64_t[::1] counts):
+    def run(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None):
         """u, counts: (n,) -> theta (n, p), diagonal of P (n, p), its inflation (n, p), innovation (n,), its variance (n,), status (n,)."""
         cdef Py_ssize_t n = u.shape[0], p = pmf_parameters(&self.config), k, i
-        cdef double[:, ::1] theta = np.empty((n, p))
-        cdef double[:, ::1] factor = np.empty((n, p))
-        cdef double[:, ::1] inflation = np.empty((n, p))
-        cdef double[::1] innovation = np.empty(n)
-        cdef double[::1] variance = np.empty(n)
-        cdef uint32_t[::1] status = np.empty(n, np.uint32)
+        cdef cnp.ndarray[double, ndim=2, mode="c"] theta = np.empty((n, p))
+        cdef cnp.ndarray[double, ndim=2, mode="c"] factor = np.empty((n, p))
+        cdef cnp.ndarray[double, ndim=2, mode="c"] inflation = np.empty((n, p))
+        cdef cnp.ndarray[double, mode="c"] innovation = np.empty(n)
+        cdef cnp.ndarray[double, mode="c"] variance = np.empty(n)
+        cdef cnp.ndarray[uint32_t, mode="c"] status = np.empty(n, np.uint32)
         cdef const pmf_estimate_t *last
         with nogil:
             for k in range(n):
@@ -291,24 +175,23 @@ cdef class Kernel:
                     inflation[k, i] = last.inflation[i]
                 innovation[k] = last.innovation
                 variance[k] = last.innovation_variance
-        return (np.asarray(theta), np.asarray(factor), np.asarray(inflation), np.asarray(innovation), np.asarray(variance),
-                np.asarray(status))
+        return theta, factor, inflation, innovation, variance, status
 
-    def filter(self, const double[::1] u, const int64_t[::1] counts):
+    def filter(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None):
         """Encoder and filters alone. u, counts: (n,) -> columns (n, c) and status (n,)."""
         cdef Py_ssize_t n = u.shape[0], c = self.config.network.n_columns, k, i
-        cdef double[:, ::1] columns = np.empty((n, c))
-        cdef uint32_t[::1] status = np.empty(n, np.uint32)
+        cdef cnp.ndarray[double, ndim=2, mode="c"] columns = np.empty((n, c))
+        cdef cnp.ndarray[uint32_t, mode="c"] status = np.empty(n, np.uint32)
         with nogil:
             for k in range(n):
                 status[k] = pmf_filter(&self.config, &self.state, <real_t> u[k], <uint32_t> counts[k])
                 for i in range(c):
                     columns[k, i] = self.state.network.column[i]
-        return np.asarray(columns), np.asarray(status)
+        return columns, status
 
-    def many(self, Py_ssize_t axes):
-        """So many axes from the present state."""
-        return ManyKernel(self, axes)
+    def many(self, Py_ssize_t axes, bytes is_whole):
+        """So many axes from the present state; is_whole: of `pmfid.kernel.structures.whole_words`."""
+        return ManyKernel(self, axes, is_whole)
 
     def raw_config(self):
         """The bytes of the configuration, as a `pmf_config_t` of this module's sizes."""
@@ -332,6 +215,10 @@ cdef class Kernel:
         memcpy(&self.state, &taken, sizeof(pmf_state_t))
 
 
+cdef inline void *_numbers(cnp.ndarray array):
+    return cnp.PyArray_DATA(array)
+
+
 cdef _set_rows(pmf_rows_t *rows, cnp.ndarray table):
     rows.start = <const unsigned char *> cnp.PyArray_DATA(table)
     rows.axis, rows.sample, rows.size = table.strides[0], table.strides[1], table.itemsize
@@ -348,6 +235,9 @@ cdef _check_tables(u, counts, results, axes, parameters, every):
     shapes = [(axes, kept, parameters)] * 3 + [(axes, kept)] * 3
     if [np.shape(result) for result in results] != shapes:
         raise ValueError(f"the results must have shapes {shapes}, got {[np.shape(result) for result in results]}")
+    for result, kind in zip(results, (np.float64,) * 5 + (np.uint32,), strict=True):
+        if type(result) is not np.ndarray or result.dtype != kind or not result.flags.carray:
+            raise ValueError(f"the results must be arrays of float64, the last of uint32, without gaps; got {result!r}")
 
 
 cdef class ManyKernel:
@@ -364,9 +254,11 @@ cdef class ManyKernel:
 
     fastest_way = pmf_many_way()
 
-    def __init__(self, Kernel kernel, Py_ssize_t axes):
+    def __init__(self, Kernel kernel, Py_ssize_t axes, bytes is_whole not None):
         self.config = kernel.config
-        if pmf_layout(&self.config, &self.layout) == 0:
+        if 4 * len(is_whole) != sizeof(pmf_state_t):
+            raise ValueError(f"a state has {sizeof(pmf_state_t) // 4} words, got {len(is_whole)}")
+        if pmf_layout(&self.config, <const unsigned char *> is_whole, &self.layout) == 0:
             raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/many/pmf_many.h")
         cdef cnp.ndarray own = np.zeros(self.layout.packed_size, np.uint8)
         pmf_pack(&self.layout, &kernel.state, <unsigned char *> cnp.PyArray_DATA(own))
@@ -386,7 +278,7 @@ cdef class ManyKernel:
 
         Raises ValueError, and stays as it was, for another shape or values that no sample could have made.
         """
-        cdef const unsigned char[:, ::1] taken = np.array(states, np.uint8, order="C")
+        cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] taken = np.array(states, np.uint8, order="C", ndmin=2)
         cdef Py_ssize_t axis
         cdef pmf_state_t state
         if np.shape(states) != self.states.shape:
@@ -405,7 +297,7 @@ cdef class ManyKernel:
 
     def load(self, Kernel kernel, Py_ssize_t axis):
         """Gives a kernel of the same configuration the state of one axis."""
-        cdef const unsigned char[:, ::1] states = self.states
+        cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] states = self.states
         pmf_clear(&kernel.state, sizeof(pmf_state_t))
         pmf_unpack(&self.layout, &states[axis, 0], &kernel.state)
 
@@ -415,25 +307,24 @@ cdef class ManyKernel:
         (axes, kept), to be filled with every so many estimates and the last. Releases the interpreter meanwhile.
         Raises ValueError where an array has another shape or type than that: the C asks nothing."""
         cdef pmf_many_t many
-        cdef double[:, :, ::1] theta = results[0], factor = results[1], inflation = results[2]
-        cdef double[:, ::1] innovation = results[3], variance = results[4]
-        cdef uint32_t[:, ::1] status = results[5]
-        cdef unsigned char[:, ::1] states = self.states
+        cdef unsigned char *states
         _check_tables(u, counts, results, self.states.shape[0], pmf_parameters(&self.config), every)
-        if states.shape[1] != <Py_ssize_t> self.layout.packed_size or not 0 <= first <= end <= states.shape[0]:
-            raise ValueError(f"there are {states.shape[0]} axes, got {first} to {end}")
+        if self.states.shape[1] != self.layout.packed_size or not 0 <= first <= end <= self.states.shape[0]:
+            raise ValueError(f"there are {self.states.shape[0]} axes, got {first} to {end}")
         if u.shape[1] == 0 or first == end:
             return
         _set_rows(&many.input, u)
         _set_rows(&many.counts, counts)
-        many.way, many.samples, many.every, many.kept = way, u.shape[1], every, theta.shape[1]
-        many.theta, many.variance_factor, many.inflation = &theta[0, 0, 0], &factor[0, 0, 0], &inflation[0, 0, 0]
-        many.innovation, many.innovation_variance, many.status = &innovation[0, 0], &variance[0, 0], &status[0, 0]
+        many.way, many.samples, many.every, many.kept = way, u.shape[1], every, results[0].shape[1]
+        many.theta, many.variance_factor = <double *> _numbers(results[0]), <double *> _numbers(results[1])
+        many.inflation, many.innovation = <double *> _numbers(results[2]), <double *> _numbers(results[3])
+        many.innovation_variance, many.status = <double *> _numbers(results[4]), <uint32_t *> _numbers(results[5])
+        states = <unsigned char *> _numbers(self.states)
         with nogil:
-            pmf_many_run(&self.config, &self.layout, &many, first, end, &states[0, 0])
+            pmf_many_run(&self.config, &self.layout, &many, first, end, states)
 
 
-def simulate(parameters, double input_gain, double dt, const double[::1] u, double velocity=0.0, double position=0.0):
+def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, double velocity=0.0, double position=0.0):
     """The auxiliary model alone: a body with friction under a held input.
 
     parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness); u: (n,),
@@ -444,9 +335,9 @@ def simulate(parameters, double input_gain, double dt, const double[::1] u, doub
     cdef pmf_auxiliary_state_t state
     cdef real_t signal[PMF_SIGNALS]
     cdef Py_ssize_t n = u.shape[0], k
-    cdef double[::1] mean = np.empty(n)
-    cdef double[::1] direction = np.empty(n)
-    cdef double[::1] moving = np.empty(n)
+    cdef cnp.ndarray[double, mode="c"] mean = np.empty(n)
+    cdef cnp.ndarray[double, mode="c"] direction = np.empty(n)
+    cdef cnp.ndarray[double, mode="c"] moving = np.empty(n)
     pmf_clear(&config, sizeof(config))
     pmf_clear(&state, sizeof(state))
     pmf_clear(signal, sizeof(signal))
@@ -461,4 +352,4 @@ def simulate(parameters, double input_gain, double dt, const double[::1] u, doub
             mean[k] = signal[PMF_AUXILIARY + PMF_VELOCITY]
             direction[k] = signal[PMF_AUXILIARY + PMF_DIRECTION]
             moving[k] = signal[PMF_AUXILIARY + PMF_MOVING]
-    return np.asarray(mean), np.asarray(direction), np.asarray(moving), state.velocity
+    return mean, direction, moving, state.velocity

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from enum import IntFlag
 
+from pmfid.kernel.structures import constants_of
+
+_BITS = constants_of(None)
+
 
 class Status(IntFlag):
-    """Bits of `Estimate.status` and `Track.status`; the same values as in csrc/pmf.h."""
+    """Bits of `Estimate.status` and `Track.status`; their values are those of csrc/pmf.h."""
 
-    STARTING = 1
-    SETTLING = 2
-    POOR_EXCITATION = 4
-    COMPENSATION_HELD = 8
-    INVALID_INPUT = 16
-    COUNT_JUMP = 32
-    STANDSTILL = 64
-    RESET = 128
-    FALLBACK = 256
-    UNMODELLED = 512
-    FEEDBACK = 1024
+    STARTING = _BITS["PMF_STARTING"]
+    SETTLING = _BITS["PMF_SETTLING"]
+    POOR_EXCITATION = _BITS["PMF_POOR_EXCITATION"]
+    COMPENSATION_HELD = _BITS["PMF_COMPENSATION_HELD"]
+    INVALID_INPUT = _BITS["PMF_INVALID_INPUT"]
+    COUNT_JUMP = _BITS["PMF_COUNT_JUMP"]
+    STANDSTILL = _BITS["PMF_STANDSTILL"]
+    RESET = _BITS["PMF_RESET"]
+    FALLBACK = _BITS["PMF_FALLBACK"]
+    UNMODELLED = _BITS["PMF_UNMODELLED"]
+    FEEDBACK = _BITS["PMF_FEEDBACK"]
 
     @property
     def advice(self) -> tuple[str, ...]:

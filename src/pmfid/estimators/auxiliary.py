@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -14,6 +14,8 @@ from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.encoder_noise import impulse_products
 from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
+from pmfid.kernel.configuration import new_kernel
+from pmfid.kernel.structures import constants_of
 from pmfid.models.equation import STIFFNESS, Equation
 
 if TYPE_CHECKING:
@@ -21,12 +23,11 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-NO_PARAMETER = 0xFF
 #: Time constant of the slow copy of the estimate that drives the model, in filter time constants: the instruments must
 #: not follow the noise of the samples that they are multiplied with.
 COPY_TIME_CONSTANTS = 17.0
-#: The kernel takes the copy on every so many samples (PMF_FOLLOWED of csrc/pmf.h).
-FOLLOWED = 4
+#: The kernel takes the copy on every so many samples.
+FOLLOWED = constants_of(None)["PMF_FOLLOWED"]
 #: Mean square difference of model and measured velocity, as a part of the mean square, beyond which it is not trusted.
 MISMATCH_LIMIT = 0.2
 #: Signal of a term, the output as its velocity -> its place in the auxiliary model's block of signals.
@@ -86,7 +87,9 @@ def make_auxiliary_kernel(
     network, columns, first, check = auxiliary_columns(estimator)
     p = len(estimator.names)
     direct = _kept(estimator, direct_estimator)
+    causes = _causes(estimator.equation) if adapt else []
     auxiliary = {
+        "enabled": 1,
         "adapt": int(adapt),
         "has_initial": int(initial is not None),
         "check_column": check,
@@ -104,21 +107,29 @@ def make_auxiliary_kernel(
         "index": _indices(estimator.equation.roles),
         "initial": role_values(estimator, initial),
         "jump_gain": 1 - math.exp(-2 / estimator.order * estimator.cutoff * estimator.dt),
-        "cause": _causes(estimator.equation) if adapt else [],
-        "role": [estimator.equation.roles.index(i) for i in range(p)] if adapt and _causes(estimator.equation) else [],
+        "sensitivities": len(causes),
+        "cause": causes,
+        "role": [estimator.equation.roles.index(i) for i in range(p)] if causes else [],
     }
-    kernel = estimator.kernel_class(
+    kernel = new_kernel(
+        estimator.precision,
         network.stages,
         columns,
-        estimator.encoder_config,
-        direct.recursion_config(len(direct.names), True, forgetting),
-        2 * estimator.settle_samples,  # half-way the model is set to the measured velocity
-        estimator.recursion_config(p, True, forgetting, first)
-        | _kept(estimator, _check_of_model)
+        encoder=estimator.encoder_config,
+        direct=direct.recursion_config(len(direct.names), True, forgetting),
+        settle_samples=2 * estimator.settle_samples,  # half-way the model is set to the measured velocity
+        instrument=_with_check(estimator, estimator.recursion_config(p, True, forgetting, first))
         | {"growing": int(adapt)},
-        auxiliary,
+        auxiliary=auxiliary,
     )
     return kernel, first
+
+
+def _with_check(estimator: Estimator, recursion: Mapping[str, object]) -> dict[str, object]:
+    """A recursion and what its innovations are compared with; that of whole records has no parameters."""
+    check, p = _kept(estimator, _check_of_model), recursion["n_parameters"]
+    noise = np.asarray(check["noise"])[:p, :p]
+    return {**recursion, **check, "noise": noise}
 
 
 def _check_of_model(estimator: Estimator) -> dict[str, object]:
@@ -126,7 +137,7 @@ def _check_of_model(estimator: Estimator) -> dict[str, object]:
     network, columns, first, _ = auxiliary_columns(estimator)
     products = impulse_products(estimator, network, columns[first : first + len(estimator.names)])
     return {
-        "noise": (estimator.encoder.resolution**2 / 12 * products).tolist(),
+        "noise": estimator.encoder.resolution**2 / 12 * products,
         "unexplained": UNEXPLAINED,
         "check_samples": float(math.ceil(MODEL_CHECK_TIME_CONSTANTS / (estimator.cutoff * estimator.dt))),
     }
@@ -147,7 +158,7 @@ def role_values(estimator: Estimator, theta: Sequence[float] | None) -> list[flo
 
 
 def _indices(roles: Sequence[int | None]) -> list[int]:
-    return [NO_PARAMETER if index is None else index for index in roles]
+    return [constants_of(None)["PMF_NO_PARAMETER"] if index is None else index for index in roles]
 
 
 def _noise_power(estimator: Estimator) -> float:

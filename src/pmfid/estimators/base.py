@@ -19,6 +19,8 @@ from pmfid.estimators.configuration import like as like
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
 from pmfid.filters.network import Network, Taps, scaled
+from pmfid.kernel.configuration import new_kernel
+from pmfid.kernel.structures import constants_of
 from pmfid.models.drive import Model
 from pmfid.models.equation import Equation
 from pmfid.status import Status
@@ -224,12 +226,13 @@ class Estimator:
         network, columns = self._columns
         direct = self.recursion_config(len(self.names), self.instrumental, forgetting)
         try:
-            return self.kernel_class(
+            return new_kernel(
+                self.precision,
                 network.stages,
                 columns,
-                self.encoder_config,
-                direct,
-                self.settle_samples,
+                encoder=self.encoder_config,
+                direct=direct,
+                settle_samples=self.settle_samples,
                 first_samples=self.first_samples,
             )
         except ValueError as error:  # more than it holds
@@ -280,8 +283,22 @@ class Estimator:
             "pivot": PROCESS_PIVOT if process else START_PIVOT,
             "block": 2 * self.settle_samples,
             "correlated": 2 * self.order / (self.cutoff * self.dt),
-            "scheme": 0,
+            "scheme": constants_of(None)["PMF_EXPONENTIAL"],
             "window_block": 1,
+            "compensated": 0,
+            "noise": np.zeros((0, 0)),
+            "target_noise": (),
+            "target_power": 0.0,
+            "keep": [1.0] * parameters,
+            "half_memory": 0,
+            "leading": 0,
+            "haste": 1.0,
+            "leak": 1.0,
+            "shown": 0.0,
+            "outgrown": 0.0,
+            "growing": 0,
+            "unexplained": 0.0,
+            "check_samples": 0.0,
         }
 
 

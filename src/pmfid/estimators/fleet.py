@@ -16,6 +16,7 @@ from pmfid.estimators.base import Numbers, integer_counts, numbers
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.runner import Runner
 from pmfid.estimators.track import Track
+from pmfid.kernel.structures import whole_words
 
 N = TypeVar("N", bound=np.number)
 Floats = NDArray[np.float64]
@@ -74,7 +75,7 @@ class Fleet:
         remedy = "it is the number of threads; None: as many as there are processors"
         self.workers = _processors() if workers is None else whole_number("workers", workers, 1, remedy)
         try:
-            self._kernel = first.kernel.many(self.axes)
+            self._kernel = first.kernel.many(self.axes, whole_words(first.precision))
         except (MemoryError, OverflowError, ValueError):
             raise UsageError(f"the states of {axes} axes do not fit the memory; take fewer at a time") from None
         self._first = self._kernel.states[:1].copy()
@@ -177,7 +178,7 @@ class Fleet:
 
 def _resumed(estimator: RecursiveEstimator, first: NDArray[np.uint8], axes: int, workers: int, state: bytes) -> Fleet:
     runner = estimator.start()
-    single = runner.kernel.many(1)
+    single = runner.kernel.many(1, whole_words(runner.precision))
     single.set_states(first)
     single.load(runner.kernel, 0)
     fleet = Fleet(runner, axes, workers=workers)

@@ -16,6 +16,7 @@ from pmfid.estimators.configuration import configuration_of, made
 from pmfid.estimators.encoder_noise import shown
 from pmfid.estimators.runner import Runner
 from pmfid.estimators.track import Track as Track
+from pmfid.kernel.structures import constants_of
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
@@ -23,18 +24,21 @@ if TYPE_CHECKING:
     from pmfid.estimators.fleet import Tracks
 
 
-#: What becomes of old samples -> its number in csrc/pmf.h.
-FORGETTING_SCHEMES = {"exponential": 0, "directional": 1, "constant-trace": 2, "window": 3}
+#: What becomes of old samples -> its number in the kernel.
+FORGETTING_SCHEMES = {
+    name: constants_of(None)[f"PMF_{name.upper().replace('-', '_')}"]
+    for name in ("exponential", "directional", "constant-trace", "window")
+}
 #: The same of `forgetting_of`, which is a scheme of its own there.
-SEPARATE = 4
+SEPARATE = constants_of(None)["PMF_SEPARATE"]
 #: Information that is never forgotten under constant trace, as a part of the largest seen.
 TRACE_REGULARIZATION = 1e-6
 #: What is known from larger motions than those of late is forgotten so many times as fast.
 HASTE = 8
 #: That is more than so many times what motions like those of the last memory give.
 OUTGROWN = 3
-#: The kernel looks at the size of the motion every so many samples (PMF_LOOK of csrc/pmf.h).
-LOOK = 4
+#: The kernel looks at the size of the motion every so many samples.
+LOOK = constants_of(None)["PMF_LOOK"]
 #: The sliding window drops one of its 8 blocks at a time: it holds 7 to 8 of them.
 WINDOW_BLOCKS = 7.5
 

@@ -13,6 +13,7 @@ from pmfid.estimators.base import like
 from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.filters.columns import ColumnBuilder
+from pmfid.kernel.configuration import new_kernel
 from pmfid.models.transfer_function import TransferFunction
 
 if TYPE_CHECKING:
@@ -57,13 +58,14 @@ class RSRIVC(RecursiveEstimator):
         p = len(self.names)
         builder = ColumnBuilder(direct.equation, direct.spec)
         columns = [*builder.regressors(), builder.target(), *builder.instruments()]
-        return self.kernel_class(
+        return new_kernel(
+            self.precision,
             builder.network.stages,
             columns,
-            self.encoder_config,
-            direct.recursion_config(p, True, forgetting),
-            self.settle_samples,
-            self.recursion_config(p, True, forgetting, len(columns)),
+            encoder=self.encoder_config,
+            direct=direct.recursion_config(p, True, forgetting),
+            settle_samples=self.settle_samples,
+            instrument=self.recursion_config(p, True, forgetting, len(columns)),
             linear=self._linear_config(builder, len(columns)),
         )
 
@@ -72,6 +74,7 @@ class RSRIVC(RecursiveEstimator):
         model, per_sample = cast(TransferFunction, self.model), self.cutoff * self.dt
         n, update = model.n, max(1, round(1 / per_sample))
         return {
+            "enabled": 1,
             "n": n,
             "m": model.m,
             "offset": int(model.offset),

@@ -18,7 +18,7 @@ from pmfid.export.initializer import initializer, literal
 from pmfid.export.names import check_names, remark
 from pmfid.export.samples import made_up_record, moving_part, recorded
 from pmfid.kernel.saved import configuration, recursions_of, shape_of
-from pmfid.kernel.structures import Structured, header, layout_number, resized, source_folder, structures
+from pmfid.kernel.structures import HEADERS, Structured, header, layout_number, resized, source_folder, structures
 
 #: Template -> file in the folder; NAME is the prefix.
 FILES = {
@@ -119,7 +119,7 @@ def _context(
         "macros": shape.macros(),
         "fixed": fixed_recursion(config),
         "layout": layout_number(types["pmf_state_t"]),
-        "functions": sorted(set(re.findall(r"\b(pmf_\w+)\(", header("pmf.h")))),
+        "functions": sorted(set(re.findall(r"\b(pmf_\w+)\(", "".join(map(header, HEADERS))))),
         "sources": sorted(path.name for path in source_files("*.c")),
         "sizes": {name: types[f"pmf_{name}_t"].itemsize for name in ("state", "config", "saved")},
         "config": initializer(resized(config, types["pmf_config_t"])),

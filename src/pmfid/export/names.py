@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from pmfid.errors import UsageError
-from pmfid.kernel.structures import header
+from pmfid.kernel.structures import HEADERS, header
 
 #: Ends of the names that an export makes of its prefix for types.
 TYPES = ("_t", "_saved_t", "_alarm_t")
@@ -32,7 +32,7 @@ def check_names(prefix: str, parameters: Sequence[str]) -> None:
             "prefix must be lower-case letters, digits and _, begin with a letter, but not with pmf, as all names in "
             f"the C begin with it; got {prefix!r}, give another (--prefix)"
         )
-    of_kernel = set(re.findall(r"\b\w+_t\b", header("pmf.h")))
+    of_kernel = set(re.findall(r"\b\w+_t\b", "".join(map(header, HEADERS))))
     clash = sorted({prefix + end for end in TYPES} & (C_TYPES | of_kernel))
     if clash:
         raise UsageError(

@@ -4,16 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-#: The kernel's signals are its first nodes (csrc/pmf.h): a block from the counts, the same from the auxiliary model.
-INPUT, VELOCITY, DIRECTION, MOVING, FORWARD, BACKWARD, FORWARD_VELOCITY, BACKWARD_VELOCITY = range(8)
-AUXILIARY = 8
-SPLIT_FORWARD, SPLIT_BACKWARD = 16, 17
-LATE_INPUT, LATE_VELOCITY = 18, 19
-ACCELERATION = 20
-LATE_POSITION = 21
-POSITION, SPLIT_POSITION, MODEL_POSITION = 22, 23, 24
-ONE, START = AUXILIARY, AUXILIARY + 1  # of a linear process, which has no auxiliary model
-SIGNALS = 25
+from pmfid.kernel.structures import constants_of
+
+_KERNEL = constants_of(None)
+
+
+def _nodes(*names: str) -> list[int]:
+    return [_KERNEL[f"PMF_{name}"] for name in names]
+
+
+#: The kernel's signals are its first nodes: a block from the counts, the same from the auxiliary model.
+INPUT, VELOCITY, DIRECTION, MOVING = _nodes("INPUT", "VELOCITY", "DIRECTION", "MOVING")
+FORWARD, BACKWARD = _nodes("FORWARD", "BACKWARD")
+FORWARD_VELOCITY, BACKWARD_VELOCITY = _nodes("FORWARD_VELOCITY", "BACKWARD_VELOCITY")
+(AUXILIARY,) = _nodes("AUXILIARY")
+SPLIT_FORWARD, SPLIT_BACKWARD = _nodes("SPLIT_FORWARD", "SPLIT_BACKWARD")
+LATE_INPUT, LATE_POSITION = _nodes("LATE_INPUT", "LATE_POSITION")
+(ACCELERATION,) = _nodes("ACCELERATION")
+POSITION, SPLIT_POSITION, MODEL_POSITION = _nodes("POSITION", "SPLIT_POSITION", "MODEL_POSITION")
+ONE, START = _nodes("ONE", "START")  # of a linear process, which has no auxiliary model
+(SIGNALS,) = _nodes("SIGNALS")
 
 Taps = list[tuple[int, float]]
 

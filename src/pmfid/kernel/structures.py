@@ -6,10 +6,11 @@ The module's own structures have room for every configuration; an export and a s
 from __future__ import annotations
 
 import ast
+import math
 import operator
 import re
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -34,6 +35,9 @@ Structures = dict[str, np.dtype[np.void]]
 Structured = NDArray[np.void]
 #: Name, type and dimensions of a member.
 Field = tuple[str, np.dtype[np.generic], tuple[int, ...]]
+
+#: What firmware includes, and what the kernel's sources share beyond it; all structures are in the first.
+HEADERS = ("pmf.h", "pmf_internal.h")
 
 
 @dataclass(frozen=True)
@@ -120,9 +124,9 @@ def _value(node: ast.AST, constants: Mapping[str, int]) -> int:
 
 @cache
 def constants_of(shape: Shape | None) -> dict[str, int]:
-    """Integers that pmf_sizes.h and pmf.h name. shape: None: of the module."""
+    """Integers that pmf_sizes.h and `HEADERS` name. shape: None: of the module."""
     constants = {} if shape is None else shape.macros()
-    for text in (header("pmf_sizes.h"), header("pmf.h")):
+    for text in map(header, ("pmf_sizes.h", *HEADERS)):
         for name, expression in re.findall(r"^#define (PMF_\w+) +(\S.*)$", text, re.MULTILINE):
             with suppress(ValueError):  # not an integer: a macro of the arithmetic
                 constants.setdefault(name, value(expression, constants))
@@ -177,6 +181,26 @@ def copy_fields(source: Structured, target: Structured) -> None:
         else:
             part = tuple(slice(min(sizes)) for sizes in zip(one.shape, other.shape, strict=True))
             other[part] = one[part]
+
+
+@cache
+def whole_words(precision: str) -> bytes:
+    """For every four bytes of the module's state 1 where they are a whole number, else 0."""
+    state = structures(None, precision)["pmf_state_t"]
+    words = np.zeros(state.itemsize // 4, np.uint8)
+    words[[place // 4 for place in _whole_places(state, 0)]] = 1
+    return words.tobytes()
+
+
+def _whole_places(dtype: np.dtype[np.generic], start: int) -> Iterator[int]:
+    if dtype.names is None:
+        yield from [start] if dtype.kind in "iu" else []
+        return
+    fields = dtype.fields or MappingProxyType({})
+    for entry, offset in (fields[name][:2] for name in dtype.names):
+        base, shape = entry.subdtype or (entry, ())
+        for number in range(math.prod(shape)):
+            yield from _whole_places(base, start + offset + number * base.itemsize)
 
 
 def layout_number(dtype: np.dtype[np.void]) -> int:

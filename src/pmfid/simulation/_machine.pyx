@@ -9,8 +9,11 @@ a straight line through both velocities is zero, and goes on from rest.
 
 import numpy as np
 
+cimport numpy as cnp
 from libc.math cimport exp, fabs, floor
 from libc.stdint cimport int64_t
+
+cnp.import_array()
 
 
 cdef struct Body:
@@ -68,8 +71,8 @@ cdef void advance(const Body *body, State *state, double force, double time, int
         step(body, state, force, time / steps)
 
 
-def simulate(const double[::1] command, double dt, dict parameters, double dead_time, const double[::1] noise,
-             int steps, double kp, double kd, double u_max, double resolution, double phase, double x0, double v0):
+def simulate(cnp.ndarray[double, mode="c"] command not None, double dt, dict parameters, double dead_time,
+             cnp.ndarray[double, mode="c"] noise not None, int steps, double kp, double kd, double u_max, double resolution, double phase, double x0, double v0):
     """Motion under the command (n,): x, v, u (n,), counts (n,) int64. kp = 0: the command is the input u [V]; else the
     reference [m] of u_k = clip(kp (reference_k - y_k) - kd (y_k - y_{k-1}) / dt, -u_max, u_max), y = resolution counts.
 
@@ -85,8 +88,10 @@ def simulate(const double[::1] command, double dt, dict parameters, double dead_
     cdef double late = dead_time - whole * dt, place, y, previous = 0.0, older, newer
     cdef bint in_range = True
     out = np.empty(n), np.empty(n), np.empty(n), np.empty(n, dtype=np.int64)
-    cdef double[::1] x = out[0], v = out[1], u = out[2]
-    cdef int64_t[::1] counts = out[3]
+    cdef cnp.ndarray[double, mode="c"] x = out[0]
+    cdef cnp.ndarray[double, mode="c"] v = out[1]
+    cdef cnp.ndarray[double, mode="c"] u = out[2]
+    cdef cnp.ndarray[int64_t, mode="c"] counts = out[3]
     with nogil:
         for k in range(n):
             x[k], v[k] = state.x, state.v

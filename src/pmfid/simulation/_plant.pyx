@@ -10,10 +10,13 @@ here, their values by the callers in drive.py and control.py.
 
 import numpy as np
 
+cimport numpy as cnp
 from libc.math cimport expm1, fabs, log1p
 from libc.stdint cimport int64_t, uint64_t
 
 from pmfid.simulation._reader cimport Reader, make_reader, read, readable
+
+cnp.import_array()
 
 
 cdef struct Parameters:
@@ -100,14 +103,18 @@ cdef int check_lengths(Py_ssize_t n, Py_ssize_t a, Py_ssize_t b, Py_ssize_t c, P
     return 0
 
 
-def simulate_open_loop(const double[::1] u, double dt, const double[::1] mass, const double[::1] viscous,
-                       const double[::1] coulomb, const double[::1] input_gain, const double[::1] offset,
+def simulate_open_loop(cnp.ndarray[double, mode="c"] u not None, double dt, cnp.ndarray[double, mode="c"] mass not None,
+                       cnp.ndarray[double, mode="c"] viscous not None, cnp.ndarray[double, mode="c"] coulomb not None,
+                       cnp.ndarray[double, mode="c"] input_gain not None, cnp.ndarray[double, mode="c"] offset not None,
                        double x0, double v0):
     """Motion under the input u (n,), held over each dt: x, v (n + 1,), direction, moving (n,); SI units."""
     cdef Py_ssize_t n = u.shape[0], k
     check_lengths(n, mass.shape[0], viscous.shape[0], coulomb.shape[0], input_gain.shape[0], offset.shape[0])
     out = np.empty(n + 1), np.empty(n + 1), np.empty(n), np.empty(n)
-    cdef double[::1] x = out[0], v = out[1], direction = out[2], moving = out[3]
+    cdef cnp.ndarray[double, mode="c"] x = out[0]
+    cdef cnp.ndarray[double, mode="c"] v = out[1]
+    cdef cnp.ndarray[double, mode="c"] direction = out[2]
+    cdef cnp.ndarray[double, mode="c"] moving = out[3]
     cdef State state = State(x0, v0, 0.0, 0.0)
     with nogil:
         for k in range(n):
@@ -121,11 +128,12 @@ def simulate_open_loop(const double[::1] u, double dt, const double[::1] mass, c
     return out
 
 
-def simulate_position_control(const double[::1] reference, double dt, const double[::1] mass,
-                              const double[::1] viscous, const double[::1] coulomb,
-                              const double[::1] input_gain, const double[::1] offset, double x0, double v0,
-                              double kp, double kd, double u_max, double resolution, double phase,
-                              const double[::1] lines, const double[::1] shift, double missed, uint64_t seed):
+def simulate_position_control(cnp.ndarray[double, mode="c"] reference not None, double dt, cnp.ndarray[double, mode="c"] mass not None,
+                              cnp.ndarray[double, mode="c"] viscous not None, cnp.ndarray[double, mode="c"] coulomb not None,
+                              cnp.ndarray[double, mode="c"] input_gain not None, cnp.ndarray[double, mode="c"] offset not None,
+                              double x0, double v0, double kp, double kd, double u_max, double resolution,
+                              double phase, cnp.ndarray[double, mode="c"] lines not None, cnp.ndarray[double, mode="c"] shift not None,
+                              double missed, uint64_t seed):
     """PD control through the encoder: x, v (n + 1,), direction, moving, u (n,), counts (n,) int64; SI units.
 
     y_k = resolution counts_k, counts as in `read_encoder`,
@@ -134,8 +142,12 @@ def simulate_position_control(const double[::1] reference, double dt, const doub
     cdef Py_ssize_t n = reference.shape[0], k
     check_lengths(n, mass.shape[0], viscous.shape[0], coulomb.shape[0], input_gain.shape[0], offset.shape[0])
     out = np.empty(n + 1), np.empty(n + 1), np.empty(n), np.empty(n), np.empty(n), np.empty(n, dtype=np.int64)
-    cdef double[::1] x = out[0], v = out[1], direction = out[2], moving = out[3], u = out[4]
-    cdef int64_t[::1] counts = out[5]
+    cdef cnp.ndarray[double, mode="c"] x = out[0]
+    cdef cnp.ndarray[double, mode="c"] v = out[1]
+    cdef cnp.ndarray[double, mode="c"] direction = out[2]
+    cdef cnp.ndarray[double, mode="c"] moving = out[3]
+    cdef cnp.ndarray[double, mode="c"] u = out[4]
+    cdef cnp.ndarray[int64_t, mode="c"] counts = out[5]
     cdef State state = State(x0, v0, 0.0, 0.0)
     cdef double y, previous = 0.0
     cdef bint in_range = True
@@ -164,16 +176,18 @@ def simulate_position_control(const double[::1] reference, double dt, const doub
     return out
 
 
-cdef Reader new_reader(Py_ssize_t n, double resolution, double phase, const double[::1] lines,
-                       const double[::1] shift, double missed, uint64_t seed) except *:
+cdef Reader new_reader(Py_ssize_t n, double resolution, double phase, cnp.ndarray lines, cnp.ndarray shift,
+                       double missed, uint64_t seed) except *:
+    """lines, shift: of doubles, one behind the other."""
     if lines.shape[0] < 1 or shift.shape[0] not in (0, n):
         raise ValueError(f"lines must not be empty, shift must have length 0 or {n}, got {shift.shape[0]}")
-    return make_reader(resolution, phase, &lines[0], lines.shape[0], &shift[0] if shift.shape[0] else NULL,
-                       missed, seed)
+    return make_reader(resolution, phase, <const double *>cnp.PyArray_DATA(lines), lines.shape[0],
+                       <const double *>cnp.PyArray_DATA(shift) if shift.shape[0] else NULL, missed, seed)
 
 
-def read_encoder(const double[::1] x, double resolution, double phase, const double[::1] lines,
-                 const double[::1] shift, double missed, uint64_t seed):
+def read_encoder(cnp.ndarray[double, mode="c"] x not None, double resolution, double phase,
+                 cnp.ndarray[double, mode="c"] lines not None, cnp.ndarray[double, mode="c"] shift not None, double missed,
+                 uint64_t seed):
     """Counts (n,) int64 of positions x (n,) [m], within 2**53 counts.
 
     lines (m,): by how much each line of a turn lies beside its place [counts]; shift (n,) or (0,): of the whole
@@ -181,7 +195,7 @@ def read_encoder(const double[::1] x, double resolution, double phase, const dou
     """
     cdef Py_ssize_t n = x.shape[0], k
     out = np.empty(n, dtype=np.int64)
-    cdef int64_t[::1] counts = out
+    cdef cnp.ndarray[int64_t, mode="c"] counts = out
     cdef Reader reader = new_reader(n, resolution, phase, lines, shift, missed, seed)
     with nogil:
         for k in range(n):

@@ -1,0 +1,81 @@
+/* Can these numbers be a configuration of this build?
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * Python fills the structure and hands it over whole. What steers memory, as a number of turns or as an index, is
+ * compared here with the room that there is, whoever filled it; an exported configuration has been through this.
+ */
+#include "pmf_many.h"
+
+#define NODES (PMF_SIGNALS + PMF_MAX_STAGES)
+
+static uint32_t network_fits(const pmf_network_config_t *network)
+{
+    uint32_t i, tap = 0U, fits = 1U;
+    if (network->n_stages > PMF_MAX_STAGES || network->n_columns > PMF_MAX_COLUMNS) {
+        return 0U;
+    }
+    for (i = 0; i < network->n_stages; ++i) {
+        fits &= network->stage[i].source < NODES ? 1U : 0U;
+    }
+    for (i = 0; i < network->n_columns; ++i) {
+        fits &= network->tap_end[i] >= tap && network->tap_end[i] <= PMF_MAX_TAPS ? 1U : 0U;
+        tap = network->tap_end[i];
+    }
+    for (i = 0; i < tap && fits != 0U; ++i) {
+        fits &= network->tap[i].node < NODES ? 1U : 0U;
+    }
+    return fits;
+}
+
+/* Regressors, target and instruments from `first` on. */
+static uint32_t columns_fit(uint32_t first, uint32_t parameters, uint32_t instrumental)
+{
+    return parameters <= PMF_MAX_PARAMETERS && first < PMF_MAX_COLUMNS && instrumental <= 1U &&
+                   first + (1U + instrumental) * parameters < PMF_MAX_COLUMNS
+               ? 1U
+               : 0U;
+}
+
+static uint32_t recursion_fits(const pmf_recursion_config_t *recursion)
+{
+    return columns_fit(recursion->first_column, recursion->n_parameters, recursion->instrumental) != 0U &&
+                   recursion->leading < PMF_MAX_PARAMETERS && recursion->scheme <= PMF_SEPARATE
+               ? 1U
+               : 0U;
+}
+
+static uint32_t is_parameter(uint32_t index)
+{
+    return index < PMF_MAX_PARAMETERS || index == PMF_NO_PARAMETER ? 1U : 0U;
+}
+
+static uint32_t auxiliary_fits(const pmf_auxiliary_config_t *model)
+{
+    uint32_t role, i,
+        fits = model->target_column < PMF_MAX_COLUMNS && model->mass_column < PMF_MAX_COLUMNS &&
+                       model->check_column < PMF_MAX_COLUMNS - 2U && model->sensitivities <= PMF_ROLES
+                   ? 1U
+                   : 0U;
+    for (role = 0; role < PMF_ROLES && model->adapt != 0U; ++role) {
+        fits &= is_parameter(model->index[role]) & is_parameter(model->direct_index[role]);
+    }
+    for (i = 0; i < model->sensitivities && fits != 0U; ++i) {
+        fits &= model->cause[i] < PMF_SIGNALS && model->role[i] < PMF_ROLES ? 1U : 0U;
+    }
+    return fits;
+}
+
+static uint32_t linear_fits(const pmf_linear_config_t *model)
+{
+    uint32_t few = model->n >= 1U && model->n <= PMF_MAX_ORDER && model->m <= PMF_MAX_ORDER && model->offset <= 1U;
+    return few != 0U && model->input_node < NODES && model->update_samples > 0U
+               ? columns_fit(model->first_column, model->n + model->m + 1U + model->offset, 1U)
+               : 0U;
+}
+
+uint32_t pmf_fits(const pmf_config_t *config)
+{
+    return network_fits(&config->network) & recursion_fits(&config->direct) & recursion_fits(&config->instrument) &
+           (config->auxiliary.enabled == 0U ? 1U : auxiliary_fits(&config->auxiliary)) &
+           (config->linear.enabled == 0U ? 1U : linear_fits(&config->linear));
+}

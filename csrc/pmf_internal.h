@@ -1,0 +1,112 @@
+/* The kernel from within: what its sources share and a drive does not need. Firmware includes pmf.h alone.
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef PMF_INTERNAL_H
+#define PMF_INTERNAL_H
+
+#include "pmf.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* The choices that depend on the data, of one axis; many/pmf_lanes.h defines them for several side by side. */
+#ifndef PMF_LANES
+typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
+#define PMF_W(x) ((uint32_t)(x))
+#define PMF_ALIKE(x) (x)
+#define PMF_TO_REAL(x) ((real_t)(x))
+#define PMF_TO_INTEGER(x) ((integer_t)(x))
+#define PMF_IF(truth, yes, no) ((truth) ? (yes) : (no))
+#define PMF_ANY(truth) ((truth) != 0)
+#define PMF_ALL(truth) ((truth) != 0)
+/* Does `action`, which changes nothing but `object` (a pointer) that is kept, where the truth holds. */
+#define PMF_WHERE(truth, object, action) \
+    do {                                 \
+        if ((truth) != 0) {              \
+            action;                      \
+        }                                \
+    } while (0)
+#endif
+#ifdef PMF_LANES
+#define PMF_LINEAR 0 /* its matrices would pay in lanes only where all axes compute them at once */
+#else
+#define PMF_LINEAR PMF_WITH_LINEAR
+#endif
+#ifdef PMF_FLOAT32
+#define PMF_ENDLESS PMF_WITH_ENDLESS
+#else
+#define PMF_ENDLESS 0 /* no sum of float64 is ever full */
+#endif
+#define PMF_NOT(truth) ((truth) == 0)
+#define PMF_BIT(truth, bit) PMF_IF(truth, PMF_W(bit), PMF_W(0))
+
+/* What runs seldom is compiled for size. */
+#if defined(__GNUC__)
+#define PMF_SELDOM __attribute__((cold, noinline)) static
+#else
+#define PMF_SELDOM static
+#endif
+
+#define PMF_STATUS_BITS (2 * PMF_FEEDBACK - 1) /* all of them */
+
+#define PMF_FOLLOWED 4U /* so often is the slow copy of the estimate taken on; a power of two */
+
+/* Limits of what a state may hold. */
+#define PMF_FAST_SAMPLES 3U /* after two counts in one sample or more */
+#define PMF_BLOCK_MEMORY 100U /* blocks of innovations */
+#define PMF_LOOK 4U /* updates between two looks at the size of the motion: no column changes much faster */
+#define PMF_SWING_BITS 15U /* what they may show, in this half memory and in the last */
+/* From encoder to filters alone: a wrong count was replaced as well as an encoder can tell. */
+#define PMF_BRIDGED 0x80000000U
+#define PMF_GUARD_SUSPECTS 3U /* suspicious changes in a row; then it is what the axis does */
+#define PMF_GUARD_DOUBTS 3U /* on the last two inputs, as bits; that before the last has the higher one */
+#ifdef PMF_FLOAT32
+#define PMF_LARGEST_INPUT PMF_R(1e15)
+#else
+#define PMF_LARGEST_INPUT PMF_R(1e100)
+#endif
+
+void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
+/* Byte-wise, too: an assignment need not copy the padding, which a checksum covers. */
+void pmf_copy(const void *from, void *to, uint32_t size);
+
+/* The parts; `signal` has PMF_SIGNALS entries. */
+PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
+                                 whole_t count, real_t *signal);
+/* Needs the encoder's signals of the same step. */
+PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal);
+/* The equation holds exactly for the model; what its columns leave is the error of the discretisation, and the same
+ * for the plant. It is taken from the target. Regressors and target then know that the model's stops and reversals move
+ * with its parameters. `first`: the column of the first regressor. */
+PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state,
+                                   uint32_t first, real_t *column);
+PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state);
+/* Judges the model against the measured velocity; true where its instruments may be used. */
+PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
+                                    const real_t *column, truth_t held);
+/* Do the changes of the input follow the innovations? PMF_FEEDBACK or 0; `where`: the recursion has made a step. */
+PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const pmf_recursion_state_t *recursion,
+                                       truth_t where, real_t change);
+/* Moves the copy towards an estimate, whose parameters are found by `index`. */
+PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, truth_t where,
+                                  const real_t *theta, const uint32_t *index);
+#if PMF_LINEAR
+/* Columns of the linear process, from the network's nodes of the same step. */
+void pmf_linear_step(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *node, real_t *column);
+/* The recursion on them where the model has settled, else the direct estimate: its status. */
+uint32_t pmf_linear_estimate(const pmf_config_t *config, pmf_state_t *state, uint32_t direct_status, uint32_t settled);
+/* Lets everything gathered so far count by a factor <= 1. */
+void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor);
+#endif
+PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
+PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
+                                   const real_t *column);
+/* Encoder, auxiliary model and network alone, for batch methods: the columns are in state->network.column. */
+PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,149 @@
+"""The kernel's configuration is one structure: whoever adds a field to pmf.h must say where its value is made."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid import _kernel32, _kernel64
+from pmfid.kernel import configuration
+from pmfid.kernel.saved import configuration as configuration_of
+from pmfid.kernel.structures import constants_of, resized, structures
+from pmfid.status import Status
+
+NEW = "brand_new"
+LARGE = 2**32 - 1
+
+
+def made(method: str) -> pmfid.RLS:
+    model = pmfid.TransferFunction(2, 1) if method == "RSRIVC" else pmfid.Drive(input_gain=1.7)
+    estimator: pmfid.RLS = getattr(pmfid, method)(model, pmfid.Encoder(3e-5), 2e-3, cutoff=31.0, forgetting=0.997)
+    return estimator
+
+
+def config_of(method: str) -> np.ndarray[Any, Any]:
+    return configuration_of(made(method)._kernel, "float64").copy()
+
+
+def grown(place: str) -> np.dtype[Any]:
+    """The configuration's type with one more field in one of its structures."""
+    whole = structures(None, "float64")["pmf_config_t"]
+    fields = [(name, whole[name]) for name in whole.names or ()]
+    part = [*((name, whole[place][name]) for name in whole[place].names or ()), (NEW, np.dtype("<u4"))]
+    return np.dtype([(name, np.dtype(part) if name == place else kind) for name, kind in fields])
+
+
+@pytest.mark.parametrize(
+    ("method", "place"),
+    [
+        ("RLS", "encoder"),
+        ("RLS", "network"),
+        ("RKnownStep", "direct"),
+        ("RIV", "instrument"),
+        ("RIV", "auxiliary"),
+        ("RSRIVC", "linear"),
+        ("RSRIVC", "instrument"),
+    ],
+)
+def test_a_field_without_a_value_is_found(method: str, place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = config_of("RLS").tobytes()
+
+    class Kernel(_kernel64.Kernel):
+        """Takes the configuration of the estimator that this one starts from, in which the new field has no part."""
+
+        def __init__(self, config: bytes) -> None:
+            super().__init__(plain)
+
+    monkeypatch.setattr(_kernel64, "Kernel", Kernel)
+    monkeypatch.setattr(configuration, "structures", lambda *_: {"pmf_config_t": grown(place)})
+    with pytest.raises(pmfid.UsageError, match=rf"missing \['{NEW}'\]"):
+        made(method)
+
+
+def test_a_value_without_a_field_is_found() -> None:
+    tap = np.zeros((), structures(None, "float64")["pmf_tap_t"])
+    with pytest.raises(ValueError, match=r"unknown \['wait'\]"):
+        configuration.fill(tap, {"node": 1, "weight": 2.0, "wait": 3.0})
+
+
+def test_more_values_than_room_are_refused() -> None:
+    network = np.zeros((), structures(None, "float64")["pmf_network_config_t"])
+    values = configuration.network_values([(0, 0.0, 0.0, 1.0)], [[(1, 1.0)]], 1)
+    configuration.fill(network, values)
+    assert (network["n_stages"], network["tap_end"][0], network["tap"]["weight"][0]) == (1, 1, 1.0)
+    with pytest.raises(ValueError, match="tap_end has the shape"):
+        configuration.fill(network, values | {"tap_end": np.ones(1000)})
+
+
+@pytest.mark.parametrize("kernel", [_kernel32.Kernel, _kernel64.Kernel])
+def test_another_number_of_bytes_is_refused(kernel: type[_kernel64.Kernel]) -> None:
+    with pytest.raises(ValueError, match="a configuration has"):
+        kernel(b"\0" * 100)
+
+
+@pytest.mark.parametrize(
+    ("method", "place", "field"),
+    [
+        ("RLS", "network", "n_stages"),
+        ("RLS", "network", "n_columns"),
+        ("RLS", "network", "tap_end"),
+        ("RLS", "direct", "n_parameters"),
+        ("RLS", "direct", "instrumental"),
+        ("RLS", "direct", "first_column"),
+        ("RLS", "direct", "leading"),
+        ("RLS", "direct", "scheme"),
+        ("RIV", "instrument", "first_column"),
+        ("RIV", "auxiliary", "check_column"),
+        ("RIV", "auxiliary", "target_column"),
+        ("RIV", "auxiliary", "mass_column"),
+        ("RIV", "auxiliary", "sensitivities"),
+        ("RIV", "auxiliary", "index"),
+        ("RIV", "auxiliary", "direct_index"),
+        ("RIV", "auxiliary", "cause"),
+        ("RIV", "auxiliary", "role"),
+        ("RSRIVC", "linear", "n"),
+        ("RSRIVC", "linear", "m"),
+        ("RSRIVC", "linear", "offset"),
+        ("RSRIVC", "linear", "input_node"),
+        ("RSRIVC", "linear", "first_column"),
+    ],
+)
+@pytest.mark.parametrize("number", [LARGE, 200])
+def test_numbers_that_lead_beyond_the_memory_are_refused(method: str, place: str, field: str, number: int) -> None:
+    config = config_of(method)
+    _kernel64.Kernel(config.tobytes())
+    config[place][field] = number
+    with pytest.raises(ValueError, match="beyond the kernel's memory"):
+        _kernel64.Kernel(config.tobytes())
+
+
+@pytest.mark.parametrize(("rows", "field"), [("stage", "source"), ("tap", "node")])
+def test_nodes_that_are_not_there_are_refused(rows: str, field: str) -> None:
+    config = config_of("RLS")
+    config["network"][rows][field][0] = LARGE
+    with pytest.raises(ValueError, match="beyond the kernel's memory"):
+        _kernel64.Kernel(config.tobytes())
+
+
+@pytest.mark.parametrize("method", ["RLS", "RIV", "RSRIVC"])
+def test_a_kernel_from_the_bytes_of_another_gives_its_bits(method: str) -> None:
+    one = made(method)._kernel
+    other = _kernel64.Kernel(one.raw_config())
+    u, counts = np.sin(np.arange(300) / 9), (np.arange(300) ** 2 // 50).astype(np.int64)
+    for mine, its in zip(one.run(u, counts), other.run(u, counts), strict=True):
+        assert mine.tobytes() == its.tobytes()
+
+
+def test_the_status_has_the_numbers_of_the_header() -> None:
+    constants = constants_of(None)
+    assert sum(Status) == 2 * constants["PMF_FEEDBACK"] - 1  # none is left out
+    assert all(constants[f"PMF_{bit.name}"] == bit for bit in Status)
+
+
+def test_what_lies_between_the_fields_is_zero() -> None:
+    """Else equal configurations would have different checksums, and a fleet refuse its own states."""
+    config = config_of("RLS")
+    assert resized(config, config.dtype).tobytes() == made("RLS")._kernel.raw_config()
