@@ -13,13 +13,13 @@ import pytest
 from rich.console import Console
 
 import pmfid
+from pmfid.demo.__main__ import main
 from pmfid.demo.report import demo_table, findings, write_demo
 from pmfid.demo.run import (
     COLUMNS,
     INCREMENTS,
     METHODS,
     DemoResult,
-    main,
     run_demo,
     settling_time,
 )

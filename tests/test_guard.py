@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pmfid import RIV, RLS, Drive, Encoder, Status
-from pmfid.paper.truth import Record
+from pmfid.paper.truth import CartRecord
 from pmfid.session.diagnosis import diagnose
 from pmfid.simulation import CART, quantize, simulate_drive
 from studies.glitches import AXES, STDS, SUSPICIOUS, effects, make
@@ -21,7 +21,7 @@ WRONG = 54_321
 SMALL = {"mass": 2e-3, "viscous_friction": 0.02, "coulomb_friction": 0.05, "input_gain": 0.2}
 
 
-def moving_record(axis: Axis, increments: int) -> Record:
+def moving_record(axis: Axis, increments: int) -> CartRecord:
     return machine_record(axis, "nothing", "stop-and-go", increments, 50)
 
 

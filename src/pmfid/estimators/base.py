@@ -53,6 +53,8 @@ RESIDUAL_UPDATES = 256
 
 #: Time constants of the slowest pre-filter zero in a memory, at least.
 ZERO_MEMORIES = 2
+#: The other zero over that one, at least: with three the instruments of a short memory were weak.
+APART = 5.0
 #: What a motion may do is learned for so many times the settling of the filters before it is taken strictly, and
 #: forgotten over so many times that; in samples in motion.
 LEARNING, LEARNED = 8, 128
@@ -322,10 +324,10 @@ def within_memory(fast: float, slow: float, memory: float) -> tuple[float, float
     """Two pre-filter zeros [rad/s] from their sizes, fit for an estimator with this memory [s].
 
     A slow zero is a filter that remembers the input: where it did so for longer than a part of the memory, the
-    instruments after a large motion would be what is left of it, and weak. So it is faster then, but no faster than a
-    third of the other: too much alike, both would say the same.
+    instruments after a large motion would be what is left of it, and weak. So it is faster then, but not as fast as
+    the other: too much alike, both would say the same.
     """
-    return (-fast, -min(max(slow, ZERO_MEMORIES / memory), max(slow, fast / 3)))
+    return (-fast, -min(max(slow, ZERO_MEMORIES / memory), max(slow, fast / APART)))
 
 
 def process_zeros(cutoff: float, n: int) -> tuple[float, ...]:

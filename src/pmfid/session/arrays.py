@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,7 +32,7 @@ def identify(
     dt: float | None = None,
     cutoff: float,
     encoder: Encoder | None = None,
-    **settings: Any,
+    **settings: object,
 ) -> Result:
     """Identifies a machine or a transfer function, with the same choice of method, flags and notes as `pmfid identify`.
 
@@ -54,7 +54,7 @@ def identify(
     return run(record_of({INPUT: inputs, OUTPUT: counts.astype(np.float64)}, axis), axis)
 
 
-def axis_of(model: Model, encoder: Encoder | None, dt: float, estimator: dict[str, Any]) -> Axis:
+def axis_of(model: Model, encoder: Encoder | None, dt: float, estimator: dict[str, object]) -> Axis:
     """The configuration that these objects would have as AXIS.toml. Raises UsageError for settings that do not fit."""
     kind = "counts" if encoder is not None else "position"
     return validated(
@@ -68,17 +68,17 @@ def axis_of(model: Model, encoder: Encoder | None, dt: float, estimator: dict[st
     )
 
 
-def _encoder(encoder: Encoder | None, model: Model) -> dict[str, Any]:
+def _encoder(encoder: Encoder | None, model: Model) -> dict[str, object]:
     if encoder is None:
         return {"resolution": NO_ENCODER}
-    shared: dict[str, Any] = {"resolution": encoder.resolution, "bits": encoder.bits}
+    shared: dict[str, object] = {"resolution": encoder.resolution, "bits": encoder.bits}
     if isinstance(model, TransferFunction):
         return shared
     moving = {"standstill_time": encoder.standstill_time, "max_speed": encoder.max_speed, "guard": encoder.guard}
     return shared | moving
 
 
-def _model(model: Model) -> dict[str, Any]:
+def _model(model: Model) -> dict[str, object]:
     """The keys of [model] that make the same model."""
     if isinstance(model, Drive):
         own = {"input_gain": model.input_gain, "offset": model.offset, "friction": model.friction}
@@ -96,7 +96,7 @@ def _model(model: Model) -> dict[str, Any]:
     return {"kind": model.kind, "unknown": unknown, "known": known}
 
 
-def _experiments(u: Any, y: ArrayLike | None, dt: float | None) -> list[Experiment]:
+def _experiments(u: object, y: ArrayLike | None, dt: float | None) -> list[Experiment]:
     given = [u] if isinstance(u, Experiment) else u
     if y is None and isinstance(given, Sequence) and given and all(isinstance(part, Experiment) for part in given):
         return list(given)

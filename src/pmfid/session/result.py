@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,14 +43,14 @@ class Result(ABC):
         """Number of samples of the output."""
 
     @abstractmethod
-    def particulars(self) -> dict[str, Any]:
+    def particulars(self) -> dict[str, object]:
         """What `to_json` has beside what every result has."""
 
     def __getitem__(self, name: str) -> float:
         """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
         return float(self.theta[place_of(name, self.estimator.names)])
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """The object that `--json` prints."""
         estimator = self.estimator
         rows = zip(estimator.names, estimator.units, self.theta, self.theta_std, strict=True)
@@ -87,7 +86,7 @@ class DriveResult(Result):
     def samples(self) -> int:
         return int(self.record.u.size)
 
-    def particulars(self) -> dict[str, Any]:
+    def particulars(self) -> dict[str, object]:
         return {"fit": {"relative_error": self.relative_error}, "prefilter_zeros": list(self.estimator.zeros)}
 
 
@@ -121,7 +120,7 @@ class ProcessResult(Result):
     def fit_text(self) -> str:
         return "fit unknown, unstable" if self.fit is None else f"fit {self.fit:.2f} %"
 
-    def particulars(self) -> dict[str, Any]:
+    def particulars(self) -> dict[str, object]:
         """Poles and zeros as [real, imaginary], fit in percent."""
         process, checks = self.process, self.assessment
         return {
