@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
-from pmfid.estimators.base import default_zeros
 from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.iv import RIV
+from pmfid.estimators.plants import default_zeros
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.estimators.rls import RLS
 from pmfid.models.drive import Drive

@@ -8,8 +8,8 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.auto import AUTO, choose, first_choice
-from pmfid.estimators.base import default_zeros
 from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.plants import default_zeros
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.paper.merit import NO_ANSWER, Floats, Score, score
 from pmfid.paper.truth import CartRecord, make_estimator

@@ -124,7 +124,7 @@ def _of_position(equation: Equation) -> Equation | None:
     """The same equation of first order with the integral of the output in its place; None if it is no such equation."""
     terms = (*equation.unknown, *equation.known)
     signals = {term.signal for term in terms}
-    if equation.process or equation.order != 1 or signals & {"forward_output", "backward_output"}:
+    if equation.order != 1 or signals & {"forward_output", "backward_output"}:
         return None
     if not signals & {"direction", "moving", "forward", "backward"}:
         return None
