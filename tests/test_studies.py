@@ -167,12 +167,12 @@ def test_coverage_counts_runs_flags_and_the_unflagged() -> None:
 
 
 def test_a_record_without_motion_is_an_outcome() -> None:
-    still = truth.Record(np.ones(500), quantize(np.zeros(500), 1e-4), 1e-4)
+    still = truth.CartRecord(np.ones(500), quantize(np.zeros(500), 1e-4), 1e-4)
     outcome = estimate("iv", still, judged=True)
     assert outcome.failure == "NotIdentifiableError"
     assert np.all(np.isnan(outcome.theta))
     moving = scenario_record("prbs", 0, 1024)
-    short = truth.Record(moving.u[:20], moving.counts[:20], moving.resolution)
+    short = truth.CartRecord(moving.u[:20], moving.counts[:20], moving.resolution)
     assert estimate("riv", short, judged=True).failure == "still starting"
     assert wrong_models._error([outcome]) == ["no estimate"]
     assert wrong_models._error([outcome, Outcome(TRUTH * 1.01, TRUTH)]) == ["+1.00, +1.00, +1.00"]

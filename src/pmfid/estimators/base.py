@@ -25,12 +25,11 @@ from pmfid.kernel.structures import constants_of
 from pmfid.models.drive import Model
 from pmfid.models.equation import Equation
 from pmfid.status import Status
+from pmfid.types import Floats, Numbers
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
 
-#: Real numbers in their own type.
-Numbers = NDArray[np.integer | np.floating]
 
 #: Time constants after which the filters' start has decayed to less than 1 %, by their order.
 SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
@@ -292,7 +291,7 @@ def check_positive(name: str, value: float, what: str) -> None:
         raise UsageError(f"{name} must be positive and finite, got {value!r}; {what}")
 
 
-def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[Floats, NDArray[np.int64]]:
     """u and counts as contiguous (n,) arrays; raises UsageError where they do not fit each other."""
     u_array = np.ascontiguousarray(numbers("u", u), dtype=np.float64)
     counts_array = np.ascontiguousarray(integer_counts(counts), dtype=np.int64)
@@ -338,13 +337,13 @@ def integer_counts(counts: ArrayLike) -> Numbers:
     return np.round(given).astype(np.int64)
 
 
-def held(u: NDArray[np.float64]) -> NDArray[np.float64]:
+def held(u: Floats) -> Floats:
     """u (n,) with the last finite value in place of those that are not, as the kernel does it."""
     last = np.maximum.accumulate(np.where(np.isfinite(u), np.arange(1, u.size + 1), 0))
     return np.ascontiguousarray(np.r_[0.0, u][last])
 
 
-def check_size(u: NDArray[np.float64]) -> None:
+def check_size(u: Floats) -> None:
     """Raises UsageError where squares of the input (n,) would leave the number format."""
     size = np.max(np.abs(u), initial=0.0, where=np.isfinite(u))
     if size > 0 and not 1e-100 < size < 1e100:

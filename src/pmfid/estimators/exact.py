@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import EXACT, Estimator, check_arrays, like
@@ -16,8 +16,7 @@ from pmfid.estimators.results import Columns, Fit
 from pmfid.filters.columns import tustin_image
 from pmfid.models.equation import Equation
 from pmfid.transfer.exact import ExactTerm, Filter, respond_exactly
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 PASSES = 12
 #: Relative change of every parameter at which the passes end.
@@ -196,7 +195,7 @@ class ExactEstimator(BatchEstimator):
         check_identifiable(self.columns(u, counts), self.names, self.least_part)
         return fit_exactly(self, u, self.encoder.position(counts))
 
-    def _fit_output(self, u: ArrayLike, y: NDArray[np.float64]) -> Fit:
+    def _fit_output(self, u: ArrayLike, y: Floats) -> Fit:
         if self.discretization != EXACT:
             return super()._fit_output(u, y)
         return fit_exactly(self, check_arrays(u, np.zeros(y.shape, np.int64))[0], y)

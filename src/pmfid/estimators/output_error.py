@@ -33,6 +33,7 @@ from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.srivc import ProcessSolver, by_descent
 from pmfid.transfer.solve import ProcessProblem, Solution
+from pmfid.types import Floats
 
 #: A mass of less than so many of the least that the fit may have is one that the fit would rather not have.
 AT_BOUND = 3.0
@@ -44,8 +45,6 @@ HOPELESS = 2.5
 FAR = 10.0
 #: High-passes on the way to none, as parts of the first.
 SLOWER = (1 / 4, 1 / 16, 1 / 64, 0.0)
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,9 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.models.equation import Equation
-
-Floats = NDArray[np.float64]
-Counts = NDArray[np.int64]
+from pmfid.types import Counts, Floats
 
 #: Relative pivot of the information matrix from which on a first estimate is given.
 START_PIVOT = 1e-4

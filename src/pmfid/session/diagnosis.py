@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -26,11 +25,10 @@ from pmfid.models.equation import Equation
 from pmfid.session.config import Axis
 from pmfid.session.records import Record
 from pmfid.session.wrap import wrap_of
+from pmfid.types import Counts, Floats
 
 __all__ = ["check_direction", "diagnose"]
 
-Floats = NDArray[np.float64]
-Counts = NDArray[np.int64]
 
 #: Part of a record that is read in other ways [samples]: the one with the most motion.
 MOST_SAMPLES = 5000

@@ -6,7 +6,6 @@ from dataclasses import FrozenInstanceError, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
@@ -15,7 +14,8 @@ from pmfid.estimators.configuration import changed, configuration_of
 from pmfid.models.drive import Drive, EquationModel
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, VISCOUS_BACKWARD, VISCOUS_FORWARD
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.testing.case import COPIES, Case, Floats, call, last, require, require_refusal, result_of
+from pmfid.testing.case import COPIES, Case, call, last, require, require_refusal, result_of
+from pmfid.types import Floats
 
 #: Of its own parameters an estimator may miss so much on a fine record.
 NEAR = 0.1
@@ -138,7 +138,7 @@ def _turned(estimator: Estimator, theta: Floats) -> Floats:
     return turned * [-1.0 if signal in ("moving", "constant", "start") else 1.0 for signal in _signals(estimator)]
 
 
-def _factors(estimator: Estimator) -> NDArray[np.float64]:
+def _factors(estimator: Estimator) -> Floats:
     """By which a parameter grows when position and force have a thousandth of their unit."""
     grows = {"direction", "moving", "forward", "backward", "process_input", "constant", "start"}
     return np.array([THOUSAND if signal in grows else 1.0 for signal in _signals(estimator)])

@@ -17,11 +17,11 @@ from pmfid.estimators.rls import RLS
 from pmfid.monitor.calibration import Calibration, simulated_hours
 from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.monitor.scores import Floats
 from pmfid.session.config import Axis
 from pmfid.session.drives import make_estimator
 from pmfid.session.monitored.cache import cached_calibration
 from pmfid.session.records import Record, read_record
+from pmfid.types import Floats
 
 #: Memory where [estimator] forgetting is 1, which would never follow a change [s].
 DEFAULT_MEMORY = 2.0
