@@ -7,20 +7,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.design.problem.fisher import affine
 from pmfid.design.problem.problem import Problem
-
-Float = NDArray[np.float64]
+from pmfid.types import Floats
 
 
 @dataclass(frozen=True)
 class Tried:
     """Value found by each start (0 where the solver failed), (n,), and processor seconds for each, (n,)."""
 
-    values: Float
-    seconds: Float
+    values: Floats
+    seconds: Floats
 
 
 def casadi_starts(problem: Problem, criterion: str, starts: int, seed: int) -> Tried:
@@ -84,13 +82,13 @@ class _Program:
         self.solver = casadi.nlpsol("design", "ipopt", nlp, options)
         self.low, self.high = self._bounds()
 
-    def _typical(self) -> Float:
+    def _typical(self) -> Floats:
         """Information of a mid-range input, so that the variables are of order one."""
         high = (self.problem.limits.pair("input") or (-1.0, 1.0))[1]
         F = self.maps.information(np.linspace(0.5 * high, 0.2 * high, self.problem.intervals))
         return np.asarray(F.diagonal())
 
-    def _bounds(self) -> tuple[Float, Float]:
+    def _bounds(self) -> tuple[Floats, Floats]:
         problem, K, n = self.problem, self.K, self.n
         low, high = np.full((n, K), -np.inf), np.full((n, K), np.inf)
         low[0], high[0] = problem.limits.pair("position") or (-np.inf, np.inf)
@@ -104,7 +102,7 @@ class _Program:
             ends[1].append(np.full(len(diagonal), np.inf))
         return np.concatenate(ends[0]), np.concatenate(ends[1])
 
-    def guess(self, u: Float) -> Float:
+    def guess(self, u: Floats) -> Floats:
         X = [np.r_[self.problem.start, np.zeros(2 * self.p)]]
         for value in u:
             X.append(self.step.A @ X[-1] + self.step.b * value + self.step.g)
@@ -116,7 +114,7 @@ class _Program:
             parts.append(np.array([L[i, j] for i in range(self.p) for j in range(i + 1)]))
         return np.concatenate(parts)
 
-    def solve(self, guess: Float) -> float:
+    def solve(self, guess: Floats) -> float:
         found = self.solver(x0=guess, lbx=self.low, ubx=self.high, lbg=0, ubg=0)
         if not self.solver.stats()["success"]:
             return 0.0

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.design.problem.problem import Limits, Problem
 from pmfid.design.search.solver import solve
@@ -20,8 +19,8 @@ from pmfid.encoder import quantize
 from pmfid.models.drive import Drive
 from pmfid.paper.truth import table
 from pmfid.simulation.machine import Machine, drive_machine
+from pmfid.types import Flags, Floats
 
-Floats = NDArray[np.float64]
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
 STARTS = 10
 #: By which part the data sheet may be wrong.
@@ -77,7 +76,7 @@ class Claims:
 
     errors: Floats
     stds: Floats
-    inside: NDArray[np.bool_]
+    inside: Flags
     unexplained: Floats
 
     @property

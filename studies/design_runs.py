@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.design.problem.fisher import affine
 from pmfid.design.problem.problem import Problem
@@ -19,9 +18,9 @@ from pmfid.encoder import Encoder, quantize
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.interval import IntervalML
 from pmfid.simulation.scenarios import resolution_of
+from pmfid.types import Floats
 from studies.design_case import STARTS, case
 
-Floats = NDArray[np.float64]
 #: u (n,), x (n,), problem, generator -> theta (p,)
 Method = Callable[[Floats, Floats, Problem, np.random.Generator], Floats]
 

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from matplotlib.figure import Figure
 
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
 from pmfid.design.problem.result import Design
 from pmfid.design.search.solver import solve
 from pmfid.design.trial.sequential import sequential, simulated_experiment
 from pmfid.design.trial.simulated import simulate, simulated_information
 from pmfid.report.figures import COLOURS, MAGENTA, WIDTH, figure_style
+from pmfid.types import Floats
 from studies.design_case import NOMINAL, STARTS, case
 
 WRONG = (0.8, 0.9, 1.0, 1.1, 1.2)
@@ -44,7 +45,7 @@ class Outcome:
 HEADER = ("information / optimum", "end [m]", "error", "highest [m]", "slowest [m/s]", "velocity at end [m/s]")
 
 
-def outcome(problem: Problem, u: Float, optimum: float) -> Outcome:
+def outcome(problem: Problem, u: Floats, optimum: float) -> Outcome:
     """The run of u (n,) on the axis with the problem's nominal values, with stiction."""
     motion = simulate(problem, u)
     information = float(simulated_information(problem, u)[0, 0]) / optimum

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.paper.truth import Floats, Study, Task, table
+from pmfid.paper.truth import Study, Task, table
 from pmfid.simulation.process import PLANTS
+from pmfid.types import Floats
 from studies.processes import cramer_rao, efficiencies, last_estimate, model_of, noisy_record
 
 METHOD = "srivc"

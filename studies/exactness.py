@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.simulation import CART, DriveParameters, simulate_drive
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 RTOL, ATOL = 1e-10, 1e-13
 DT, SAMPLES, HELD = 0.02, 500, 4

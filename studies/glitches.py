@@ -18,11 +18,10 @@ from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.estimators.rls import RLS
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import CartRecord, Floats, table
+from pmfid.paper.truth import CartRecord, table
 from pmfid.status import Status
+from pmfid.types import Counts, Floats
 from studies.machines import AXES, Axis, machine_record
-
-Counts = NDArray[np.int64]
 
 KINDS = ("jump", "jump at rest", "glitch", "1 % glitches", "spike")
 #: Smallest and largest size, as powers of ten [counts, times the largest input].

@@ -7,18 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.paper.truth import (
-    SLOW,
-    TIME_CONSTANT,
-    Floats,
-    Study,
-    Task,
-    cramer_rao,
-    estimate,
-    percent,
-    scenario_record,
-    table,
-)
+from pmfid.paper.truth import SLOW, TIME_CONSTANT, Study, Task, cramer_rao, estimate, percent, scenario_record, table
+from pmfid.types import Floats
 
 TIME_CONSTANTS = (2, 3, 5, 10)
 INCREMENTS = (4096, 1024, 512, 256, 128)

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from pmfid.paper.truth import Floats
 from pmfid.simulation.process import simulate_process
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.sensitivity import companion
+from pmfid.types import Floats
 
 INPUTS = ("prbs", "steps", "sweep", "multisine", "white")
 NOISES = ("white", "AR(1) 0.9", "resonance")

@@ -12,10 +12,11 @@ from pmfid.encoder import Encoder
 from pmfid.errors import PmfidError
 from pmfid.estimators.srivc import SRIVC, make_problem
 from pmfid.models.transfer_function import ESTIMATE, TransferFunction
-from pmfid.paper.truth import Floats, Study, Task, table
+from pmfid.paper.truth import Study, Task, table
 from pmfid.simulation.process import Controller, simulate_late, simulate_loop
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.solve import visit
+from pmfid.types import Floats
 
 #: Ratio of the powers of output and noise.
 SNR = 100.0

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.paper.truth import SLOW, Floats, Study, Task, estimate, percent, scenario_record, table, track_of, triple
+from pmfid.paper.truth import SLOW, Study, Task, estimate, percent, scenario_record, table, track_of, triple
 from pmfid.simulation import CART_DT
 from pmfid.status import Status
+from pmfid.types import Floats
 
 TIME_CONSTANTS = (3, 5)
 INCREMENTS = (4096, 2048, 1024, 512, 256, 128, 64)

@@ -21,7 +21,7 @@ PACKAGE = Path(pmfid.__file__).parent
 REPOSITORY = Path(__file__).parents[1]
 CSRC = REPOSITORY / "csrc"
 
-GROUND = {"errors", "status", "_estimate", "_kernel32", "_kernel64", "kernel"}
+GROUND = {"errors", "types", "status", "_estimate", "_kernel32", "_kernel64", "kernel"}
 FILTERS = GROUND | {"models", "encoder"}
 ESTIMATORS = FILTERS | {"filters", "transfer"}
 JUDGE = ESTIMATORS | {"estimators"}
@@ -29,6 +29,7 @@ SESSION = JUDGE | {"judge", "monitor", "design", "export"}
 #: Room -> the rooms that it may import, besides itself; "pmfid" is the package's own `__init__`.
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
+    "types": set(),
     "status": {"kernel"},
     "door": set(),
     "_estimate": {"errors"},
@@ -39,13 +40,13 @@ MAY_IMPORT: dict[str, set[str]] = {
     "models": GROUND,
     "encoder": GROUND,
     "filters": FILTERS,
-    "transfer": {"errors"},
+    "transfer": {"errors", "types"},
     "estimators": ESTIMATORS,
     "judge": JUDGE,
     "monitor": JUDGE | {"door"},
     "testing": JUDGE,
-    "simulation": {"errors"},
-    "design": {"errors", "door", "models", "simulation"},
+    "simulation": {"errors", "types"},
+    "design": {"errors", "types", "door", "models", "simulation"},
     "export": JUDGE | {"pmfid"},
     "session": SESSION,
     "report": SESSION | {"session"},

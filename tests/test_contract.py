@@ -20,7 +20,7 @@ from pmfid.testing.contract import COMMON, OFF_LINE, ON_LINE
 from tests.conftest import TRUTH, assert_near, cart_run
 
 DT, CUTOFF = 0.01, 100 / 3
-DRIVE = [cls for cls in ESTIMATORS.values() if not cls.process_only]
+DRIVE = [cls for cls in ESTIMATORS.values() if not cls.refuses(pmfid.Drive(1.0).equation)]
 BATCH = [cls for cls in DRIVE if issubclass(cls, BatchEstimator)]
 RECURSIVE = [cls for cls in DRIVE if issubclass(cls, RecursiveEstimator)]
 #: An estimator and its options: each recursive one in both precisions, with and without a memory.

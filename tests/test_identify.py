@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
-from pmfid.estimators.output_error import OE
+from pmfid.estimators.output_error import Following
 from pmfid.session.arrays import axis_of
 from pmfid.simulation.scenarios import CART_DT, resolution_of
 from tests.conftest import Run, cart_run
@@ -112,13 +112,13 @@ def test_wrong_arguments_are_one_clear_error(arguments: dict[str, object], words
 def test_auto_looks_for_the_motion_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The choice, its fit and the judgement share one search for the motion that fits."""
     searches: list[int] = []
-    whole = OE.best
+    whole = Following.best
 
-    def counted(self: OE, u: object, counts: object, *more: object) -> object:
+    def counted(self: Following, u: object, counts: object, *more: object) -> object:
         searches.append(1)
         return whole(self, u, counts, *more)
 
-    monkeypatch.setattr(OE, "best", counted)
+    monkeypatch.setattr(Following, "best", counted)
     run = cart_run(5, samples=800)
     assert "auto chose" in identified(run, pmfid.Drive(2.0)).notes[0]
     assert len(searches) == 1

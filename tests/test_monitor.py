@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pmfid import BCRLS, IV, RIV, RLS, Drive, Encoder, Status, UsageError
 from pmfid.monitor.calibration import Calibration, calibrate, fit_tail, make_detectors, noise_ratio
@@ -18,13 +17,13 @@ from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Blocks, ScoreFilter, make_scale, scores
 from pmfid.simulation import CART, CART_DT, Schedule, position_control, resolution_of
 from pmfid.simulation.scenarios import CART_CONTROL
+from pmfid.types import Floats
 from studies.monitoring.axis import changing, drive, make_riv, normal_work, random_stop_and_go
 from studies.monitoring.false_alarms import count_alarms, poisson_interval
 
 THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
 INCREMENTS = 1024
-Floats = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

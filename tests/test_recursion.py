@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import pmfid
 from pmfid import Status
-from pmfid.estimators.base import default_zeros
+from pmfid.estimators.plants import default_zeros
 from pmfid.simulation.drive import Schedule, quantize, simulate_drive
 from pmfid.simulation.scenarios import CART, resolution_of
 from pmfid.simulation.signals import prbs

@@ -33,7 +33,7 @@ from pmfid.simulation import (
     trapezoid,
     write_csv,
 )
-from pmfid.simulation.drive import Floats
+from pmfid.types import Floats
 from studies.exactness import agreement
 
 

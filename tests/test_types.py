@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+from pathlib import Path
 
 import pytest
 
@@ -33,6 +34,15 @@ def signatures(thing: object) -> dict[str, str]:
 @pytest.mark.parametrize("thing", DOORS, ids=lambda thing: thing.__name__)
 def test_no_any_at_a_public_signature(thing: object) -> None:
     assert [name for name, text in signatures(thing).items() if re.search(r"\bAny\b", text)] == []
+
+
+@pytest.mark.parametrize(
+    "root", [Path(pmfid.__file__).parent, Path(__file__).parents[1] / "studies"], ids=lambda root: root.name
+)
+def test_arrays_have_their_names_in_one_place(root: Path) -> None:
+    named = re.compile(r"^(\w+)(: TypeAlias)? = NDArray\[np\.(?!void)", re.MULTILINE)
+    found = {path.name for path in root.rglob("*.py") if named.search(path.read_text(encoding="utf-8"))}
+    assert found == ({"types.py"} if root.name == "pmfid" else set())
 
 
 def test_the_signatures_are_seen() -> None:

@@ -9,11 +9,11 @@ import numpy as np
 from pmfid.encoder import Encoder
 from pmfid.estimators.iv import IV, RIV
 from pmfid.models.drive import Drive
-from pmfid.monitor.calibration import Calibration, Counts, calibrate, simulated_hours
-from pmfid.monitor.scores import Floats
+from pmfid.monitor.calibration import Calibration, calibrate, simulated_hours
 from pmfid.simulation.control import position_control
 from pmfid.simulation.drive import Schedule
 from pmfid.simulation.scenarios import CART, CART_CONTROL, CART_DT, resolution_of
+from pmfid.types import Counts, Floats
 
 CUTOFF, FORGETTING = 50.0, 0.99
 STROKE, MOVE_TIME, DWELL_TIME, VARIATION = 0.2, 0.8, 0.5, 0.25

@@ -9,9 +9,9 @@ import numpy as np
 
 from pmfid.monitor.events import Alarm, Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.monitor.scores import Floats
 from pmfid.simulation.drive import DriveParameters, Schedule
 from pmfid.simulation.scenarios import CART, CART_DT
+from pmfid.types import Floats
 from studies.monitoring.axis import INCREMENTS, calibration, changing, drive, make_riv, random_stop_and_go
 
 MTBF_HOURS = 24.0

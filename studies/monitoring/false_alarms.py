@@ -9,8 +9,9 @@ import numpy as np
 
 from pmfid.monitor.calibration import Calibration, block_keep, make_detectors
 from pmfid.monitor.detectors import Detector
-from pmfid.monitor.scores import Floats, block_samples, scores
+from pmfid.monitor.scores import block_samples, scores
 from pmfid.simulation.scenarios import CART_DT
+from pmfid.types import Floats
 from studies.monitoring.axis import INCREMENTS, calibration, make_riv, normal_work
 
 RUN_HOURS, RUNS_PER_TASK = 0.5, 25

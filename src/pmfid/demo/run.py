@@ -7,20 +7,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
-from pmfid.estimators.base import default_zeros
 from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.iv import RIV
+from pmfid.estimators.plants import default_zeros
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.estimators.rls import RLS
 from pmfid.models.drive import Drive
 from pmfid.simulation import CART, Scenario, make_scenario
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from pmfid.types import Flags, Floats
 
 INCREMENTS = (4096, 1024, 512, 256)
 RECORD = 4096  # the one that is written; examples/cart.toml reads it

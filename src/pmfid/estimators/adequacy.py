@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pmfid.estimators.base import Estimator, like
 from pmfid.estimators.difference import Difference, rms, without_nuisance
@@ -23,8 +23,7 @@ from pmfid.estimators.likelihood import Best, cost, expected_information
 from pmfid.estimators.phases import phase_scatter
 from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.scatter import TINY, block_scatter
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: A force is missed where its score is so many of its standard deviations: chance alone once in a thousand records.
 MISSED = 4.0

@@ -19,6 +19,7 @@ from pmfid.estimators.likelihood import Best
 from pmfid.estimators.ls import LS
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.results import Fit
+from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.status import Status
 
@@ -67,7 +68,7 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
     adequacy = sharp.adequacy if sharp else None
     doubt = sharp.doubt if sharp else ""
     for cls, reason in _CANDIDATES:
-        if cls.simulates and configured.equation.without_simulation:
+        if issubclass(cls, Simulating) and configured.equation.without_simulation:
             continue
         candidate = _candidate(cls, configured, u, counts)
         try:

@@ -16,6 +16,7 @@ from pmfid.encoder import Encoder
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.configuration import configuration_of, freeze, made
 from pmfid.estimators.configuration import like as like
+from pmfid.estimators.plants import Plant, plant_of
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
 from pmfid.filters.network import Network, Taps, scaled
@@ -24,12 +25,11 @@ from pmfid.kernel.structures import constants_of
 from pmfid.models.drive import Model
 from pmfid.models.equation import Equation
 from pmfid.status import Status
+from pmfid.types import Floats, Numbers
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
 
-#: Real numbers in their own type.
-Numbers = NDArray[np.integer | np.floating]
 
 #: Time constants after which the filters' start has decayed to less than 1 %, by their order.
 SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
@@ -38,28 +38,13 @@ MAX_SETTLE_SAMPLES = 10**8
 SHORTEST, LONGEST = 1e-12, 1e12
 #: In place of a smaller cutoff * dt, which is refused: numbers beyond float64 would come of it.
 LEAST_PRODUCT = 1e-300
-#: Information that is never forgotten, as a part of the largest seen: P stays below 1e4 times its best.
-REGULARIZATION = 1e-4
 #: The discretisation that is refined from pass to pass with the estimate.
 EXACT = "exact"
-#: Relative pivot of the information matrix from which on a first estimate is given.
-START_PIVOT = 1e-4
-#: The same of a linear process, whose columns may nearly follow from each other: the third
-#: derivative of a lightly damped mode is hardly more than a multiple of y'.
-PROCESS_REGULARIZATION = 1e-7
-PROCESS_PIVOT = 1e-7
 #: After so many updates theta is moved by the innovation alone; without forgetting float64 never needs to.
 RESIDUAL_UPDATES = 256
-
-#: Time constants of the slowest pre-filter zero in a memory, at least.
-ZERO_MEMORIES = 2
-#: The other zero over that one, at least: with three the instruments of a short memory were weak.
-APART = 5.0
 #: What a motion may do is learned for so many times the settling of the filters before it is taken strictly, and
 #: forgotten over so many times that; in samples in motion.
 LEARNING, LEARNED = 8, 128
-#: An input so many times the largest of late is a spike unless the counts answer or it stays; a process answers late.
-SPIKE, PROCESS_SPIKE = 8.0, 100.0
 #: Samples from a suspicious one on that are left out: then the filters have forgotten most of what stands in its place.
 HELD_OUT = 8
 
@@ -85,24 +70,18 @@ class Estimator:
     precision: str = field(default="float64", kw_only=True)
 
     method: ClassVar[str] = ""
+    #: its kernel has columns of instruments beside the regressors
     instrumental: ClassVar[bool] = False
-    #: least squares, with the bias of a noisy output
-    plain: ClassVar[bool] = False
-    #: takes the exact discretisation, too
-    exact: ClassVar[bool] = False
-    #: has an auxiliary model, which must know the equation
-    simulates: ClassVar[bool] = False
-    #: ... but simulates a linear process, whatever it is, in its own way
-    on_processes: ClassVar[bool] = False
-    #: for linear processes alone, not for a machine with friction
-    process_only: ClassVar[bool] = False
+    #: filters of the held signals that it takes
+    discretizations: ClassVar[tuple[str, ...]] = tuple(sorted(HOLD_FILTERS))
 
     def __post_init__(self) -> None:
         freeze(self)
         self._check_kinds()
-        if self.equation.process and self.order == 2:
+        if self.order == 2:
             object.__setattr__(self, "order", max(2, self.equation.order))
-        self._check_equation()
+        if refused := self.refuses(self.equation):
+            raise UsageError(refused)
         check_positive("dt", self.dt, "it is the sample period in s")
         if not SHORTEST <= self.dt <= LONGEST:
             raise UsageError(f"dt is {self.dt:g} s: nothing is sampled so; it is the sample period in s")
@@ -119,8 +98,8 @@ class Estimator:
             )
         if self.order < self.equation.order:
             raise UsageError(f"order must be at least {self.equation.order}, got {self.order}")
-        if self.discretization not in HOLD_FILTERS and not (self.exact and self.discretization == EXACT):
-            known = [*sorted(HOLD_FILTERS), EXACT] if self.exact else sorted(HOLD_FILTERS)
+        if self.discretization not in self.discretizations:
+            known = list(self.discretizations)
             raise UsageError(f"discretization of {self.method} must be one of {known}, got {self.discretization!r}")
         if self.precision not in ("float64", "float32"):
             raise UsageError(f"precision must be 'float64' or 'float32', got {self.precision!r}")
@@ -129,20 +108,15 @@ class Estimator:
     def __reduce__(self) -> tuple[object, ...]:
         return made, (type(self), configuration_of(self))
 
-    def _check_equation(self) -> None:
-        """Can the method do with this equation?"""
-        if self.process_only and not self.equation.process:
-            raise UsageError(f"{self.method} is for a transfer function; for a {self.model.kind} use iv or interval")
-        if self.equation.only_simulated and not self.on_processes:
-            raise UsageError(
-                f"{self.method} does not simulate the process, as it must where {self.equation.only_simulated}; use "
-                "srivc, iv or output-error"
-            )
-        if self.simulates and self.equation.without_simulation and not (self.equation.process and self.on_processes):
-            raise UsageError(
-                f"{self.method} simulates the motion, which it cannot for this equation: "
-                f"{self.equation.without_simulation}; use ls, bcls, rls or bcrls"
-            )
+    @classmethod
+    def refuses(cls, equation: Equation) -> str:
+        """Why the method cannot take this equation, with a remedy; empty where it can."""
+        if not equation.only_simulated:
+            return ""
+        return (
+            f"{cls.method} does not simulate the process, as it must where {equation.only_simulated}; use "
+            "srivc, iv or output-error"
+        )
 
     def _check_kinds(self) -> None:
         if not isinstance(getattr(self.model, "equation", None), Equation):
@@ -154,7 +128,7 @@ class Estimator:
 
     def _check_zeros(self) -> None:
         zeros, needed = self.zeros, self._zeros_needed
-        if zeros and self.equation.process and not self.instrumental:
+        if zeros and not self.plant.extended and not self.instrumental:
             raise UsageError(f"{self.method} takes no prefilter_zeros for a linear process; bcls and bcrls do")
         if zeros and needed > len(zeros) and self.prefilter_zeros is None:
             raise UsageError(
@@ -174,6 +148,11 @@ class Estimator:
         return self.model.equation
 
     @property
+    def plant(self) -> Plant:
+        """What is particular to the kind of plant that the equation is of."""
+        return plant_of(self.equation)
+
+    @property
     def memory(self) -> float:
         """Of what was gathered [s]."""
         return math.inf
@@ -185,9 +164,7 @@ class Estimator:
             return tuple(float(z) for z in self.prefilter_zeros)
         if not self.instrumental:
             return ()
-        if self.equation.process:
-            return process_zeros(self.cutoff, self._zeros_needed)
-        return default_zeros(self.cutoff, self.memory)[: self._zeros_needed]
+        return self.plant.default_zeros(self.cutoff, self.memory, self._zeros_needed)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -203,7 +180,7 @@ class Estimator:
     @property
     def _extra(self) -> int:
         """Unknown coefficients of f(s): in the extended model without compensation (paper eq. 19, 21)."""
-        return 0 if self.instrumental or self.simulates else len(self.zeros)
+        return 0 if self.instrumental else len(self.zeros)
 
     @property
     def spec(self) -> FilterSpec:
@@ -243,12 +220,12 @@ class Estimator:
     @property
     def encoder_config(self) -> dict[str, float]:
         """The encoder's part of the kernel configuration."""
-        config = self.encoder.kernel_config(self.dt) | {"process": int(self.equation.process)}
+        config = self.encoder.kernel_config(self.dt) | {"process": int(not self.plant.rests)}
         if self.encoder.guard:
             config["guard"] = LEARNING * self.settle_samples
             config["guard_leak"] = 1 / (LEARNED * self.settle_samples)
             config["guard_hold"] = min(HELD_OUT, self.settle_samples)
-            config["spike"] = PROCESS_SPIKE if self.equation.process else SPIKE
+            config["spike"] = self.plant.spike
         return config
 
     @property
@@ -273,7 +250,6 @@ class Estimator:
     ) -> dict[str, object]:
         """A recursion's part of the kernel configuration."""
         exact = forgetting == 1 and self.precision == "float64"
-        process = self.equation.process
         return {
             "n_parameters": parameters,
             "instrumental": int(instrumental),
@@ -281,8 +257,8 @@ class Estimator:
             "min_updates": math.ceil(1 / (self.cutoff * self.dt)) + 2 * parameters,
             "residual_updates": 2**32 - 1 if exact else RESIDUAL_UPDATES,
             "forgetting": forgetting,
-            "regularization": PROCESS_REGULARIZATION if process else REGULARIZATION,
-            "pivot": PROCESS_PIVOT if process else START_PIVOT,
+            "regularization": self.plant.regularization,
+            "pivot": self.plant.pivot,
             "block": 2 * self.settle_samples,
             "correlated": 2 * self.order / (self.cutoff * self.dt),
             "scheme": constants_of(None)["PMF_EXPONENTIAL"],
@@ -309,41 +285,13 @@ def memory_of(forgetting: float, dt: float) -> float:
     return dt / (1 - forgetting) if forgetting < 1 else math.inf
 
 
-def default_zeros(cutoff: float, memory: float = math.inf) -> tuple[float, float]:
-    """Pre-filter zeros where nothing is known of the plant: a tenth of the cutoff, and a thirtieth of that.
-
-    The compensation is an instrumental variable method with s u/f and s^2 u/f for instruments. They resemble the
-    drive's velocity and acceleration most for zeros at its own poles, 0 and -d/m; with one slow zero the other may
-    lie anywhere near or above d/m.
-    memory: of the estimator [s], see `within_memory`.
-    """
-    return within_memory(cutoff / 10, cutoff / 300, memory)
-
-
-def within_memory(fast: float, slow: float, memory: float) -> tuple[float, float]:
-    """Two pre-filter zeros [rad/s] from their sizes, fit for an estimator with this memory [s].
-
-    A slow zero is a filter that remembers the input: where it did so for longer than a part of the memory, the
-    instruments after a large motion would be what is left of it, and weak. So it is faster then, but not as fast as
-    the other: too much alike, both would say the same.
-    """
-    return (-fast, -min(max(slow, ZERO_MEMORIES / memory), max(slow, fast / APART)))
-
-
-def process_zeros(cutoff: float, n: int) -> tuple[float, ...]:
-    """Pre-filter zeros for a linear process of which nothing is known: n, evenly in the logarithm from half the cutoff
-    down to a twentieth of it."""
-    spread = np.geomspace(0.5, 0.05, n) if n > 1 else np.array([0.2])
-    return tuple(-cutoff * float(part) for part in spread)
-
-
 def check_positive(name: str, value: float, what: str) -> None:
     """Raises UsageError unless value is positive and finite."""
     if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
         raise UsageError(f"{name} must be positive and finite, got {value!r}; {what}")
 
 
-def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[Floats, NDArray[np.int64]]:
     """u and counts as contiguous (n,) arrays; raises UsageError where they do not fit each other."""
     u_array = np.ascontiguousarray(numbers("u", u), dtype=np.float64)
     counts_array = np.ascontiguousarray(integer_counts(counts), dtype=np.int64)
@@ -389,13 +337,13 @@ def integer_counts(counts: ArrayLike) -> Numbers:
     return np.round(given).astype(np.int64)
 
 
-def held(u: NDArray[np.float64]) -> NDArray[np.float64]:
+def held(u: Floats) -> Floats:
     """u (n,) with the last finite value in place of those that are not, as the kernel does it."""
     last = np.maximum.accumulate(np.where(np.isfinite(u), np.arange(1, u.size + 1), 0))
     return np.ascontiguousarray(np.r_[0.0, u][last])
 
 
-def check_size(u: NDArray[np.float64]) -> None:
+def check_size(u: Floats) -> None:
     """Raises UsageError where squares of the input (n,) would leave the number format."""
     size = np.max(np.abs(u), initial=0.0, where=np.isfinite(u))
     if size > 0 and not 1e-100 < size < 1e100:

@@ -9,15 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.encoder import fine_counts
 from pmfid.errors import UsageError
-from pmfid.estimators.base import START_PIVOT, Estimator, check_arrays, check_size, integer_counts
+from pmfid.estimators.base import Estimator, check_arrays, check_size, integer_counts
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.least_squares import long_run_covariance
 from pmfid.estimators.results import Columns, Fit
 from pmfid.status import Status
-
-#: Of the power of a column that must not follow from the others, of a linear process: its derivatives nearly do, around
-#: each lightly damped mode.
-PROCESS_PART = 1e-12
 
 
 @dataclass(frozen=True)
@@ -44,7 +40,7 @@ class BatchEstimator(Estimator):
     @property
     def least_part(self) -> float:
         """Of the power of a column that must not follow from the others."""
-        return PROCESS_PART if self.equation.process else START_PIVOT
+        return self.plant.least_part
 
     def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and

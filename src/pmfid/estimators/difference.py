@@ -13,8 +13,7 @@ from scipy.signal import lfilter
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.models.equation import Equation
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: Step of the difference quotients as a part of a parameter: far above the kinks that stops and reversals leave in
 #: the simulated position, far below what makes the position bend.

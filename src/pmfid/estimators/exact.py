@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import EXACT, Estimator, check_arrays, like
@@ -16,8 +16,7 @@ from pmfid.estimators.results import Columns, Fit
 from pmfid.filters.columns import tustin_image
 from pmfid.models.equation import Equation
 from pmfid.transfer.exact import ExactTerm, Filter, respond_exactly
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 PASSES = 12
 #: Relative change of every parameter at which the passes end.
@@ -104,8 +103,7 @@ class Exact:
     def _instruments(self, zeta: Floats, signal: Floats) -> None:
         """s^j / f(s) of the filtered input in place of the noisy regressors, as in `ColumnBuilder.prefiltered`."""
         noisy = self.equation.noisy
-        for j, column in enumerate(noisy):
-            power = len(noisy) - j - (1 if self.equation.process else 0)
+        for column, power in zip(noisy, self.equation.instrument_powers, strict=True):
             made = signal
             for i, zero in enumerate(reversed(self.zeros)):
                 pole = tustin_image(-zero, self.filter.dt)
@@ -119,7 +117,7 @@ def make_exact(estimator: Estimator, u: Floats, y: Floats) -> Exact:
     names = {term.signal for term in (*equation.unknown, *equation.known)}
     if not names <= {*OUTPUTS, *HELD}:
         raise UsageError(f"the exact discretisation takes no terms of {sorted(names - {*OUTPUTS, *HELD})}; use matched")
-    if not equation.process:
+    if "process_output" not in names:  # a position counts from its first sample
         y = y - y[0]
     late = np.r_[np.zeros(equation.delay), u][: u.size]
     one, motion = np.ones(u.size), np.sign(np.diff(y, append=y[-1:]))
@@ -176,26 +174,19 @@ def refined(estimator: BatchEstimator, u: Floats, y: Floats) -> Refined:
     first = like(type(estimator), estimator, discretization="matched").fit_output(u, y)
     exact, used = make_exact(estimator, u, y), slice(estimator.settle_samples, None)
     found = refine_exactly(exact, first.theta, used)
-    if found is None and estimator.equation.process:
-        found = refine_exactly(exact, _filter_poles(estimator), used)
+    guess = estimator.plant.another_guess(estimator.equation, estimator.cutoff)
+    if found is None and guess is not None:
+        found = refine_exactly(exact, guess, used)
     if found is None:
         raise NotIdentifiableError("the passes of the exact discretisation do not settle; use matched, or srivc")
     return replace(found, status=first.status)
-
-
-def _filter_poles(estimator: Estimator) -> Floats:
-    """theta of a process with all poles at the cutoff and no input."""
-    order = estimator.equation.order
-    A = np.poly(np.full(order, -estimator.cutoff))[::-1]
-    terms = estimator.equation.unknown
-    return np.array([A[term.derivative] if term.signal in OUTPUTS else 0.0 for term in terms])
 
 
 @dataclass(frozen=True)
 class ExactEstimator(BatchEstimator):
     """A `BatchEstimator` that takes the exact discretisation, too."""
 
-    exact: ClassVar[bool] = True
+    discretizations: ClassVar[tuple[str, ...]] = (*BatchEstimator.discretizations, EXACT)
 
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         if self.discretization != EXACT:
@@ -204,7 +195,7 @@ class ExactEstimator(BatchEstimator):
         check_identifiable(self.columns(u, counts), self.names, self.least_part)
         return fit_exactly(self, u, self.encoder.position(counts))
 
-    def _fit_output(self, u: ArrayLike, y: NDArray[np.float64]) -> Fit:
+    def _fit_output(self, u: ArrayLike, y: Floats) -> Fit:
         if self.discretization != EXACT:
             return super()._fit_output(u, y)
         return fit_exactly(self, check_arrays(u, np.zeros(y.shape, np.int64))[0], y)

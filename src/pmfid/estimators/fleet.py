@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, whole_number
-from pmfid.estimators.base import Numbers, integer_counts, numbers
+from pmfid.estimators.base import integer_counts, numbers
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.runner import Runner
 from pmfid.estimators.track import Track
 from pmfid.kernel.structures import whole_words
+from pmfid.types import Floats, Numbers
 
 N = TypeVar("N", bound=np.number)
-Floats = NDArray[np.float64]
 #: theta, diagonal of P, its inflation, innovation, its variance, status.
 Results = tuple[Floats, Floats, Floats, Floats, Floats, NDArray[np.uint32]]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.base import START_PIVOT
+from pmfid.estimators.plants import START_PIVOT
 from pmfid.estimators.results import Columns
 from pmfid.status import Status
 

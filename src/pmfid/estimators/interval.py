@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike
 
 from pmfid.estimators.difference import inverted
 from pmfid.estimators.likelihood import Best, cost, expected_information
-from pmfid.estimators.output_error import OE
+from pmfid.estimators.output_error import Following
 from pmfid.estimators.phases import likelihood_covariance
 from pmfid.estimators.results import Fit
 from pmfid.status import Status
 
 
 @dataclass(frozen=True)
-class IntervalML(OE):
+class IntervalML(Following):
     """Maximum likelihood of the counts, off-line (Ljung 1999, section 7.4, for a quantised output).
 
     log L = sum log(Phi((b - x)/s) - Phi((a - x)/s)): x(k) the simulated position, a = resolution * counts and
@@ -32,11 +32,9 @@ class IntervalML(OE):
     """
 
     method: ClassVar[str] = "interval"
-    on_processes: ClassVar[bool] = False
 
-    def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
-        """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
-        NotIdentifiableError where the record cannot identify every parameter, or the simulation does not follow."""
+    def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        """Raises NotIdentifiableError also where the simulation does not follow."""
         return self.fit_of(self.best(u, counts))
 
     def fit_of(self, best: Best) -> Fit:

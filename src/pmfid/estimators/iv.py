@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel, role_values
 from pmfid.estimators.base import check_arrays, check_size, like
-from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.encoder_noise import impulse_products
 from pmfid.estimators.identifiable import TINY, check_identifiable
@@ -21,9 +20,11 @@ from pmfid.estimators.least_squares import inverse_of, solve_with_instruments
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.scatter import raised, scatter
-from pmfid.estimators.srivc import counted, fit_process, fixed_filters, without_start
+from pmfid.estimators.simulating import Simulating
+from pmfid.estimators.srivc import ProcessSolver, fixed_filters
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, STIFFNESS, Equation
 from pmfid.status import Status
+from pmfid.transfer.solve import ProcessProblem, Solution
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
@@ -48,7 +49,7 @@ LASTING = 4
 
 
 @dataclass(frozen=True)
-class IV(BatchEstimator):
+class IV(ProcessSolver, Simulating):
     """Iterated instrumental variables, off-line (Young and Jakeman 1979; the friction in the model is ours).
 
     The plant is simulated from the input alone with the present estimate, stiction included; the simulated motion
@@ -59,22 +60,19 @@ class IV(BatchEstimator):
     """
 
     method: ClassVar[str] = "iv"
-    simulates: ClassVar[bool] = True
-    on_processes: ClassVar[bool] = True
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        without_start(self)
         if self.equation.further:
             raise UsageError("iv is linear in what it estimates, and dead_time is not; use srivc or output-error")
 
-    def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
-        """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
-        NotIdentifiableError where the record cannot identify every parameter, or no iteration settles."""
-        if self.equation.process:
-            return fit_process(self, [counted(self, u, counts)], fixed_filters)
+    def solved(self, problem: ProcessProblem) -> Solution:
+        return fixed_filters(problem)
+
+    def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        """Raises NotIdentifiableError also where no iteration settles."""
         u, counts = check_arrays(u, counts)
         columns, theta = self.settled(u, counts)
         return self._result(columns, theta, self._bars(columns, theta, u, counts))
@@ -212,7 +210,7 @@ def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class RIV(RecursiveEstimator):
+class RIV(Simulating, RecursiveEstimator):
     """Recursive instrumental variables with a friction-aware auxiliary model (theory: Young 2011, RIV).
 
     The model is driven by the input alone with a slow copy of the estimate. Where it does not follow the measured
@@ -221,7 +219,6 @@ class RIV(RecursiveEstimator):
     """
 
     method: ClassVar[str] = "riv"
-    simulates: ClassVar[bool] = True
     instrumental: ClassVar[bool] = True
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)

@@ -8,7 +8,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.errors import UsageError
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.encoder_noise import noise_covariance
 from pmfid.estimators.least_squares import inverse_of
@@ -50,13 +49,13 @@ class RKnownStep(RecursiveEstimator):
 
     noise_std: float | None = field(default=None, kw_only=True)
 
-    def __post_init__(self) -> None:
-        if self.forgetting_scheme == "constant-trace":
-            raise UsageError(
-                "constant-trace is not for rknown-step: it forgets nothing at rest, and the noise that is subtracted "
-                "for every sample does not come at rest; use exponential or window"
-            )
-        super().__post_init__()
+    def scheme_refused(self) -> str:
+        if self.forgetting_scheme != "constant-trace":
+            return super().scheme_refused()
+        return (
+            "constant-trace is not for rknown-step: it forgets nothing at rest, and the noise that is subtracted "
+            "for every sample does not come at rest; use exponential or window"
+        )
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0

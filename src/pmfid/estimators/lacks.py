@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.estimators.difference import Difference, rms
 from pmfid.models.equation import (
@@ -22,8 +21,7 @@ from pmfid.models.equation import (
     VISCOUS_BACKWARD,
     VISCOUS_FORWARD,
 )
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: Coulomb friction of a machine is taken for at least this part of the motor's force.
 LEAST_FRICTION = 0.02

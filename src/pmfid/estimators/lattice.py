@@ -17,8 +17,7 @@ from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.base import Estimator, held
 from pmfid.estimators.difference import first_speed
 from pmfid.estimators.results import Columns
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: Places of the lattice that are tried: their mean square is exact for the harmonics that hold nine tenths of it.
 PLACES = 8

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
-from pmfid.estimators.difference import Difference, Floats, rms
+from pmfid.estimators.difference import Difference, rms
+from pmfid.types import Floats
 
 #: Least standard deviation of the position's own noise, in counts: below, the likelihood is a box without slopes.
 NOISE_FLOOR = 0.02

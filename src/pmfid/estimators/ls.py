@@ -21,7 +21,6 @@ class LS(ExactEstimator):
     """
 
     method: ClassVar[str] = "ls"
-    plain: ClassVar[bool] = True
 
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         scale = np.linalg.norm(columns.phi, axis=0)

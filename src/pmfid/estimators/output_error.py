@@ -30,7 +30,10 @@ from pmfid.estimators.phases import phase_scatter
 from pmfid.estimators.results import Fit
 from pmfid.estimators.rough import on_every_width
 from pmfid.estimators.scatter import raised, scatter
-from pmfid.estimators.srivc import by_descent, counted, fit_process, without_start
+from pmfid.estimators.simulating import Simulating
+from pmfid.estimators.srivc import ProcessSolver, by_descent
+from pmfid.transfer.solve import ProcessProblem, Solution
+from pmfid.types import Floats
 
 #: A mass of less than so many of the least that the fit may have is one that the fit would rather not have.
 AT_BOUND = 3.0
@@ -43,49 +46,21 @@ FAR = 10.0
 #: High-passes on the way to none, as parts of the first.
 SLOWER = (1 / 4, 1 / 16, 1 / 64, 0.0)
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
-class OE(BatchEstimator):
-    """Output error, off-line (Ljung 1999, sections 4.2 and 7.2; simulation: the kernel's body with stiction).
-
-    Least squares of y(k) - x(k), k = 0..n-1: y the middle of the count, x the position that the input alone gives
-    from the start x0, v0, which are fitted as well; mass > 0, frictions >= 0. Starts from `IV`, or where that does
-    not settle from its start. theta_cov is for residuals correlated in time, on whatever scale (`scatter`), and for
-    the error that the encoder makes along this very motion, wherever its lattice lies (`phase_scatter`). samples is n;
-    residual is y - x [unit of the resolution], relative_error its norm over that of y less its mean; both behind
-    the high-pass, where there is one.
-
-    drift_cutoff: pole of a first-order high-pass on y - x [rad/s], 0 to 2/dt; 0: none; None: none where y - x is
-    within what the encoder explains (0.5 counts root mean square), and otherwise `cutoff`. Friction that the model
-    lacks adds up in the position to a random walk, and this high-pass whitens a random walk with white noise on
-    top. It costs information: on the cart with 128 increments and 20 rad/s the standard deviation of the mass
-    becomes 2.4 times, that of the frictions 7 times as large. initial: parameters by name for `IV` to start from.
-    """
-
-    method: ClassVar[str] = "output-error"
-    simulates: ClassVar[bool] = True
-    on_processes: ClassVar[bool] = True
+class Following(Simulating, BatchEstimator):
+    """A `BatchEstimator` of the simulated motion that follows the counts best; arguments as for `OE`."""
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)
     drift_cutoff: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        without_start(self)
         if self.drift_cutoff is not None and not 0 <= self.drift_cutoff * self.dt <= 2:
             raise UsageError(
                 f"drift_cutoff must be from 0 to 2/dt = {2 / self.dt:g} rad/s, got {self.drift_cutoff}; 0 is no "
                 "high-pass, None chooses by the record"
             )
-
-    def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
-        """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
-        NotIdentifiableError where the record cannot identify every parameter, or the simulation does not follow."""
-        if self.equation.process:
-            return fit_process(self, [counted(self, u, counts)], by_descent)
-        return self.by_squares(self.best(u, counts))
 
     def best(self, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> Best:
         """The motion that fits a record best; arguments and errors of `followed`."""
@@ -216,3 +191,31 @@ class OE(BatchEstimator):
         theta, cov = q[: scale.size] * scale, q_cov * np.outer(scale, scale)
         residual = residual * difference.resolution
         return Fit(self.names, self.units, theta, cov, residual.size, residual, relative, status)
+
+
+@dataclass(frozen=True)
+class OE(ProcessSolver, Following):
+    """Output error, off-line (Ljung 1999, sections 4.2 and 7.2; simulation: the kernel's body with stiction).
+
+    Least squares of y(k) - x(k), k = 0..n-1: y the middle of the count, x the position that the input alone gives
+    from the start x0, v0, which are fitted as well; mass > 0, frictions >= 0. Starts from `IV`, or where that does
+    not settle from its start. theta_cov is for residuals correlated in time, on whatever scale (`scatter`), and for
+    the error that the encoder makes along this very motion, wherever its lattice lies (`phase_scatter`). samples is n;
+    residual is y - x [unit of the resolution], relative_error its norm over that of y less its mean; both behind
+    the high-pass, where there is one.
+
+    drift_cutoff: pole of a first-order high-pass on y - x [rad/s], 0 to 2/dt; 0: none; None: none where y - x is
+    within what the encoder explains (0.5 counts root mean square), and otherwise `cutoff`. Friction that the model
+    lacks adds up in the position to a random walk, and this high-pass whitens a random walk with white noise on
+    top. It costs information: on the cart with 128 increments and 20 rad/s the standard deviation of the mass
+    becomes 2.4 times, that of the frictions 7 times as large. initial: parameters by name for `IV` to start from.
+    """
+
+    method: ClassVar[str] = "output-error"
+
+    def solved(self, problem: ProcessProblem) -> Solution:
+        return by_descent(problem)
+
+    def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        """Raises NotIdentifiableError also where the simulation does not follow."""
+        return self.by_squares(self.best(u, counts))

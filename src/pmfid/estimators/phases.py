@@ -7,13 +7,11 @@ stroke. How far a sum of scores may be off for that alone is seen by shifting th
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.estimators.difference import Difference
 from pmfid.estimators.likelihood import GIVEN_AWAY, NOISE_FLOOR, Best, cost
 from pmfid.estimators.scatter import TINY, block_scatter
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: Places of the lattice that are tried.
 PHASES = 32

@@ -88,11 +88,8 @@ class RecursiveEstimator(Estimator):
         scheme = self.forgetting_scheme
         if scheme not in FORGETTING_SCHEMES:
             raise UsageError(f"forgetting_scheme must be one of {sorted(FORGETTING_SCHEMES)}, got {scheme!r}")
-        if scheme == "directional" and not self.plain:
-            raise UsageError(
-                f"directional forgetting is for rls, not for {self.method}, whose instruments point elsewhere; "
-                "use constant-trace or window"
-            )
+        if refused := self.scheme_refused():
+            raise UsageError(refused)
         for name, factor in (self.forgetting_of or {}).items():
             if name not in self.names or not self.forgetting <= factor <= 1:
                 raise UsageError(
@@ -102,14 +99,21 @@ class RecursiveEstimator(Estimator):
         if self.forgetting_of and scheme != "exponential":
             raise UsageError(f"forgetting_of is for the exponential scheme, not for {scheme}")
 
+    def scheme_refused(self) -> str:
+        """Why the method cannot forget in the way that is asked for, with a remedy; empty where it can."""
+        if self.forgetting_scheme != "directional":
+            return ""
+        return (
+            f"directional forgetting is for rls, not for {self.method}, whose instruments point elsewhere; "
+            "use constant-trace or window"
+        )
+
     def _check_room(self) -> None:
         most, model = self.kernel_class.max_parameters, self.model
         if len(self.names) > most:
-            cure = "poles (n), zeros (m) or extras" if self.equation.process else "unknown terms"
-            other = ", or srivc on whole records" if self.equation.process else ""
             raise UsageError(
                 f"{self.method} estimates at most {most} parameters, this {model.kind} has {len(self.names)}: "
-                f"{', '.join(self.names)}; use fewer {cure}{other}"
+                f"{', '.join(self.names)}; use fewer {self.plant.fewer}"
             )
 
     @property
@@ -122,7 +126,7 @@ class RecursiveEstimator(Estimator):
         config = super().recursion_config(parameters, instrumental, forgetting, first_column)
         scheme = self.forgetting_scheme if forgetting < 1 else "exponential"
         config["scheme"] = FORGETTING_SCHEMES[scheme]
-        if forgetting < 1 and not self.equation.process:
+        if forgetting < 1 and self.plant.rests:
             config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / LOOK)
             config["haste"], config["leak"] = forgetting**HASTE, math.exp(-HASTE / 2)
             config["leading"], config["shown"] = self.equation.leading, shown(self)

@@ -25,12 +25,4 @@ ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (*OFF_LINE,
 
 def methods_for(model: Model) -> list[str]:
     """The methods that take this model."""
-    process, simulated = model.equation.process, not model.equation.without_simulation
-    any_method = not model.equation.only_simulated
-    return [
-        name
-        for name, cls in ESTIMATORS.items()
-        if (process or not cls.process_only)
-        and (simulated or not cls.simulates or (process and cls.on_processes))
-        and (any_method or cls.on_processes)
-    ]
+    return [name for name, cls in ESTIMATORS.items() if not cls.refuses(model.equation)]

@@ -18,4 +18,6 @@ class RLS(RecursiveEstimator):
     """
 
     method: ClassVar[str] = "rls"
-    plain: ClassVar[bool] = True
+
+    def scheme_refused(self) -> str:
+        return ""

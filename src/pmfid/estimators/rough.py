@@ -11,11 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.estimators.scatter import raised
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: Width of the difference quotients that are compared with the fine ones, as a part of a parameter.
 COARSE = 1e-2

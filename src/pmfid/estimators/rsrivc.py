@@ -12,6 +12,7 @@ from pmfid.estimators.auxiliary import CHECK_TIME_CONSTANTS, COPY_TIME_CONSTANTS
 from pmfid.estimators.base import like
 from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.srivc import ProcessOnly
 from pmfid.filters.columns import ColumnBuilder
 from pmfid.kernel.configuration import new_kernel
 from pmfid.models.transfer_function import TransferFunction
@@ -24,7 +25,7 @@ FASTEST = 2.0
 
 
 @dataclass(frozen=True)
-class RSRIVC(RecursiveEstimator):
+class RSRIVC(ProcessOnly, RecursiveEstimator):
     """Recursive simplified refined instrumental variables, continuous time (Young and Jakeman 1980).
 
     The process is simulated from the input alone with a slow copy of the estimate; the simulated output, filtered by
@@ -40,7 +41,6 @@ class RSRIVC(RecursiveEstimator):
 
     method: ClassVar[str] = "rsrivc"
     instrumental: ClassVar[bool] = True
-    process_only: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, TransferFunction):

@@ -13,9 +13,8 @@ its two ends, and blocks with sharp ends would show nothing else.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: Blocks become longer as long as so many are left.
 FEWEST = 24

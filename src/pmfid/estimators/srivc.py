@@ -14,6 +14,7 @@ from pmfid.estimators.base import Estimator, check_arrays, check_size, held
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.estimators.results import Fit
+from pmfid.models.equation import Equation
 from pmfid.models.transfer_function import ESTIMATE, MAX_DELAY, TransferFunction
 from pmfid.transfer.confidence import covariance
 from pmfid.transfer.dead_time import after, solve_dead_time
@@ -38,7 +39,51 @@ class ProcessFit(Fit):
 
 
 @dataclass(frozen=True)
-class SRIVC(BatchEstimator):
+class ProcessSolver(BatchEstimator):
+    """A `BatchEstimator` that simulates any transfer function, with initial conditions that are always part of the fit.
+
+    What it does with another equation, if it takes any, is its `_fit`.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if isinstance(self.model, TransferFunction):  # no parameters of its own
+            object.__setattr__(self, "model", replace(self.model, initial_conditions=False))
+
+    @classmethod
+    def refuses(cls, equation: Equation) -> str:
+        return "" if equation.process else super().refuses(equation)
+
+    def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        if self.equation.process:
+            return self.fit_experiments([counted(self, u, counts)])
+        return super().fit(u, counts)
+
+    def fit_experiments(self, experiments: Sequence[Experiment]) -> ProcessFit:
+        """Estimates from several records at once; `dt` of the estimator is the period that `delay` counts in.
+
+        Raises UsageError without a usable record, or for another model than a `TransferFunction`, and
+        NotIdentifiableError as `fit`."""
+        return fit_process(self, experiments, self.solved)
+
+    def solved(self, problem: ProcessProblem) -> Solution:
+        """The method's own solution."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class ProcessOnly(Estimator):
+    """An `Estimator` for linear processes alone, not for a machine with friction."""
+
+    @classmethod
+    def refuses(cls, equation: Equation) -> str:
+        if equation.process:
+            return super().refuses(equation)
+        return f"{cls.method} is for a transfer function; for a machine use iv or interval"
+
+
+@dataclass(frozen=True)
+class SRIVC(ProcessSolver, ProcessOnly):
     """Simplified refined instrumental variables for continuous time (Young and Jakeman 1980; Young 2011, chapter 8).
 
     sum zeta (z - phi^T theta) = 0, all signals behind 1/A(s) of the estimate, instruments zeta from the output that the
@@ -52,29 +97,14 @@ class SRIVC(BatchEstimator):
     """
 
     method: ClassVar[str] = "srivc"
-    process_only: ClassVar[bool] = True
-    on_processes: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        without_start(self)
 
     def fit(self, u: ArrayLike, counts: ArrayLike) -> ProcessFit:
         """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
         NotIdentifiableError where the record cannot identify every parameter."""
         return self.fit_experiments([counted(self, u, counts)])
 
-    def fit_experiments(self, experiments: Sequence[Experiment]) -> ProcessFit:
-        """Estimates from several records at once; `dt` of the estimator is the period that `delay` counts in.
-
-        Raises UsageError without a usable record and NotIdentifiableError as `fit`."""
-        return fit_process(self, experiments)
-
-
-def without_start(estimator: Estimator) -> None:
-    """Initial conditions are part of every fit here, and no parameters; for use at construction."""
-    if isinstance(estimator.model, TransferFunction):
-        object.__setattr__(estimator, "model", replace(estimator.model, initial_conditions=False))
+    def solved(self, problem: ProcessProblem) -> Solution:
+        return solve(problem)
 
 
 def counted(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Experiment:

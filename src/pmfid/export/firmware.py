@@ -115,7 +115,7 @@ def _context(
         "prefix": prefix,
         "PREFIX": prefix.upper(),
         "estimator": estimator,
-        "equation": equation_text(estimator),
+        "equation": estimator.equation.text,
         "macros": shape.macros(),
         "fixed": fixed_recursion(config),
         "layout": layout_number(types["pmf_state_t"]),
@@ -133,35 +133,3 @@ def fixed_recursion(config: Structured) -> tuple[int, int, int] | None:
     """Number of parameters, whether there are instruments, and scheme of forgetting, if all recursions agree."""
     kinds = {(int(one["n_parameters"]), int(one["instrumental"]), int(one["scheme"])) for one in recursions_of(config)}
     return kinds.pop() if len(kinds) == 1 else None
-
-
-#: How a signal reads in the header.
-SIGNALS = {
-    "output": "x",
-    "input": "u",
-    "direction": "sign(x')",
-    "moving": "(while it moves)",
-    "forward": "(moving forward)",
-    "backward": "(moving backward)",
-    "forward_output": "(x forward)",
-    "backward_output": "(x backward)",
-    "process_output": "y",
-    "process_input": "u",
-    "constant": "",
-    "start": "(impulse at the first sample)",
-}
-
-
-def equation_text(estimator: Estimator) -> str:
-    """The model in one line."""
-    equation = estimator.equation
-    if equation.process:  # its output's highest derivative is the known term, and the input's side has factors -1
-        highest = f"{SIGNALS['process_output']}{chr(39) * equation.order}"
-        sides = [[t for t in equation.unknown if (t.coefficient < 0) == right] for right in (False, True)]
-        left, right = (
-            [f"{t.name} {SIGNALS[t.signal]}{chr(39) * t.derivative}".strip() for t in side] for side in sides
-        )
-        return f"{' + '.join([highest, *left])} = {' + '.join(right)}"
-    left = [f"{term.name} {SIGNALS[term.signal]}{chr(39) * term.derivative}" for term in equation.unknown]
-    right = [f"{term.coefficient:.9g} {SIGNALS[term.signal]}{chr(39) * term.derivative}" for term in equation.known]
-    return f"{' + '.join(left)} = {' + '.join(right)}"

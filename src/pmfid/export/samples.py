@@ -14,10 +14,6 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.kernel.saved import configuration, shape_of, tight_state
 
 SAMPLES = 800
-#: Of the made-up motion: counts per sample at full speed, and the parts of the input that the frictions take.
-COUNTS_PER_SAMPLE, VISCOUS_PART, COULOMB_PART = 40.0, 0.6, 0.3
-#: And of the made-up linear process, for an input of one.
-PROCESS_COUNTS = 500.0
 #: Samples between the changes of the made-up input, and samples of rest.
 CLOCK, REST = 23, 150
 
@@ -34,30 +30,9 @@ class Samples:
 
 
 def made_up_record(estimator: RecursiveEstimator) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Input and counts (n,) of a body that suits the axis; it reverses, rests, and its counter wraps."""
-    if estimator.equation.process:
-        return _made_up_process(estimator)
-    full_speed = COUNTS_PER_SAMPLE * estimator.encoder.resolution / estimator.dt
-    gain = estimator.equation.input_gain
-    viscous, coulomb = VISCOUS_PART * abs(gain) / full_speed, COULOMB_PART * abs(gain)
-    mass = viscous * 2 / estimator.cutoff
-    u = _input(SAMPLES)
-    from pmfid._kernel64 import simulate
-
-    velocity, *_ = simulate([mass, viscous, viscous, coulomb, coulomb, 0.0, 0.0], gain, estimator.dt, u)
-    position = np.concatenate([[0.0], np.cumsum(np.asarray(velocity)[:-1])]) * estimator.dt
-    return u, np.floor(position / estimator.encoder.resolution).astype(np.int64) - 100
-
-
-def _made_up_process(estimator: RecursiveEstimator) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The same of lags one behind the other; some hundred counts."""
-    u, y = _input(SAMPLES), []
-    states, part = [0.0] * estimator.equation.order, min(0.5, estimator.cutoff * estimator.dt / 2)
-    for value in u.tolist():
-        y.append(states[-1])
-        for i, source in enumerate([value, *states[:-1]]):
-            states[i] += part * (source - states[i])
-    return u, np.floor(PROCESS_COUNTS * np.asarray(y)).astype(np.int64)
+    """Input and counts (n,) of a plant that suits the axis; a body reverses, rests, and its counter wraps."""
+    u, axis = _input(SAMPLES), estimator
+    return u, axis.plant.made_up_counts(axis.equation, u, axis.dt, axis.cutoff, axis.encoder.resolution)
 
 
 def _input(samples: int) -> NDArray[np.float64]:

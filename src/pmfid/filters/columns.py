@@ -39,7 +39,7 @@ from pmfid.filters.network import (
     Taps,
     scaled,
 )
-from pmfid.models.equation import Equation, Term
+from pmfid.models.equation import PROCESS_SIGNALS, Equation, Term
 
 #: Signals that hold for a sampling interval, as nodes of the block from the counts.
 HELD = {"input": INPUT, "direction": DIRECTION, "moving": MOVING, "forward": FORWARD, "backward": BACKWARD}
@@ -80,27 +80,28 @@ class ColumnBuilder:
         return [self.coefficient(term, source) for term in self.equation.unknown]
 
     def target(self, source: str = "measured") -> Taps:
+        return self._sum(self.equation.known, source)
+
+    def _sum(self, terms: tuple[Term, ...], source: str) -> Taps:
         taps: Taps = []
-        for term in self.equation.known:
+        for term in terms:
             taps += self.coefficient(term, source)
         return taps
 
     def instruments(self) -> list[Taps]:
         """Regressors, with the filtered input behind 1/f(s) in place of the noisy ones."""
         columns = self.regressors()
-        noisy = self.equation.noisy
-        for j, column in enumerate(noisy):
-            power = len(noisy) - j - (1 if self.equation.process else 0)  # a process has a term of y itself
+        for column, power in zip(self.equation.noisy, self.equation.instrument_powers, strict=True):
             columns[column] = self.prefiltered(power)
         return columns
 
     def prefiltered(self, j: int) -> Taps:
-        """s^j / f(s) of the filtered target input; j differentiating lags and n - j lags, in series.
+        """s^j / f(s) of the filtered input and what else is known; j differentiating lags and n - j lags, in series.
 
         f(s) = prod (1 - s / zero): the lag's pole in the trapezoidal rule is the zero's Tustin image, so that its pole
         in z is exp(zero dt) (paper eq. 36), and the relation between the columns is exact in discrete time.
         """
-        taps = self.process_input(0) if self.equation.process else self.target()
+        taps = self._sum(self.equation.driving, "measured")
         poles = [tustin_image(-zero, self.spec.dt) for zero in self.spec.prefilter_zeros]
         for i, pole in enumerate(reversed(poles)):
             build = lag if i < len(poles) - j else differentiating_lag
@@ -113,7 +114,7 @@ class ColumnBuilder:
 
     def term(self, term: Term, source: str) -> Taps:
         """The filtered derivative that the term stands for, one sample late."""
-        if self.equation.process:
+        if term.signal in PROCESS_SIGNALS:
             return self.process(term)
         block = 0 if source == "measured" else AUXILIARY
         if term.signal in HELD:

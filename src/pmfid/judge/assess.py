@@ -17,8 +17,7 @@ from pmfid.transfer.propagate import Grid, transition
 from pmfid.transfer.sensitivity import companion, simulate
 from pmfid.transfer.solve import Point, ProcessProblem, visit
 from pmfid.transfer.whiteness import DEVIATE, LAGS, few_beyond, lagged
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: The square of a number must not leave the format.
 BEYOND = 1e120

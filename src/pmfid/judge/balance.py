@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from pmfid.estimators.auxiliary import role_values
@@ -23,8 +22,7 @@ from pmfid.models.equation import (
     VISCOUS_BACKWARD,
     VISCOUS_FORWARD,
 )
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: Encoder noise of the velocity, as a part of its standard deviation, that moves no sample to another bin to speak of.
 QUIET_ENCODER = 0.003

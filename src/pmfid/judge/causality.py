@@ -17,13 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.special import fdtrc
 
-from pmfid.transfer.noise import Noise, Places, fit_noise, whitened
-
-Floats = NDArray[np.float64]
+from pmfid.transfer.noise import Noise, fit_noise, whitened
+from pmfid.types import Flags, Floats, Places
 
 #: Lags of the input: at least, at most, and one for each so many samples; of the future ones.
 LEAST, MOST, SAMPLES_PER_LAG, AHEAD = 8, 40, 15, 10
@@ -42,7 +40,7 @@ class Signals:
 
     inputs: Floats
     residual: Floats
-    rows: NDArray[np.int64]
+    rows: Places
 
 
 @dataclass(frozen=True)
@@ -128,7 +126,7 @@ def _noise_beside(columns: Floats, place: Places) -> Noise | None:
     return noise
 
 
-def _settled(place: Places, order: int) -> NDArray[np.bool_]:
+def _settled(place: Places, order: int) -> Flags:
     """(N,) samples that do not lack their past for the whitening filter; all, where samples are missing everywhere."""
     line = np.zeros(int(place[-1] - place[0]) + 1)
     line[place - place[0]] = 1.0
@@ -137,7 +135,7 @@ def _settled(place: Places, order: int) -> NDArray[np.bool_]:
     return np.asarray(whole if np.sum(whole) > place.size // 2 else np.ones(place.size, bool))
 
 
-def _columns(parts: Sequence[Signals], source: int) -> tuple[Floats, NDArray[np.bool_], Places]:
+def _columns(parts: Sequence[Signals], source: int) -> tuple[Floats, Flags, Places]:
     """Past inputs (N, l), rows with a past of their own (N,), places (N,) on one line."""
     samples = sum(part.rows.size for part in parts)
     lags = int(np.clip(samples // SAMPLES_PER_LAG, LEAST, MOST))

@@ -11,8 +11,9 @@ from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.base import Estimator, held, like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.output_error import OE
-from pmfid.judge.balance import FEWEST_BINS, Balance, Floats, encoder_response, low_pass
+from pmfid.judge.balance import FEWEST_BINS, Balance, encoder_response, low_pass
 from pmfid.judge.drive import recent
+from pmfid.types import Floats
 
 #: Filter time constants over which correlations are shown.
 SHOWN_LAGS = 10.0

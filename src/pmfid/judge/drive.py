@@ -14,7 +14,9 @@ from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.identifiable import BEYOND, TINY
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.ls import LS
-from pmfid.estimators.output_error import OE, WORST_FIT
+from pmfid.estimators.output_error import OE, WORST_FIT, Following
+from pmfid.estimators.rls import RLS
+from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.status import Status
 
@@ -86,16 +88,17 @@ def _bias(
     limit: float,
 ) -> Iterator[Finding]:
     """Against instrumental variables on the same record, which know the direction of motion between the counts."""
-    if estimator.simulates or (estimator.plain and estimator.zeros):
+    plain = isinstance(estimator, LS | RLS)  # with the bias of a noisy output
+    if isinstance(estimator, Simulating) or (plain and estimator.zeros):
         return
     try:
         better = reference(estimator, u, counts)
     except NotIdentifiableError as error:
-        if estimator.plain:
+        if plain:
             yield "uncertain", f"least squares may show the encoder's noise, for {error}"
         return
     unknown = [name for name, (value, bar) in better.items() if name in _positive(estimator) and bar > 0.5 * abs(value)]
-    if unknown and estimator.plain:
+    if unknown and plain:
         yield "uncertain", f"nothing can tell {', '.join(unknown)} here: least squares may show the encoder's noise"
     for name, value, deviation in zip(estimator.names, theta, std, strict=True):
         if name not in better or name in unknown:
@@ -116,7 +119,7 @@ def reference(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> dict[str
     if estimator.equation.without_simulation:
         zeros = choose_prefilter_zeros(estimator, u, counts)
         fit = like(BCLS, estimator, prefilter_zeros=zeros).fit(u, counts)
-        return _table(fit.names, fit.theta, fit.theta_std) if estimator.plain else {}
+        return _table(fit.names, fit.theta, fit.theta_std) if isinstance(estimator, LS | RLS) else {}
     if forgetting < 1:
         # as it forgets by itself: not every scheme is for instrumental variables
         scheme = {"forgetting_scheme": "exponential", "forgetting_of": None}
@@ -243,7 +246,7 @@ def _hidden(
 ) -> Iterator[Finding]:
     """An adequate model: does the estimate agree with it, and what could it lack without showing?"""
     at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
-    if isinstance(estimator, OE):
+    if isinstance(estimator, Following):
         spread = found.spread()
     else:
         twin = like(IV, estimator, prefilter_zeros=None)
@@ -251,7 +254,7 @@ def _hidden(
     best = found.q[: theta.size] * found.difference.scale[: theta.size]
     apart = np.abs(theta - best) / np.maximum(np.sqrt(std**2 + found.spread() ** 2), TINY)
     worst = int(np.argmax(apart))
-    if estimator.simulates and apart[worst] > CONTRADICTED:
+    if isinstance(estimator, Simulating) and apart[worst] > CONTRADICTED:
         yield (
             "biased",
             f"{estimator.names[worst]} = {theta[worst]:.4g} has an error of its own: the motion that explains every "

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from pmfid.judge.causality import Signals, noise_beside
@@ -18,8 +17,7 @@ from pmfid.transfer.noise import fit_noise, whitened
 from pmfid.transfer.prewhitening import prewhitened
 from pmfid.transfer.sensitivity import Structure
 from pmfid.transfer.solve import Point, ProcessProblem, descend, first_guess, refine, visit
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: A record of noise alone passes but so often.
 CHANCE = 1e-2

@@ -40,6 +40,22 @@ DERIVATIVES = {
     "start": (0, 5),
 }
 
+#: How a signal reads.
+READS: dict[Signal, str] = {
+    "output": "x",
+    "input": "u",
+    "direction": "sign(x')",
+    "moving": "(while it moves)",
+    "forward": "(moving forward)",
+    "backward": "(moving backward)",
+    "forward_output": "(x forward)",
+    "backward_output": "(x backward)",
+    "process_output": "y",
+    "process_input": "u",
+    "constant": "",
+    "start": "(impulse at the first sample)",
+}
+
 #: What the auxiliary model of the kernel takes each role from (csrc/pmf.h): signal and derivative of the term.
 ROLES: tuple[tuple[tuple[Signal, int], ...], ...] = (
     (("output", 2),),
@@ -91,6 +107,11 @@ class Term:
         """Does the term carry the noise of the measured output? Not to speak of where it is not differentiated: there
         a step of the encoder is as small as it is against the travel."""
         return self.signal == "process_output" or (self.signal.endswith("output") and self.derivative > 0)
+
+    @property
+    def reads(self) -> str:
+        """The signal and its derivative, for people."""
+        return f"{READS[self.signal]}{chr(39) * self.derivative}"
 
 
 @dataclass(frozen=True)
@@ -171,6 +192,19 @@ class Equation:
         return tuple(sorted(columns, key=lambda i: -self.unknown[i].derivative))
 
     @property
+    def instrument_powers(self) -> tuple[int, ...]:
+        """Of s in the instruments over f(s), one for each of `noisy`: falling to 1, or to 0 for a process,
+        which has a term of y itself."""
+        lowest = 0 if self.process else 1
+        return tuple(reversed(range(lowest, lowest + len(self.noisy))))
+
+    @property
+    def driving(self) -> tuple[Term, ...]:
+        """What the instruments are made from: the known side of a machine, the input alone of a process, the known side
+        of which is its output."""
+        return (Term("process_input"),) if self.process else self.known
+
+    @property
     def leading(self) -> int:
         """The parameter of the highest derivative: the mass of a drive."""
         return self.noisy[0]
@@ -202,6 +236,20 @@ class Equation:
         there = {(term.signal, term.derivative) for term in kept}
         merged = [term for term in SYMMETRIC if (term.signal, term.derivative) not in there]
         return Equation((*kept, *merged), self.known)
+
+    @property
+    def text(self) -> str:
+        """In one line, for people."""
+        if not self.process:
+            left = [f"{term.name} {term.reads}" for term in self.unknown]
+            return f"{' + '.join(left)} = {' + '.join(f'{t.coefficient:.9g} {t.reads}' for t in self.known)}"
+        # its output's highest derivative is the known term, and the input's side has factors -1
+        highest = Term("process_output", self.order).reads
+        left, right = (
+            [f"{t.name} {t.reads}".strip() for t in self.unknown if (t.coefficient < 0) == right]
+            for right in (False, True)
+        )
+        return f"{' + '.join([highest, *left])} = {' + '.join(right)}"
 
     @property
     def without_simulation(self) -> str:

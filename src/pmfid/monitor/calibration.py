@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -22,9 +21,8 @@ from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.base import Estimator
 from pmfid.monitor.detectors import EDGE, ChiSquare, Cusum, Detector, Glr, PageHinkley, statistics
 from pmfid.monitor.reference import noisier, resampled
-from pmfid.monitor.scores import Blocks, Floats, Scale, block_samples, make_scale, scores, start_blocks
-
-Counts = NDArray[np.int64]
+from pmfid.monitor.scores import Blocks, Scale, block_samples, make_scale, scores, start_blocks
+from pmfid.types import Counts, Floats
 
 #: Length of one simulated run [s], and of the intervals whose maxima are counted.
 RUN_TIME = 1800.0

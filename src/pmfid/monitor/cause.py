@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmfid.monitor.scores import Blocks, Floats, Scale
+from pmfid.monitor.scores import Blocks, Scale
+from pmfid.types import Floats
 
 #: A drive that gives less force looks as if all parameters had grown alike.
 INPUT_GAIN = "input_gain"

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
+
 State = tuple[Floats, ...]
 
 #: The encoder's error is differentiated: sums of a few blocks have that much more variance than their information says,

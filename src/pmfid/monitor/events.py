@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pmfid.errors import UsageError
 from pmfid.monitor.detectors import DETECTORS
-from pmfid.monitor.scores import Floats
+from pmfid.types import Floats
 
 STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING = (
     "starting",

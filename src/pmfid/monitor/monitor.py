@@ -28,8 +28,9 @@ from pmfid.monitor.events import (
     StateChange,
     Watch,
 )
-from pmfid.monitor.scores import Blocks, Floats, ScoreFilter
+from pmfid.monitor.scores import Blocks, ScoreFilter
 from pmfid.status import Status
+from pmfid.types import Floats
 
 #: Blocks that an alarm looks back on.
 LOOK_BACK = 64

@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: Lengths of sums that are compared [blocks]; the longest is what the detectors look back on.
 LENGTHS = (1, 2, 4, 8, 16, 32)

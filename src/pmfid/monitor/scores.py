@@ -23,11 +23,11 @@ from pmfid.estimators.auxiliary import make_auxiliary_kernel, role_values
 from pmfid.estimators.base import Estimator
 from pmfid.kernel.saved import take_guard
 from pmfid.status import Status
+from pmfid.types import Flags, Floats
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
 
-Floats = NDArray[np.float64]
 
 #: Samples with one of these say nothing of the plant.
 UNUSABLE = int(Status.SETTLING | Status.INVALID_INPUT | Status.COUNT_JUMP)
@@ -80,7 +80,7 @@ def start_blocks(estimator: Estimator, theta: Floats) -> int:
     return 1 + min(MOST_START_BLOCKS, math.ceil(time / (block_samples(estimator) * estimator.dt)))
 
 
-def silenced(blocks: Blocks, disturbed: NDArray[np.bool_], waiting: int, wait: int) -> tuple[Blocks, int]:
+def silenced(blocks: Blocks, disturbed: Flags, waiting: int, wait: int) -> tuple[Blocks, int]:
     """The blocks without what they say within `wait` blocks after a disturbed one, and how many more are to wait.
 
     disturbed: (n,); waiting: of blocks before these.
@@ -94,7 +94,7 @@ def silenced(blocks: Blocks, disturbed: NDArray[np.bool_], waiting: int, wait: i
     ), waiting
 
 
-def gather(columns: Floats, status: NDArray[np.uint32], theta: Floats, size: int) -> tuple[Blocks, NDArray[np.bool_]]:
+def gather(columns: Floats, status: NDArray[np.uint32], theta: Floats, size: int) -> tuple[Blocks, Flags]:
     """Whole blocks of `size` samples from phi, z, zeta in columns (n, 2 p + 1), and (n,) where one has none but
     unusable samples, which count for nothing: there the filters settle, and the simulated motion has lost the plant."""
     p, n = theta.size, columns.shape[0] // size

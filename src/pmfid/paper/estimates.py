@@ -8,13 +8,14 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.auto import AUTO, choose, first_choice
-from pmfid.estimators.base import default_zeros
 from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.plants import default_zeros
 from pmfid.estimators.recursive import RecursiveEstimator, Track
-from pmfid.paper.merit import NO_ANSWER, Floats, Score, score
+from pmfid.paper.merit import NO_ANSWER, Score, score
 from pmfid.paper.truth import CartRecord, make_estimator
 from pmfid.simulation import CART_DT, Scenario
 from pmfid.status import Status
+from pmfid.types import Floats
 
 #: RLS of the extended model, before its bias is compensated (paper eq. 19 to 21): where BCRLS starts from.
 EXTENDED = "extended rls"

@@ -21,9 +21,10 @@ from pmfid.paper.estimates import (
     track_score,
 )
 from pmfid.paper.figure import PaperFigure, Task
-from pmfid.paper.merit import Floats, Merit, Score, merit
+from pmfid.paper.merit import Merit, Score, merit
 from pmfid.simulation import CART, CART_DT, CART_LOADED, Scenario, Schedule, make_scenario
 from pmfid.simulation.checks import sample_times
+from pmfid.types import Floats
 
 INCREMENTS = (4096, 1024, 512)
 LOADS = {"1.07 kg": CART, "1.44 kg": CART_LOADED}

@@ -15,9 +15,10 @@ from pmfid.paper.drawing import Drawing, Motions, write_drawing, write_motions
 from pmfid.paper.estimates import OFF_LINE, TITLES, known_mass, mass_of, mass_score, track_of, track_score
 from pmfid.paper.figure import PaperFigure, Task
 from pmfid.paper.inputs import HORIZON, INTERVALS, experiments, information, problem
-from pmfid.paper.merit import Floats, Merit, Score, merit
+from pmfid.paper.merit import Merit, Score, merit
 from pmfid.paper.truth import CartRecord, make_estimator
 from pmfid.simulation import CART, CART_DT, quantize, resolution_of, simulate_drive
+from pmfid.types import Floats
 
 ON_LINE = ("rls", "bcrls", "rknown-step", "riv")
 INCREMENTS = 4096

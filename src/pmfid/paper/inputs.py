@@ -13,8 +13,8 @@ from pmfid.design.search.solver import solve
 from pmfid.design.search.standard import standard_inputs
 from pmfid.design.trial.simulated import simulate, simulated_information
 from pmfid.models.drive import Drive
-from pmfid.paper.merit import Floats
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION
+from pmfid.types import Floats
 
 HORIZON, INTERVALS, STROKE, LARGEST = 2.0, 40, 0.4, 3.0  # s, -, m, V
 #: m/s; at v >= 0, as in the paper, the optimum parks at standstill, where friction hides what it counts on.

@@ -9,9 +9,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: Of a normal variable: 95 % lie within.
 QUANTILE = 1.96

@@ -19,8 +19,8 @@ from pmfid.judge.drive import judge
 from pmfid.models.drive import Drive
 from pmfid.simulation import CART, CART_DT, make_scenario
 from pmfid.status import Status
+from pmfid.types import Flags, Floats
 
-Floats = NDArray[np.float64]
 Task = tuple[Any, ...]
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
 TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
@@ -139,7 +139,7 @@ def percent(theta: Floats) -> Floats:
     return np.asarray(100 * (theta / TRUTH - 1))
 
 
-def vouched(track: Track) -> NDArray[np.bool_]:
+def vouched(track: Track) -> Flags:
     """(n,) samples without a status bit that warns of the estimate as a whole."""
     return np.asarray((track.status & NOT_VOUCHED) == 0)
 

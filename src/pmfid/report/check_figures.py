@@ -6,9 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pmfid.judge.balance import Balance, Binned, Floats
+from pmfid.judge.balance import Balance, Binned
 from pmfid.judge.correlations import correlations
 from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, decimation, figure_style
+from pmfid.types import Floats
 
 MAX_DOTS = 1200
 

@@ -10,8 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
 from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, figure_style
+from pmfid.types import Floats
 
 __all__ = ["ellipse_figure", "gathering_figure", "motion_figure"]
 
@@ -20,7 +21,7 @@ CHI2 = 5.991
 LINE_STYLES = ("-", "--", "-.", ":")
 
 #: name -> (input (n,), position (n+1,), velocity (n+1,))
-Inputs = Mapping[str, tuple[Float, Float, Float]]
+Inputs = Mapping[str, tuple[Floats, Floats, Floats]]
 
 
 def motion_figure(problem: Problem, inputs: Inputs) -> Figure:
@@ -48,7 +49,7 @@ def motion_figure(problem: Problem, inputs: Inputs) -> Figure:
     return figure
 
 
-def gathering_figure(curves: Mapping[str, tuple[Float, Float]], ylabel: str) -> Figure:
+def gathering_figure(curves: Mapping[str, tuple[Floats, Floats]], ylabel: str) -> Figure:
     """Value of the criterion for the samples so far; curves: name -> (t (N,), value (N,))."""
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
@@ -60,7 +61,7 @@ def gathering_figure(curves: Mapping[str, tuple[Float, Float]], ylabel: str) -> 
     return figure
 
 
-def ellipse_figure(names: tuple[str, ...], scale: Float, fishers: Mapping[str, Float]) -> Figure | None:
+def ellipse_figure(names: tuple[str, ...], scale: Floats, fishers: Mapping[str, Floats]) -> Figure | None:
     """95 % confidence ellipse of each pair of parameters in percent of `scale` (p,); None for one parameter.
 
     fishers: name -> information (p, p) in the units of the parameters.
@@ -82,7 +83,7 @@ def ellipse_figure(names: tuple[str, ...], scale: Float, fishers: Mapping[str, F
     return figure
 
 
-def _ellipse(axes: Axes, fisher: Float, pair: tuple[int, int], look: dict[str, Any]) -> None:
+def _ellipse(axes: Axes, fisher: Floats, pair: tuple[int, int], look: dict[str, Any]) -> None:
     if np.linalg.matrix_rank(fisher) < len(fisher):
         return
     covariance = np.linalg.inv(fisher)[np.ix_(pair, pair)]

@@ -20,9 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import UsageError
 from pmfid.estimators.recursive import Track
 from pmfid.status import Status
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from pmfid.types import Flags, Floats
 
 MAX_POINTS = 2000
 #: Okabe and Ito (2008): eight colours that colour-blind readers tell apart; yellow and black are left out.

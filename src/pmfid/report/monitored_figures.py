@@ -28,8 +28,7 @@ from pmfid.report.figures import (
     stretches,
 )
 from pmfid.status import Status
-
-Floats = NDArray[np.float64]
+from pmfid.types import Flags, Floats
 
 #: Rows of the strip, from above: state of the monitor, or status bits of the estimate.
 STATES = {WATCHING: COLOURS[2], SUSPICIOUS: COLOURS[1], SETTLING: COLOURS[3], CANNOT_TELL: GREY, STARTING: GREY}
@@ -105,7 +104,7 @@ def _estimate_panel(axes: Axes, data: RunData, i: int) -> None:
     _limits(axes, theta[_trusted(data)], float(data.nominal[i]))
 
 
-def _trusted(data: RunData) -> NDArray[np.bool_]:
+def _trusted(data: RunData) -> Flags:
     """Where the estimate is neither starting nor swinging after an alarm."""
     doubtful = Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION
     return np.asarray(((data.status & doubtful) == 0) & (data.state != SUSPICIOUS))
@@ -129,7 +128,7 @@ def _limits(axes: Axes, values: Floats, nominal: float) -> None:
     axes.set_ylim(low - margin, high + margin)
 
 
-def _strip_rows(data: RunData) -> list[tuple[str, str, NDArray[np.bool_]]]:
+def _strip_rows(data: RunData) -> list[tuple[str, str, Flags]]:
     """Label, colour and flags (n,) of the rows that occur."""
     rows = [(state, colour, data.state == state) for state, colour in STATES.items()]
     rows += [
@@ -139,7 +138,7 @@ def _strip_rows(data: RunData) -> list[tuple[str, str, NDArray[np.bool_]]]:
     return [row for row in rows if np.any(row[2])]
 
 
-def _strip_panel(axes: Axes, t: Floats, rows: Sequence[tuple[str, str, NDArray[np.bool_]]]) -> None:
+def _strip_panel(axes: Axes, t: Floats, rows: Sequence[tuple[str, str, Flags]]) -> None:
     for k, (_, colour, flags) in enumerate(rows):
         axes.broken_barh(stretches(t, flags), (k - 0.38, 0.76), color=colour, lw=0)
     axes.set_yticks(range(len(rows)), [name for name, _, _ in rows], fontsize=9)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.session.tables import Floats
+from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid.session.config import RecordConfig

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -26,11 +25,10 @@ from pmfid.models.equation import Equation
 from pmfid.session.config import Axis
 from pmfid.session.records import Record
 from pmfid.session.wrap import wrap_of
+from pmfid.types import Counts, Floats
 
 __all__ = ["check_direction", "diagnose"]
 
-Floats = NDArray[np.float64]
-Counts = NDArray[np.int64]
 
 #: Part of a record that is read in other ways [samples]: the one with the most motion.
 MOST_SAMPLES = 5000
@@ -124,7 +122,7 @@ def _of_position(equation: Equation) -> Equation | None:
     """The same equation of first order with the integral of the output in its place; None if it is no such equation."""
     terms = (*equation.unknown, *equation.known)
     signals = {term.signal for term in terms}
-    if equation.process or equation.order != 1 or signals & {"forward_output", "backward_output"}:
+    if equation.order != 1 or signals & {"forward_output", "backward_output"}:
         return None
     if not signals & {"direction", "moving", "forward", "backward"}:
         return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -33,6 +34,8 @@ CHUNK = 100_000
 
 class Drives(Kind[Record]):
     """Machines with friction, and equations of the user's own: one record of counts."""
+
+    on_line: ClassVar[str] = "riv"
 
     def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Record:
         if len(paths) > 1:

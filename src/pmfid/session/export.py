@@ -8,16 +8,14 @@ import numpy as np
 
 from pmfid.errors import UsageError
 from pmfid.estimators.auto import AUTO
-from pmfid.estimators.base import default_zeros, memory_of
+from pmfid.estimators.base import memory_of
+from pmfid.estimators.plants import plant_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.session.config import NO_ENCODER, Axis, EstimatorConfig
 from pmfid.session.drives import make_estimator
+from pmfid.session.identify import kind_of
 from pmfid.session.records import Record
-
-#: What "auto" is on a drive.
-DEFAULT_METHOD = "riv"
-DEFAULT_PROCESS_METHOD = "rsrivc"
 
 
 def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None = None) -> RecursiveEstimator:
@@ -30,10 +28,10 @@ def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None =
     config, model = check_exportable(axis), axis.model.make()
     if record is None:
         record = _no_record(axis, dt)
-        if ESTIMATORS[config.method].instrumental and config.prefilter_zeros is None and not model.equation.process:
-            needed = len(model.equation.symmetric.noisy)
-            zeros = default_zeros(config.cutoff, memory_of(config.forgetting, record.dt))
-            config = config.model_copy(update={"prefilter_zeros": zeros[:needed]})
+        if ESTIMATORS[config.method].instrumental and config.prefilter_zeros is None:
+            needed, memory = len(model.equation.symmetric.noisy), memory_of(config.forgetting, record.dt)
+            zeros = plant_of(model.equation).zeros_without_record(config.cutoff, memory, needed)
+            config = config.model_copy(update={"prefilter_zeros": zeros})
     estimator = make_estimator(axis.model_copy(update={"estimator": config}), record)
     encoder = replace(estimator.encoder, bits=axis.encoder.bits or 32)
     return replace(estimator, encoder=encoder)  # type: ignore[return-value]
@@ -42,23 +40,18 @@ def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None =
 def check_exportable(axis: Axis) -> EstimatorConfig:
     """[estimator] with the method that a drive runs in place of "auto". Raises UsageError, before a record is read, for
     a method or data that no drive has."""
-    config, model = axis.estimator, axis.model.make()
+    kind, config, model = kind_of(axis), axis.estimator, axis.model.make()
     if axis.encoder.resolution == NO_ENCODER:
         raise UsageError("firmware reads counts: give [encoder] resolution, that of the encoder or converter")
     if config.method == AUTO:
-        method = DEFAULT_PROCESS_METHOD if model.equation.process else DEFAULT_METHOD
-        config = config.model_copy(update={"method": method})
+        config = config.model_copy(update={"method": kind.on_line})
     usable = [name for name in methods_for(model) if issubclass(ESTIMATORS[name], RecursiveEstimator)]
     if config.method not in usable:
         names = ", ".join(usable)
         raise UsageError(
             f"{config.method} works on whole records or other models; a drive runs one of {names}: give one as --method"
         )
-    if model.equation.process and axis.record.hold != "zoh":
-        raise UsageError(
-            f'{config.method} takes a held input, [record] hold = "zoh", got {axis.record.hold!r}: sample by sample '
-            "the next value of a line is not known"
-        )
+    kind.check_on_line(axis.model_copy(update={"estimator": config}))
     return config
 
 

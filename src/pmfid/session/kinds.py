@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
@@ -27,6 +27,9 @@ class Kind(ABC, Generic[Data]):
     """A kind of plant: how its records are read, estimated from, and what a mistake in them looks like. `Data` is what
     it reads: one record of a machine, or the experiments of one transfer function."""
 
+    #: what "auto" is on a drive, sample by sample
+    on_line: ClassVar[str]
+
     @abstractmethod
     def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Data:
         """The records at `paths`. Raises UsageError for what is no such record, or too many of them."""
@@ -42,6 +45,9 @@ class Kind(ABC, Generic[Data]):
 
     def check(self, data: Data, axis: Axis) -> None:
         """Raises UsageError for what makes every estimate wrong."""
+
+    def check_on_line(self, axis: Axis) -> None:
+        """Raises UsageError for what a record may have and a drive, sample by sample, has not."""
 
     def mistake(self, data: Data, axis: Axis) -> str:
         """What a log may have got wrong, with its remedy; empty where nothing is found."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,9 +17,7 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.estimators.srivc import (
     SAME_PERIOD,
-    by_descent,
-    fit_process,
-    fixed_filters,
+    ProcessSolver,
     make_problem,
     process_of,
     with_dead_time,
@@ -35,19 +33,23 @@ from pmfid.session.result import ProcessResult, delay_of, expects_unstable
 from pmfid.status import Status
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.order import DELAYS, ORDERS, UNSTABLE, Candidate, Search, accepted_first, search_structure
-from pmfid.transfer.solve import ProcessProblem, Solution, solve
 
 AUTOMATIC = "srivc"
 #: Methods that take several records, gaps, missing samples and uneven spacing.
-FREE: dict[str, Callable[[ProcessProblem], Solution]] = {
-    "srivc": solve,
-    "iv": fixed_filters,
-    "output-error": by_descent,
-}
+FREE = ", ".join(name for name, cls in ESTIMATORS.items() if issubclass(cls, ProcessSolver))
 
 
 class Processes(Kind[Sequence[Experiment]]):
     """Transfer functions: one estimate from one or more records."""
+
+    on_line: ClassVar[str] = "rsrivc"
+
+    def check_on_line(self, axis: Axis) -> None:
+        if axis.record.hold != "zoh":
+            raise UsageError(
+                f'{axis.estimator.method} takes a held input, [record] hold = "zoh", got {axis.record.hold!r}: sample '
+                "by sample the next value of a line is not known"
+            )
 
     def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> list[Experiment]:
         if quantize is not None:
@@ -60,8 +62,8 @@ class Processes(Kind[Sequence[Experiment]]):
     def estimate(self, data: Sequence[Experiment], axis: Axis, progress: Progress | None = None) -> ProcessResult:
         estimator = make_process_estimator(data, axis)
         method = estimator.method
-        if method in FREE:
-            fit = fit_process(estimator, data, FREE[method])
+        if isinstance(estimator, ProcessSolver):
+            fit = estimator.fit_experiments(data)
             theta, cov, bits = fit.theta, fit.theta_cov, fit.status
         else:
             theta, cov, bits = _from_counts(estimator, data)
@@ -71,7 +73,7 @@ class Processes(Kind[Sequence[Experiment]]):
         process = process_of(estimator, theta, cov)
         check_known(estimator, theta, cov, checks)
         std, unstable = np.sqrt(np.diagonal(cov)), expects_unstable(estimator)
-        referenced = problem.referenced and method in FREE
+        referenced = problem.referenced and isinstance(estimator, ProcessSolver)
         notes = [*notes_on(data, checks, process, referenced, unstable), *doubts(estimator, theta, std, checks)]
         notes += [IGNORED.format(method=method)] if problem.referenced and not referenced else []
         notes += Status(bits).advice
@@ -109,8 +111,7 @@ def _plain(experiments: Sequence[Experiment], method: str) -> Experiment:
     whole = len(stretches) == 1 and stretches[0].grid.uniform and stretches[0].rows.size == first.u.size
     if len(experiments) > 1 or not whole or not np.all(np.isfinite(first.u)) or first.hold != "zoh":
         raise UsageError(
-            f"{method} takes one evenly spaced record without gaps or missing samples and with a held input; "
-            f"use {', '.join(FREE)}"
+            f"{method} takes one evenly spaced record without gaps or missing samples and with a held input; use {FREE}"
         )
     return first
 

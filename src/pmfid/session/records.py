@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.session.clock import named_unit, sample_period, time_factor
 from pmfid.session.config import NO_ENCODER
-from pmfid.session.tables import Floats, Table, column, from_array, lookup, read_table
+from pmfid.session.tables import Table, column, from_array, lookup, read_table
 from pmfid.transfer.experiment import Experiment
+from pmfid.types import Counts, Floats
 
 if TYPE_CHECKING:
     from pmfid.session.config import Axis, RecordConfig
@@ -30,8 +30,6 @@ MIN_SAMPLES = 10
 _MAX_COUNT = 2.0**53
 #: Of so many rows, more than so many different whole numbers and nothing else are counts.
 DISTINCT, MOST_WHOLE = 10_000, 20
-
-Counts = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

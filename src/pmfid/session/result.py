@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.errors import place_of
 from pmfid.estimators.base import Estimator
@@ -17,8 +16,7 @@ from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.records import Record
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.process import Process
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 
 @dataclass(frozen=True, eq=False)

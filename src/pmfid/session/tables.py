@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError, did_you_mean
+from pmfid.types import Floats
 
 __all__ = ["Floats", "Table", "column", "from_array", "lookup", "read_table"]
 
-Floats = NDArray[np.float64]
 #: Column by name: a polars series from a CSV or Parquet file, an array from a .mat file.
 Table = Mapping[str, object]
 

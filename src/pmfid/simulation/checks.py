@@ -3,9 +3,9 @@
 from math import isfinite
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 
 def check_number(name: str, value: float, *, above: float = -np.inf, remedy: str = "pass a finite number") -> None:

@@ -6,7 +6,8 @@ from numpy.typing import ArrayLike
 from pmfid.simulation._plant import simulate_position_control
 from pmfid.simulation.checks import as_signal, check_number, sample_times
 from pmfid.simulation.drive import Drive, Motion, as_motion, as_schedule
-from pmfid.simulation.encoder import NO_FAULTS, Counts, Faults, wrapped
+from pmfid.simulation.encoder import NO_FAULTS, Faults, wrapped
+from pmfid.types import Counts
 
 
 def position_control(

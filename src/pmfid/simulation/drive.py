@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.simulation._plant import simulate_open_loop
-from pmfid.simulation.checks import Floats, as_signal, check_number, sample_times
+from pmfid.simulation.checks import as_signal, check_number, sample_times
 from pmfid.simulation.encoder import quantize as quantize  # the way to it before it had a file of its own
+from pmfid.types import Floats
 
 Columns = tuple[Floats, Floats, Floats, Floats, Floats]
 

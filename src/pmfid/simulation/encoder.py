@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pmfid.simulation._plant import read_encoder
-from pmfid.simulation.checks import Floats, as_signal, check_number, check_whole
-
-Counts = NDArray[np.int64]
+from pmfid.simulation.checks import as_signal, check_number, check_whole
+from pmfid.types import Counts, Floats
 
 # Up to 2**53 every whole number is a double of its own; a larger count would be made up.
 COUNT_LIMIT = 2**53

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.simulation._machine import simulate
-from pmfid.simulation.checks import Floats, as_signal, check_number, check_whole
+from pmfid.simulation.checks import as_signal, check_number, check_whole
 from pmfid.simulation.drive import DriveParameters
-from pmfid.simulation.encoder import Counts
+from pmfid.types import Counts, Floats
 
 #: Runge-Kutta steps per sample, on each side of the input's switch.
 STEPS = 10

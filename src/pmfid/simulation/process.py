@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.simulation.checks import Floats, check_number
+from pmfid.simulation.checks import check_number
 from pmfid.simulation.signals import mls
+from pmfid.types import Floats
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,12 @@ from types import MappingProxyType
 import numpy as np
 
 from pmfid.simulation.changes import friction_growth, mass_ramp, mass_step, slipping_belt
-from pmfid.simulation.checks import Floats, check_number, check_whole
+from pmfid.simulation.checks import check_number, check_whole
 from pmfid.simulation.control import position_control
 from pmfid.simulation.drive import DriveParameters, Motion, Schedule, simulate_drive
-from pmfid.simulation.encoder import NO_FAULTS, Counts, Faults, quantize
+from pmfid.simulation.encoder import NO_FAULTS, Faults, quantize
 from pmfid.simulation.signals import multisine, prbs, random_moves, steps, stop_and_go
+from pmfid.types import Counts, Floats
 
 CART = DriveParameters(mass=1.07, viscous_friction=12.8, coulomb_friction=0.8, input_gain=2.0)
 CART_LOADED = replace(CART, mass=1.44)

@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.simulation.checks import Floats, as_signal, check_number, check_whole, sample_times
+from pmfid.simulation.checks import as_signal, check_number, check_whole, sample_times
+from pmfid.types import Floats
 
 _MAX_STAGES = 24
 

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pmfid._estimate import Estimate
 from pmfid.errors import PmfidError, UsageError
@@ -19,9 +19,7 @@ from pmfid.estimators.configuration import changed, configuration_of
 from pmfid.estimators.results import Fit
 from pmfid.estimators.track import Track
 from pmfid.testing.plants import Plant, given, plant_for
-
-Floats = NDArray[np.float64]
-Counts = NDArray[np.int64]
+from pmfid.types import Counts, Floats
 
 #: Counts in a sample, by the order of size: so many that the encoder does not matter, and so few that it does.
 FINE, COARSE = 5000.0, 5.0

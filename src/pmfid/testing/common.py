@@ -6,7 +6,6 @@ from dataclasses import FrozenInstanceError, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
@@ -14,7 +13,9 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import changed, configuration_of
 from pmfid.models.drive import Drive, EquationModel
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, VISCOUS_BACKWARD, VISCOUS_FORWARD
-from pmfid.testing.case import COPIES, Case, Floats, call, last, require, require_refusal, result_of
+from pmfid.models.transfer_function import TransferFunction
+from pmfid.testing.case import COPIES, Case, call, last, require, require_refusal, result_of
+from pmfid.types import Floats
 
 #: Of its own parameters an estimator may miss so much on a fine record.
 NEAR = 0.1
@@ -112,9 +113,10 @@ def mirrored(case: Case) -> None:
 def scales_with_the_units(case: Case) -> None:
     """Position in a thousandth of its unit, forces as well: what does not depend on it stays, the rest goes with it."""
     configured, factors = case.configured, _factors(case.configured)
-    changes: dict[str, object] = {"encoder": _in_thousandths(configured.encoder), "model": configured.model}
-    if not configured.equation.process:
-        changes["model"] = _in_thousandths_of_force(configured.model)
+    changes: dict[str, object] = {
+        "encoder": _in_thousandths(configured.encoder),
+        "model": _in_thousandths_of_force(configured.model),
+    }
     noise: float | None = getattr(configured, "noise_std", None)
     if noise is not None:
         changes["noise_std"] = THOUSAND * noise
@@ -136,7 +138,7 @@ def _turned(estimator: Estimator, theta: Floats) -> Floats:
     return turned * [-1.0 if signal in ("moving", "constant", "start") else 1.0 for signal in _signals(estimator)]
 
 
-def _factors(estimator: Estimator) -> NDArray[np.float64]:
+def _factors(estimator: Estimator) -> Floats:
     """By which a parameter grows when position and force have a thousandth of their unit."""
     grows = {"direction", "moving", "forward", "backward", "process_input", "constant", "start"}
     return np.array([THOUSAND if signal in grows else 1.0 for signal in _signals(estimator)])
@@ -154,6 +156,8 @@ def _in_thousandths(encoder: Encoder) -> Encoder:
 
 
 def _in_thousandths_of_force(model: object) -> object:
+    if isinstance(model, TransferFunction):  # its gains take it up
+        return model
     if isinstance(model, Drive):
         return replace(model, input_gain=THOUSAND * model.input_gain)
     if isinstance(model, EquationModel):

@@ -11,8 +11,9 @@ from pmfid._estimate import Estimate
 from pmfid.errors import UsageError
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.status import Status
-from pmfid.testing.case import COPIES, Case, Counts, Floats, OnLine, last, require, require_refusal, result_of
+from pmfid.testing.case import COPIES, Case, OnLine, last, require, require_refusal, result_of
 from pmfid.testing.common import OTHER_DT
+from pmfid.types import Counts, Floats
 
 #: Samples before a copy is made or a state saved, and after it.
 BEFORE, AFTER = 1000, 400

@@ -17,9 +17,8 @@ from pmfid.estimators.base import Estimator
 from pmfid.models.drive import Model
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, STIFFNESS, VISCOUS_FORWARD
 from pmfid.models.transfer_function import DEAD_TIME, ESTIMATE, TransferFunction
+from pmfid.types import Counts, Floats
 
-Floats = NDArray[np.float64]
-Counts = NDArray[np.int64]
 T = TypeVar("T", bound=np.generic)
 
 SAMPLES = 3000

@@ -9,12 +9,10 @@ with mirrored poles (Forssell and Ljung 2000), a Kalman filter without process n
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import schur, solve_sylvester
 
 from pmfid.transfer.propagate import Grid, product, respond
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 
 def respond_bounded(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, *, held: bool) -> Floats:

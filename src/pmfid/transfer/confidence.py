@@ -9,13 +9,11 @@ Of an input that repeats, what the residual does again in every period adds up o
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pmfid.transfer.noise import Noise, Places, fit_noise
+from pmfid.transfer.noise import Noise, fit_noise
 from pmfid.transfer.periods import phases_of, repeats, split
 from pmfid.transfer.solve import Point, ProcessProblem
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats, Places
 
 #: Steps between the stretches on the line of all samples: more than what a noise usually remembers.
 APART = 100

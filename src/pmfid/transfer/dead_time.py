@@ -6,13 +6,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.transfer.experiment import Stretch
 from pmfid.transfer.solve import ProcessProblem, Solution, first_guess, refine
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: Passes for each whole number of samples, and how many of the best are followed to the end.
 PASSES, FOLLOWED = 2, 2

@@ -11,14 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from pmfid.transfer.experiment import Stretch
 from pmfid.transfer.propagate import Grid
 from pmfid.transfer.sensitivity import Structure, channels
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 
 @dataclass(frozen=True)

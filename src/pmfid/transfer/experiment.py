@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.transfer.propagate import Grid
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: Instants closer than this to an even spacing, in parts of the step, are evenly spaced: clocks and decimals do that.
 EVEN = 5e-3

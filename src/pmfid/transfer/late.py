@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.transfer.propagate import Grid, product, transition
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: A dead time that ends so close before an instant, in parts of the step, ends there.
 SAME = 1e-9

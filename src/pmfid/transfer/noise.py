@@ -9,10 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Places = NDArray[np.int64]
+from pmfid.types import Floats, Places
 
 #: Orders that are tried: up to this, and no more than a part of the samples.
 MOST, PART = 40, 8

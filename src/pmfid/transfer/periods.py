@@ -11,13 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from pmfid.transfer.experiment import Stretch
-from pmfid.transfer.noise import Noise, Places, fit_noise, whitened
-
-Floats = NDArray[np.float64]
+from pmfid.transfer.noise import Noise, fit_noise, whitened
+from pmfid.types import Flags, Floats, Places
 
 #: Two periods are the same if no input differs by more than this part of its range.
 SAME = 1e-6
@@ -38,9 +36,9 @@ class Phases:
     """Rows (N,) of a residual by their place in the period: index (N,) of it, counts (P,) of the rows there, all 2 or
     more; kept (N,): rows whose place has them."""
 
-    index: NDArray[np.int64]
+    index: Places
     counts: Floats
-    kept: NDArray[np.bool_]
+    kept: Flags
 
     def mean(self, columns: Floats) -> Floats:
         """(P, c) over the periods of columns (N, c) at the kept rows."""

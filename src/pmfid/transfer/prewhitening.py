@@ -9,15 +9,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from pmfid.transfer.experiment import Stretch
 from pmfid.transfer.noise import Noise
 from pmfid.transfer.propagate import Grid
 from pmfid.transfer.solve import ProcessProblem
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: Less than this part of the samples left by the filter, which needs its whole past: it is not used.
 KEPT = 0.6

@@ -6,19 +6,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
 from pmfid.transfer.experiment import Stretch
 from pmfid.transfer.propagate import Grid
 from pmfid.transfer.sensitivity import Structure, channels
+from pmfid.types import Complex, Floats
 
 if TYPE_CHECKING:
     import control
     from scipy import signal
 
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Standard deviations over which the spread of a root is measured.
 INTERVAL = 2.0

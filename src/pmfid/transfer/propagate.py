@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm, schur
 from scipy.signal import lfilter
 
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 #: Terms of the exponential series once its argument is scaled below SERIES_NORM: beyond float64.
 SERIES_TERMS = 14

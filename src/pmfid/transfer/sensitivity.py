@@ -22,8 +22,7 @@ from pmfid.transfer.bounded import respond_bounded
 from pmfid.transfer.experiment import Stretch
 from pmfid.transfer.late import delayed
 from pmfid.transfer.propagate import respond
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 
 @dataclass(frozen=True)

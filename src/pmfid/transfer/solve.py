@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.transfer.experiment import Stretch
 from pmfid.transfer.sensitivity import Structure, linearise, simulate, stable
-
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 REFINEMENTS = 30
 DESCENTS = 60

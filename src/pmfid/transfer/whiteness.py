@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from pmfid.types import Floats
 
 LAGS = 25
 #: Normal deviate of the bounds: 99 % of independent residuals lie within.

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
 from pmfid.errors import UsageError, did_you_mean
+from pmfid.types import Floats
 
 __all__ = ["CRITERIA", "Criterion", "criterion_of", "eliminate"]
 
@@ -35,18 +36,18 @@ class Criterion:
 
     name: str
     size: int
-    combination: Float | None = None
+    combination: Floats | None = None
 
-    def log_value(self, F: Float) -> Float:
+    def log_value(self, F: Floats) -> Floats:
         """Logarithm of the value; F: (..., p, p), returns (...); -inf where F is singular."""
         with np.errstate(divide="ignore", invalid="ignore"):
             value = np.log(_value(self.name, _schur(F, self.size), self.combination))
         return np.where(np.isnan(value), -np.inf, value)
 
-    def value(self, F: Float) -> float:
+    def value(self, F: Floats) -> float:
         return float(np.exp(self.log_value(F)))
 
-    def gradient(self, F: Float) -> Float:
+    def gradient(self, F: Floats) -> Floats:
         """d log value / d F, symmetric, (p, p); where F is singular, that of a nearby matrix that is not."""
         S, G = eliminate(F, self.size)
         try:
@@ -82,7 +83,7 @@ def criterion_of(problem: Problem, name: str, combination: Mapping[str, float] |
     return Criterion("c", size, vector / np.linalg.norm(vector))
 
 
-def eliminate(F: Float, size: int) -> tuple[Float, Float]:
+def eliminate(F: Floats, size: int) -> tuple[Floats, Floats]:
     """Information S = G' F G on the first `size` parameters where the others are estimated too, (size, size), and G."""
     G = np.eye(len(F))[:, :size]
     if len(F) == size:
@@ -91,14 +92,14 @@ def eliminate(F: Float, size: int) -> tuple[Float, Float]:
     return np.asarray(G.T @ F @ G), G
 
 
-def _schur(F: Float, size: int) -> Float:
+def _schur(F: Floats, size: int) -> Floats:
     S = F[..., :size, :size]
     if F.shape[-1] == size:
         return S
     return np.asarray(S - F[..., :size, size:] @ np.linalg.solve(F[..., size:, size:], F[..., size:, :size]))
 
 
-def _value(name: str, S: Float, combination: Float | None) -> Float:
+def _value(name: str, S: Floats, combination: Floats | None) -> Floats:
     p = S.shape[-1]
     if name == "trace":
         return np.asarray(np.trace(S, axis1=-2, axis2=-1))
@@ -115,13 +116,13 @@ def _value(name: str, S: Float, combination: Float | None) -> Float:
     return np.asarray(eigenvalues[..., 0] / eigenvalues[..., -1])
 
 
-def _along(S: Float, combination: Float) -> Float:
+def _along(S: Floats, combination: Floats) -> Floats:
     eigenvalues, vectors = np.linalg.eigh(S)
     part = np.einsum("...ij,i->...j", vectors, combination)
     return np.asarray(1.0 / (part**2 / np.maximum(eigenvalues, 0.0)).sum(axis=-1))
 
 
-def _slope(name: str, S: Float, combination: Float | None) -> Float:
+def _slope(name: str, S: Floats, combination: Floats | None) -> Floats:
     """d log value / d S. Raises LinAlgError where S is singular, and with `trace` where it is nothing."""
     p = len(S)
     if name == "trace" and np.trace(S) > TINY:

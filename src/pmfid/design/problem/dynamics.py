@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from pmfid.design.problem.problem import Float
 from pmfid.models.drive import Drive
+from pmfid.types import Floats
 
 __all__ = ["Regime", "Step", "discretise", "drive_regime"]
 
@@ -26,14 +26,14 @@ class Regime:
     identity, but for a rest, in which friction takes out every deviation of velocity.
     """
 
-    A: Float
-    b: Float
-    g: Float
-    c: Float
-    A_slope: Float
-    b_slope: Float
-    g_slope: Float
-    entry: Float
+    A: Floats
+    b: Floats
+    g: Floats
+    c: Floats
+    A_slope: Floats
+    b_slope: Floats
+    g_slope: Floats
+    entry: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +43,9 @@ class Step:
     A: (n(p+1), n(p+1)); b, g: (n(p+1),). Exact for an input that is held.
     """
 
-    A: Float
-    b: Float
-    g: Float
+    A: Floats
+    b: Floats
+    g: Floats
 
 
 def drive_regime(drive: Drive, nominal: Mapping[str, float], names: tuple[str, ...], direction: int) -> Regime:

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.design.problem.dynamics import Regime, Step, discretise, drive_regime
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.types import Floats
 
 __all__ = ["Affine", "affine", "check_identifiable", "information", "motion", "sensitivities"]
 
@@ -28,18 +29,18 @@ class Affine:
     parameter. prior (p, p): prior information on the scaled parameters. scale (p,): what they are scaled with.
     """
 
-    state_matrix: Float
-    state_offset: Float
-    matrix: Float
-    offset: Float
-    prior: Float
-    scale: Float
+    state_matrix: Floats
+    state_offset: Floats
+    matrix: Floats
+    offset: Floats
+    prior: Floats
+    scale: Floats
 
-    def weighted(self, u: ArrayLike) -> Float:
+    def weighted(self, u: ArrayLike) -> Floats:
         """Sensitivities over deviation, (p, N)."""
         return np.asarray(self.matrix @ np.asarray(u) + self.offset).reshape(len(self.scale), -1)
 
-    def information(self, u: ArrayLike) -> Float:
+    def information(self, u: ArrayLike) -> Floats:
         """Information on the scaled parameters, (p, p), prior included."""
         s = self.weighted(u)
         return np.asarray(s @ s.T + self.prior)
@@ -81,7 +82,7 @@ def _steps(
     return [known[d] for d in problem.sense]
 
 
-def motion(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | None = None) -> tuple[Float, Float]:
+def motion(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | None = None) -> tuple[Floats, Floats]:
     """Position [m] and velocity [m/s] at the nodes, each (intervals + 1,), if the directions are as the problem says.
 
     parameters: other values than the nominal ones, {name: value}. Raises UsageError where u has another length.
@@ -94,19 +95,19 @@ def motion(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | Non
     return x, v
 
 
-def sensitivities(problem: Problem, u: ArrayLike) -> Float:
+def sensitivities(problem: Problem, u: ArrayLike) -> Floats:
     """d position / d parameter at the samples, (intervals * samples_per_interval, p), parameters in their own units."""
     maps = affine(problem)
     return np.asarray((maps.weighted(_checked(problem, u)) / problem.scale[:, None]).T * np.sqrt(problem.variance))
 
 
-def information(problem: Problem, u: ArrayLike) -> Float:
+def information(problem: Problem, u: ArrayLike) -> Floats:
     """Fisher information on unknown and nuisance parameters in their own units, prior included: (p, p), paper eq. 4."""
     maps = affine(problem)
     return maps.information(_checked(problem, u)) / np.outer(maps.scale, maps.scale)
 
 
-def _checked(problem: Problem, u: ArrayLike) -> Float:
+def _checked(problem: Problem, u: ArrayLike) -> Floats:
     values = np.asarray(u, float)
     if values.shape != (problem.intervals,) or not np.isfinite(values).all():
         raise UsageError(f"u must hold {problem.intervals} finite values, one per interval, got shape {values.shape}")

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.design.problem.checks import (
     check_ends,
@@ -20,10 +19,9 @@ from pmfid.design.problem.checks import (
 )
 from pmfid.errors import PmfidError, UsageError
 from pmfid.models.drive import Drive
+from pmfid.types import Floats
 
 __all__ = ["InfeasibleError", "Limits", "Problem", "Relaxation"]
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -118,7 +116,7 @@ class Problem:
     end: tuple[float | None, float | None] = (None, None)
     end_tolerance: tuple[float, float] = (0.0, 0.0)
     samples_per_interval: int = 1
-    prior: Float | None = None
+    prior: Floats | None = None
     scaled: bool = True
     directions: tuple[int, ...] = ()
     scenarios: tuple[Mapping[str, float], ...] = field(default=())
@@ -154,7 +152,7 @@ class Problem:
         return self.horizon / self.intervals
 
     @property
-    def t(self) -> Float:
+    def t(self) -> Floats:
         """Instants of the nodes [s], (intervals + 1,)."""
         return np.linspace(0.0, self.horizon, self.intervals + 1)
 
@@ -171,6 +169,6 @@ class Problem:
         return float(self.resolution or 0.0) ** 2 / 12.0
 
     @property
-    def scale(self) -> Float:
+    def scale(self) -> Floats:
         """(p,) nominal values, or ones where the criteria are not scaled."""
         return np.array([abs(self.nominal[name]) if self.scaled else 1.0 for name in self.names])

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
+from pmfid.types import Floats
 
 __all__ = ["Design"]
 
@@ -22,11 +23,11 @@ class Design:
 
     problem: Problem
     criterion: str
-    t: Float
-    u: Float
-    x: Float
-    v: Float
-    fisher: Float
+    t: Floats
+    u: Floats
+    x: Floats
+    v: Floats
+    fisher: Floats
     value: float
     bound: float | None = None
     starts: int = 1

@@ -13,8 +13,8 @@ import numpy as np
 
 from pmfid.design.problem.criteria import Criterion
 from pmfid.design.problem.fisher import Affine
-from pmfid.design.problem.problem import Float
 from pmfid.design.search.oracle import Oracle
+from pmfid.types import Floats
 
 __all__ = ["Climber"]
 
@@ -47,14 +47,14 @@ class Climber:
     criterion: Criterion
     oracle: Oracle
     worst: bool = False
-    _known: list[tuple[float, Float, float, Float]] = field(default_factory=list)
+    _known: list[tuple[float, Floats, float, Floats]] = field(default_factory=list)
 
-    def start(self, rng: np.random.Generator) -> tuple[float, Float]:
+    def start(self, rng: np.random.Generator) -> tuple[float, Floats]:
         """(log value, input (K,)) of the best found from a random vertex."""
         self.oracle.start()
         return self.climb(self.oracle.maximise(rng.standard_normal(self.oracle.shape.inputs)))
 
-    def climb(self, u: Float) -> tuple[float, Float]:
+    def climb(self, u: Floats) -> tuple[float, Floats]:
         """(log value, input) of the local optimum above u that no shift improves."""
         value, u = self.ascend(u)
         met = []
@@ -73,7 +73,7 @@ class Climber:
         self._known += [(*local, value, u) for local in met]
         return value, u
 
-    def ascend(self, u: Float, tolerance: float = TOLERANCE, steps: int = 60) -> tuple[float, Float]:
+    def ascend(self, u: Floats, tolerance: float = TOLERANCE, steps: int = 60) -> tuple[float, Floats]:
         """(log value, input) where no vertex promises a relative gain of more than the tolerance."""
         s = [maps.weighted(u) for maps in self.maps]
         value = float(self._blend(np.array([self.criterion.log_value(F) for F in self._informations(s)])))
@@ -98,10 +98,10 @@ class Climber:
                 break
         return value, u
 
-    def _informations(self, s: list[Float]) -> list[Float]:
+    def _informations(self, s: list[Floats]) -> list[Floats]:
         return [here @ here.T + maps.prior for maps, here in zip(self.maps, s, strict=True)]
 
-    def _blend(self, values: Float) -> Float:
+    def _blend(self, values: Floats) -> Floats:
         """Log value of all cases together, from those of each, (cases, ...)."""
         if len(values) == 1:
             return np.asarray(values[0])
@@ -109,7 +109,7 @@ class Climber:
             return np.asarray(values.mean(axis=0))
         return np.asarray(values.min(axis=0) - np.log(np.exp(-SHARPNESS * _above(values)).mean(axis=0)) / SHARPNESS)
 
-    def _slope(self, s: list[Float]) -> Float:
+    def _slope(self, s: list[Floats]) -> Floats:
         """Gradient of the log value to the input, from the weighted sensitivities (p, N) of each case."""
         informations = self._informations(s)
         weights = np.ones(1)
@@ -122,14 +122,14 @@ class Climber:
             slope += weight * (maps.matrix.T @ (2.0 * (self.criterion.gradient(F) @ here)).ravel())
         return slope
 
-    def _line(self, s: list[Float], change: list[Float]) -> tuple[float, float]:
+    def _line(self, s: list[Floats], change: list[Floats]) -> tuple[float, float]:
         """(part of the way, log value) of the maximum between s and s + change: there F is a quadratic of the part."""
         cross = [here @ there.T for here, there in zip(s, change, strict=True)]
         constant = np.array(self._informations(s))[:, None]
         linear = np.array([c + c.T for c in cross])[:, None]
         square = np.array([there @ there.T for there in change])[:, None]
 
-        def best(parts: Float) -> tuple[int, float]:
+        def best(parts: Floats) -> tuple[int, float]:
             a = parts[:, None, None]
             values = self._blend(self.criterion.log_value(constant + a * linear + a * a * square))
             i = int(values.argmax())
@@ -142,7 +142,7 @@ class Climber:
         i, value = best(parts)
         return float(parts[i]), value
 
-    def _neighbour(self, value: float, u: Float, shift: int) -> tuple[float, Float] | None:
+    def _neighbour(self, value: float, u: Floats, shift: int) -> tuple[float, Floats] | None:
         """A better local optimum that the shifted input leads to, or None."""
         moved = np.clip(np.arange(len(u)) - shift, 0, len(u) - 1)
         vertex = self.oracle.maximise(self._slope([maps.weighted(u[moved]) for maps in self.maps]))
@@ -155,7 +155,7 @@ class Climber:
         size = self.oracle.shape.inputs
         return list(dict.fromkeys(s for n in SHIFTS if 0 < abs(s := n * max(1, round(size / 40))) < size))
 
-    def _recall(self, value: float, u: Float) -> tuple[float, Float] | None:
+    def _recall(self, value: float, u: Floats) -> tuple[float, Floats] | None:
         """Where the search from this local optimum has ended before."""
         scale = 0.02 * float(np.abs(u).max())
         for seen, where, best, best_u in self._known:
@@ -164,7 +164,7 @@ class Climber:
         return None
 
 
-def _above(values: Float) -> Float:
+def _above(values: Floats) -> Floats:
     """Log values over the least of all cases, (cases, ...); also where some are -inf, as at rest."""
     least = values.min(axis=0)
     return np.asarray(np.subtract(values, least, out=np.zeros(values.shape), where=values != least))

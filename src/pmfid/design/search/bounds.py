@@ -18,12 +18,13 @@ from scipy.linalg import null_space
 
 from pmfid.design.problem.criteria import Criterion
 from pmfid.design.problem.fisher import Affine, affine
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
 from pmfid.design.search.frame import Box, Frame, frame
 from pmfid.design.search.mixture import best_mixture, proportions, share
 from pmfid.design.search.nearest import EQUAL, input_set
 from pmfid.design.search.oracle import EmptyError, Oracle
 from pmfid.design.search.polytope import polytope
+from pmfid.types import Floats
 
 __all__ = ["upper_bound"]
 
@@ -39,17 +40,17 @@ LEAST_GAIN = 0.02
 class _Node:
     """A part of the inputs: rows (normal, lower, upper) cut it out; bound: in units of the incumbent's value."""
 
-    rows: list[tuple[Float, float, float]]
+    rows: list[tuple[Floats, float, float]]
     frame: Frame
     box: Box
     bound: float = np.inf
-    z: Float = field(default_factory=lambda: np.zeros(0))
-    seen: list[Float] = field(default_factory=list)
-    apart: tuple[Float, Float] | None = None
+    z: Floats = field(default_factory=lambda: np.zeros(0))
+    seen: list[Floats] = field(default_factory=list)
+    apart: tuple[Floats, Floats] | None = None
 
 
 def upper_bound(
-    problem: Problem, rule: Criterion, u: Float, *, gap: float = 0.01, seconds: float = 60.0
+    problem: Problem, rule: Criterion, u: Floats, *, gap: float = 0.01, seconds: float = 60.0
 ) -> float | None:
     """An upper bound of the criterion's value, at most 1 + gap times that of the input u (K,) if the time suffices.
 
@@ -63,7 +64,7 @@ def upper_bound(
 
 
 class _Search:
-    def __init__(self, problem: Problem, rule: Criterion, u: Float, gap: float, until: float) -> None:
+    def __init__(self, problem: Problem, rule: Criterion, u: Floats, gap: float, until: float) -> None:
         self.maps: Affine = affine(problem)
         self.rule, self.u, self.until = rule, u, until
         self.target = 1.0 + gap
@@ -98,7 +99,7 @@ class _Search:
         self._close(node)
         return node
 
-    def _framed(self, rows: list[tuple[Float, float, float]], weight: Float, seen: list[Float]) -> _Node:
+    def _framed(self, rows: list[tuple[Floats, float, float]], weight: Floats, seen: list[Floats]) -> _Node:
         """The part that the rows cut out, in the frame of a weight, with all ranges measured."""
         self._enter(rows)
         where = frame(self.maps, weight, self.directions, self.u)
@@ -110,7 +111,7 @@ class _Search:
         self._bound(node)
         return node
 
-    def _enter(self, rows: list[tuple[Float, float, float]]) -> None:
+    def _enter(self, rows: list[tuple[Floats, float, float]]) -> None:
         self.oracle.start()
         for normal, lower, upper in rows:
             self.oracle.restrict(normal, lower, upper)
@@ -196,7 +197,7 @@ class _Search:
 SLACK_OF_BOUND = 1e-6
 
 
-def _between(where: Frame, box: Box, one: Float, other: Float) -> tuple[int, float]:
+def _between(where: Frame, box: Box, one: Floats, other: Floats) -> tuple[int, float]:
     """The coordinate in which two inputs differ most, and the value half way, well inside the box."""
     a, b = where.matrix @ one + where.offset, where.matrix @ other + where.offset
     j = int(np.argmax(np.abs(a - b)))
@@ -204,6 +205,6 @@ def _between(where: Frame, box: Box, one: Float, other: Float) -> tuple[int, flo
     return j, float(np.clip((a[j] + b[j]) / 2.0, box.lower[j] + margin, box.upper[j] - margin))
 
 
-def _support(maps: Affine, rule: Criterion, oracle: Oracle, u: Float) -> Float:
+def _support(maps: Affine, rule: Criterion, oracle: Oracle, u: Floats) -> Floats:
     """Information of the best mixture, as far as a few local searches find it."""
     return best_mixture(maps, rule, oracle, [u])[0]

@@ -10,7 +10,7 @@ import numpy as np
 
 from pmfid.design.problem.criteria import Criterion, criterion_of, eliminate
 from pmfid.design.problem.fisher import Affine, affine, check_identifiable
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
 from pmfid.design.problem.result import Design
 from pmfid.design.search.ascent import Climber
 from pmfid.design.search.mixture import best_mixture, proportions
@@ -18,6 +18,7 @@ from pmfid.design.search.oracle import Oracle
 from pmfid.design.search.polytope import polytope
 from pmfid.design.search.solver import evaluate, solve
 from pmfid.errors import UsageError
+from pmfid.types import Floats
 
 __all__ = ["Campaign", "campaign"]
 
@@ -32,9 +33,9 @@ class Campaign:
     """
 
     motions: tuple[Design, ...]
-    weights: Float
+    weights: Floats
     single: Design
-    fisher: Float
+    fisher: Floats
     value: float
     ideal: float
     solve_seconds: float = 0.0
@@ -87,7 +88,7 @@ def campaign(
     )
 
 
-def _fewest(maps: Affine, rule: Criterion, inputs: list[Float], motions: int) -> list[Float]:
+def _fewest(maps: Affine, rule: Criterion, inputs: list[Floats], motions: int) -> list[Floats]:
     """The heaviest inputs of a mixture."""
     while len(inputs) > motions:
         weights = proportions(rule, np.array([maps.information(u) for u in inputs]))
@@ -95,7 +96,7 @@ def _fewest(maps: Affine, rule: Criterion, inputs: list[Float], motions: int) ->
     return inputs
 
 
-def _joint(maps: Affine, rule: Criterion, oracle: Oracle, inputs: list[Float]) -> tuple[list[Float], Float]:
+def _joint(maps: Affine, rule: Criterion, oracle: Oracle, inputs: list[Floats]) -> tuple[list[Floats], Floats]:
     """Motions improved in turn, each beside the others, and their weights, until nothing changes."""
     inputs, last = list(inputs), -np.inf
     while True:
@@ -112,5 +113,5 @@ def _joint(maps: Affine, rule: Criterion, oracle: Oracle, inputs: list[Float]) -
             inputs[i] = Climber((beside,), rule, oracle).ascend(inputs[i], tolerance=1e-7, steps=100)[1]
 
 
-def _mean(maps: Affine, inputs: list[Float], weights: Float) -> Float:
+def _mean(maps: Affine, inputs: list[Floats], weights: Floats) -> Floats:
     return np.asarray(sum(w * maps.information(u) for w, u in zip(weights, inputs, strict=True)))

@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike
 
 from pmfid.design.problem.criteria import Criterion, criterion_of, eliminate
 from pmfid.design.problem.fisher import Affine, affine, motion
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
 from pmfid.design.problem.result import Design
 from pmfid.design.search.nearest import input_set
 from pmfid.design.search.polytope import Polytope, polytope
+from pmfid.types import Floats
 
 __all__ = ["Setting", "evaluate", "setting", "violations"]
 
@@ -30,12 +31,12 @@ class Setting:
     rule: Criterion
     shape: Polytope
 
-    def value(self, u: Float) -> float:
+    def value(self, u: Floats) -> float:
         """Criterion of an input (K,): nominal, or the geometric mean or the worst of the cases."""
         values = [float(self.rule.log_value(maps.information(u))) for maps in self.maps]
         return float(np.exp(min(values) if self.problem.average == "worst" else np.mean(values)))
 
-    def design(self, u: Float) -> Design:
+    def design(self, u: Floats) -> Design:
         """The input with its motion, information and value."""
         x, v = motion(self.problem, u)
         broken = violations(self.shape, u)
@@ -61,7 +62,7 @@ def evaluate(
     return setting(problem, criterion, combination).design(np.asarray(u, float))
 
 
-def violations(shape: Polytope, u: Float) -> dict[str, float]:
+def violations(shape: Polytope, u: Floats) -> dict[str, float]:
     """{limit: by how much the input breaks it, in its unit}, for those that it breaks."""
     inputs = input_set(shape)
     values = inputs.matrix @ u
@@ -74,7 +75,7 @@ def violations(shape: Polytope, u: Float) -> dict[str, float]:
     return broken | ({"energy": over} if over > PRECISION * shape.radius else {})
 
 
-def _parks(problem: Problem, v: Float) -> bool:
+def _parks(problem: Problem, v: Floats) -> bool:
     """Whether the axis stands at a node between two intervals of motion."""
     sense = np.array(problem.sense)
     inside = v[1:-1][(sense[:-1] != 0) & (sense[1:] != 0)]

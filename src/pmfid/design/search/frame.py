@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmfid.design.problem.fisher import Affine
-from pmfid.design.problem.problem import Float
+from pmfid.types import Floats
 
 __all__ = ["Box", "Frame", "frame"]
 
@@ -23,9 +23,9 @@ class Frame:
     weight: (p, p), positive semidefinite; matrix: (r, K), offset: (r,), largest coordinates first.
     """
 
-    weight: Float
-    matrix: Float
-    offset: Float
+    weight: Floats
+    matrix: Floats
+    offset: Floats
     constant: float
 
 
@@ -33,26 +33,26 @@ class Frame:
 class Box:
     """lower <= z <= upper (r,): ranges of the coordinates of a frame over a part of the inputs."""
 
-    lower: Float
-    upper: Float
+    lower: Floats
+    upper: Floats
 
     @property
-    def slope(self) -> Float:
+    def slope(self) -> Floats:
         """Slopes of the chords: z^2 <= slope z - lower upper inside the box."""
         return self.lower + self.upper
 
-    def chords(self, z: Float) -> float:
+    def chords(self, z: Floats) -> float:
         """Sum of the chords at z, an upper bound of |z|^2."""
         return float(self.slope @ z - self.lower @ self.upper)
 
-    def gaps(self, z: Float) -> Float:
+    def gaps(self, z: Floats) -> Floats:
         """By how much each chord is too high at z."""
         return np.maximum(0.0, (self.upper - z) * (z - self.lower))
 
     def copy(self) -> Box:
         return Box(self.lower.copy(), self.upper.copy())
 
-    def measure(self, j: int, extreme: Callable[[Float], Float], where: Frame) -> list[Float]:
+    def measure(self, j: int, extreme: Callable[[Floats], Floats], where: Frame) -> list[Floats]:
         """Narrows range j to what the inputs allow, and returns the two inputs at its ends."""
         row, offset = where.matrix[j], where.offset[j]
         ends = [extreme(row), extreme(-row)]
@@ -61,7 +61,7 @@ class Box:
         return ends
 
 
-def frame(maps: Affine, weight: Float, directions: Float, u: Float) -> Frame:
+def frame(maps: Affine, weight: Floats, directions: Floats, u: Floats) -> Frame:
     """The frame of a weight; directions (K, q): those in which the equations let the input u move."""
     p = len(maps.scale)
     eigenvalues, vectors = np.linalg.eigh(weight)

@@ -6,7 +6,8 @@ import highspy
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from pmfid.design.problem.problem import Float, InfeasibleError
+from pmfid.design.problem.problem import InfeasibleError
+from pmfid.types import Floats
 
 __all__ = ["least_norm", "model"]
 
@@ -19,7 +20,7 @@ OPTIONS: dict[str, bool | int | str] = {
 }
 
 
-def model(matrix: csc_matrix, lower: Float, upper: Float, low: Float, high: Float) -> highspy.Highs:
+def model(matrix: csc_matrix, lower: Floats, upper: Floats, low: Floats, high: Floats) -> highspy.Highs:
     """HiGHS with lower <= matrix z <= upper, low <= z <= high and no objective yet."""
     lp = highspy.HighsLp()
     lp.num_row_, lp.num_col_ = matrix.shape
@@ -36,7 +37,7 @@ def model(matrix: csc_matrix, lower: Float, upper: Float, low: Float, high: Floa
     return highs
 
 
-def least_norm(G: Float, h: Float) -> Float:
+def least_norm(G: Floats, h: Floats) -> Floats:
     """d (n,) of least norm with G d >= h, (m, n) and (m,), by the quadratic solver of HiGHS, to 1e-6.
 
     Raises InfeasibleError where there is none.

@@ -13,9 +13,9 @@ import numpy as np
 
 from pmfid.design.problem.criteria import Criterion
 from pmfid.design.problem.fisher import Affine
-from pmfid.design.problem.problem import Float
 from pmfid.design.search.ascent import Climber
 from pmfid.design.search.oracle import Oracle
+from pmfid.types import Floats
 
 __all__ = ["best_mixture", "proportions", "share"]
 
@@ -28,7 +28,7 @@ NEGLIGIBLE = 1e-6
 MOTIONS, SEARCHES = 30, 4
 
 
-def proportions(rule: Criterion, informations: Float, rounds: int = ROUNDS) -> Float:
+def proportions(rule: Criterion, informations: Floats, rounds: int = ROUNDS) -> Floats:
     """Weights (m,), summing to 1, with the largest value of the criterion at sum weights[i] informations[i] (m, p, p).
 
     Multiplicative steps (Silvey, Titterington and Torsney 1978).
@@ -44,7 +44,7 @@ def proportions(rule: Criterion, informations: Float, rounds: int = ROUNDS) -> F
     return np.where(weights < NEGLIGIBLE, 0.0, weights)
 
 
-def share(rule: Criterion, mean: Float) -> Float:
+def share(rule: Criterion, mean: Floats) -> Floats:
     """W (p, p) with value(F) <= trace(W F) for every information F, equal at the mean.
 
     The criteria are homogeneous and concave in F, so that the tangent at the mean is such a bound.
@@ -53,8 +53,8 @@ def share(rule: Criterion, mean: Float) -> Float:
 
 
 def best_mixture(
-    maps: Affine, rule: Criterion, oracle: Oracle, inputs: list[Float], seed: int = 0
-) -> tuple[Float, list[Float]]:
+    maps: Affine, rule: Criterion, oracle: Oracle, inputs: list[Floats], seed: int = 0
+) -> tuple[Floats, list[Floats]]:
     """Information of the best mixture found, and the inputs that carry it.
 
     Adds, one at a time, the input with the largest share of the tangent (Fedorov 1972; Wynn 1970).
@@ -73,13 +73,13 @@ def best_mixture(
     return mean, inputs
 
 
-def _largest_share(maps: Affine, weight: Float, oracle: Oracle, rng: np.random.Generator) -> Float:
+def _largest_share(maps: Affine, weight: Floats, oracle: Oracle, rng: np.random.Generator) -> Floats:
     """Input with the largest trace(weight F(u)) that a few local searches find: full steps climb a convex function."""
     climber = Climber((_turned(maps, weight),), Criterion("trace", len(maps.scale)), oracle)
     return max((climber.start(rng) for _ in range(SEARCHES)), key=lambda found: found[0])[1]
 
 
-def _turned(maps: Affine, weight: Float) -> Affine:
+def _turned(maps: Affine, weight: Floats) -> Affine:
     """The maps after which the plain trace is trace(weight F)."""
     eigenvalues, vectors = np.linalg.eigh(weight)
     root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))) @ vectors.T

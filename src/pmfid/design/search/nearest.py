@@ -9,9 +9,10 @@ from scipy.linalg import null_space
 from scipy.optimize import nnls
 from scipy.sparse.linalg import spsolve
 
-from pmfid.design.problem.problem import Float, InfeasibleError
+from pmfid.design.problem.problem import InfeasibleError
 from pmfid.design.search.highs import least_norm
 from pmfid.design.search.polytope import Polytope
+from pmfid.types import Floats
 
 __all__ = ["InputSet", "input_set", "nearest", "violation"]
 
@@ -30,14 +31,14 @@ class InputSet:
     """
 
     rows: Polytope
-    matrix: Float
-    lower: Float
-    upper: Float
+    matrix: Floats
+    lower: Floats
+    upper: Floats
     names: tuple[str, ...]
-    position: Float
-    position_offset: Float
-    velocity: Float
-    velocity_offset: Float
+    position: Floats
+    position_offset: Floats
+    velocity: Floats
+    velocity_offset: Floats
 
 
 def input_set(rows: Polytope) -> InputSet:
@@ -57,7 +58,7 @@ def input_set(rows: Polytope) -> InputSet:
     )
 
 
-def violation(inputs: InputSet, u: Float) -> float:
+def violation(inputs: InputSet, u: Floats) -> float:
     """By how much u (K,) leaves the limits, relative to the size of each row; 0 where it meets all."""
     value = inputs.matrix @ u
     size = np.abs(inputs.matrix).sum(axis=1) * max(1.0, float(np.abs(u).max()))
@@ -65,7 +66,7 @@ def violation(inputs: InputSet, u: Float) -> float:
     return max(0.0, float(excess.max(initial=0.0)), float(np.linalg.norm(u)) / inputs.rows.radius - 1.0)
 
 
-def nearest(inputs: InputSet, wish: Float) -> Float:
+def nearest(inputs: InputSet, wish: Floats) -> Floats:
     """u (K,) that meets all limits and is nearest to the wish (K,) in the sum of squares.
 
     A least distance problem (Lawson and Hanson 1974, chapter 23). Where the nearest takes more energy than allowed: the
@@ -83,7 +84,7 @@ def nearest(inputs: InputSet, wish: Float) -> Float:
     return np.asarray(least + step * (-b + np.sqrt(b * b - a * c)) / a)
 
 
-def _nearest(inputs: InputSet, wish: Float) -> Float:
+def _nearest(inputs: InputSet, wish: Floats) -> Floats:
     """The same without the limit of energy: least norm of d where u = wish + base + Z d, the equations met by base."""
     equal = inputs.upper - inputs.lower <= EQUAL
     E, f = inputs.matrix[equal], inputs.upper[equal] - inputs.matrix[equal] @ wish
@@ -97,7 +98,7 @@ def _nearest(inputs: InputSet, wish: Float) -> Float:
     return np.asarray(wish + base + Z @ _least_distance(G, h))
 
 
-def _least_distance(G: Float, h: Float) -> Float:
+def _least_distance(G: Floats, h: Floats) -> Floats:
     """d of least norm with G d >= h, rows of G of unit length."""
     size = float(h.max(initial=0.0))
     if size <= 0.0:
@@ -106,7 +107,7 @@ def _least_distance(G: Float, h: Float) -> Float:
     return size * _least_distance_of_one(G, h / size)
 
 
-def _least_distance_of_one(G: Float, h: Float) -> Float:
+def _least_distance_of_one(G: Floats, h: Floats) -> Floats:
     """The same for a largest h of 1.
 
     Where a limit of position says the same as one of velocity next to a standstill, the active set of `nnls` may become

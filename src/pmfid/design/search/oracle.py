@@ -8,11 +8,11 @@ import highspy
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from pmfid.design.problem.problem import Float
 from pmfid.design.search.highs import model
 from pmfid.design.search.nearest import input_set, nearest
 from pmfid.design.search.polytope import Polytope
 from pmfid.errors import PmfidError, UsageError
+from pmfid.types import Floats
 
 __all__ = ["EmptyError", "Oracle", "SolverError"]
 
@@ -42,7 +42,7 @@ class Oracle:
         self._rows = self._highs.getNumRow()
         self._columns = np.arange(shape.inputs, dtype=np.int32)
         self._basis: highspy.HighsBasis | None = None
-        self._centre: Float | None = None
+        self._centre: Floats | None = None
         self.solves = 0
 
     def feasible(self) -> bool:
@@ -61,7 +61,7 @@ class Oracle:
         if self._basis is not None:
             self._highs.setBasis(self._basis)
 
-    def maximise(self, objective: Float) -> Float:
+    def maximise(self, objective: Floats) -> Floats:
         """An input (K,) that maximises objective' u. Raises SolverError where HiGHS finds no optimum."""
         u = self._vertex(objective)
         for _ in range(MAX_CUTS):
@@ -71,11 +71,11 @@ class Oracle:
             u = self._vertex(objective)
         return self._retreat(u)
 
-    def relaxed(self, objective: Float) -> Float:
+    def relaxed(self, objective: Floats) -> Floats:
         """Like `maximise`, but of the energy limit only the tangents met so far count: the value is not too small."""
         return self._vertex(objective)
 
-    def restrict(self, normal: Float, lower: float, upper: float) -> int:
+    def restrict(self, normal: Floats, lower: float, upper: float) -> int:
         """Adds lower <= normal' u <= upper until `start`; returns the row, for `release`."""
         self._highs.addRow(lower, upper, self.shape.inputs, self._columns, normal)
         return int(self._highs.getNumRow()) - 1
@@ -84,7 +84,7 @@ class Oracle:
         """Takes a restriction back."""
         self._highs.deleteRows(1, np.array([row], dtype=np.int32))
 
-    def _vertex(self, objective: Float) -> Float:
+    def _vertex(self, objective: Floats) -> Floats:
         # HiGHS works to absolute tolerances: an objective of order one makes them relative
         size = float(np.abs(objective).max()) or 1.0
         self._cost(-objective / size)
@@ -103,7 +103,7 @@ class Oracle:
         self.solves += 1
         return np.asarray(self._highs.getSolution().col_value)[: self.shape.inputs]
 
-    def _cost(self, cost: Float) -> None:
+    def _cost(self, cost: Floats) -> None:
         self._highs.changeColsCost(self.shape.inputs, self._columns, cost)
 
     def _run(self) -> highspy.HighsModelStatus:
@@ -118,7 +118,7 @@ class Oracle:
         self._highs.setOptionValue("presolve", "off")
         return status
 
-    def _cut(self, u: Float) -> None:
+    def _cut(self, u: Floats) -> None:
         """Cuts off a point outside the ball by the tangent below it."""
         normal = u / np.linalg.norm(u)
         if self._highs.getNumRow() >= self._rows + KEPT:
@@ -130,7 +130,7 @@ class Oracle:
         self._centre = nearest(input_set(free), np.zeros(self.shape.inputs))
         return float(np.linalg.norm(self._centre))
 
-    def _retreat(self, u: Float) -> Float:
+    def _retreat(self, u: Floats) -> Floats:
         """From a point that still is a little outside the ball, towards the input of least norm, back into it."""
         if self._centre is None:
             self._least_norm()
@@ -153,7 +153,7 @@ def _load(shape: Polytope) -> highspy.Highs:
     return model(rows[terms > 1].tocsc(), lower[terms > 1], upper[terms > 1], low, high)
 
 
-def _summed(shape: Polytope) -> tuple[csr_matrix, Float, Float]:
+def _summed(shape: Polytope) -> tuple[csr_matrix, Floats, Floats]:
     """The rows; where only the last nominal position is limited, one sum of steps stands for all positions."""
     K, rows = shape.inputs, shape.matrix.tocsr()
     chain = np.flatnonzero([name == "motion" for name in shape.names])[: 2 * K : 2]

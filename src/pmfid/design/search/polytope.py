@@ -13,7 +13,8 @@ import numpy as np
 from scipy.sparse import csc_matrix
 
 from pmfid.design.problem.dynamics import VELOCITY, Regime, Step, discretise, drive_regime
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
+from pmfid.types import Floats
 
 __all__ = ["UNITS", "Polytope", "polytope"]
 
@@ -46,8 +47,8 @@ class Polytope:
     """
 
     matrix: csc_matrix
-    lower: Float
-    upper: Float
+    lower: Floats
+    upper: Floats
     names: tuple[str, ...]
     inputs: int
     radius: float

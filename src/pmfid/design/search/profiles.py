@@ -7,7 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
+from pmfid.types import Floats
 
 __all__ = ["RISES", "SIGNALS", "Leg", "input_wish", "legs", "velocity_wish"]
 
@@ -42,7 +43,7 @@ def legs(problem: Problem) -> list[Leg]:
     return [Leg(a, b, problem.sense[a], b != last) for a, b in moving]
 
 
-def velocity_wish(problem: Problem, leg: Leg, rise: float | None, peak: float) -> Float:
+def velocity_wish(problem: Problem, leg: Leg, rise: float | None, peak: float) -> Floats:
     """Velocities at the leg's nodes [m/s], (last - first + 1,).
 
     A trapezoid that rises during the part `rise` of the time; None: the curve of least jerk (Flash and Hogan 1985).
@@ -58,7 +59,7 @@ def velocity_wish(problem: Problem, leg: Leg, rise: float | None, peak: float) -
     return np.asarray(leg.direction * speed)
 
 
-def input_wish(problem: Problem, name: str, low: float, high: float, rng: np.random.Generator) -> Float:
+def input_wish(problem: Problem, name: str, low: float, high: float, rng: np.random.Generator) -> Floats:
     """Inputs (n,) between low and high: pulses, prbs, multisine (phases of Schroeder 1970) or chirp."""
     n = problem.intervals
     middle, size = (high + low) / 2, (high - low) / 2
@@ -74,7 +75,7 @@ def input_wish(problem: Problem, name: str, low: float, high: float, rng: np.ran
     return np.asarray(middle + size * signal)
 
 
-def _multisine(samples: int, tones: int) -> Float:
+def _multisine(samples: int, tones: int) -> Floats:
     """Tones 1 to `tones` per period (samples,), largest value 1; the crest factor is about 1.7 for many tones."""
     k = np.arange(1, tones + 1)
     phase = -np.pi * k * (k - 1) / tones

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from pmfid.design.problem.fisher import check_identifiable
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
 from pmfid.design.problem.result import Design
 from pmfid.design.search.ascent import Climber
 from pmfid.design.search.bounds import upper_bound
@@ -18,6 +18,7 @@ from pmfid.design.search.diagnosis import raise_infeasible
 from pmfid.design.search.evaluation import Setting, evaluate, setting
 from pmfid.design.search.oracle import Oracle
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.types import Floats
 
 __all__ = ["evaluate", "price_of_robustness", "solve"]
 
@@ -77,11 +78,11 @@ def price_of_robustness(design: Design, combination: Mapping[str, float] | None 
 
 def _all_starts(
     ready: Setting, seeds: list[np.random.SeedSequence], workers: int, progress: Progress | None
-) -> list[tuple[float, Float]]:
+) -> list[tuple[float, Floats]]:
     """(log value, input) of each start."""
-    results: list[tuple[float, Float]] = []
+    results: list[tuple[float, Floats]] = []
 
-    def work(part: list[np.random.SeedSequence]) -> list[tuple[float, Float]]:
+    def work(part: list[np.random.SeedSequence]) -> list[tuple[float, Floats]]:
         climber = _climber(ready)
         mine = []
         for seed in part:
@@ -105,5 +106,5 @@ def _climber(ready: Setting) -> Climber:
     return Climber(ready.maps, ready.rule, oracle, ready.problem.average == "worst")
 
 
-def _refined(ready: Setting, u: Float) -> Float:
+def _refined(ready: Setting, u: Floats) -> Floats:
     return _climber(ready).ascend(u, tolerance=1e-8, steps=300)[1]

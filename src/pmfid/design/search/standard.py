@@ -10,11 +10,12 @@ import numpy as np
 from scipy.optimize import brentq
 
 from pmfid.design.problem.fisher import motion
-from pmfid.design.problem.problem import Float, InfeasibleError, Problem
+from pmfid.design.problem.problem import InfeasibleError, Problem
 from pmfid.design.search.nearest import InputSet, input_set, nearest, violation
 from pmfid.design.search.oracle import Oracle
 from pmfid.design.search.polytope import polytope
 from pmfid.design.search.profiles import RISES, SIGNALS, Leg, input_wish, legs, velocity_wish
+from pmfid.types import Floats
 
 __all__ = ["STANDARD", "StandardInput", "standard_inputs"]
 
@@ -34,9 +35,9 @@ class StandardInput:
     """
 
     name: str
-    u: Float
-    x: Float
-    v: Float
+    u: Floats
+    x: Floats
+    v: Floats
     bent: bool
 
 
@@ -64,14 +65,14 @@ class _Maker:
     seed: int
 
     @cached_property
-    def from_velocity(self) -> Float:
+    def from_velocity(self) -> Floats:
         """Input of least norm from velocities less their offset, (K, K)."""
         return np.asarray(np.linalg.pinv(self.inputs.velocity), float)
 
-    def input_of(self, velocities: Float) -> Float:
+    def input_of(self, velocities: Floats) -> Floats:
         return np.asarray(self.from_velocity @ (velocities[1:] - self.inputs.velocity_offset))
 
-    def position_at(self, node: int, velocities: Float) -> float:
+    def position_at(self, node: int, velocities: Floats) -> float:
         row = self.inputs.position[node - 1]
         return float(row @ self.input_of(velocities) + self.inputs.position_offset[node - 1])
 
@@ -86,7 +87,7 @@ class _Maker:
         return far[0], far[1]
 
 
-def _profile(maker: _Maker, rises: tuple[float | None, ...]) -> tuple[Float, bool]:
+def _profile(maker: _Maker, rises: tuple[float | None, ...]) -> tuple[Floats, bool]:
     """The first of these velocity profiles that the limits allow, else the nearest to the first."""
     path = legs(maker.problem)
     shares = SHARES if any(leg.free for leg in path) else SHARES[:1]
@@ -98,7 +99,7 @@ def _profile(maker: _Maker, rises: tuple[float | None, ...]) -> tuple[Float, boo
     return nearest(maker.inputs, maker.input_of(wishes[0])), True
 
 
-def _velocities(maker: _Maker, path: list[Leg], rise: float | None, share: float) -> Float:
+def _velocities(maker: _Maker, path: list[Leg], rise: float | None, share: float) -> Floats:
     """Velocities (K+1,) at the nodes of the profile in each leg, as high as its target needs."""
     problem = maker.problem
     wish = np.zeros(problem.intervals + 1)
@@ -117,7 +118,7 @@ def _target(maker: _Maker, leg: Leg, share: float) -> float:
     return start + share * (maker.reach[leg.direction > 0] - start)
 
 
-def _peak(maker: _Maker, wish: Float, leg: Leg, rise: float | None, target: float) -> float:
+def _peak(maker: _Maker, wish: Floats, leg: Leg, rise: float | None, target: float) -> float:
     """Peak velocity [m/s] with which the leg ends at the target [m]; 0 where it cannot."""
 
     def beyond(peak: float) -> float:
@@ -131,7 +132,7 @@ def _peak(maker: _Maker, wish: Float, leg: Leg, rise: float | None, target: floa
     return float(brentq(beyond, 0.0, high, xtol=1e-15)) if beyond(0.0) < 0 < beyond(high) else 0.0
 
 
-def _signal(maker: _Maker, name: str) -> tuple[Float, bool]:
+def _signal(maker: _Maker, name: str) -> tuple[Floats, bool]:
     """The signal over the whole range of the input, bent to the other limits."""
     low, high = maker.problem.limits.pair("input") or _range(maker)
     wish = input_wish(maker.problem, name, low, high, np.random.default_rng(maker.seed))
@@ -146,23 +147,23 @@ def _range(maker: _Maker) -> tuple[float, float]:
     return -size, size
 
 
-def _least_energy(maker: _Maker) -> tuple[Float, bool]:
+def _least_energy(maker: _Maker) -> tuple[Floats, bool]:
     return _checked(maker, nearest(maker.inputs, np.zeros(maker.problem.intervals))), False
 
 
-def _least_time(maker: _Maker) -> tuple[Float, bool]:
+def _least_time(maker: _Maker) -> tuple[Floats, bool]:
     """As far ahead as possible at every node: largest sum of the way gone."""
     ahead = np.array(maker.problem.sense, float) @ maker.inputs.position
     return _checked(maker, Oracle(maker.inputs.rows).maximise(ahead)), False
 
 
-def _checked(maker: _Maker, u: Float) -> Float:
+def _checked(maker: _Maker, u: Floats) -> Floats:
     if not violation(maker.inputs, u) < 1e-5:
         raise InfeasibleError("no input meets all limits; relax one of them")
     return u
 
 
-_MAKERS: dict[str, Callable[[_Maker], tuple[Float, bool]]] = {
+_MAKERS: dict[str, Callable[[_Maker], tuple[Floats, bool]]] = {
     **{name: partial(_profile, rises=rises) for name, rises in RISES.items()},
     "minimum_energy": _least_energy,
     "minimum_time": _least_time,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from pmfid.design.problem.criteria import Criterion, eliminate
 from pmfid.design.problem.fisher import affine
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
 from pmfid.design.problem.result import Design
 from pmfid.design.search.evaluation import Setting, setting
 from pmfid.design.search.solver import price_of_robustness
@@ -19,6 +19,7 @@ from pmfid.design.search.standard import StandardInput, standard_inputs
 from pmfid.design.trial.choice import USUAL, best_input, stds
 from pmfid.design.trial.encoder_error import expected_covariance, is_counted
 from pmfid.design.trial.simulated import simulated_information
+from pmfid.types import Floats
 
 __all__ = ["Appraisal", "Worth", "appraise", "gathered", "worth_of"]
 
@@ -40,12 +41,12 @@ class Worth:
     unknown + nuisance, in their units, by which inputs are chosen; None where it is open.
     """
 
-    fisher: Float
+    fisher: Floats
     value: float
     surviving: float | None
     predicted_std: Mapping[str, float]
     std_encoder: Mapping[str, float]
-    covariance: Float | None = None
+    covariance: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +110,7 @@ def appraise(design: Design, combination: Mapping[str, float] | None = None, see
     return replace(found, warnings=(*design.warnings, *_warnings(found)))
 
 
-def worth_of(ready: Setting, u: Float) -> Worth:
+def worth_of(ready: Setting, u: Floats) -> Worth:
     """What one run of the input u (n,) tells."""
     problem, maps = ready.problem, ready.maps[0]
     covariance = expected_covariance(problem, u)
@@ -124,13 +125,13 @@ def worth_of(ready: Setting, u: Float) -> Worth:
     )
 
 
-def _on_unknown(problem: Problem, F: Float) -> Float:
+def _on_unknown(problem: Problem, F: Floats) -> Floats:
     """Information on the unknown parameters in their own units from that on all scaled ones."""
     size = len(problem.unknown)
     return np.asarray(eliminate(F, size)[0] / np.outer(problem.scale[:size], problem.scale[:size]))
 
 
-def gathered(problem: Problem, criterion: Criterion, u: ArrayLike) -> tuple[Float, Float]:
+def gathered(problem: Problem, criterion: Criterion, u: ArrayLike) -> tuple[Floats, Floats]:
     """Sample instants (N,) [s] and the value of the criterion for the samples up to each (N,), prior included."""
     maps = affine(problem)
     s = maps.weighted(u)
@@ -140,7 +141,7 @@ def gathered(problem: Problem, criterion: Criterion, u: ArrayLike) -> tuple[Floa
     return t, np.array(values)
 
 
-def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Float) -> float | None:
+def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Floats) -> float | None:
     """Of the run's own information by the same criterion, or by the trace where that gives the run alone no size."""
     if problem.drive.friction != "symmetric":
         return None
@@ -153,7 +154,7 @@ def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Fl
     return min(true) / whole if whole > 0 else None
 
 
-def _stds(problem: Problem, fisher: Float) -> dict[str, float]:
+def _stds(problem: Problem, fisher: Floats) -> dict[str, float]:
     scale = problem.scale[: len(problem.unknown)]
     values, vectors = np.linalg.eigh(fisher * np.outer(scale, scale))
     told = values > 1e-12 * max(values[-1], 0.0)

@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
 from pmfid.design.trial.counted import what_is_open
 from pmfid.design.trial.encoder_error import is_counted
 from pmfid.design.trial.simulated import STEP, drive_of
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.simulation.drive import simulate_drive
+from pmfid.types import Floats
 
 __all__ = ["DesignedRun", "RunsEstimate", "calibrate"]
 
@@ -39,8 +40,8 @@ class DesignedRun:
     Raises UsageError for arrays that do not fit each other or are not finite.
     """
 
-    u: Float
-    y: Float
+    u: Floats
+    y: Floats
     dt: float
 
     def __post_init__(self) -> None:
@@ -62,7 +63,7 @@ class RunsEstimate:
     """
 
     parameters: Mapping[str, float]
-    information: Float
+    information: Floats
     interval: Mapping[str, tuple[float, float]]
     inflation: float = 1.0
     unexplained: float = 0.0
@@ -97,7 +98,7 @@ def calibrate(problem: Problem, runs: Sequence[DesignedRun]) -> RunsEstimate:
     return by(problem, objective, found.x, J)
 
 
-def _by_squares(problem: Problem, objective: _Objective, q: Float, J: Float) -> RunsEstimate:
+def _by_squares(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> RunsEstimate:
     inflation = objective.inflation(q)
     information = (J.T @ J - objective.prior) / max(1.0, inflation) + objective.prior
     apart = NORMAL * np.sqrt(np.linalg.inv(information).diagonal())
@@ -106,7 +107,7 @@ def _by_squares(problem: Problem, objective: _Objective, q: Float, J: Float) -> 
     return RunsEstimate(objective.parameters(q), information / scale, _named(problem, interval), inflation)
 
 
-def _by_counts(problem: Problem, objective: _Objective, q: Float, J: Float) -> RunsEstimate:
+def _by_counts(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> RunsEstimate:
     found = what_is_open(
         objective.counts, q, np.asarray(np.linalg.inv(J.T @ J), float), objective.lower, objective.root
     )
@@ -116,7 +117,7 @@ def _by_counts(problem: Problem, objective: _Objective, q: Float, J: Float) -> R
     return RunsEstimate(parameters, information, _named(problem, interval), unexplained=found.unexplained)
 
 
-def _named(problem: Problem, interval: Float) -> dict[str, tuple[float, float]]:
+def _named(problem: Problem, interval: Floats) -> dict[str, tuple[float, float]]:
     return {name: (float(low), float(high)) for name, (low, high) in zip(problem.names, interval, strict=True)}
 
 
@@ -134,28 +135,28 @@ class _Objective:
         values, vectors = np.linalg.eigh(self.prior)
         self.root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
-    def parameters(self, q: Float) -> dict[str, float]:
+    def parameters(self, q: Floats) -> dict[str, float]:
         found = dict(zip(self.problem.names, (q * self.scale).tolist(), strict=True))
         return {name: found.get(name, value) for name, value in self.problem.nominal.items()}
 
-    def positions(self, parameters: Mapping[str, float]) -> list[Float]:
+    def positions(self, parameters: Mapping[str, float]) -> list[Floats]:
         drive = drive_of(self.problem, parameters)
         return [centred(simulate_drive(drive, run.u, run.dt, 0.0, self.problem.start[1]).x) for run in self.runs]
 
-    def data(self, q: Float) -> Float:
+    def data(self, q: Floats) -> Floats:
         pairs = zip(self.positions(self.parameters(q)), self.runs, strict=True)
         return np.asarray(np.concatenate([x - centred(run.y) for x, run in pairs]) / np.sqrt(self.problem.variance))
 
-    def counts(self, q: Float) -> list[Float]:
+    def counts(self, q: Floats) -> list[Floats]:
         """For each run the simulated less the measured position, in counts."""
         size = float(self.problem.resolution or 1.0)
         pairs = zip(self.positions(self.parameters(q)), self.runs, strict=True)
         return [(x - centred(run.y)) / size for x, run in pairs]
 
-    def __call__(self, q: Float) -> Float:
+    def __call__(self, q: Floats) -> Floats:
         return np.asarray(np.r_[self.data(q), self.root @ (q - self.start)])
 
-    def jacobian(self, q: Float) -> Float:
+    def jacobian(self, q: Floats) -> Floats:
         columns = []
         for i in range(q.size):
             low, high = (np.array(q, float) for _ in range(2))
@@ -164,14 +165,14 @@ class _Objective:
             columns.append((self.data(high) - self.data(low)) / (high[i] - low[i]))
         return np.vstack([np.column_stack(columns), self.root])
 
-    def inflation(self, q: Float) -> float:
+    def inflation(self, q: Floats) -> float:
         residual = self.data(q)
         free = max(1, residual.size - len(self.runs) - q.size)
         ends = np.cumsum([run.y.size for run in self.runs])[:-1]
         return float(residual @ residual) / free * correlation_time(np.split(residual, ends))
 
 
-def correlation_time(residuals: Sequence[Float]) -> float:
+def correlation_time(residuals: Sequence[Floats]) -> float:
     """1 + 2 sum of the autocorrelations of the residuals up to the first that white noise explains."""
     power = sum(float(e @ e) for e in residuals)
     total = 1.0
@@ -183,12 +184,12 @@ def correlation_time(residuals: Sequence[Float]) -> float:
     return total
 
 
-def centred(y: Float) -> Float:
+def centred(y: Floats) -> Floats:
     """y (n,) less its mean."""
     return np.asarray(y - np.mean(y))
 
 
-def _check(problem: Problem, objective: _Objective, q: Float, J: Float) -> None:
+def _check(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> None:
     motion = float(
         np.linalg.norm(np.concatenate([centred(run.y) for run in objective.runs]) / np.sqrt(problem.variance))
     )

@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.design.problem.criteria import Criterion, criterion_of
-from pmfid.design.problem.problem import Float, InfeasibleError, Problem
+from pmfid.design.problem.problem import InfeasibleError, Problem
 from pmfid.design.problem.result import Design
 from pmfid.design.search.evaluation import evaluate
 from pmfid.design.search.solver import solve
 from pmfid.design.search.standard import standard_inputs
 from pmfid.design.trial.encoder_error import expected_covariance
+from pmfid.types import Floats
 
 __all__ = ["USUAL", "Choice", "best_input", "choose", "stds"]
 
@@ -57,7 +58,7 @@ def choose(design: Design, combination: Mapping[str, float] | None = None, *, st
     return Choice(name, chosen, stds(problem, covariances[name]), stds(problem, covariances.get(USUAL)))
 
 
-def best_input(problem: Problem, rule: Criterion, covariances: Mapping[str, Float | None]) -> str:
+def best_input(problem: Problem, rule: Criterion, covariances: Mapping[str, Floats | None]) -> str:
     """Name of the best of some inputs by their covariances (p, p), in the units of the parameters; None: no estimate.
 
     Of those that leave every unknown parameter surely better known than the trapezoid does, that with the largest
@@ -78,7 +79,7 @@ def best_input(problem: Problem, rule: Criterion, covariances: Mapping[str, Floa
     return max(fit or covariances, key=value)
 
 
-def stds(problem: Problem, covariance: Float | None) -> dict[str, float]:
+def stds(problem: Problem, covariance: Floats | None) -> dict[str, float]:
     """{unknown parameter: standard deviation}, inf where there is no covariance."""
     if covariance is None:
         return dict.fromkeys(problem.unknown, math.inf)
@@ -87,7 +88,7 @@ def stds(problem: Problem, covariance: Float | None) -> dict[str, float]:
 
 def _others(
     design: Design, combination: Mapping[str, float] | None, starts: int, seed: int
-) -> Iterator[tuple[str, Float]]:
+) -> Iterator[tuple[str, Floats]]:
     """Names and inputs (K,) within the same limits."""
     problem = design.problem
     for factor in FASTER if problem.limits.min_speed > 0 else ():

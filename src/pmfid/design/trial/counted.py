@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.design.problem.problem import Float
 from pmfid.design.trial.encoder_error import log_of_room
 from pmfid.design.trial.least_range import Distances, middle_of, widest
 from pmfid.design.trial.ridges import Allowed, along_ridges
 from pmfid.design.trial.walkers import inside, walk
+from pmfid.types import Floats
 
 __all__ = ["Open", "what_is_open"]
 
@@ -43,14 +43,14 @@ class Open:
     counts; 0 where all are explained.
     """
 
-    mean: Float
-    covariance: Float
-    interval: Float
+    mean: Floats
+    covariance: Floats
+    interval: Floats
     unexplained: float
 
 
 def what_is_open(
-    distances: Distances, start: Float, scatter: Float, lower: Float, root: Float, *, seed: int = 0
+    distances: Distances, start: Floats, scatter: Floats, lower: Floats, root: Floats, *, seed: int = 0
 ) -> Open:
     """The parameters q that the counts leave, from a start (p,) near them.
 
@@ -73,7 +73,7 @@ def what_is_open(
         # at a bound the map is not around the middle itself, and may just lose it
         wide = max(half, widest(quadratic(middle)) / 2.0 + least_room)
 
-        def density(q: Float, quadratic: _Quadratic = quadratic, wide: float = wide) -> Float:
+        def density(q: Floats, quadratic: _Quadratic = quadratic, wide: float = wide) -> Floats:
             prior = (q - 1.0) @ root.T
             log = sum(log_of_room(each, wide) for each in quadratic(q)) - 0.5 * np.sum(prior**2, axis=-1)
             return np.where((q < lower).any(axis=-1), -np.inf, log)
@@ -95,12 +95,12 @@ def what_is_open(
 class _Quadratic:
     """Distances as quadratics of z = (q - centre) / steps: what a hundred thousand motions cost too much for."""
 
-    centre: Float
-    inverse: Float
-    runs: list[tuple[Float, Float]]
+    centre: Floats
+    inverse: Floats
+    runs: list[tuple[Floats, Floats]]
 
     @classmethod
-    def around(cls, distances: Distances, q: Float, steps: Float, lower: Float) -> _Quadratic:
+    def around(cls, distances: Distances, q: Floats, steps: Floats, lower: Floats) -> _Quadratic:
         """Through the motions at q, at q +- each column of steps (p, p), and at two of them together."""
         p = len(q)
         centre = np.maximum(q, lower + 2.0 * np.abs(steps).max(axis=1))
@@ -116,7 +116,7 @@ class _Quadratic:
             runs.append((here, np.array([*linear, *square, *cross])))
         return cls(centre, np.asarray(np.linalg.inv(steps), float), runs)
 
-    def __call__(self, q: Float) -> list[Float]:
+    def __call__(self, q: Floats) -> list[Floats]:
         """q (..., p) -> for each run (..., N)."""
         z = (q - self.centre) @ self.inverse.T
         p = z.shape[-1]

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.design.problem.fisher import affine
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
 from pmfid.design.trial.simulated import both_ways, simulate
 from pmfid.design.trial.walkers import inside, walk
+from pmfid.types import Floats
 
 __all__ = ["encoder_covariance", "expected_covariance", "is_counted", "log_of_room", "squares_covariance", "start_free"]
 
@@ -22,7 +23,7 @@ WORST = 1e12
 WALKERS, SPREAD, STEPS = 20, 80, 120
 
 
-def encoder_covariance(problem: Problem, u: ArrayLike) -> Float | None:
+def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     """Mean square error (p, p) of unknown + nuisance, in their own units, of `calibrate` after one run of u (n,).
 
     The mean over machines that differ from the nominal values by as much as is not known, at most WRONG, each from
@@ -45,7 +46,7 @@ def encoder_covariance(problem: Problem, u: ArrayLike) -> Float | None:
     error, move, root = np.array(errors)[:, None], np.array(moves), np.array(roots)
     held = root.swapaxes(1, 2) @ known @ root
 
-    def density(z: Float) -> Float:
+    def density(z: Floats) -> Floats:
         return np.asarray(log_of_room(z @ move - error, 0.5) - 0.5 * np.sum((z @ held) * z, axis=-1))
 
     rng = np.random.default_rng(0)
@@ -55,7 +56,7 @@ def encoder_covariance(problem: Problem, u: ArrayLike) -> Float | None:
     return np.asarray(apart.T @ apart / len(apart) * np.outer(problem.scale, problem.scale))
 
 
-def _machines(problem: Problem, prior: Float) -> list[dict[str, float]]:
+def _machines(problem: Problem, prior: Floats) -> list[dict[str, float]]:
     """Parameters around the nominal ones: normal, with what the prior (p, p) knows of the scaled ones."""
     nominal = np.array([problem.nominal[name] for name in problem.names])
     least = (WRONG * np.abs(nominal) / problem.scale) ** -2.0 if np.all(nominal) else np.full(len(nominal), WRONG**-2.0)
@@ -66,7 +67,7 @@ def _machines(problem: Problem, prior: Float) -> list[dict[str, float]]:
     return [dict(zip(problem.names, np.maximum(each, lower).tolist(), strict=True)) for each in values]
 
 
-def _motion_in_counts(problem: Problem, u: ArrayLike, parameters: dict[str, float]) -> tuple[Float, Float]:
+def _motion_in_counts(problem: Problem, u: ArrayLike, parameters: dict[str, float]) -> tuple[Floats, Floats]:
     """Positions (N + 1,) and centred sensitivities to the scaled parameters (p, N + 1), in counts, with stiction."""
     resolution = float(problem.resolution or 1.0)
     columns = []
@@ -78,7 +79,7 @@ def _motion_in_counts(problem: Problem, u: ArrayLike, parameters: dict[str, floa
     return simulate(problem, u, parameters).x / resolution, s - s.mean(axis=1, keepdims=True)
 
 
-def expected_covariance(problem: Problem, u: ArrayLike) -> Float | None:
+def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     """The covariance (p, p) that `calibrate` will have: `encoder_covariance`, or of white noise, the start unknown.
 
     None where the run and the prior leave a parameter open.
@@ -91,7 +92,7 @@ def expected_covariance(problem: Problem, u: ArrayLike) -> Float | None:
     return None if np.linalg.cond(F) > WORST else np.asarray(np.linalg.inv(F) * scale)
 
 
-def log_of_room(distance: Float, half: float) -> Float:
+def log_of_room(distance: Floats, half: float) -> Floats:
     """Logarithm of how far a motion may be moved with each sample within its count, -inf where it may not be there.
 
     distance (..., N): of the motion from the middles of the counts, in counts; half: width of a count over 2. The
@@ -101,7 +102,7 @@ def log_of_room(distance: Float, half: float) -> Float:
     return np.asarray(np.log(room, out=np.full(room.shape, -np.inf), where=room > 0))
 
 
-def squares_covariance(problem: Problem, u: ArrayLike) -> Float | None:
+def squares_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     """The same (p, p) for least squares on the counts, linearised at the nominal values.
 
     The error of the counts along the simulated motion (paper eq. 3), from all start phases alike, sent through the
@@ -120,7 +121,7 @@ def squares_covariance(problem: Problem, u: ArrayLike) -> Float | None:
     return np.asarray(np.linalg.solve(F, np.linalg.solve(F, middle).T) * scale)
 
 
-def _ready(problem: Problem, u: ArrayLike) -> tuple[Float, Float, Float] | None:
+def _ready(problem: Problem, u: ArrayLike) -> tuple[Floats, Floats, Floats] | None:
     """Centred sensitivities (p, N + 1), prior and information (p, p), scaled; None where there is no answer."""
     if not is_counted(problem):
         return None
@@ -135,13 +136,13 @@ def is_counted(problem: Problem) -> bool:
     return problem.resolution is not None and problem.noise_variance is None and problem.drive.friction == "symmetric"
 
 
-def start_free(sensitivity: Float) -> Float:
+def start_free(sensitivity: Floats) -> Floats:
     """Information (p, p) of sensitivities (p, N) where the start position is unknown, but measured as well."""
     s = centred_sensitivities(sensitivity)
     return np.asarray(s @ s.T)
 
 
-def centred_sensitivities(sensitivity: Float) -> Float:
+def centred_sensitivities(sensitivity: Floats) -> Floats:
     """(p, N + 1) from (p, N): with the sample at the start, and without what a shift of the position can do as well."""
     s = np.column_stack([np.zeros(len(sensitivity)), sensitivity])
     return np.asarray(s - s.mean(axis=1, keepdims=True))

@@ -7,18 +7,18 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.optimize import linprog
 
-from pmfid.design.problem.problem import Float
+from pmfid.types import Floats
 
 __all__ = ["Distances", "least_range", "middle_of", "widest"]
 
 #: q (p,) -> for each run the simulated less the measured position, in counts, (N,).
-Distances = Callable[[Float], list[Float]]
+Distances = Callable[[Floats], list[Floats]]
 
 #: Steps towards the middle, and the part of it by which the last one still narrows the range.
 STEPS, SETTLED = 20, 1e-4
 
 
-def middle_of(distances: Distances, q: Float, steps: Float, lower: Float) -> Float:
+def middle_of(distances: Distances, q: Floats, steps: Floats, lower: Floats) -> Floats:
     """Where the widest range of the distances of a run is the least: linear programs, each in a smaller neighbourhood
     where the last one promised too much."""
     now, reach = widest(distances(q)), 8.0
@@ -36,11 +36,11 @@ def middle_of(distances: Distances, q: Float, steps: Float, lower: Float) -> Flo
     return q
 
 
-def widest(errors: Sequence[Float]) -> float:
+def widest(errors: Sequence[Floats]) -> float:
     return max(float(e.max() - e.min()) for e in errors)
 
 
-def least_range(distances: Distances, q: Float, steps: Float, lower: Float, reach: float) -> Float:
+def least_range(distances: Distances, q: Floats, steps: Floats, lower: Floats, reach: float) -> Floats:
     """The same for distances that are linear, within `reach` of the steps (p, k): variables z (k,), then lowest and
     highest of each run, then the widest range."""
     p, here = steps.shape[1], distances(q)

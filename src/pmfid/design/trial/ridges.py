@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.design.problem.problem import Float
 from pmfid.design.trial.least_range import Distances, least_range, widest
+from pmfid.types import Floats
 
 __all__ = ["Allowed", "along_ridges"]
 
@@ -33,19 +33,19 @@ class Allowed:
 
     distances: Distances
     half: float
-    lower: Float
-    root: Float
+    lower: Floats
+    root: Floats
 
-    def room(self, q: Float) -> float:
+    def room(self, q: Floats) -> float:
         """By how much the motion at q may be moved within its counts [counts], 0 where it may not."""
         return max(2.0 * self.half - widest(self.distances(q)), 0.0) if np.all(q >= self.lower) else 0.0
 
-    def doubt(self, q: Float) -> float:
+    def doubt(self, q: Floats) -> float:
         """Minus the logarithm of the prior."""
         return 0.5 * float(np.sum((self.root @ (q - 1.0)) ** 2))
 
 
-def along_ridges(allowed: Allowed, samples: Float, middle: Float, rng: np.random.Generator) -> Float:
+def along_ridges(allowed: Allowed, samples: Floats, middle: Floats, rng: np.random.Generator) -> Floats:
     """Samples (n, p) of what is left open, spread along the ridges that go on beyond them; as they are where none does.
 
     middle (p,): of the samples, possible.
@@ -62,7 +62,7 @@ def along_ridges(allowed: Allowed, samples: Float, middle: Float, rng: np.random
     return spread
 
 
-def _followed(allowed: Allowed, middle: Float, steps: Float, k: int, sign: float) -> list[Float]:
+def _followed(allowed: Allowed, middle: Floats, steps: Floats, k: int, sign: float) -> list[Floats]:
     """Places (p,) on the ridge along column k of steps (p, p), from the middle outwards; none where it ends within the
     samples."""
     beside, doubt = np.delete(steps, k, axis=1), allowed.doubt(middle) + BEYOND**2 / 2.0
@@ -81,7 +81,7 @@ def _followed(allowed: Allowed, middle: Float, steps: Float, k: int, sign: float
     return found
 
 
-def _drawn(allowed: Allowed, chain: Float, count: int, rng: np.random.Generator) -> Float:
+def _drawn(allowed: Allowed, chain: Floats, count: int, rng: np.random.Generator) -> Floats:
     """Places (count, p) on a chain (m, p), by the prior and the room that is left there: the density at the ridge's
     middle times the volume across it, which falls with each of the other directions."""
     room, doubt = (np.array([of(q) for q in chain]) for of in (allowed.room, allowed.doubt))

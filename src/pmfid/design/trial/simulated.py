@@ -12,9 +12,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.design.problem.problem import Float, Problem
+from pmfid.design.problem.problem import Problem
 from pmfid.errors import UsageError
 from pmfid.simulation.drive import DriveParameters, Motion, simulate_drive
+from pmfid.types import Floats
 
 __all__ = ["both_ways", "drive_of", "simulate", "simulated_information"]
 
@@ -38,7 +39,7 @@ def simulate(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | N
     return simulate_drive(drive_of(problem, parameters or {}), held, dt, x0, v0)
 
 
-def simulated_information(problem: Problem, u: ArrayLike, *, side: int = 0, step: float = STEP) -> Float:
+def simulated_information(problem: Problem, u: ArrayLike, *, side: int = 0, step: float = STEP) -> Floats:
     """Fisher information (p, p) of one run over unknown + nuisance, in their own units, without the prior.
 
     u: (n,); step: change of each parameter as a part of its nominal value, > 0; side: 1 to change them upwards, -1

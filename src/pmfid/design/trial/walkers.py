@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pmfid.design.problem.problem import Float
+from pmfid.types import Floats
 
 __all__ = ["Density", "inside", "walk"]
 
 #: z (..., p) -> log density (...), -inf outside.
-Density = Callable[[Float], Float]
+Density = Callable[[Floats], Floats]
 
 #: Largest stretch (Goodman and Weare 2010).
 LONGEST = 2.0
@@ -19,7 +19,7 @@ LONGEST = 2.0
 HALVINGS = 60
 
 
-def inside(density: Density, middle: Float, scatter: Float) -> Float:
+def inside(density: Density, middle: Floats, scatter: Floats) -> Floats:
     """Starts (..., walkers, p): middle + scatter, each moved towards the middle (p,) until the density is not 0 there.
 
     scatter: (..., walkers, p).
@@ -33,7 +33,7 @@ def inside(density: Density, middle: Float, scatter: Float) -> Float:
     return z
 
 
-def walk(density: Density, z: Float, steps: int, rng: np.random.Generator) -> Float:
+def walk(density: Density, z: Floats, steps: int, rng: np.random.Generator) -> Floats:
     """Where the walkers z (..., walkers, p) are after each step, (steps, ..., walkers, p); even number of walkers.
 
     The two halves move in turn, each walker along the line to one of the other half.

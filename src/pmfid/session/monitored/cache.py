@@ -14,7 +14,8 @@ import numpy as np
 
 from pmfid.estimators.base import Estimator
 from pmfid.monitor.calibration import Calibration, Tail, calibrate
-from pmfid.monitor.scores import Floats, Scale
+from pmfid.monitor.scores import Scale
+from pmfid.types import Floats
 
 #: To be raised with every change of what a calibration computes, or of its file.
 VERSION = 4

@@ -13,14 +13,15 @@ from pmfid.estimators.base import like
 from pmfid.estimators.iv import IV, RIV, initial_vector
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
+from pmfid.estimators.rls import RLS
 from pmfid.monitor.calibration import Calibration, simulated_hours
 from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.monitor.scores import Floats
 from pmfid.session.config import Axis
 from pmfid.session.drives import make_estimator
 from pmfid.session.monitored.cache import cached_calibration
 from pmfid.session.records import Record, read_record
+from pmfid.types import Floats
 
 #: Memory where [estimator] forgetting is 1, which would never follow a change [s].
 DEFAULT_MEMORY = 2.0
@@ -94,18 +95,21 @@ def calibration_notes(calibration: Calibration, mtbf_hours: float) -> list[str]:
 
 def check_monitored(axis: Axis) -> None:
     """Raises UsageError for a model that the monitor cannot watch; for use before a record is read."""
-    if axis.model.make().equation.process:
+    reason = axis.model.make().equation.without_simulation
+    if reason:
         raise UsageError(
-            "the monitor is for a machine with friction; to follow a transfer function use RSRIVC, or "
-            "pmfid identify with method rsrivc and forgetting < 1"
+            f"the monitor is for a machine with friction that it can simulate, and of this equation {reason}; to "
+            "follow its parameters use pmfid identify with forgetting < 1 and bcrls, or rsrivc for a transfer function"
         )
 
 
 def _estimator(axis: Axis, source: Record, wraps: bool) -> RecursiveEstimator:
     """The recursive method that is asked for, `riv` for auto; wraps: the counter's bits matter, as in a pipe."""
     method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
-    if not issubclass(ESTIMATORS[method], RecursiveEstimator) or ESTIMATORS[method].plain:
-        usable = [name for name, cls in ESTIMATORS.items() if issubclass(cls, RecursiveEstimator) and not cls.plain]
+    if not issubclass(ESTIMATORS[method], RecursiveEstimator) or issubclass(ESTIMATORS[method], RLS):
+        usable = [
+            name for name, cls in ESTIMATORS.items() if issubclass(cls, RecursiveEstimator) and not issubclass(cls, RLS)
+        ]
         raise UsageError(f"[estimator] method = {method!r} does not run sample by sample without bias: use {usable}")
     forgetting = axis.estimator.forgetting
     if forgetting == 1:
