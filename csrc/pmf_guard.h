@@ -7,7 +7,8 @@
  * sample says what it was:
  *   it changes as predicted: the counter was set anew, its zero has moved and all goes on;
  *   it comes back: a wrong reading, and what was missed meanwhile came evenly over the samples since the last good one;
- *   it goes on from the suspicious one: a blow, say, so what was held back is added, and nothing is lost.
+ *   it goes on from the suspicious one, and so does the third: a blow, say, so what was held back is added, nothing is lost,
+ *     and the filters settle again, for it did not come all at once.
  * An input far beyond the largest one lately is judged before the filters get it, two samples later: by then the counts have
  * answered, or it has stayed; else the last one counts in its place. Nothing here touches a sample that is not suspicious.
  */
@@ -137,26 +138,28 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     real_t predicted = guard->rate + guard->gain * (driven - guard->held), before = PMF_TO_REAL(guard->change);
     real_t gap = PMF_TO_REAL((integer_t)guard->suspect);
     real_t part = PMF_TO_REAL(read) - before, whole = PMF_TO_REAL(*change) - before, pending = whole - part;
-    real_t missed = part - predicted, missed_whole = whole - predicted, size = size_of(missed), most, limit, rate, share;
+    real_t missed = part - predicted, missed_whole = whole - predicted, size = size_of(missed), most, limit, rate, share, expected;
     real_t steady = before - guard->rate;
     limit = (PMF_R(1.0) + gap) * limit_of(config, state, &open); /* what is missed adds up until the next good sample */
     back = (size_of(missed_whole) <= limit) & PMF_NOT(suspected & (size < size_of(missed_whole)));
     back = back | open | apart;
     anew = suspected & PMF_NOT(back) & (size <= limit) & (size < size_of(missed - pending));
-    real = suspected & PMF_NOT(back | anew) &
-           ((size_of(missed - PMF_R(1.5) * pending) <= size_of(pending) + limit) | (guard->suspect >= PMF_GUARD_SUSPECTS));
+    /* two wrong readings in a row may look like the first two samples of a blow; a third one goes on only after a blow */
+    real = (guard->suspect > 1U) & (size_of(missed - PMF_R(1.25) * guard->missed) <= PMF_R(0.75) * size_of(guard->missed) + limit);
+    real = suspected & PMF_NOT(back | anew) & (real | (guard->suspect >= PMF_GUARD_SUSPECTS));
     sound = back | anew | real;
     wild = back & PMF_NOT(suspected | apart) & was_wild(config, guard, missed_whole);
     /* What was missed since the last good sample came evenly: all at once, it would be taken for an acceleration. */
     closes = suspected & sound & PMF_NOT(real | open | apart);
+    rate = PMF_IF(back, whole, part - guard->missed); /* a blow goes on from the reading before */
     guard->missed = PMF_IF(back, missed_whole, missed);
     share = guard->missed / (PMF_R(1.0) + gap);
     most = CAUTION * guard->scatter + MOTION_EDGE;
     most = PMF_IF(real & (size > most), most, guard->missed);
     learn_scatter(config, guard, sound & PMF_NOT(apart | wild), PMF_IF(closes, share, most));
-    rate = PMF_IF(size_of(predicted) > LARGEST_RATE, PMF_R(0.0), predicted);
-    foreseen = foreseen_change(guard->change, rate);
-    rate = PMF_IF(sound, PMF_IF(closes, predicted + share, PMF_IF(back, whole, part - pending)), rate);
+    expected = PMF_IF(size_of(predicted) > LARGEST_RATE, PMF_R(0.0), predicted);
+    foreseen = foreseen_change(guard->change, expected);
+    rate = PMF_IF(sound, PMF_IF(closes, predicted + share, rate), expected);
     guard->rate = PMF_IF(apart, PMF_R(0.0), rate);
 #if PMF_WITH_PROCESS
     if (config->process != 0U) { /* its output has a zero that cannot move */
@@ -173,7 +176,7 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     guard->reading = PMF_IF(sound, guard->reading, count);
     guard->suspect = PMF_IF(sound, PMF_W(0), guard->suspect + 1U);
     state->count = PMF_IF(sound, count, (state->count + (whole_t)*change) & 0xffffffffU);
-    return PMF_BIT(PMF_NOT(sound), PMF_COUNT_JUMP);
+    return PMF_BIT(PMF_NOT(sound), PMF_COUNT_JUMP) | PMF_BIT(real, PMF_SETTLING);
 }
 
 /* The largest input, and with it what a motion may do. */

@@ -138,7 +138,8 @@ def test_another_amplitude_of_the_input_passes(factor: float, increments: int) -
 
 
 def test_a_blow_is_flagged_and_nothing_of_it_is_lost() -> None:
-    """The velocity jumps: the sample is suspicious, the next one confirms it."""
+    """The velocity jumps: the sample and the next are suspicious, for two wrong readings look the same; the third one
+    confirms it."""
     u = prbs(4000, clock=10, amplitude=3.0, rng=np.random.default_rng(4))
     late = (np.arange(4000) - 2500) * DT
     after_blow = np.where(late > 0, 0.5 / 12 * (1 - np.exp(-12 * np.maximum(late, 0.0))), 0.0)
@@ -146,9 +147,11 @@ def test_a_blow_is_flagged_and_nothing_of_it_is_lost() -> None:
     with_guard, without = (estimator(RLS, resolution_of(4096), guard=on) for on in (True, False))
     track = with_guard.run(u, counts)
     without.run(u, counts)
-    assert np.flatnonzero(track.flagged(Status.COUNT_JUMP)).tolist() == [2501]
+    assert np.flatnonzero(track.flagged(Status.COUNT_JUMP)).tolist() == [2501, 2502]
+    assert track.flagged(Status.SETTLING)[2501 : 2503 + with_guard.settle_samples].all()
     position = [one.make_kernel().filter(u, counts)[0].sum(axis=0) for one in (with_guard, without)]
-    np.testing.assert_allclose(position[0], position[1], rtol=1e-6)
+    from_counts = [0, 1, 3]  # the direction after the blow is known two samples late
+    np.testing.assert_allclose(position[0][from_counts], position[1][from_counts], rtol=1e-6)
 
 
 def test_a_step_of_a_process_is_put_back() -> None:

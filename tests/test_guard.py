@@ -47,6 +47,24 @@ def test_wrong_counts_close_to_each_other_are_flagged_alone_and_lose_nothing(nam
         np.testing.assert_allclose(position(one, record.u, counts), whole, rtol=1e-6, atol=1e-6 * np.abs(whole).max())
 
 
+@pytest.mark.parametrize("ratio", [1.6, 1.9, 3.0])
+@pytest.mark.parametrize("name", ["rotary", "gantry"])
+def test_two_wrong_counts_in_a_row_are_no_blow(name: str, ratio: float) -> None:
+    """The second one goes on from the first as a blow does: it was let in, and 1500 counts came back at once."""
+    record = moving_record(AXES[name], 1024)
+    one = make("rls", AXES[name], record.resolution)
+    clean, whole = one.run(record.u, record.counts), position(one, record.u, record.counts)
+    for place in range(1500, 2400, 83):
+        counts = record.counts.copy()
+        counts[[place, place + 1]] += (700, round(700 * ratio))
+        one.reset()
+        track = one.run(record.u, counts)
+        assert np.flatnonzero(track.flagged(SUSPICIOUS)).tolist() == [place, place + 1]
+        apart = np.abs(track.theta - clean.theta) / np.maximum(np.abs(clean.theta), STDS * clean.theta_std)
+        assert np.max(apart[place:]) < 0.05
+        np.testing.assert_allclose(position(one, record.u, counts), whole, rtol=1e-6, atol=1e-6 * np.abs(whole).max())
+
+
 @pytest.mark.parametrize("method", ["bcrls", "rls"])
 def test_a_wrong_count_as_the_axis_comes_to_rest_is_no_reversal(method: str) -> None:
     """What is foreseen goes on, so what puts it right goes back: the direction at rest was the wrong one."""
