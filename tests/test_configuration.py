@@ -25,7 +25,7 @@ def made(method: str) -> pmfid.RLS:
 
 
 def config_of(method: str) -> np.ndarray[Any, Any]:
-    return configuration_of(made(method)._kernel, "float64").copy()
+    return configuration_of(made(method).runner.kernel, "float64").copy()
 
 
 def grown(place: str) -> np.dtype[Any]:
@@ -130,7 +130,7 @@ def test_nodes_that_are_not_there_are_refused(rows: str, field: str) -> None:
 
 @pytest.mark.parametrize("method", ["RLS", "RIV", "RSRIVC"])
 def test_a_kernel_from_the_bytes_of_another_gives_its_bits(method: str) -> None:
-    one = made(method)._kernel
+    one = made(method).runner.kernel
     other = _kernel64.Kernel(one.raw_config())
     u, counts = np.sin(np.arange(300) / 9), (np.arange(300) ** 2 // 50).astype(np.int64)
     for mine, its in zip(one.run(u, counts), other.run(u, counts), strict=True):
@@ -146,4 +146,4 @@ def test_the_status_has_the_numbers_of_the_header() -> None:
 def test_what_lies_between_the_fields_is_zero() -> None:
     """Else equal configurations would have different checksums, and a fleet refuse its own states."""
     config = config_of("RLS")
-    assert resized(config, config.dtype).tobytes() == made("RLS")._kernel.raw_config()
+    assert resized(config, config.dtype).tobytes() == made("RLS").runner.kernel.raw_config()

@@ -179,7 +179,7 @@ def test_a_limit_that_limits_nothing_is_refused(tmp_path: Path) -> None:
 def test_directional_forgetting_takes_no_information_below_zero() -> None:
     """A state from elsewhere may be no sum of squares: the variance became negative."""
     estimator = used("directional", "float32")
-    parameters = int(configuration(estimator._kernel, "float32")["direct"]["n_parameters"])
+    parameters = int(configuration(estimator.runner.kernel, "float32")["direct"]["n_parameters"])
     for element in range(1, parameters * parameters):
         estimator.set_state(forged(estimator, "direct.sums.cross", 1e9, element))
         track = estimator.run(np.tile([3.0, -3.0], 30), np.arange(60))
