@@ -116,6 +116,7 @@ typedef struct {
     scalar_t smooth_end, smooth_start;     /* one-step smoother of the tracker's velocity */
 #if PMF_WITH_PROCESS
     uint32_t process; /* the output of a linear process: positions count from zero, and rest means nothing */
+    uint32_t from_first; /* but its positions count from the first one, where the equation is as true of these */
 #endif
 #if PMF_WITH_GUARD
     uint32_t guard;      /* samples in motion that it learns from before it judges strictly; 0: none */
@@ -150,6 +151,9 @@ typedef struct {
     whole_t started; /* of a linear process 2 after the second sample */
     integer_t change;  /* of the last interval */
     whole_t travel; /* counts since the first one, modulo 2^32 */
+#if PMF_WITH_PROCESS
+    integer_t first; /* count, with its sign */
+#endif
     real_t position, velocity, velocity_before, innovation; /* tracker, in counts and samples */
     real_t direction, moving; /* of the last interval */
     real_t input, input_before;
@@ -200,6 +204,8 @@ typedef struct {
 #if PMF_WITH_PROCESS
     scalar_t target_noise[PMF_MAX_NOISE]; /* and in phi z */
     scalar_t target_power;                /* and in z^2 */
+    uint32_t constant, lowest; /* the parameter that the output's level is in, and its share of that; PMF_NO_PARAMETER: none */
+    scalar_t lift;             /* ... for the first count: so many times `lowest` */
 #endif
 #if PMF_WITH_SEPARATE
     scalar_t keep[PMF_MAX_PARAMETERS]; /* root of each parameter's forgetting factor */
@@ -262,6 +268,9 @@ typedef struct {
     whole_t excited;  /* constant trace: looks for which the axis is taken to be excited */
     whole_t since;    /* updates since the start, or since then; saturating */
     whole_t frozen;  /* too little information left to forget any more */
+#if PMF_WITH_PROCESS
+    real_t lift; /* what `lowest` is worth in the constant of the output itself */
+#endif
 #if PMF_WITH_NOISE
     pmf_check_t check, check_before; /* of the model: this stretch of samples, and the last */
     whole_t unmodelled; /* the last verdict on it, as a status bit */
@@ -391,6 +400,9 @@ typedef struct {
     pmf_encoder_state_t encoder;
     pmf_network_state_t network;
     pmf_recursion_state_t direct;
+#if PMF_WITH_PROCESS
+    pmf_estimate_t lifted; /* the estimate with the constant of the output itself */
+#endif
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_state_t auxiliary;
     pmf_estimate_t borrowed; /* the direct estimate in the parameters of the instrumental one */

@@ -207,7 +207,10 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     state->started = PMF_W(1);
 #if PMF_WITH_PROCESS
     if (config->process != 0U) {
-        state->travel = PMF_IF(started, state->travel, (whole_t)signed_count(mask, count & mask) & 0xffffffffU);
+        state->first = PMF_IF(started, state->first, signed_count(mask, count & mask));
+        if (config->from_first == 0U) {
+            state->travel = PMF_IF(started, state->travel, (whole_t)state->first & 0xffffffffU);
+        }
         state->started = PMF_IF(started, PMF_W(2), PMF_W(1));
     }
 #endif

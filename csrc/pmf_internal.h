@@ -67,6 +67,10 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_LARGEST_INPUT PMF_R(1e100)
 #endif
 
+#if PMF_WITH_PROCESS
+/* After a step, or another change of the estimate: that of the output itself in state->lifted. */
+PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state);
+#endif
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
 /* Byte-wise, too: an assignment need not copy the padding, which a checksum covers. */
 void pmf_copy(const void *from, void *to, uint32_t size);
@@ -102,6 +106,10 @@ void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
 PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                    const real_t *column);
+#if PMF_WITH_PROCESS
+/* The estimate of an output that was counted from its first value, with the constant for the output itself. */
+PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, pmf_estimate_t *lifted);
+#endif
 /* Encoder, auxiliary model and network alone, for batch methods: the columns are in state->network.column. */
 PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
 

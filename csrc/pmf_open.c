@@ -164,4 +164,9 @@ void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter
     }
 #endif
     open_recursion(&config->direct, &state->direct, parameter, root);
+#if PMF_WITH_PROCESS
+    if (config->direct.constant != PMF_NO_PARAMETER) {
+        pmf_lift(config, state);
+    }
+#endif
 }

@@ -136,6 +136,9 @@ PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const 
 #if PMF_WITH_NOISE
            check_check(&state->check) & check_check(&state->check_before) & at_most(state->unmodelled, PMF_UNMODELLED) &
 #endif
+#if PMF_WITH_PROCESS
+           finite(&state->lift, 1U) &
+#endif
            not_negative(state->reference, REALS(state->reference)) & not_negative(&state->trace, 1U);
 }
 
@@ -180,6 +183,9 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
 #endif
            check_encoder(&config->encoder, &state->encoder) &
            finite((const real_t *)(const void *)&state->network, REALS(state->network)) &
+#if PMF_WITH_PROCESS
+           check_estimate(&state->lifted) &
+#endif
            check_recursion(&config->direct, &state->direct);
 #if PMF_WITH_AUXILIARY
     fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->borrowed);

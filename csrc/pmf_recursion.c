@@ -215,12 +215,50 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
     }
 }
 
+#if PMF_WITH_PROCESS
+/* Variance of the constant plus `lift` times the lowest coefficient, over that of the innovations: a sum of squares, for in
+ * the entries of P it would be a small difference. */
+PMF_SELDOM real_t lifted_factor(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
+{
+    real_t x[N], sum = PMF_R(0.0);
+    uint32_t i;
+    for (i = 0; i < PARAMETERS(config); ++i) {
+        x[i] = PMF_R(0.0);
+    }
+    x[config->constant] = PMF_R(1.0);
+    x[config->lowest] = state->lift;
+    forward(PARAMETERS(config), state->factor, x);
+    for (i = 0; i < PARAMETERS(config); ++i) {
+        sum += x[i] * x[i] * state->inverse_pivot[i];
+    }
+    return PMF_IF(sum - sum == PMF_R(0.0), sum, PMF_UNKNOWN);
+}
+
+PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, pmf_estimate_t *lifted)
+{
+    const pmf_estimate_t *estimate = &state->estimate;
+    real_t constant;
+    uint32_t i;
+    for (i = 0; i < PARAMETERS(config); ++i) {
+        lifted->theta[i] = estimate->theta[i];
+        lifted->variance_factor[i] = estimate->variance_factor[i];
+        lifted->inflation[i] = estimate->inflation[i];
+    }
+    lifted->innovation = estimate->innovation;
+    lifted->innovation_variance = estimate->innovation_variance;
+    constant = estimate->theta[config->constant] + state->lift * estimate->theta[config->lowest];
+    lifted->theta[config->constant] =
+        PMF_IF(constant - constant == PMF_R(0.0), constant, estimate->theta[config->constant]);
+    lifted->variance_factor[config->constant] = lifted_factor(config, state);
+}
+#endif
+
 /* Spread of theta by blocks of innovations against that of white ones (batch means): with weights w its covariance is
  * P (sum w^2) S P, S the long-run covariance of the scores, where white innovations and equal weights have P times their
  * variance. What is missing to MIN_BLOCKS of them counts as blocks of innovations that are the same for as long as the
  * filters may make them. `move` is a block's sum after the gain. */
 static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
-                       const real_t move[N])
+                       real_t move[N])
 {
     real_t share = state->sums.squares / PMF_TO_REAL(state->block_updates);
     truth_t few = state->blocks < (uint32_t)MIN_BLOCKS;
@@ -230,8 +268,14 @@ static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state
     blocks = PMF_IF(few, PMF_R(MIN_BLOCKS), PMF_TO_REAL(state->blocks));
     for (i = 0; i < PARAMETERS(config); ++i) {
         real_t white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
-        real_t *inflation = &state->estimate.inflation[i];
-        real_t change = move[i] * move[i] * share / white - PMF_IF(few, PMF_ALIKE(config->correlated), *inflation);
+        real_t *inflation = &state->estimate.inflation[i], change;
+#if PMF_WITH_PROCESS
+        if (i == config->constant) { /* as it is read */
+            white = lifted_factor(config, state) * state->estimate.innovation_variance;
+            move[i] += state->lift * move[config->lowest];
+        }
+#endif
+        change = move[i] * move[i] * share / white - PMF_IF(few, PMF_ALIKE(config->correlated), *inflation);
         /* beyond the number format, or nothing over nothing, it would stay */
         *inflation = PMF_IF(where & (change - change == PMF_R(0.0)), *inflation + change / blocks, *inflation);
     }

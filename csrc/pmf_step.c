@@ -198,9 +198,27 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
 
 #endif
 
+#if PMF_WITH_PROCESS
+PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state)
+{
+#if PMF_LINEAR
+    if (config->linear.enabled != 0U && (state->status & PMF_FALLBACK) == 0U) {
+        pmf_recursion_lift(&config->instrument, &state->instrument, &state->lifted);
+        return;
+    }
+#endif
+    pmf_recursion_lift(&config->direct, &state->direct, &state->lifted);
+}
+#endif
+
 #ifndef PMF_LANES /* of one axis */
 const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state)
 {
+#if PMF_WITH_PROCESS
+    if (config->direct.constant != PMF_NO_PARAMETER) {
+        return &state->lifted;
+    }
+#endif
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
         return (state->status & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
@@ -276,13 +294,40 @@ static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
     whole_t status = pmf_filter(config, state, input, count);
+#if PMF_WITH_PROCESS
+    state->direct.lift = config->direct.lift * PMF_TO_REAL(state->encoder.first);
+#if PMF_LINEAR
+    state->instrument.lift = state->direct.lift;
+#endif
+#endif
     status |= estimate_step(config, state, status);
     PMF_WHERE((status & PMF_RESET) != 0U, state, restart_filters(config, state));
     state->status = status;
+#if PMF_WITH_PROCESS
+    if (config->direct.constant != PMF_NO_PARAMETER) {
+        pmf_lift(config, state);
+    }
+#endif
     return status;
 }
 
 #ifndef PMF_LANES
+#if PMF_WITH_PROCESS
+/* The constant's row and column for the output itself. */
+static void lift_covariance(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
+{
+    uint32_t n = config->direct.n_parameters, constant = config->direct.constant, i;
+    const real_t *lowest = &p[config->direct.lowest * n];
+    for (i = 0; i < n; ++i) {
+        if (i != constant) {
+            p[constant * n + i] += state->direct.lift * lowest[i];
+            p[i * n + constant] = p[constant * n + i];
+        }
+    }
+    p[constant * n + constant] = state->lifted.variance_factor[constant];
+}
+#endif
+
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
 {
 #if PMF_WITH_AUXILIARY
@@ -301,9 +346,16 @@ void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state,
 #if PMF_LINEAR
     if (config->linear.enabled != 0U && (state->status & PMF_FALLBACK) == 0U) {
         pmf_recursion_covariance(&config->instrument, &state->instrument, p);
-        return;
+    } else {
+        pmf_recursion_covariance(&config->direct, &state->direct, p);
+    }
+#else
+    pmf_recursion_covariance(&config->direct, &state->direct, p);
+#endif
+#if PMF_WITH_PROCESS
+    if (config->direct.constant != PMF_NO_PARAMETER) {
+        lift_covariance(config, state, p);
     }
 #endif
-    pmf_recursion_covariance(&config->direct, &state->direct, p);
 }
 #endif

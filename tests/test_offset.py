@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import pmfid
 from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.simulation.process import simulate_process
 from pmfid.simulation.signals import prbs
 
+Record = tuple[np.ndarray, np.ndarray]
 DT, TRUTH = 0.05, (4.0, 1.2, 2.0)
 
 
@@ -42,3 +46,101 @@ def test_a_counter_that_begins_below_zero() -> None:
     wrapped = pmfid.LS(model, pmfid.Encoder(step, bits=16), DT, 3.0).fit(u, counts % 2**16)
     np.testing.assert_allclose(wrapped.theta, signed.theta, rtol=1e-12)
     np.testing.assert_allclose(signed["offset"] / signed["a0"], -3.0, atol=5 * step)
+
+
+# --- on-line ----------------------------------------------------------------------------------------------------------
+
+RECURSIVE = [pmfid.RLS, pmfid.BCRLS, pmfid.RKnownStep, pmfid.RSRIVC]
+#: numerator, denominator, sample period [s], cutoff [rad/s], dead time in samples
+PROCESSES = {
+    "one lag": ((2.0,), (1.0, 1.5), 0.05, 4.0, 0),
+    "two, late": ((2.0,), (1.0, 1.2, 4.0), 0.05, 3.0, 2),
+    "three and a zero": ((30.0, 200.0), (1.0, 9.0, 40.0, 100.0), 0.02, 8.0, 1),
+}
+STEPS = 20_000  # of the encoder in the range of the output
+
+
+def online(cls: type[RecursiveEstimator], name: str, precision: str) -> tuple[RecursiveEstimator, Record]:
+    """An estimator of a process with a constant, and u and counts from the first one."""
+    b, a, dt, cutoff, delay = PROCESSES[name]
+    u = prbs(4000, clock=8, amplitude=1.0, rng=np.random.default_rng(3))
+    y = simulate_process(b, a, np.r_[np.zeros(delay), u][: u.size], dt)
+    step = float(np.ptp(y)) / STEPS
+    counts = np.floor(y / step + 700).astype(np.int64)
+    model = pmfid.TransferFunction(len(a) - 1, len(b) - 1, delay=delay, offset=True)
+    estimator = cls(model, pmfid.Encoder(step), dt, cutoff, forgetting=0.998, precision=precision)
+    return estimator, (u, counts - counts[0])
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("name", PROCESSES)
+@pytest.mark.parametrize("cls", RECURSIVE)
+def test_online_the_level_is_in_the_constant_alone(cls: type[RecursiveEstimator], name: str, precision: str) -> None:
+    """To the bit what it is about zero, with A(0) times the level in the constant, and its part of the error bar."""
+    estimator, (u, counts) = online(cls, name, precision)
+    near, first = estimator.run(u, counts), estimator.estimate
+    rounding = 1e-12 if precision == "float64" else 1e-6
+    assert near.status[-1] == 0
+    for changes in (1e3, 1e5, 1e6):
+        level = int(changes * STEPS / 100)
+        y = level * estimator.encoder.resolution
+        estimator.reset()
+        far, last = estimator.run(u, counts + level), estimator.estimate
+        assert np.array_equal(far.theta[:, :-1], near.theta[:, :-1])
+        assert np.array_equal(far.status, near.status)
+        np.testing.assert_allclose(far.theta[-1, -1], near.theta[-1, -1] + near.theta[-1, 0] * y, rtol=rounding)
+        lift = np.eye(last.theta.size)
+        lift[-1, 0] = y
+        white = [
+            np.array(one.theta_cov) / np.sqrt(np.outer(track.inflation[-1], track.inflation[-1]))
+            for one, track in ((first, near), (last, far))
+        ]  # as if the innovations were
+        np.testing.assert_allclose(white[1], lift @ white[0] @ lift.T, rtol=100 * rounding)
+        np.testing.assert_allclose(far.theta_std[-1, -1], y * near.theta_std[-1, 0], rtol=0.05)
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("cls", RECURSIVE)
+def test_online_far_from_zero_a_run_goes_on_and_fleets_agree(cls: type[RecursiveEstimator], precision: str) -> None:
+    """A saved state, a counter set anew, an opened memory and a fleet: the bits of the same without them."""
+    estimator, (u, counts) = online(cls, "two, late", precision)
+    counts = counts + 10_132_500
+    whole = estimator.run(u, counts)
+    tracks = pmfid.Fleet(estimator.start(), 5).run(np.tile(u, (5, 1)), np.tile(counts, (5, 1)), every=1)
+    for axis in range(5):
+        assert np.array_equal(tracks.axis(axis).theta, whole.theta)
+        assert np.array_equal(tracks.axis(axis).theta_std, whole.theta_std)
+    estimator.reset()
+    estimator.run(u[:2500], counts[:2500])
+    other = estimator.start(estimator.get_state())
+    assert np.array_equal(other.estimate.theta, whole.theta[2499])
+    other.rebase(17)
+    rest = other.run(u[2500:], counts[2500:] - counts[2499] + 17)
+    assert np.array_equal(rest.theta, whole.theta[2500:])
+    bar = other.estimate.theta_std[-1]
+    other.open_memory(1e-3)
+    assert np.array_equal(other.estimate.theta, whole.theta[-1])
+    other.run(u[:3], counts[:3] - counts[2499] + 17)
+    assert other.estimate.theta_std[-1] > bar
+
+
+def test_a_counter_of_sixteen_bits_begins_below_zero_online() -> None:
+    estimator, (u, counts) = online(pmfid.BCRLS, "two, late", "float64")
+    narrow = replace(estimator, encoder=replace(estimator.encoder, bits=16))
+    expected = estimator.run(u, counts - 9000).theta
+    assert np.array_equal(narrow.run(u, (counts - 9000) % 2**16).theta, expected)
+
+
+def test_the_constant_of_an_integrating_process_is_none_of_its_level() -> None:
+    """The ramp of a constant force is the same wherever it begins."""
+    u = prbs(4000, clock=8, amplitude=1.0, rng=np.random.default_rng(4))
+    y = simulate_process((2.0,), (1.0, 1.5, 0.0), u - 0.05, 0.05)
+    counts = np.floor(y / 1e-4).astype(np.int64)
+    model = pmfid.TransferFunction(2, 0, offset=True, integrators=1)
+    for precision in ("float64", "float32"):
+        estimator = pmfid.BCRLS(model, pmfid.Encoder(1e-4), 0.05, 4.0, forgetting=0.999, precision=precision)
+        near = estimator.run(u, counts)
+        estimator.reset()
+        far = estimator.run(u, counts + 2_000_000)
+        assert np.array_equal(far.theta, near.theta)
+        np.testing.assert_allclose(far.theta[-1], (1.5, 2.0, -0.1), rtol=0.02)

@@ -36,10 +36,20 @@ static uint32_t columns_fit(uint32_t first, uint32_t parameters, uint32_t instru
                : 0U;
 }
 
+/* The constant and the coefficient that it is lifted by: both or none. */
+static uint32_t level_fits(const pmf_recursion_config_t *recursion)
+{
+    uint32_t none = recursion->constant == PMF_NO_PARAMETER && recursion->lowest == PMF_NO_PARAMETER;
+    return none != 0U || recursion->n_parameters == 0U || (recursion->constant < recursion->n_parameters && recursion->lowest < recursion->n_parameters &&
+                          recursion->constant != recursion->lowest)
+               ? 1U
+               : 0U;
+}
+
 static uint32_t recursion_fits(const pmf_recursion_config_t *recursion)
 {
     return columns_fit(recursion->first_column, recursion->n_parameters, recursion->instrumental) != 0U &&
-                   recursion->leading < PMF_MAX_PARAMETERS && recursion->scheme <= PMF_SEPARATE
+                   recursion->leading < PMF_MAX_PARAMETERS && level_fits(recursion) != 0U && recursion->scheme <= PMF_SEPARATE
                ? 1U
                : 0U;
 }
@@ -73,9 +83,18 @@ static uint32_t linear_fits(const pmf_linear_config_t *model)
                : 0U;
 }
 
+/* Either recursion may give the estimate that is lifted. */
+static uint32_t one_level(const pmf_config_t *config)
+{
+    return config->direct.constant == config->instrument.constant && config->direct.lowest == config->instrument.lowest &&
+                   config->direct.n_parameters == config->instrument.n_parameters
+               ? 1U
+               : 0U;
+}
+
 uint32_t pmf_fits(const pmf_config_t *config)
 {
     return network_fits(&config->network) & recursion_fits(&config->direct) & recursion_fits(&config->instrument) &
            (config->auxiliary.enabled == 0U ? 1U : auxiliary_fits(&config->auxiliary)) &
-           (config->linear.enabled == 0U ? 1U : linear_fits(&config->linear));
+           (config->linear.enabled == 0U ? 1U : linear_fits(&config->linear) & one_level(config));
 }

@@ -98,6 +98,9 @@ static void keep_lane(const pmf_config_t *config, const pmf_state_t *state, cons
 {
     const pmf_estimate_t *estimate = &state->direct.estimate;
     uint32_t p = pmf_parameters(config), i;
+    if (config->direct.constant != PMF_NO_PARAMETER) {
+        estimate = &state->lifted;
+    }
     if (config->auxiliary.enabled != 0U) {
         estimate = (state->status[lane] & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
     }

@@ -75,6 +75,11 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
               END_IN_STATE(network.memory));
     leave_out(unused, IN_STATE(network.column) + columns * (uint32_t)sizeof(scalar_t), END_IN_STATE(network.column));
     leave_recursion(unused, IN_STATE(direct), &config->direct);
+    if (config->direct.constant != PMF_NO_PARAMETER) {
+        leave_estimate(unused, IN_STATE(lifted), config->direct.n_parameters);
+    } else {
+        leave_out(unused, IN_STATE(lifted), END_IN_STATE(lifted));
+    }
     if (config->encoder.guard == 0U) {
         leave_out(unused, IN_STATE(hold), END_IN_STATE(hold));
         leave_out(unused, IN_STATE(encoder.guard), END_IN_STATE(encoder.guard));

@@ -220,7 +220,7 @@ class Estimator:
     @property
     def encoder_config(self) -> dict[str, float]:
         """The encoder's part of the kernel configuration."""
-        config = self.encoder.kernel_config(self.dt) | {"process": int(not self.plant.rests)}
+        config = self.encoder.kernel_config(self.dt) | {"process": int(not self.plant.rests), "from_first": 0}
         if self.encoder.guard:
             config["guard"] = LEARNING * self.settle_samples
             config["guard_leak"] = 1 / (LEARNED * self.settle_samples)
@@ -267,6 +267,9 @@ class Estimator:
             "noise": np.zeros((0, 0)),
             "target_noise": (),
             "target_power": 0.0,
+            "constant": constants_of(None)["PMF_NO_PARAMETER"],
+            "lowest": constants_of(None)["PMF_NO_PARAMETER"],
+            "lift": 0.0,
             "keep": [1.0] * parameters,
             "half_memory": 0,
             "leading": 0,

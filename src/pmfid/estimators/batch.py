@@ -12,6 +12,7 @@ from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator, check_arrays, check_size, integer_counts
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.least_squares import long_run_covariance
+from pmfid.estimators.level import level_of
 from pmfid.estimators.results import Columns, Fit
 from pmfid.status import Status
 
@@ -56,9 +57,7 @@ class BatchEstimator(Estimator):
 
     def _first_count(self, counts: ArrayLike) -> int:
         """The first count, with its sign, where the equation is as true of what was counted since; else 0."""
-        signals = {term.signal for term in self.equation.unknown}
-        known = {term.signal for term in self.equation.known}
-        if not {"constant", "process_output"} <= signals or "start" in signals or "constant" in known:
+        if level_of(self.equation) is None:
             return 0
         given = integer_counts(counts)
         half = 2 ** (self.encoder.bits - 1)
@@ -66,14 +65,9 @@ class BatchEstimator(Estimator):
 
     def _lifted(self, fit: Fit, first: float) -> Fit:
         """The fit of y - first in the parameters of y: A(0) first is part of the constant."""
-        kinds = [(term.signal, term.derivative) for term in self.equation.unknown]
-        lift = np.eye(len(kinds))
-        if ("process_output", 0) in kinds:
-            lowest, constant = (
-                self.equation.unknown[kinds.index((kind, 0))] for kind in ("process_output", "constant")
-            )
-            ratio = -lowest.coefficient / constant.coefficient
-            lift[kinds.index(("constant", 0)), kinds.index(("process_output", 0))] = ratio * first
+        level, lift = level_of(self.equation), np.eye(len(fit.theta))
+        if level is not None and level.lowest is not None:
+            lift[level.constant, level.lowest] = level.ratio * first
         return replace(fit, theta=lift @ fit.theta, theta_cov=lift @ fit.theta_cov @ lift.T)
 
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:

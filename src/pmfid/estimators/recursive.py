@@ -14,6 +14,7 @@ from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator, memory_of
 from pmfid.estimators.configuration import configuration_of, made
 from pmfid.estimators.encoder_noise import shown
+from pmfid.estimators.level import level_of
 from pmfid.estimators.runner import Runner
 from pmfid.estimators.track import Track as Track
 from pmfid.kernel.structures import constants_of
@@ -117,6 +118,12 @@ class RecursiveEstimator(Estimator):
             )
 
     @property
+    def encoder_config(self) -> dict[str, float]:
+        """Positions of a process with a constant count from the first one, as off-line: far from zero the filters would
+        remember for long that they began there, and numbers of 32 bits do not hold its derivatives."""
+        return super().encoder_config | {"from_first": int(level_of(self.equation) is not None)}
+
+    @property
     def memory(self) -> float:
         return memory_of(self.forgetting, self.dt)
 
@@ -124,6 +131,10 @@ class RecursiveEstimator(Estimator):
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
     ) -> dict[str, object]:
         config = super().recursion_config(parameters, instrumental, forgetting, first_column)
+        level = level_of(self.equation)
+        if level is not None and level.lowest is not None:  # the constant is read for the output itself
+            config["constant"], config["lowest"] = level.constant, level.lowest
+            config["lift"] = level.ratio * self.encoder.resolution
         scheme = self.forgetting_scheme if forgetting < 1 else "exponential"
         config["scheme"] = FORGETTING_SCHEMES[scheme]
         if forgetting < 1 and self.plant.rests:
