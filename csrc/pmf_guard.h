@@ -141,8 +141,8 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     real_t missed = part - predicted, missed_whole = whole - predicted, size = size_of(missed), most, limit, rate, share, expected;
     real_t steady = before - guard->rate;
     limit = (PMF_R(1.0) + gap) * limit_of(config, state, &open); /* what is missed adds up until the next good sample */
-    back = (size_of(missed_whole) <= limit) & PMF_NOT(suspected & (size < size_of(missed_whole)));
-    back = back | open | apart;
+    back = size_of(missed_whole) <= limit;
+    back = (back & PMF_NOT(suspected & (size < size_of(missed_whole)))) | open | apart;
     anew = suspected & PMF_NOT(back) & (size <= limit) & (size < size_of(missed - pending));
     /* two wrong readings in a row may look like the first two samples of a blow; a third one goes on only after a blow */
     real = (guard->suspect > 1U) & (size_of(missed - PMF_R(1.25) * guard->missed) <= PMF_R(0.75) * size_of(guard->missed) + limit);
