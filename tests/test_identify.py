@@ -77,6 +77,14 @@ def test_a_transfer_function_from_arrays_and_from_experiments() -> None:
     assert np.array_equal(again.theta, result.theta)
 
 
+def test_a_result_prints_what_a_person_needs() -> None:
+    result = identified(cart_run(5, samples=800), pmfid.Drive(2.0), method="ls")
+    first, mass, *_, last = str(result).splitlines()
+    assert first == "record: ls, 800 samples"
+    assert mass == f"  mass = {result['mass']:.6g} ± {result.theta_std[0]:.2g} kg"
+    assert last == f"note: {result.notes[-1]}"
+
+
 def test_an_equation_with_a_factor_keeps_it() -> None:
     """An unknown term's coefficient, as -1 for the other side, had no key in AXIS.toml."""
     signal = pmfid.Term

@@ -48,6 +48,15 @@ class Result(ABC):
         """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
         return float(self.theta[place_of(name, self.estimator.names)])
 
+    def __str__(self) -> str:
+        """A line for each parameter, then the status and what to mind."""
+        estimator = self.estimator
+        rows = zip(estimator.names, self.theta, self.theta_std, estimator.units, strict=True)
+        lines = [f"{self.name}: {estimator.method}, {self.samples} samples"]
+        lines += [f"  {name} = {value:.6g} ± {std:.2g} {unit}".rstrip() for name, value, std, unit in rows]
+        lines += [f"status: {', '.join(self.status)}"] if self.status else []
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
     def to_json(self) -> dict[str, object]:
         """The object that `--json` prints."""
         estimator = self.estimator
