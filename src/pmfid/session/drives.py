@@ -25,6 +25,7 @@ from pmfid.judge.drive import judge
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction, diagnose
 from pmfid.session.kinds import Kind, Progress, method_of, settings
+from pmfid.session.outliers import Believed, believed
 from pmfid.session.records import Record, read_record
 from pmfid.session.result import DriveResult
 from pmfid.status import Status
@@ -46,14 +47,21 @@ class Drives(Kind[Record]):
         return data.name, int(data.u.size)
 
     def check(self, data: Record, axis: Axis) -> None:
-        mistake = check_direction(data, axis)
+        mistake = check_direction(_believed(data, axis).record, axis)
         if mistake:
             raise UsageError(mistake)
 
     def mistake(self, data: Record, axis: Axis) -> str:
-        return diagnose(data, axis)
+        known = _believed(data, axis)
+        return diagnose(known.record, axis) or known.told
 
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
+        known = _believed(data, axis)
+        result = self._estimate(known.record, axis, progress)
+        status = tuple(dict.fromkeys((*known.status, *result.status)))
+        return replace(result, status=status, notes=tuple(filter(None, (known.told, *result.notes))))
+
+    def _estimate(self, data: Record, axis: Axis, progress: Progress | None) -> DriveResult:
         estimator, reason, choice = make_estimator(axis, data), "", None
         if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
             choice = first_choice(estimator, data.u, data.counts)
@@ -63,6 +71,10 @@ class Drives(Kind[Record]):
         result = _estimate(estimator, data, axis, progress, choice)
         _check_known(result)
         return replace(result, notes=(f"auto chose {reason}", *result.notes)) if reason else result
+
+
+def _believed(record: Record, axis: Axis) -> Believed:
+    return believed(record) if axis.encoder.guard and not axis.model.make().equation.process else Believed(record)
 
 
 def make_estimator(axis: Axis, record: Record) -> Estimator:

@@ -1,0 +1,202 @@
+"""Samples of a record that no motion explains: left out before anything is estimated.
+
+The kernel judges a sample by those before it. A whole record shows those behind it as well, and methods that simulate
+all of it need it whole: one wrong count would be in every comparison with the simulated position, one wrong input in
+every sample behind it. So what no motion explains is replaced by what its neighbours say, and named.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.session.records import Record
+from pmfid.session.wrap import wrap_of
+
+__all__ = ["Believed", "believed"]
+
+Floats = NDArray[np.float64]
+Counts = NDArray[np.int64]
+
+#: A change of the counts is compared with the median of so many around it: that of a velocity which steps is on either
+#: side of the step, and five wrong ones in a row do not move it. Its own steps are looked for as far around.
+AROUND = 11
+#: It may differ from that by so many counts, and so many times what it usually does and what the velocity does there.
+COUNTS, TIMES = 10.0, 4.0
+USUAL = 0.95
+#: Wrong ones so close that they hide each other need another look.
+PASSES = 4
+#: With a larger part of such changes it is not single samples that are wrong.
+MOST_CHANGES = 0.04
+#: An input so many times all but MOST_INPUTS of the others is a spike, unless the velocity says more to it than so
+#: many times what it usually does, over so many samples.
+SPIKE, ANSWER, ANSWER_SAMPLES = 50.0, 3.0, 10
+MOST_INPUTS = 0.01
+#: Rows that a sentence names.
+NAMED = 4
+
+
+@dataclass(frozen=True)
+class Believed:
+    """A record without what no motion explains, names of the status bits of that, and what to tell of it."""
+
+    record: Record
+    status: tuple[str, ...] = ()
+    told: str = ""
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Changes first to last - 1 of the counts that are no motion; `moved`: by how many counts the zero moved."""
+
+    first: int
+    last: int
+    moved: int
+
+    def rows(self, samples: int) -> NDArray[np.intp]:
+        """Wrong readings of so many samples: those between the changes, and those in front of or behind them all."""
+        return np.arange(0 if self.first == 0 else self.first + 1, samples if self.last == samples - 1 else self.last)
+
+
+def believed(record: Record) -> Believed:
+    """The record with wrong counts and spikes of the input on the line between their neighbours, and a counter that was
+    set anew put back. A counter that wraps, and a record in which too much is wrong, stay as they are."""
+    runs, counts = _found(record.counts)
+    moves = [run for run in runs if run.moved]
+    if moves and wrap_of(record.counts) is not None:  # what comes back at once is no wrap
+        runs, moves, counts = [], [], record.counts
+    rows = sorted({int(row) for run in runs if run.moved == 0 for row in run.rows(counts.size)})
+    spikes = _spikes(record.u, counts)
+    told = "; ".join((*_wrong(rows), *(_moved(run) for run in moves[:NAMED]), *_spiky(spikes)))
+    if not told:
+        return Believed(record)
+    status = ("count_jump",) * bool(rows or moves) + ("invalid_input",) * bool(spikes.size)
+    return Believed(replace(record, u=_bridged(record.u, spikes), counts=counts), status, told)
+
+
+def _found(counts: Counts) -> tuple[list[_Run], Counts]:
+    """Runs of changes that are no motion, and the counts (n,) without them; none where something is left after all."""
+    found, left = list[_Run](), counts
+    for _ in range(PASSES):
+        runs = _runs(left)
+        if not runs:
+            return found, left
+        found, left = found + runs, _without(left, runs)
+    return [], counts
+
+
+def _runs(counts: Counts) -> list[_Run]:
+    """Changes of the counts (n,) in a row that are no motion."""
+    change = np.diff(counts).astype(np.float64)
+    usual, limit = _expected(change)
+    wild = np.flatnonzero(np.abs(change - usual) > limit)
+    if not 0 < wild.size <= max(2, MOST_CHANGES * change.size):
+        return []
+    near = np.split(wild, np.flatnonzero(np.diff(wild) > AROUND // 2) + 1)
+    return [run for part in near for run in _apart(counts, part, usual, limit)]
+
+
+def _apart(counts: Counts, wild: NDArray[np.intp], usual: Floats, limit: Floats) -> list[_Run]:
+    """The runs of changes `wild` (k,) close to each other: one if the counts come back behind it."""
+    whole = _run(counts, int(wild[0]), int(wild[-1]) + 1, usual, limit)
+    if whole.moved == 0:
+        return [whole]
+    parts = np.split(wild, np.flatnonzero(np.diff(wild) > 1) + 1)
+    return [_run(counts, int(part[0]), int(part[-1]) + 1, usual, limit) for part in parts]
+
+
+def _run(counts: Counts, first: int, last: int, usual: Floats, limit: Floats) -> _Run:
+    if first == 0 or last == counts.size - 1:  # nothing says that those at the end are right, or that the zero moved
+        return _Run(first, last, 0)
+    beside = np.diff(counts)[[first - 1, last]]
+    moved = int(counts[last]) - int(counts[first]) - round((last - first) * float(np.mean(beside)))
+    if abs(moved) <= (last - first) * float(np.max(limit[first:last])):
+        moved = 0
+    return _Run(first, last, moved)
+
+
+def _expected(change: Floats) -> tuple[Floats, Floats]:
+    """What each change of the counts (n,) should be, and by how much it may differ: (n,)."""
+    middle = np.median(_around(change), axis=1)
+    steps = np.max(np.abs(np.diff(_around(middle), axis=1)), axis=1)
+    moving = middle != 0
+    usual = float(np.quantile(np.abs(change - middle)[moving], USUAL)) if np.any(moving) else 0.0
+    return middle, COUNTS + TIMES * (usual + steps)
+
+
+def _around(values: Floats) -> Floats:
+    """(n, AROUND) each of the values (n,) with those around it; at the ends as in a mirror."""
+    half = min(AROUND // 2, values.size - 1)
+    return np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="reflect"), 2 * half + 1)
+
+
+def _without(counts: Counts, runs: list[_Run]) -> Counts:
+    """The counts (n,), with the zero put back and wrong readings on the line between the good ones; at the ends of the
+    record on that through the nearest two."""
+    counts = counts.copy()
+    for run in runs:
+        counts[run.last :] -= run.moved
+        wrong = run.rows(counts.size)
+        if run.first == 0:
+            left, right = run.last, run.last + 1
+        elif run.last == counts.size - 1:
+            left, right = run.first - 1, run.first
+        else:
+            left, right = run.first, run.last
+        slope = (int(counts[right]) - int(counts[left])) / (right - left)
+        counts[wrong] = counts[left] + np.round(slope * (wrong - left)).astype(np.int64)
+    return counts
+
+
+def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
+    """Places of the input (n,) to which the counts (n,) do not answer."""
+    size = np.abs(u)
+    large = np.flatnonzero(size > SPIKE * np.quantile(size, 1 - MOST_INPUTS, method="lower"))
+    if large.size == 0 or counts.size < 4 * ANSWER_SAMPLES:
+        return large[:0]
+    travelled = np.pad(counts.astype(np.float64), 2 * ANSWER_SAMPLES, mode="edge")
+    half = ANSWER_SAMPLES
+    answer = np.abs(travelled[2 * half :] - 2 * travelled[half:-half] + travelled[: -2 * half])[half:-half]
+    moving = answer[answer > 0]
+    usual = float(np.quantile(moving, USUAL)) if moving.size else 0.0
+    return large[answer[large] <= ANSWER * usual]
+
+
+def _bridged(u: Floats, places: NDArray[np.intp]) -> Floats:
+    """The input (n,) with those at places (k,) on the line between their neighbours."""
+    good = np.setdiff1d(np.arange(u.size), places)
+    return np.interp(np.arange(u.size), good, u[good]) if places.size else u
+
+
+def _named(rows: list[int]) -> str:
+    """Rows from 1 on, as people count."""
+    shown = ", ".join(str(row + 1) for row in rows[:NAMED])
+    more = f" and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
+    return f"row{'s' * (len(rows) > 1)} {shown}{more}"
+
+
+def _wrong(rows: list[int]) -> tuple[str, ...]:
+    if not rows:
+        return ()
+    return (
+        f"the counts of {_named(rows)} are no motion, for the others go on as if they were not: left out; check the "
+        "wiring, and if the axis did move so, give [encoder] guard = false",
+    )
+
+
+def _moved(run: _Run) -> str:
+    return (
+        f"the counts jump by {run.moved} at row {run.last + 1} and stay: taken for a counter that was set anew, and "
+        "put back; if the axis did move so, give [encoder] guard = false"
+    )
+
+
+def _spiky(places: NDArray[np.intp]) -> tuple[str, ...]:
+    if places.size == 0:
+        return ()
+    return (
+        f"the input of {_named(places.tolist())} is far beyond all others, and the counts do not answer it: left out; "
+        "if the drive did get it, give [encoder] guard = false",
+    )

@@ -1,0 +1,157 @@
+"""Off-line: samples that no motion explains are named and left out, whatever simulates the whole record."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner
+
+import pmfid
+from pmfid.cli.main import main
+from pmfid.paper.truth import CartRecord
+from pmfid.session.outliers import believed
+from pmfid.session.records import Record
+from studies.machines import AXES, MOTIONS, machine_record
+
+AXIS = "rotary"
+#: Kind of fault -> rows from 0 on that are wrong, of 3000; a jump: from there on.
+FAULTS = {
+    "one": [1700],
+    "first": [0],
+    "last": [2999],
+    "two": [900, 2200],
+    "two in a row": [900, 901],
+    "jump": list(range(1300, 3000)),
+}
+
+
+def logged(counts: np.ndarray, u: np.ndarray, resolution: float = 1.0) -> Record:
+    return Record(u, counts, 0.01, resolution, (), "log")
+
+
+def identified(record: CartRecord, method: str) -> pmfid.session.result.DriveResult:
+    axis = AXES[AXIS]
+    encoder = pmfid.Encoder(record.resolution)
+    cutoff = 0.25 / axis.dt
+    return pmfid.identify(
+        record.u, record.counts, model=pmfid.Drive(0.4), dt=axis.dt, cutoff=cutoff, encoder=encoder, method=method
+    )
+
+
+def as_good(found: pmfid.session.result.DriveResult, clean: pmfid.session.result.DriveResult) -> bool:
+    """Within half an error bar; two of them where auto takes another method."""
+    bars = 0.5 if found.estimator.method == clean.estimator.method else 2.0
+    return bool(np.all(np.abs(found.theta - clean.theta) <= bars * clean.theta_std + 1e-3 * np.abs(clean.theta)))
+
+
+@pytest.mark.parametrize("size", [400, -100_000, 10**9])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_wrong_counts_are_left_out_and_their_rows_named(fault: str, size: int) -> None:
+    for motion in MOTIONS:
+        for increments in (4096, 100):
+            record = machine_record(AXES[AXIS], "nothing", motion, increments, 8)
+            counts = record.counts.copy()
+            counts[FAULTS[fault]] += size
+            known = believed(logged(counts, record.u))
+            assert known.status == ("count_jump",)
+            assert re.search(rf"rows? {FAULTS[fault][0] + 1}\b", known.told)
+            off = known.record.counts - record.counts
+            rough = np.abs(np.diff(record.counts, 2)).max()
+            assert np.abs(off - off[50]).max() <= 1 + rough
+
+
+@pytest.mark.parametrize("method", ["auto", "iv", "interval", "output-error", "rls"])
+def test_no_method_gets_a_wrong_sample(method: str) -> None:
+    record = machine_record(AXES[AXIS], "nothing", "prbs", 1024, 8)
+    clean = identified(record, method)
+    counts, u = record.counts.copy(), record.u.copy()
+    counts[1700] += 100_000
+    u[805] = 1e30
+    found = identified(CartRecord(u, counts, record.resolution), method)
+    assert {"count_jump", "invalid_input"} <= set(found.status)
+    assert any("row 1701" in note for note in found.notes)
+    assert any("row 806" in note for note in found.notes)
+    assert found.notes.count(found.notes[0]) == 1
+    assert as_good(found, clean)
+
+
+@pytest.mark.parametrize("method", ["auto", "iv"])
+def test_an_input_lost_where_it_switches_is_told_in_the_status(method: str) -> None:
+    """Nobody knows it: what stands in its place is wrong by half the switch, for a sample."""
+    record = machine_record(AXES[AXIS], "nothing", "prbs", 1024, 8)
+    u = record.u.copy()
+    u[800] = -1e7
+    found = identified(CartRecord(u, record.counts, record.resolution), method)
+    assert {"invalid_input", "unmodelled"} <= set(found.status)
+    np.testing.assert_allclose(found.theta, identified(record, method).theta, rtol=0.03)
+
+
+def test_a_counter_that_was_set_anew_is_put_back() -> None:
+    record = machine_record(AXES[AXIS], "nothing", "stop-and-go", 1024, 8)
+    counts = record.counts + 5_000_000 * (np.arange(record.counts.size) >= 1333)
+    found = identified(CartRecord(record.u, counts, record.resolution), "interval")
+    assert "count_jump" in found.status
+    assert "at row 1334 and stay" in found.notes[0]
+    assert as_good(found, identified(record, "interval"))
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_no_healthy_record_is_touched(axis: str) -> None:
+    for wrong in ("nothing", "Stribeck 30 %"):
+        for motion in MOTIONS:
+            for increments in (4096 * 64, 4096, 256, 16):
+                record = machine_record(AXES[axis], wrong, motion, increments, 5)
+                assert believed(logged(record.counts, record.u)).told == ""
+
+
+def test_a_collision_is_a_motion() -> None:
+    velocity = np.r_[np.full(300, 200.0), 80.0, np.full(300, -150.0), np.zeros(200)]
+    counts = np.floor(np.cumsum(velocity)).astype(np.int64)
+    assert believed(logged(counts, np.ones(counts.size))).told == ""
+
+
+def test_a_pulse_that_the_axis_answers_is_an_input() -> None:
+    """Without the first, one of few pulses would be a spike."""
+    u, velocity = np.full(2000, 1e-3), np.zeros(2000)
+    u[[500, 1200]] = 5.0, -5.0
+    for k in range(1, 2000):
+        velocity[k] = 0.97 * velocity[k - 1] + 8.0 * u[k - 1]
+    counts = np.floor(np.cumsum(velocity)).astype(np.int64)
+    assert believed(logged(counts, u)).told == ""
+    u[900] = 4.0
+    assert believed(logged(counts, u)).status == ("invalid_input",)
+
+
+def test_a_counter_that_wraps_is_no_jump() -> None:
+    counts = np.round(3e5 * np.sin(np.arange(3000) / 100)).astype(np.int64)
+    wrapped = (counts + 30_000) % 2**16
+    assert believed(logged(wrapped, np.ones(3000))).told == ""
+
+
+def test_the_remedy_of_the_command_works(tmp_path: Path) -> None:
+    """A wrong row is told; `guard = false`, which the sentence offers, lets it in, and then the record is refused."""
+    axis = AXES[AXIS]
+    record = machine_record(axis, "nothing", "stop-and-go", 1024, 8)
+    counts = record.counts.copy()
+    counts[2000] += 10**5
+    pl.DataFrame({"u": record.u, "counts": counts}).write_csv(tmp_path / "log.csv")
+    toml = (
+        f'[record]\ninput = "u"\noutput = "counts"\noutput_kind = "counts"\ndt = {axis.dt}\n'
+        f"[encoder]\nresolution = {record.resolution!r}\n[model]\ninput_gain = 0.4\n[estimator]\ncutoff = 50.0\n"
+    )
+    results = {}
+    for name, text in (("guarded", toml), ("open", toml.replace("[model]", "guard = false\n[model]"))):
+        (tmp_path / f"{name}.toml").write_text(text)
+        arguments = ["identify", str(tmp_path / "log.csv"), "--config", str(tmp_path / f"{name}.toml"), "--json"]
+        results[name] = CliRunner().invoke(main, arguments)
+    assert results["guarded"].exit_code == 0, results["guarded"].output
+    printed = json.loads(results["guarded"].stdout)
+    assert "count_jump" in printed["status"]
+    assert "row 2001" in printed["notes"][0]
+    assert results["open"].exit_code == 3
+    assert "the counts jump by 100000 at row 200" in results["open"].output
