@@ -19,9 +19,10 @@ from pmfid.models.transfer_function import ESTIMATE, MAX_DELAY, TransferFunction
 from pmfid.transfer.confidence import covariance
 from pmfid.transfer.dead_time import after, solve_dead_time
 from pmfid.transfer.experiment import Experiment
+from pmfid.transfer.fixed_filter import with_fixed_filter
 from pmfid.transfer.process import Process
 from pmfid.transfer.sensitivity import Structure
-from pmfid.transfer.solve import Point, ProcessProblem, Solution, descend, first_guess, refine, solve, with_fixed_filter
+from pmfid.transfer.solve import Point, ProcessProblem, Solution, descend, first_guess, refine, solve
 
 #: Relative difference of two sample periods that are taken for one.
 SAME_PERIOD = 0.05

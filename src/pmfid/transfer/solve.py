@@ -14,7 +14,7 @@ from scipy.linalg import qr, solve_triangular
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.transfer.experiment import Stretch
-from pmfid.transfer.sensitivity import Structure, linearise, simulate, stable
+from pmfid.transfer.sensitivity import Structure, linearise, stable
 from pmfid.types import Floats
 
 REFINEMENTS = 30
@@ -178,7 +178,7 @@ def refine(problem: ProcessProblem, start: Point, settled: float = SETTLED, most
     point = best = start
     for passes in range(1, most + 1):
         step = _possible_step(problem, point, point.phi)
-        if _small(point, step, settled):
+        if small(point, step, settled):
             return Solution(replace(point, theta=point.theta + step), True, passes)
         if not np.all(np.isfinite(step)):
             break
@@ -197,7 +197,7 @@ def descend(problem: ProcessProblem, start: Point, settled: float = SETTLED) -> 
         size = np.maximum(np.linalg.norm(point.zeta, axis=0), 1e-300)
         scaled = point.zeta / size
         normal, slope = scaled.T @ scaled, scaled.T @ point.error
-        if _small(point, last := _possible_step(problem, point, point.zeta), settled):
+        if small(point, last := _possible_step(problem, point, point.zeta), settled):
             return Solution(replace(point, theta=point.theta + last), True, passes)
         slope = np.where(last == 0.0, 0.0, slope)
         normal = np.where((last == 0.0) | (last == 0.0)[:, None], 0.0, normal)
@@ -222,32 +222,8 @@ def _at_the_edge(problem: ProcessProblem, theta: Floats) -> bool:
     return bool(np.any(poles.real * problem.duration > EDGE))
 
 
-def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
-    """Instrumental variables with the filter 1/(s + pole)^n throughout, instruments from the simulated output.
-
-    What the output does between the samples matters here: a straight line, which costs an error of order dt^2."""
-    data, point = filtered(problem, pole), first_guess(problem, pole)
-    theta = point.theta
-    for passes in range(1, REFINEMENTS + 1):
-        simulated = [
-            simulate(problem.structure, theta, initial, stretch)
-            for initial, stretch in zip(point.initial, problem.stretches, strict=True)
-        ]
-        ideal = tuple(replace(stretch, y=y) for stretch, y in zip(problem.stretches, simulated, strict=True))
-        here = replace(data, zeta=filtered(replace(problem, stretches=ideal), pole).phi)
-        step = step_from(here, data.phi)
-        if not np.all(np.isfinite(step)):
-            break
-        before, theta = theta, data.theta + step
-        moved = replace(here, theta=theta, error=data.error - data.phi @ step)
-        if _small(moved, theta - before):
-            return Solution(replace(moved, cost=float(moved.error @ moved.error)), True, passes)
-        theta = possible(problem, theta)
-        point = _at(problem, theta, point.initial)
-    raise NotIdentifiableError("the instruments do not settle: use srivc, or another structure or cutoff")
-
-
-def _small(point: Point, step: Floats, settled: float = SETTLED) -> bool:
+def small(point: Point, step: Floats, settled: float = SETTLED) -> bool:
+    """Whether such a step would lower the sum of squares by next to nothing."""
     if not np.all(np.isfinite(step)):
         return False
     predicted = float(np.sum((point.zeta @ step) ** 2))

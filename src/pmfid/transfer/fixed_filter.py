@@ -1,0 +1,84 @@
+"""Instrumental variables for a linear process behind filters that stay."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.transfer.experiment import Stretch
+from pmfid.transfer.sensitivity import simulate
+from pmfid.transfer.solve import (
+    REFINEMENTS,
+    Floats,
+    Point,
+    ProcessProblem,
+    Solution,
+    filtered,
+    first_guess,
+    possible,
+    small,
+    step_from,
+    visit,
+)
+
+
+def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
+    """Instrumental variables with the filter 1/(s + pole)^n throughout, instruments from the simulated output.
+
+    What the output does between the samples matters here: a straight line, which costs an error of order dt^2; but for
+    what goes straight through (m = n), which jumps with the input."""
+    data, point = filtered(problem, pole), first_guess(problem, pole)
+    theta, missed = point.theta, _missed_by_lines(problem, pole, data)
+    for passes in range(1, REFINEMENTS + 1):
+        simulated = [
+            simulate(problem.structure, theta, initial, stretch)
+            for initial, stretch in zip(point.initial, problem.stretches, strict=True)
+        ]
+        ideal = tuple(replace(stretch, y=y) for stretch, y in zip(problem.stretches, simulated, strict=True))
+        through = _through(problem, theta) * missed
+        here = replace(data, zeta=filtered(replace(problem, stretches=ideal), pole).phi + through)
+        phi = data.phi + through
+        step = step_from(here, phi)
+        if not np.all(np.isfinite(step)):
+            break
+        before, theta = theta, data.theta + step
+        moved = replace(here, theta=theta, error=data.error - phi @ step)
+        if small(moved, theta - before):
+            return Solution(replace(moved, cost=float(moved.error @ moved.error)), True, passes)
+        theta = possible(problem, theta)
+        point = visit(problem, theta, point.initial)
+    raise NotIdentifiableError("the instruments do not settle: use srivc, or another structure or cutoff")
+
+
+def _through(problem: ProcessProblem, theta: Floats) -> float:
+    """The coefficient of what goes straight through, 0 where there is none."""
+    structure = problem.structure
+    return float(theta[structure.free + structure.n]) if structure.m == structure.n else 0.0
+
+
+def _missed_by_lines(problem: ProcessProblem, pole: float, data: Point) -> Floats:
+    """(N, p) what straight lines between the samples of the input, in place of the input, lack in the regressors of an
+    output that is the input; without a part that goes straight through, none.
+
+    data: the problem behind the filters, whose regressors hold the input as it was."""
+    structure, missed = problem.structure, np.zeros(data.phi.shape)
+    if structure.m < structure.n:
+        return missed
+    free, first = structure.free, structure.free + structure.integrators
+    itself = data.theta.copy()
+    itself[free : free + structure.n + 1] = np.r_[structure.denominator(data.theta), 1.0]
+    inputs = tuple(
+        _measured(stretch, simulate(structure, itself, np.zeros(structure.n), stretch, source=0))
+        for stretch in problem.stretches
+    )
+    lines = filtered(replace(problem, stretches=inputs), pole).phi[:, :free]
+    missed[:, :free] = -data.phi[:, first : first + free] - lines
+    return missed
+
+
+def _measured(stretch: Stretch, signal: Floats) -> Stretch:
+    """The stretch with a signal (M,) for output: between measured instants a straight line, as of every output."""
+    times = stretch.grid.instants
+    return replace(stretch, y=np.interp(times, times[stretch.rows], signal[stretch.rows]))
