@@ -11,7 +11,6 @@ from pmfid.transfer.experiment import Stretch
 from pmfid.transfer.sensitivity import simulate
 from pmfid.transfer.solve import (
     REFINEMENTS,
-    Floats,
     Point,
     ProcessProblem,
     Solution,
@@ -22,6 +21,7 @@ from pmfid.transfer.solve import (
     step_from,
     visit,
 )
+from pmfid.types import Floats
 
 
 def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
