@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, cast
 
 import click
 
 from pmfid.cli.output import print_json
 from pmfid.errors import PmfidError, UsageError
+
+if TYPE_CHECKING:
+    from pmfid.design.search.campaign import Campaign
+    from pmfid.session.design_spec import Spec
 
 SPEC = click.argument("spec", type=click.Path(path_type=Path), metavar="SPEC.toml")
 UNKNOWN = click.option("--unknown", multiple=True, metavar="NAME", help="A parameter to be found; may be repeated.")
@@ -54,7 +58,7 @@ KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": 
 @OUT
 @JSON
 def design(
-    spec: Path, workers: int, certify: float, motions: int, out: Path | None, as_json: bool, **options: Any
+    spec: Path, workers: int, certify: float, motions: int, out: Path | None, as_json: bool, **options: object
 ) -> None:
     """Find the input that tells most about an axis within its limits.
 
@@ -105,7 +109,7 @@ def commission(
     rounds: int,
     out: Path | None,
     as_json: bool,
-    **options: Any,
+    **options: object,
 ) -> None:
     """Estimate from the designed runs so far and design the next one, until the wanted deviation is reached.
 
@@ -130,17 +134,17 @@ def commission(
         print_commissioning(state, out)
 
 
-def _campaign(together: Any) -> dict[str, Any]:
+def _campaign(together: Campaign | None) -> dict[str, object]:
     if together is None:
         return {}
     numbers = {name: getattr(together, name) for name in ("value", "gain", "ideal")}
     return {"campaign": numbers | {"weights": [float(weight) for weight in together.weights]}}
 
 
-def _load(spec: Path, options: dict[str, Any]) -> Any:
+def _load(spec: Path, options: dict[str, object]) -> Spec:
     from pmfid.session.design_spec import load_spec
 
-    unknown = list(options.pop("unknown")) or None
+    unknown = list(cast("tuple[str, ...]", options.pop("unknown"))) or None
     given = {KEYS[name]: value for name, value in options.items()}
     return load_spec(spec, {"experiment.unknown": unknown, **given})
 

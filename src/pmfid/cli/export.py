@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -42,7 +41,7 @@ def export(
     prefix: str | None,
     record: Path | None,
     dt: float | None,
-    alarms: Any,
+    alarms: tuple[tuple[str, float, float], ...],
     no_guard: bool,
     **options: object,
 ) -> None:

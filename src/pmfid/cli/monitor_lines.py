@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-#: What was written as JSON: texts, numbers, and tables of them, each known by its key alone.
-Told = dict[str, Any]
+from pmfid.session.monitored.run import Told
 
 
 def sentence(event: Told) -> str:

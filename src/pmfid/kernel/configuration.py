@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from pmfid.kernel.structures import constants_of, structures
+from pmfid.kernel.structures import Structured, constants_of, structures
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
 
 #: Values of a structure by the names of its fields; of an array the first ones, the others are 0.
-Values = Mapping[str, Any]
+Values = Mapping[str, object]
 Stages = Sequence[tuple[int, float, float, float]]
 Columns = Sequence[Sequence[tuple[int, float]]]
 
@@ -41,7 +41,7 @@ def new_kernel(
     """
     from pmfid import _kernel32, _kernel64
 
-    parameters = max(int(one["n_parameters"]) for one in (direct, instrument or direct))
+    parameters = max(cast("int", one["n_parameters"]) for one in (direct, instrument or direct))
     config = np.zeros((), structures(None, precision)["pmf_config_t"])
     values = {
         "settle_samples": settle_samples,
@@ -58,7 +58,7 @@ def new_kernel(
     return cast("Kernel", module.Kernel(config.tobytes()))
 
 
-def network_values(stages: Stages, columns: Columns, parameters: int) -> dict[str, Any]:
+def network_values(stages: Stages, columns: Columns, parameters: int) -> dict[str, object]:
     """The fields of `pmf_network_config_t`. Raises ValueError where the kernel has no room for so many."""
     sizes, taps = constants_of(None), [tap for column in columns for tap in column]
     names = ("PMF_MAX_STAGES", "PMF_MAX_TAPS", "PMF_MAX_COLUMNS", "PMF_MAX_PARAMETERS")
@@ -79,7 +79,7 @@ def network_values(stages: Stages, columns: Columns, parameters: int) -> dict[st
     }
 
 
-def fill(structure: NDArray[Any], values: Values) -> None:
+def fill(structure: Structured, values: Values) -> None:
     """Gives every field of a structure (0-d) its value; None: a part that is not there, all zeros.
 
     Raises ValueError for a field that has no value, a value that has no field, and more values than an array holds.
@@ -95,13 +95,18 @@ def fill(structure: NDArray[Any], values: Values) -> None:
             _set(structure, name, value)
 
 
-def _set(structure: NDArray[Any], name: str, value: Any) -> None:
+def _set(structure: Structured, name: str, value: object) -> None:
     field = structure[name]
     if field.ndim == 0:
         structure[name] = value
         return
-    rows = value if field.dtype.names else np.asarray(value, field.dtype)
-    shape = (len(rows),) if field.dtype.names else np.shape(rows)
+    rows: ArrayLike
+    if field.dtype.names:  # tuples, one for each row
+        rows = cast("Sequence[tuple[float, ...]]", value)
+        shape: tuple[int, ...] = (len(rows),)
+    else:
+        rows = np.asarray(value, field.dtype)
+        shape = rows.shape
     if len(shape) != field.ndim or any(size > most for size, most in zip(shape, field.shape, strict=True)):
         raise ValueError(f"{name} has the shape {shape}, the kernel holds {field.shape}")
     if all(shape):

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from pmfid.estimators.auto import AUTO
 from pmfid.paper.estimates import OFF_LINE, mass_of, mass_score, record_of, track_of, track_score
-from pmfid.paper.figure import PaperFigure, Task
+from pmfid.paper.figure import PaperFigure, Results, Task
 from pmfid.paper.merit import Merit, Score, merit
 from pmfid.simulation import CART, CART_DT, make_scenario
 
@@ -48,7 +46,7 @@ def without_encoder() -> dict[str, float]:
     return {method: 100 * found.error for method, found in scores.items()}
 
 
-def rows(results: Mapping[Task, Any]) -> list[Merit]:
+def rows(results: Results) -> list[Merit]:
     return [
         merit("encoders", name, m, inc, [r[m] for task, r in results.items() if task[:2] == (name, inc)])
         for name, encoders in RUNS.items()

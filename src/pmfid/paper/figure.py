@@ -9,7 +9,9 @@ from typing import Any
 
 from pmfid.paper.merit import Merit
 
+#: The arguments of one work, and what each of them gave: the figure's own `rows` knows what that is.
 Task = tuple[Any, ...]
+Results = Mapping[Task, Any]
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,6 @@ class PaperFigure:
     name: str
     caption: str
     tasks: Callable[[int], list[Task]]
-    work: Callable[..., Any]
-    rows: Callable[[Mapping[Task, Any]], list[Merit]]
+    work: Callable[..., object]
+    rows: Callable[[Results], list[Merit]]
     draw: Callable[[Path], Sequence[Path]]

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pmfid.design.trial.simulated import simulate
 from pmfid.paper.drawing import Motions, write_motions
-from pmfid.paper.figure import PaperFigure, Task
+from pmfid.paper.figure import PaperFigure, Results, Task
 from pmfid.paper.inputs import STROKE, designed, information, problem
 from pmfid.paper.merit import Merit
 from pmfid.simulation import CART, CART_INCREMENTS
@@ -30,7 +28,7 @@ def work(label: str) -> tuple[float, float, float]:
     return *information(u), float(simulate(problem(), u).x[-1]) - STROKE
 
 
-def rows(results: Mapping[Task, Any]) -> list[Merit]:
+def rows(results: Results) -> list[Merit]:
     """The loss is that against the design for the nominal mass; below zero where the wrong one goes past the end."""
     nominal = results["nominal mass",][0]
     return [

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +18,7 @@ from pmfid.paper.estimates import (
     track_of,
     track_score,
 )
-from pmfid.paper.figure import PaperFigure, Task
+from pmfid.paper.figure import PaperFigure, Results, Task
 from pmfid.paper.merit import Merit, Score, merit
 from pmfid.simulation import CART, CART_DT, CART_LOADED, Scenario, Schedule, make_scenario
 from pmfid.simulation.checks import sample_times
@@ -51,7 +49,7 @@ def work(load: str, increments: int, seed: int) -> dict[str, Score]:
     return scores | {m: mass_score(mass_of(m, record, TIME_CONSTANT), truth) for m in OFF_LINE}
 
 
-def rows(results: Mapping[Task, Any]) -> list[Merit]:
+def rows(results: Results) -> list[Merit]:
     return [
         merit("3", f"stop-and-go, {load}", m, inc, [r[m] for task, r in results.items() if task[:2] == (load, inc)])
         for load in LOADS

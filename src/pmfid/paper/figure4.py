@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from pmfid.demo.run import settling_time
 from pmfid.estimators.auto import AUTO
 from pmfid.paper.drawing import Drawing, write_drawing
 from pmfid.paper.estimates import EXTENDED, ON_LINE, TITLES, known_mass, record_of, track_of, track_score
-from pmfid.paper.figure import PaperFigure, Task
+from pmfid.paper.figure import PaperFigure, Results, Task
 from pmfid.paper.merit import Merit, Score, merit
 from pmfid.simulation import CART, CART_DT, CART_LOADED, Scenario, make_scenario
 
@@ -46,7 +44,7 @@ def work(increments: int, seed: int) -> dict[str, tuple[Score, Score]]:
     return result
 
 
-def rows(results: Mapping[Task, Any]) -> list[Merit]:
+def rows(results: Results) -> list[Merit]:
     conditions = ("stop-and-go, 1.07 kg", "stop-and-go, 1.07 to 1.44 kg")
     return [
         merit("4", condition, m, inc, [r[m][part] for task, r in results.items() if task[0] == inc])

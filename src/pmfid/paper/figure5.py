@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +11,7 @@ from pmfid.demo.run import settling_time
 from pmfid.design.trial.simulated import simulate
 from pmfid.paper.drawing import Drawing, Motions, write_drawing, write_motions
 from pmfid.paper.estimates import OFF_LINE, TITLES, known_mass, mass_of, mass_score, track_of, track_score
-from pmfid.paper.figure import PaperFigure, Task
+from pmfid.paper.figure import PaperFigure, Results, Task
 from pmfid.paper.inputs import HORIZON, INTERVALS, experiments, information, problem
 from pmfid.paper.merit import Merit, Score, merit
 from pmfid.paper.truth import CartRecord, make_estimator
@@ -57,7 +55,7 @@ def _score(method: str, record: CartRecord) -> Score:
     return track_score(track, slice(round(HORIZON / CART_DT), None), CART.mass, settled)
 
 
-def rows(results: Mapping[Task, Any]) -> list[Merit]:
+def rows(results: Results) -> list[Merit]:
     found = []
     for name in dict.fromkeys(task[0] for task in results):
         runs = [result for task, result in results.items() if task[0] == name]

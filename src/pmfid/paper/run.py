@@ -8,12 +8,14 @@ import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from multiprocessing.pool import Pool
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.paper import encoders, figure2, figure3, figure4, figure5
 from pmfid.paper.figure import PaperFigure, Task
 from pmfid.paper.merit import Merit, write_table
+
+T = TypeVar("T")
 
 FIGURES: dict[str, PaperFigure] = {
     f.name: f for f in (figure2.FIGURE, figure3.FIGURE, figure4.FIGURE, figure5.FIGURE, encoders.FIGURE)
@@ -40,7 +42,7 @@ def reproduce(
             raise UsageError(f"{name} must be at least 1, got {value}")
     out.mkdir(parents=True, exist_ok=True)
     tasks = [(figure.name, task) for figure in chosen for task in figure.tasks(seeds)]
-    results: dict[str, dict[Task, Any]] = {figure.name: {} for figure in chosen}
+    results: dict[str, dict[Task, object]] = {figure.name: {} for figure in chosen}
     with _pool(jobs) as pool:
         found = pool.imap(_work, tasks, chunksize=8)
         for figure in chosen:  # while the others work
@@ -67,7 +69,7 @@ def _pool(jobs: int | None) -> Pool:
     return multiprocessing.get_context("spawn").Pool(jobs or os.cpu_count() or 1, signal.signal, ignored)
 
 
-def _counted(results: Iterable[Any], total: int, done: Callable[[float], None] | None) -> Iterator[Any]:
+def _counted(results: Iterable[T], total: int, done: Callable[[float], None] | None) -> Iterator[T]:
     """The results as they come; `done` is called with the part of them that is there."""
     for count, result in enumerate(results, 1):
         if done is not None:
@@ -75,6 +77,6 @@ def _counted(results: Iterable[Any], total: int, done: Callable[[float], None] |
         yield result
 
 
-def _work(task: tuple[str, Task]) -> Any:
+def _work(task: tuple[str, Task]) -> object:
     name, arguments = task
     return FIGURES[name].work(*arguments)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +12,17 @@ from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.configuration import made
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.judge.drive import judge
 from pmfid.models.drive import Drive
+from pmfid.paper.figure import Results
+from pmfid.paper.figure import Task as Task
 from pmfid.simulation import CART, CART_DT, make_scenario
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
-Task = tuple[Any, ...]
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
 TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 #: Filter time constant in samples, where a table does not say otherwise.
@@ -43,8 +44,8 @@ class Study:
 
     name: str
     tasks: Callable[[int], list[Task]]
-    work: Callable[..., Any]
-    write: Callable[[int, Mapping[Task, Any]], list[str]]
+    work: Callable[..., object]
+    write: Callable[[int, Results], list[str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,29 +81,42 @@ def make_estimator(
     record: CartRecord,
     time_constant: float = TIME_CONSTANT,
     input_gain: float = CART.input_gain,
-    **options: Any,
+    **options: object,
 ) -> Estimator:
     """The method on the cart's model; time_constant: of the filters, in samples."""
     cutoff = 1 / (time_constant * CART_DT)
-    return ESTIMATORS[method](Drive(input_gain), Encoder(record.resolution), CART_DT, cutoff, **options)
+    own = {"model": Drive(input_gain), "encoder": Encoder(record.resolution), "dt": CART_DT, "cutoff": cutoff}
+    return made(ESTIMATORS[method], own | options)
 
 
-def track_of(method: str, record: CartRecord, time_constant: float = TIME_CONSTANT, **options: Any) -> Track:
+def track_of(
+    method: str,
+    record: CartRecord,
+    time_constant: float = TIME_CONSTANT,
+    input_gain: float = CART.input_gain,
+    **options: object,
+) -> Track:
     """The estimates of a recursive method over a record."""
-    estimator = make_estimator(method, record, time_constant, **options)
+    estimator = make_estimator(method, record, time_constant, input_gain, **options)
     if not isinstance(estimator, RecursiveEstimator):
         raise TypeError(f"{method} is not recursive")
     return estimator.run(record.u, record.counts)
 
 
 def estimate(
-    method: str, record: CartRecord, time_constant: float = TIME_CONSTANT, *, judged: bool = False, **options: Any
+    method: str,
+    record: CartRecord,
+    time_constant: float = TIME_CONSTANT,
+    input_gain: float = CART.input_gain,
+    *,
+    judged: bool = False,
+    **options: object,
 ) -> Outcome:
     """What a method says after the whole record; the last value of a recursive one. judged: with the flags.
 
     A method that gives no estimate, or that stops with an error of linear algebra, is an outcome, too.
     """
-    estimator = make_estimator(method, record, time_constant, **options)
+    estimator = make_estimator(method, record, time_constant, input_gain, **options)
     try:
         outcome = _last(estimator, record)
     except (NotIdentifiableError, np.linalg.LinAlgError) as error:

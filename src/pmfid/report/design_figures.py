@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from itertools import combinations, cycle
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pmfid.design.problem.problem import Problem
-from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, figure_style
+from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, Style, figure_style
 from pmfid.types import Floats
 
 __all__ = ["ellipse_figure", "gathering_figure", "motion_figure"]
@@ -83,7 +82,7 @@ def ellipse_figure(names: tuple[str, ...], scale: Floats, fishers: Mapping[str, 
     return figure
 
 
-def _ellipse(axes: Axes, fisher: Floats, pair: tuple[int, int], look: dict[str, Any]) -> None:
+def _ellipse(axes: Axes, fisher: Floats, pair: tuple[int, int], look: Style) -> None:
     if np.linalg.matrix_rank(fisher) < len(fisher):
         return
     covariance = np.linalg.inv(fisher)[np.ix_(pair, pair)]
@@ -92,7 +91,7 @@ def _ellipse(axes: Axes, fisher: Floats, pair: tuple[int, int], look: dict[str, 
     axes.plot(*(np.linalg.cholesky(covariance) @ circle), **look)
 
 
-def _looks(names: Iterable[str]) -> list[tuple[str, dict[str, Any]]]:
+def _looks(names: Iterable[str]) -> list[tuple[str, Style]]:
     """Name and style of each curve: the first one, the design, broad, so that it shows below one that covers it."""
     styles = cycle([(colour, style) for style in LINE_STYLES for colour in COLOURS])
     looks = []

@@ -32,7 +32,9 @@ WIDTH = 9.0
 DOUBTFUL = Status.POOR_EXCITATION | Status.COMPENSATION_HELD
 NO_ESTIMATE = Status.STARTING | Status.SETTLING
 
-_STYLE: dict[Any, Any] = {
+#: Keywords of matplotlib, each of a type of its own.
+Style = dict[str, Any]
+_STYLE: dict[Any, Any] = {  # its keys are a list of hundreds of literals
     "axes.axisbelow": True,
     "axes.edgecolor": GREY,
     "axes.grid": True,
@@ -137,7 +139,7 @@ def _estimate_panel(axes: Axes, t: Floats, track: Track, name: str, nominal: Flo
 
 def _shade(axes: Axes, spans: list[tuple[float, float]]) -> None:
     if spans:
-        style: dict[str, Any] = {
+        style: Style = {
             "color": COLOURS[3],
             "alpha": 0.25,
             "lw": 0,

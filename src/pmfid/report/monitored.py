@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pmfid.monitor.calibration import Calibration
 from pmfid.report.html import Section, svg, write_report
 from pmfid.report.monitored_figures import RunData, calibration_figure, run_figure
-from pmfid.session.monitored.run import History, MonitoredRun
+from pmfid.session.monitored.run import History, MonitoredRun, Told
 from pmfid.session.monitored.setup import Setup
 
 SHOWN_ALARMS = 200
@@ -83,7 +82,7 @@ def _verdict(setup: Setup, run: MonitoredRun) -> Section:
     return Section("Alarms", text, (head, rows))
 
 
-def _alarm_row(run: MonitoredRun, alarm: dict[str, Any]) -> list[str]:
+def _alarm_row(run: MonitoredRun, alarm: Told) -> list[str]:
     """With the value that the parameter settled on before the next alarm, if it did."""
     later = [event for event in run.events if event["event"] in ("settled", "alarm") and event["time"] > alarm["time"]]
     found = later[0]["parameters"].get(alarm["parameter"]) if later and later[0]["event"] == "settled" else None

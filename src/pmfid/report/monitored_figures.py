@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,6 +17,7 @@ from pmfid.report.figures import (
     GREY,
     MAGENTA,
     WIDTH,
+    Style,
     _finish_time,
     _label,
     _legend,
@@ -27,6 +27,7 @@ from pmfid.report.figures import (
     plain_ticks,
     stretches,
 )
+from pmfid.session.monitored.run import Told
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
@@ -59,7 +60,7 @@ class RunData:
     status: NDArray[np.uint32]
     state: NDArray[np.str_]
     nominal: Floats
-    alarms: Sequence[dict[str, Any]]
+    alarms: Sequence[Told]
 
 
 def run_figure(data: RunData) -> Figure:
@@ -97,7 +98,7 @@ def _estimate_panel(axes: Axes, data: RunData, i: int) -> None:
     low, high = theta - band, theta + band
     rows = np.union1d(decimation(low, 1000), decimation(high, 1000))
     _line(axes, data.t, theta, color=COLOURS[0], label="estimate")
-    style: dict[str, Any] = {"color": COLOURS[0], "alpha": 0.25, "lw": 0, "zorder": 1, "label": "±2 std"}
+    style: Style = {"color": COLOURS[0], "alpha": 0.25, "lw": 0, "zorder": 1, "label": "±2 std"}
     axes.fill_between(data.t[rows], low[rows], high[rows], where=np.isfinite(band[rows]), **style)
     axes.axhline(data.nominal[i], color=MAGENTA, ls="--", lw=1.2, label="nominal")
     axes.set_ylabel(_label(data.names[i], data.units[i]).replace(" friction", "\nfriction"))
@@ -146,7 +147,7 @@ def _strip_panel(axes: Axes, t: Floats, rows: Sequence[tuple[str, str, Flags]]) 
     axes.grid(axis="y", visible=False)
 
 
-def _mark_alarms(axes: Axes, alarms: Sequence[dict[str, Any]]) -> None:
+def _mark_alarms(axes: Axes, alarms: Sequence[Told]) -> None:
     for alarm in alarms[:200]:
         axes.axvline(alarm["time"], color=COLOURS[1], lw=1.6, label="alarm", zorder=3)
         axes.axvline(alarm["changed_at"], color=COLOURS[1], lw=1.2, ls=":", label="change", zorder=3)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -196,7 +196,7 @@ def make_problem(spec: Spec) -> Problem:
 
 
 def _nominal(drive: DriveSpec) -> dict[str, float]:
-    values: dict[str, Any] = drive.model_dump(exclude={"input_gain"})
+    values: dict[str, float | None] = drive.model_dump(exclude={"input_gain"})
     return {name: value for name, value in values.items() if value is not None}
 
 

@@ -14,6 +14,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auto import AUTO, Choice, choose, first_choice
 from pmfid.estimators.base import Estimator, like, status_names
 from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.configuration import made
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.ls import LS
@@ -86,7 +87,8 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
     encoder = Encoder(
         record.resolution, standstill_time=known.standstill_time, max_speed=known.max_speed, guard=known.guard
     )
-    estimator = cls(model, encoder, record.dt, axis.estimator.cutoff, **settings(axis, cls))
+    own = {"model": model, "encoder": encoder, "dt": record.dt, "cutoff": axis.estimator.cutoff}
+    estimator = made(cls, own | settings(axis, cls))
     if cls.instrumental and axis.estimator.prefilter_zeros is None:
         return replace(estimator, prefilter_zeros=choose_prefilter_zeros(estimator, record.u, record.counts))
     return estimator

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
@@ -54,10 +54,10 @@ class Kind(ABC, Generic[Data]):
         return ""
 
 
-def settings(axis: Axis, cls: type[Estimator]) -> dict[str, Any]:
+def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:
     """The options of [estimator] that a method has, by name."""
     config = axis.estimator
-    options: dict[str, Any] = {"order": config.order, "discretization": config.discretization}
+    options: dict[str, object] = {"order": config.order, "discretization": config.discretization}
     options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
     if issubclass(cls, RecursiveEstimator):
         options |= {"forgetting": config.forgetting, "forgetting_scheme": config.forgetting_scheme}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator, status_names
 from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.configuration import made
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.estimators.srivc import (
@@ -96,7 +97,8 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
         if axis.encoder.resolution == NO_ENCODER:
             raise UsageError(f"{method} needs the step of the encoder or converter; give [encoder] resolution")
         options["noise_std"] = axis.encoder.resolution / np.sqrt(12.0)
-    estimator = cls(model, Encoder(axis.encoder.resolution), dt, config.cutoff, **options)
+    own = {"model": model, "encoder": Encoder(axis.encoder.resolution), "dt": dt, "cutoff": config.cutoff}
+    estimator = made(cls, own | options)
     if cls.instrumental and config.prefilter_zeros is None:
         encoder, counts = fine_counts(_plain(experiments, method).y)
         zeros = choose_prefilter_zeros(replace(estimator, encoder=encoder), experiments[0].u, counts)
@@ -152,7 +154,7 @@ def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: Candidate)
     return UNSTABLE if "unstable" in result.status else ""
 
 
-def search_json(search: Search) -> dict[str, Any]:
+def search_json(search: Search) -> dict[str, object]:
     """The object that `pmfid order --json` prints."""
     rows = [
         {

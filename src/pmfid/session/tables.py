@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.types import Floats
 
-__all__ = ["Floats", "Table", "column", "from_array", "lookup", "read_table"]
+if TYPE_CHECKING:
+    import polars as pl
+
+__all__ = ["Table", "column", "from_array", "lookup", "read_table"]
 
 #: Column by name: a polars series from a CSV or Parquet file, an array from a .mat file.
 Table = Mapping[str, object]
@@ -68,7 +71,7 @@ def _readable(kind: str) -> Iterator[None]:
         raise UsageError(f"not a readable {kind} file, truncated or corrupt ({reason}); export it again") from None
 
 
-def lookup(table: Table, key: str, name: str) -> Any:
+def lookup(table: Table, key: str, name: str) -> object:
     """The column `name`, which [record] `key` asks for; raises UsageError listing what there is."""
     if f"{name}{_TWICE}" in table:
         raise UsageError(f"[record] {key} = {name!r}: two columns have this name; rename one of them")
@@ -83,7 +86,9 @@ def column(table: Table, key: str, name: str) -> Floats:
     """The column `name` as (n,) numbers, NaN where a cell is empty; raises UsageError where it is not numeric."""
     value = lookup(table, key, name)
     label = f"{key} column {name!r}"
-    return from_array(label, value).ravel() if isinstance(value, np.ndarray) else _from_series(label, value)
+    if isinstance(value, np.ndarray):
+        return from_array(label, value).ravel()
+    return _from_series(label, cast("pl.Series", value))
 
 
 def from_array(label: str, array: NDArray[np.generic]) -> Floats:
@@ -95,7 +100,7 @@ def from_array(label: str, array: NDArray[np.generic]) -> Floats:
     return array.astype(np.float64)
 
 
-def _from_series(label: str, series: Any) -> Floats:
+def _from_series(label: str, series: pl.Series) -> Floats:
     import polars as pl
 
     if series.dtype == pl.String:
@@ -139,7 +144,7 @@ class _ParquetTable(Mapping[str, object]):
         rows = int(pl.scan_parquet(io.BytesIO(data)).select(pl.len()).collect().item())
         _check_unpacked(8 * rows, len(data), "a column")
 
-    def __getitem__(self, name: str) -> Any:
+    def __getitem__(self, name: str) -> object:
         import polars as pl
 
         if name not in self._names:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
@@ -33,7 +33,7 @@ def load_sections(
     path: Path,
     overrides: Mapping[str, object] | None,
     kind: str,
-    complete: Callable[[dict[str, Any]], None] | None = None,
+    complete: Callable[[dict[str, object]], None] | None = None,
 ) -> Whole:
     """Read and validate a file whose sections are the fields of `whole`.
 
@@ -56,7 +56,7 @@ def load_sections(
         raise UsageError(f"{path}: {error}") from None
 
 
-def validated(whole: type[Whole], raw: Mapping[str, Any], given: Mapping[str, object] | None = None) -> Whole:
+def validated(whole: type[Whole], raw: Mapping[str, object], given: Mapping[str, object] | None = None) -> Whole:
     """The sections of `raw` as an object; given: those dotted keys that came as options. Raises UsageError with all
     problems in one text."""
     try:
@@ -69,7 +69,7 @@ def validated(whole: type[Whole], raw: Mapping[str, Any], given: Mapping[str, ob
     raise UsageError("\n  ".join(problems.values()))
 
 
-def _read_toml(path: Path, kind: str) -> dict[str, Any]:
+def _read_toml(path: Path, kind: str) -> dict[str, object]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
@@ -86,7 +86,9 @@ def _sections(whole: type[FileSection]) -> dict[str, type[BaseModel]]:
     return {name: cls for name, cls in types.items() if isinstance(cls, type) and issubclass(cls, BaseModel)}
 
 
-def _problem(whole: type[FileSection], error: ErrorDetails, raw: Mapping[str, Any], given: Mapping[str, object]) -> str:
+def _problem(
+    whole: type[FileSection], error: ErrorDetails, raw: Mapping[str, object], given: Mapping[str, object]
+) -> str:
     section, *rest = (str(part) for part in error["loc"][:2])
     label = f"[{section}] {rest[0]}" if rest else f"[{section}]"
     inside = error["loc"][2:]
@@ -98,11 +100,13 @@ def _problem(whole: type[FileSection], error: ErrorDetails, raw: Mapping[str, An
     field = _sections(whole)[section].model_fields[rest[0]] if rest else whole.model_fields[section]
     if error["type"] == "missing":
         return f"{label} is missing; give {field.description}"
+    table = raw[section]
     message = error["msg"].removeprefix("Value error, ").replace("Input should", "it should")
     if not rest:
-        return f"{label}: {message}" if isinstance(raw[section], dict) else f"{label} must be a section of keys"
+        return f"{label}: {message}" if isinstance(table, dict) else f"{label} must be a section of keys"
+    value = table[rest[0]] if isinstance(table, dict) else None
     origin = " (given as an option)" if f"{section}.{rest[0]}" in given else ""
-    return f"{label} = {raw[section][rest[0]]!r}{origin}: {message}; give {field.description}"
+    return f"{label} = {value!r}{origin}: {message}; give {field.description}"
 
 
 def _entry_problem(place: str, error: ErrorDetails, description: str) -> str:

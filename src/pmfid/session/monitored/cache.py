@@ -70,7 +70,7 @@ def _read(path: Path) -> Calibration | None:
         digest, _, text = path.read_text(encoding="utf-8").partition("\n")
         if digest != _digest(text):
             return None  # damaged: numbers may have changed and still be numbers
-        raw: dict[str, Any] = json.loads(text)
+        raw: dict[str, Any] = json.loads(text)  # what is not as it was written ends in one of the errors below
         return Calibration(
             np.array(raw["theta"]),
             Scale(**{name: np.array(value) for name, value in raw["scale"].items()}),

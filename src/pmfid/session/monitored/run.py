@@ -12,13 +12,18 @@ from pmfid.monitor.events import Event, Outlier, Settled, StateChange
 from pmfid.monitor.monitor import Monitor
 from pmfid.session.monitored.sinks import Sink
 from pmfid.session.monitored.timeline import BAD, COMMENT, REPEATED, Found, Sample, Skipped
+from pmfid.types import Floats
 
 #: Rows that are kept for the report; beyond, every other one goes.
 MOST_ROWS = 8000
 #: Lines of a kind and gaps that are told one by one, and events that are kept.
 TOLD, KEPT = 10, 10_000
 
-Tell = Callable[[dict[str, Any]], None]
+#: What is written as JSON: texts, numbers, and tables of them, each known by its key alone.
+Told = dict[str, Any]
+Tell = Callable[[Told], None]
+#: Time, u, counts, theta, std, innovation, status bits, state.
+Row = tuple[float, float, int, Floats, Floats, float, int, str]
 #: Called with each sample, its estimate and the monitor's state.
 Observer = Callable[[Sample, Estimate, str], None]
 
@@ -29,7 +34,7 @@ class History:
     `stride`th sample; the bits of the samples between are kept, and the largest innovation."""
 
     stride: int = field(default=1, init=False)
-    rows: list[tuple[Any, ...]] = field(default_factory=list, init=False)
+    rows: list[Row] = field(default_factory=list, init=False)
     _taken: int = field(default=0, init=False)
 
     def __call__(self, sample: Sample, estimate: Estimate, state: str) -> None:
@@ -41,9 +46,9 @@ class History:
             row = (sample.time, sample.u, sample.counts, theta, std, estimate.innovation, estimate.status, state)
             self.rows.append(row)
         else:
-            *kept, innovation, status, _ = self.rows[-1]
+            time, u, counts, theta, std, innovation, status, _ = self.rows[-1]
             largest = max(innovation, estimate.innovation, key=abs)
-            self.rows[-1] = (*kept, largest, status | estimate.status, state)
+            self.rows[-1] = (time, u, counts, theta, std, largest, status | estimate.status, state)
         self._taken += 1
 
 
@@ -63,10 +68,10 @@ class MonitoredRun:
     clock_jumps: int = 0
     outliers: int = 0
     problem: str = ""
-    events: list[dict[str, Any]] = field(default_factory=list)
+    events: list[Told] = field(default_factory=list)
 
     @property
-    def alarms(self) -> list[dict[str, Any]]:
+    def alarms(self) -> list[Told]:
         return [event for event in self.events if event["event"] == "alarm"]
 
     def totals(self) -> dict[str, int]:
@@ -148,7 +153,7 @@ def _row(time: float, estimate: Estimate, state: str) -> tuple[float | int | str
     return (time, *theta, *std, estimate.innovation, estimate.status, state)
 
 
-def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> dict[str, Any]:
+def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> Told:
     """The object that `--json` prints; shift: of the times [s]."""
     if isinstance(event, StateChange):
         return {"event": "state", "time": event.time + shift, "state": event.state, "reason": event.reason}
