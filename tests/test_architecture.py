@@ -213,6 +213,13 @@ def test_a_circle_is_found(tmp_path: Path) -> None:
         list(TopologicalSorter(imports_between_modules(root)).static_order())
 
 
+def test_what_kind_of_plant_it_is_is_asked_in_three_files() -> None:
+    """Elsewhere what is particular to a kind stands in an object of that kind (`Plant`, `Kind`)."""
+    asked = re.compile(r"equation\.process\b|\.process else|if self\.process:")
+    found = {path.name for path in source_files(PACKAGE) if asked.search(path.read_text(encoding="utf-8"))}
+    assert found == {"equation.py", "plants.py", "srivc.py"}
+
+
 BAD_FILTER = """\
 import numpy as np
 from pmfid.errors import UsageError

@@ -18,6 +18,7 @@ from pmfid.estimators.configuration import made
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.ls import LS
+from pmfid.estimators.plants import plant_of
 from pmfid.estimators.recursive import RecursiveEstimator, Track
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns
@@ -75,7 +76,7 @@ class Drives(Kind[Record]):
 
 
 def _believed(record: Record, axis: Axis) -> Believed:
-    return believed(record) if axis.encoder.guard and not axis.model.make().equation.process else Believed(record)
+    return believed(record) if axis.encoder.guard and plant_of(axis.model.make().equation).rests else Believed(record)
 
 
 def make_estimator(axis: Axis, record: Record) -> Estimator:

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from pmfid.session.records import Record
 from pmfid.session.wrap import wrap_of
+from pmfid.types import Counts, Floats
 
 __all__ = ["Believed", "believed"]
 
-Floats = NDArray[np.float64]
-Counts = NDArray[np.int64]
 
 #: A change of the counts is compared with the median of so many around it: that of a velocity which steps is on either
 #: side of the step, and five wrong ones in a row do not move it. Its own steps are looked for as far around.
