@@ -96,3 +96,42 @@ def test_export_says_how_long_float32_remembers(forgetting: str, told: bool, tmp
     result = CliRunner().invoke(main, ["export", str(axis), *options, "--forgetting", forgetting])
     assert result.exit_code == 0, result.output
     assert ("remembers at most the last 524288 samples" in result.output) == told
+
+
+def test_parameters_that_float32_never_forgets_agree_with_float64_after_eight_million_samples() -> None:
+    """While the mass is forgotten: the sums of the others are full at different samples, if nothing fades them."""
+    u, counts = motion(heavy=False)
+    never = {"coulomb_friction": 1.0, "viscous_friction": 1.0}
+    fleets = [
+        pmfid.Fleet(
+            pmfid.BCRLS(
+                pmfid.Drive(2.0),
+                cart_run(3, increments=1024).encoder,
+                0.01,
+                30.0,
+                forgetting=0.9999,
+                forgetting_of=never,
+                precision=precision,
+            ),
+            1,
+        )
+        for precision in ("float32", "float64")
+    ]
+    for k in range(8):
+        ends = [fleet.run(u, counts + k * counts[0, -1]) for fleet in fleets]
+    np.testing.assert_allclose(ends[0].theta[0, -1], ends[1].theta[0, -1], rtol=1e-3)
+    bars = [end.theta_std[0, -1] for end in ends]
+    assert np.all(bars[0] > 0.95 * bars[1]), "float32 knows less, never more"
+
+
+def test_what_float32_never_forgets_outlasts_an_hour_of_rest() -> None:
+    u, counts = motion(heavy=False)
+    estimator = pmfid.BCRLS(
+        pmfid.Drive(2.0), cart_run(3, increments=1024).encoder, 0.01, 30.0, forgetting=0.9999,
+        forgetting_of={"coulomb_friction": 1.0}, precision="float32",
+    )  # fmt: skip
+    fleet = pmfid.Fleet(estimator, 1)
+    before = fleet.run(u[:, :100_000], counts[:, :100_000])
+    rest = fleet.run(np.zeros((1, 360_000)), np.full((1, 360_000), counts[0, 99_999]))
+    np.testing.assert_allclose(rest.theta[0, -1], before.theta[0, -1], rtol=1e-3)
+    assert rest["coulomb_friction"][0, -1] == pytest.approx(before["coulomb_friction"][0, -1], rel=1e-4)

@@ -15,7 +15,7 @@ from pmfid.monitor.detectors import DETECTORS, Cusum, Glr, PageHinkley, statisti
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, WATCHING, Alarm, Settled, StateChange, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Blocks, ScoreFilter, make_scale, scores
-from pmfid.simulation import CART, CART_DT, Schedule, position_control, resolution_of
+from pmfid.simulation import CART, CART_DT, Schedule, position_control, prbs, quantize, resolution_of, simulate_drive
 from pmfid.simulation.scenarios import CART_CONTROL
 from pmfid.types import Floats
 from studies.monitoring.axis import changing, drive, make_riv, normal_work, random_stop_and_go
@@ -371,3 +371,22 @@ def test_a_change_of_mass_is_reported_after_five_seconds_at_24_volt(calibration:
     assert [alarm.parameter for alarm in alarms] == ["mass"]
     assert 37.0 < alarms[0].time < 40.0
     assert alarms[0].relative == pytest.approx(0.31, abs=0.03)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_change_of_mass_is_reported_at_1_volt_after_ten_seconds_at_12(calibration: Calibration, seed: int) -> None:
+    """The mass changes two memories after the input has become small."""
+    start, change = 1000, 1200
+    estimator = make_riv(INCREMENTS, THETA)
+    assert (change - start) * (1 - estimator.forgetting) == pytest.approx(2.0)
+    u = prbs(change + 3000, clock=10, amplitude=1.0, rng=np.random.default_rng(seed))
+    u[:start] *= 12.0
+    loaded = Schedule(((0.0, CART), (change * CART_DT, replace(CART, mass=1.40))))
+    counts = quantize(simulate_drive(loaded, u, CART_DT).x, resolution_of(INCREMENTS))
+    monitor = Monitor(estimator, calibration, Watch())
+    alarms: list[Alarm] = []
+    for value, count in zip(u.tolist(), counts.tolist(), strict=True):
+        alarms += [event for event in monitor.step(value, count)[1] if isinstance(event, Alarm)]
+    assert [alarm.parameter for alarm in alarms] == ["mass"]
+    assert 0.0 < alarms[0].time - change * CART_DT < 2.0
+    assert 0.1 < (alarms[0].relative or 0.0) < 0.4

@@ -75,3 +75,23 @@ def test_rest_and_a_constant_speed_after_a_large_motion_are_harmless(cls, drive)
         assert track.flagged(Status.POOR_EXCITATION)[end]
         np.testing.assert_allclose(track["mass"][end], CART.mass, rtol=0.03)
     np.testing.assert_allclose(track["mass"][-1], CART.mass, rtol=0.01)
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize(("cls", "scheme"), CASES)
+def test_an_hour_of_standstill_is_harmless_in_every_scheme(cls, scheme, precision, drive):
+    """The estimate of before stays, and a memory after it all is as it was. A window lets its older blocks go until
+    what is left says hardly anything, so that its estimate is of less; that of the mass stays, too."""
+    head, still = 2000, 360_000
+    wave = prbs(2 * head, clock=10, amplitude=6.0, rng=np.random.default_rng(6))
+    u = np.r_[wave[:head], np.zeros(still), wave[head:]]
+    counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    options = {"forgetting": 0.998, "forgetting_scheme": scheme, "precision": precision}
+    track = cls(drive, pmfid.Encoder(CART_RESOLUTION), CART_DT, 50.0, **options).run(u, counts)
+    before, rested = track.theta[head - 1], slice(head + 200, head + still)
+    deviation = np.abs(track.theta[rested] / before - 1)
+    assert np.max(deviation[:, 0]) < 0.01
+    assert np.max(deviation) < (0.1 if scheme == "window" else 0.05)
+    assert track.flagged(Status.STANDSTILL)[head + still - 1]
+    np.testing.assert_allclose(track["mass"][-1], CART.mass, rtol=0.03)
+    assert track.status[-1] == 0

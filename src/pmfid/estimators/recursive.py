@@ -17,6 +17,7 @@ from pmfid.estimators.encoder_noise import shown
 from pmfid.estimators.level import level_of
 from pmfid.estimators.runner import Runner
 from pmfid.estimators.track import Track as Track
+from pmfid.kernel.saved import MOST_WEIGHT
 from pmfid.kernel.structures import constants_of
 
 if TYPE_CHECKING:
@@ -61,7 +62,8 @@ class RecursiveEstimator(Estimator):
     most twice as fast as `forgetting` (Goodwin and Sin 1984, section 3.3);
     "window": the samples of the last memory alike, older ones not at all, in blocks of an eighth.
     forgetting_of: factors of single parameters, by name, that change more slowly than the others or never (1):
-    {"b0": 1.0}. With the exponential scheme only; a parameter that is known to stay sharpens the others.
+    {"b0": 1.0}. With the exponential scheme only; a parameter that is known to stay sharpens the others. In float32
+    the memory of each is at most 2^19 samples in which the others are excited.
     The configuration is frozen; equality and hash are of it alone. What changes with the samples is a `Runner`:
     `start()` makes as many as are needed. For a single one there is `runner`, the object's own: `step`, `run`, `reset`
     and the like are short for its. A copy, by `copy`, `pickle` or a process pool, has a runner of its own that goes on
@@ -118,6 +120,12 @@ class RecursiveEstimator(Estimator):
             )
 
     @property
+    def _slowest(self) -> float:
+        """Forgetting of a parameter that float32 can do: sums of such parameters are full at different samples, and no
+        longer fit each other then. At rest all hold still, so that it costs nothing there."""
+        return 1 - 1 / MOST_WEIGHT if self.precision == "float32" else 1.0
+
+    @property
     def encoder_config(self) -> dict[str, float]:
         """Positions of a process with a constant count from the first one, as off-line: far from zero the filters would
         remember for long that they began there, and numbers of 32 bits do not hold its derivatives."""
@@ -147,7 +155,9 @@ class RecursiveEstimator(Estimator):
         if self.forgetting_of and forgetting < 1:  # as with directional forgetting: innovations only
             config["residual_updates"] = 0
             config["scheme"] = SEPARATE
-            config["keep"] = [math.sqrt(self.forgetting_of.get(name, forgetting)) for name in self.names]
+            config["keep"] = [
+                math.sqrt(min(self.forgetting_of.get(name, forgetting), self._slowest)) for name in self.names
+            ]
         if scheme == "directional":  # the accumulated right-hand side does not follow the forgetting: innovations only
             config["residual_updates"] = 0
         if scheme == "constant-trace":  # bounds P by itself, but for a direction that others outgrow by far
