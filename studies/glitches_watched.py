@@ -24,7 +24,7 @@ from studies.glitches import CUTOFF, KINDS, Spoiled, sizes_of, spoil_at
 from studies.machines import AXES, Axis, truth
 from studies.monitoring.axis import random_stop_and_go
 
-WATCHED = ("cart", "rotary", "gantry", "spindle")
+WATCHED = ("cart", "rotary", "gantry")
 INCREMENTS, MEMORY = 1024, 100  # samples
 #: Earliest and latest fault, how much later the mass changes, and the time to find that [s].
 FAULT, LATER, FOUND_WITHIN = (10.0, 15.0), 10.0, 5.0
