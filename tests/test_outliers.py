@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,11 @@ FAULTS = {
 }
 
 
+@cache
+def recorded(axis: str, motion: str, increments: int, wrong: str = "nothing") -> CartRecord:
+    return machine_record(AXES[axis], wrong, motion, increments, 8)
+
+
 def logged(counts: np.ndarray, u: np.ndarray, resolution: float = 1.0) -> Record:
     return Record(u, counts, 0.01, resolution, (), "log")
 
@@ -54,7 +60,7 @@ def as_good(found: pmfid.session.result.DriveResult, clean: pmfid.session.result
 def test_wrong_counts_are_left_out_and_their_rows_named(fault: str, size: int) -> None:
     for motion in MOTIONS:
         for increments in (4096, 100):
-            record = machine_record(AXES[AXIS], "nothing", motion, increments, 8)
+            record = recorded(AXIS, motion, increments)
             counts = record.counts.copy()
             counts[FAULTS[fault]] += size
             known = believed(logged(counts, record.u))
@@ -67,7 +73,7 @@ def test_wrong_counts_are_left_out_and_their_rows_named(fault: str, size: int) -
 
 @pytest.mark.parametrize("method", ["auto", "iv", "interval", "output-error", "rls"])
 def test_no_method_gets_a_wrong_sample(method: str) -> None:
-    record = machine_record(AXES[AXIS], "nothing", "prbs", 1024, 8)
+    record = recorded(AXIS, "prbs", 1024)
     clean = identified(record, method)
     counts, u = record.counts.copy(), record.u.copy()
     counts[1700] += 100_000
@@ -83,7 +89,7 @@ def test_no_method_gets_a_wrong_sample(method: str) -> None:
 @pytest.mark.parametrize("method", ["auto", "iv"])
 def test_an_input_lost_where_it_switches_is_told_in_the_status(method: str) -> None:
     """Nobody knows it: what stands in its place is wrong by half the switch, for a sample."""
-    record = machine_record(AXES[AXIS], "nothing", "prbs", 1024, 8)
+    record = recorded(AXIS, "prbs", 1024)
     u = record.u.copy()
     u[800] = -1e7
     found = identified(CartRecord(u, record.counts, record.resolution), method)
@@ -92,7 +98,7 @@ def test_an_input_lost_where_it_switches_is_told_in_the_status(method: str) -> N
 
 
 def test_a_counter_that_was_set_anew_is_put_back() -> None:
-    record = machine_record(AXES[AXIS], "nothing", "stop-and-go", 1024, 8)
+    record = recorded(AXIS, "stop-and-go", 1024)
     counts = record.counts + 5_000_000 * (np.arange(record.counts.size) >= 1333)
     found = identified(CartRecord(record.u, counts, record.resolution), "interval")
     assert "count_jump" in found.status
@@ -105,7 +111,7 @@ def test_no_healthy_record_is_touched(axis: str) -> None:
     for wrong in ("nothing", "Stribeck 30 %"):
         for motion in MOTIONS:
             for increments in (4096 * 64, 4096, 256, 16):
-                record = machine_record(AXES[axis], wrong, motion, increments, 5)
+                record = recorded(axis, motion, increments, wrong)
                 assert believed(logged(record.counts, record.u)).told == ""
 
 
@@ -136,7 +142,7 @@ def test_a_counter_that_wraps_is_no_jump() -> None:
 def test_the_remedy_of_the_command_works(tmp_path: Path) -> None:
     """A wrong row is told; `guard = false`, which the sentence offers, lets it in, and then the record is refused."""
     axis = AXES[AXIS]
-    record = machine_record(axis, "nothing", "stop-and-go", 1024, 8)
+    record = recorded(AXIS, "stop-and-go", 1024)
     counts = record.counts.copy()
     counts[2000] += 10**5
     pl.DataFrame({"u": record.u, "counts": counts}).write_csv(tmp_path / "log.csv")

@@ -33,6 +33,8 @@ MOST_CHANGES = 0.04
 #: many times what it usually does, over so many samples.
 SPIKE, ANSWER, ANSWER_SAMPLES = 50.0, 3.0, 10
 MOST_INPUTS = 0.01
+#: Windows that are sorted at once: all of a long record would be eleven records.
+CHUNK = 65_536
 #: Rows that a sentence names.
 NAMED = 4
 
@@ -118,8 +120,9 @@ def _run(counts: Counts, first: int, last: int, usual: Floats, limit: Floats) ->
 
 def _expected(change: Floats) -> tuple[Floats, Floats]:
     """What each change of the counts (n,) should be, and by how much it may differ: (n,)."""
-    middle = np.median(_around(change), axis=1)
-    steps = np.max(np.abs(np.diff(_around(middle), axis=1)), axis=1)
+    windows = _around(change)
+    middle = np.concatenate([np.median(windows[k : k + CHUNK], axis=1) for k in range(0, len(windows), CHUNK)])
+    steps = np.max(_around(np.abs(np.diff(middle, append=middle[-1:]))), axis=1)
     moving = middle != 0
     usual = float(np.quantile(np.abs(change - middle)[moving], USUAL)) if np.any(moving) else 0.0
     return middle, COUNTS + TIMES * (usual + steps)
