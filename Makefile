@@ -33,20 +33,18 @@ WORKERS ?= auto
 test: .venv/installed firmware-tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark
 
-# These wait for work on them to be merged: then `make format` with an empty list, and the list goes.
-UNFORMATTED = csrc/pmf.h csrc/pmf_encoder.c csrc/pmf_forgetting.h csrc/pmf_guard.h csrc/pmf_recursion.c
-FORMATTED = $(filter-out $(UNFORMATTED), $(wildcard csrc/*.[ch] csrc/many/*.[ch]))
+KERNEL = $(wildcard csrc/*.[ch] csrc/many/*.[ch])
 
 check: .venv/installed
 	.venv/bin/ruff format --check .
-	.venv/bin/clang-format --dry-run --Werror $(FORMATTED)
+	.venv/bin/clang-format --dry-run --Werror $(KERNEL)
 	.venv/bin/ruff check .
 	.venv/bin/mypy
 	.venv/bin/python -m pytest -q tests/test_architecture.py
 
 format: .venv/installed
 	.venv/bin/ruff format .
-	.venv/bin/clang-format -i $(FORMATTED)
+	.venv/bin/clang-format -i $(KERNEL)
 	.venv/bin/ruff check --fix .
 
 # Peers that nothing else needs: sippy_unipi brings CasADi with it.

@@ -29,8 +29,8 @@ typedef double scalar_t;
 #define PMF_SCALAR(x) (x)
 #endif
 
-/* The configuration consists of scalars. What depends on the data is written in these types, so that the same source also
- * runs several axes side by side: many/pmf_lanes.h then defines them for vectors. */
+/* The configuration consists of scalars. What depends on the data is written in these types, so that the same source
+ * also runs several axes side by side: many/pmf_lanes.h then defines them for vectors. */
 #ifdef PMF_LANES
 #include "many/pmf_lanes.h"
 #else
@@ -45,28 +45,29 @@ typedef int32_t integer_t;
  * model (nodes 8..15). All but the velocity from the counts are one sample late, because the direction of an interval
  * is known best one sample after it. */
 enum {
-    PMF_INPUT = 0,             /* input times moving fraction */
-    PMF_VELOCITY = 1,          /* mean velocity; from the counts that of the last interval */
-    PMF_DIRECTION = 2,         /* time moving forward minus backward, as a part of the interval */
-    PMF_MOVING = 3,            /* time moving */
-    PMF_FORWARD = 4,           /* time moving forward */
-    PMF_BACKWARD = 5,          /* minus the time moving backward */
-    PMF_FORWARD_VELOCITY = 6,  /* the velocity's part from moving forward */
+    PMF_INPUT = 0, /* input times moving fraction */
+    PMF_VELOCITY = 1, /* mean velocity; from the counts that of the last interval */
+    PMF_DIRECTION = 2, /* time moving forward minus backward, as a part of the interval */
+    PMF_MOVING = 3, /* time moving */
+    PMF_FORWARD = 4, /* time moving forward */
+    PMF_BACKWARD = 5, /* minus the time moving backward */
+    PMF_FORWARD_VELOCITY = 6, /* the velocity's part from moving forward */
     PMF_BACKWARD_VELOCITY = 7, /* and from moving backward */
-    PMF_AUXILIARY = 8,         /* the same from the auxiliary model */
-    PMF_SPLIT_FORWARD = 16,    /* late velocity from the counts while the auxiliary model moves forward */
-    PMF_SPLIT_BACKWARD = 17,   /* and backward */
+    PMF_AUXILIARY = 8, /* the same from the auxiliary model */
+    PMF_SPLIT_FORWARD = 16, /* late velocity from the counts while the auxiliary model moves forward */
+    PMF_SPLIT_BACKWARD = 17, /* and backward */
     PMF_LATE_INPUT = 18,
     PMF_LATE_VELOCITY = 19,
     PMF_ACCELERATION = 20, /* mean acceleration of the auxiliary model */
     PMF_LATE_POSITION = 21, /* mean position from the counts, from the first one */
-    PMF_POSITION = 22,      /* the same times moving fraction */
+    PMF_POSITION = 22, /* the same times moving fraction */
     PMF_SPLIT_POSITION = 23, /* the same times the auxiliary model's moving fraction */
     PMF_MODEL_POSITION = 24, /* the auxiliary model's own, times its moving fraction */
     PMF_SIGNALS = 25,
     /* of a linear process, which has no auxiliary model: */
-    PMF_ONE = PMF_AUXILIARY,       /* always 1 */
-    PMF_START = PMF_AUXILIARY + 1 /* 1 in the first interval, as late as the rest: what stood in the plant at the start */
+    PMF_ONE = PMF_AUXILIARY, /* always 1 */
+    PMF_START = PMF_AUXILIARY +
+        1 /* 1 in the first interval, as late as the rest: what stood in the plant at the start */
 };
 
 /* What a parameter means to the auxiliary model. */
@@ -99,28 +100,28 @@ enum {
 
 /* What becomes of old samples, beside the regularisation. */
 enum {
-    PMF_EXPONENTIAL = 0,    /* every sample is forgotten alike */
-    PMF_DIRECTIONAL = 1,    /* only in the direction of each phi; least squares only */
+    PMF_EXPONENTIAL = 0, /* every sample is forgotten alike */
+    PMF_DIRECTIONAL = 1, /* only in the direction of each phi; least squares only */
     PMF_CONSTANT_TRACE = 2, /* as much as keeps the trace of P */
-    PMF_WINDOW = 3,         /* the last samples alike, the others not at all */
-    PMF_SEPARATE = 4        /* every parameter in its own time */
+    PMF_WINDOW = 3, /* the last samples alike, the others not at all */
+    PMF_SEPARATE = 4 /* every parameter in its own time */
 };
 
 typedef struct {
-    scalar_t velocity_per_count;   /* resolution / dt */
-    scalar_t position_per_count;   /* resolution */
-    uint32_t count_mask;         /* 2^bits - 1 */
-    uint32_t max_change;         /* more counts in one sample are a jump; 0: no check */
+    scalar_t velocity_per_count; /* resolution / dt */
+    scalar_t position_per_count; /* resolution */
+    uint32_t count_mask; /* 2^bits - 1 */
+    uint32_t max_change; /* more counts in one sample are a jump; 0: no check */
     uint32_t standstill_samples; /* without a count for so long: at rest */
     scalar_t position_gain, velocity_gain; /* of the tracker, per count */
-    scalar_t smooth_end, smooth_start;     /* one-step smoother of the tracker's velocity */
+    scalar_t smooth_end, smooth_start; /* one-step smoother of the tracker's velocity */
 #if PMF_WITH_PROCESS
     uint32_t process; /* the output of a linear process: positions count from zero, and rest means nothing */
     uint32_t from_first; /* but its positions count from the first one, where the equation is as true of these */
 #endif
 #if PMF_WITH_GUARD
-    uint32_t guard;      /* samples in motion that it learns from before it judges strictly; 0: none */
-    scalar_t spike;      /* an input so many times as large as any lately is suspicious */
+    uint32_t guard; /* samples in motion that it learns from before it judges strictly; 0: none */
+    scalar_t spike; /* an input so many times as large as any lately is suspicious */
     scalar_t guard_leak; /* of what it has learned, per sample in motion */
     uint32_t guard_hold; /* samples from a suspicious one on that are left out */
 #endif
@@ -129,27 +130,27 @@ typedef struct {
 #if PMF_WITH_GUARD
 /* Against samples that no motion explains. */
 typedef struct {
-    whole_t seen;     /* the first samples and those in motion, until it has learned */
-    whole_t suspect;  /* suspicious changes in a row */
-    whole_t doubt;    /* on the last two inputs */
-    whole_t reading;  /* the last count while it is suspicious */
+    whole_t seen; /* the first samples and those in motion, until it has learned */
+    whole_t suspect; /* suspicious changes in a row */
+    whole_t doubt; /* on the last two inputs */
+    whole_t reading; /* the last count while it is suspicious */
     integer_t change; /* the last one, read or predicted, that the next is predicted from */
-    real_t rate;      /* how that had changed */
-    real_t scatter;   /* what predictions missed by, beyond the encoder's step: a leaking maximum */
-    real_t peak;      /* of the input, leaking as fast */
-    real_t gain;      /* change of the change by a unit of the input's */
-    real_t missed;    /* what the last prediction missed by */
-    real_t held;      /* input that the filters had last */
+    real_t rate; /* how that had changed */
+    real_t scatter; /* what predictions missed by, beyond the encoder's step: a leaking maximum */
+    real_t peak; /* of the input, leaking as fast */
+    real_t gain; /* change of the change by a unit of the input's */
+    real_t missed; /* what the last prediction missed by */
+    real_t held; /* input that the filters had last */
 } pmf_guard_state_t;
 #endif
 
 typedef struct {
     whole_t count;
     whole_t idle; /* samples since the last count, saturating */
-    whole_t gap;  /* samples between counts lately */
+    whole_t gap; /* samples between counts lately */
     whole_t fast;
     whole_t started; /* of a linear process 2 after the second sample */
-    integer_t change;  /* of the last interval */
+    integer_t change; /* of the last interval */
     whole_t travel; /* counts since the first one, modulo 2^32 */
 #if PMF_WITH_PROCESS
     integer_t first; /* count, with its sign */
@@ -190,54 +191,59 @@ typedef struct {
 
 typedef struct {
     uint32_t n_parameters;
-    uint32_t instrumental;     /* 0: least squares, 1: instruments in their own columns */
-    uint32_t first_column;     /* regressors, target, instruments from here on */
-    uint32_t min_updates;      /* before the first estimate */
+    uint32_t instrumental; /* 0: least squares, 1: instruments in their own columns */
+    uint32_t first_column; /* regressors, target, instruments from here on */
+    uint32_t min_updates; /* before the first estimate */
     uint32_t residual_updates; /* so many steps from the accumulated right-hand side, then from the innovation */
     scalar_t forgetting;
     scalar_t regularization; /* information that is never forgotten, as a part of the largest seen */
-    scalar_t pivot;          /* smallest relative pivot for a first estimate */
-    uint32_t scheme;       /* of forgetting */
+    scalar_t pivot; /* smallest relative pivot for a first estimate */
+    uint32_t scheme; /* of forgetting */
     uint32_t window_block; /* samples in a block of the window */
-    uint32_t compensated;  /* the noise of the columns is known: */
+    uint32_t compensated; /* the noise of the columns is known: */
     scalar_t noise[PMF_MAX_NOISE][PMF_MAX_NOISE]; /* its covariance in one sample's phi phi^T */
 #if PMF_WITH_PROCESS
     scalar_t target_noise[PMF_MAX_NOISE]; /* and in phi z */
-    scalar_t target_power;                /* and in z^2 */
-    uint32_t constant, lowest; /* the parameter that the output's level is in, and its share of that; PMF_NO_PARAMETER: none */
-    scalar_t lift;             /* ... for the first count: so many times `lowest` */
+    scalar_t target_power; /* and in z^2 */
+    uint32_t constant,
+        lowest; /* the parameter that the output's level is in, and its share of that; PMF_NO_PARAMETER: none */
+    scalar_t lift; /* ... for the first count: so many times `lowest` */
 #endif
 #if PMF_WITH_SEPARATE
     scalar_t keep[PMF_MAX_PARAMETERS]; /* root of each parameter's forgetting factor */
 #endif
-    uint32_t block;        /* updates whose errors may be correlated; the spread of such blocks scales P */
-    scalar_t correlated;   /* updates whose errors are taken to be the same until there are such blocks */
-    uint32_t half_memory;  /* in looks at the size of the motion; 0: nothing is forgotten */
-    uint32_t leading;      /* the parameter of the highest derivative */
-    scalar_t haste, leak;  /* weights of what is outdated at the next sample, and of the peaks after half a memory of motion */
+    uint32_t block; /* updates whose errors may be correlated; the spread of such blocks scales P */
+    scalar_t correlated; /* updates whose errors are taken to be the same until there are such blocks */
+    uint32_t half_memory; /* in looks at the size of the motion; 0: nothing is forgotten */
+    uint32_t leading; /* the parameter of the highest derivative */
+    scalar_t haste,
+        leak; /* weights of what is outdated at the next sample, and of the peaks after half a memory of motion */
     scalar_t shown; /* inverse square of what the encoder shows of the leading column */
-    scalar_t outgrown; /* information in that column, over its squares at the looks of late, from which on it is from larger motions */
+    scalar_t outgrown; /* information in that column, over its squares at the looks of late, from which on it is from
+                          larger motions */
 #if PMF_WITH_AUXILIARY
-    uint32_t growing;      /* 1: the first samples, gathered with a model that was still wrong, count the less */
+    uint32_t growing; /* 1: the first samples, gathered with a model that was still wrong, count the less */
 #endif
 #if PMF_WITH_NOISE
-    scalar_t unexplained;    /* mean square innovation over what the noise explains, beyond which the model is wrong; 0: no check */
-    scalar_t check_samples;  /* of a stretch of that comparison */
+    scalar_t unexplained; /* mean square innovation over what the noise explains, beyond which the model is wrong; 0: no
+                             check */
+    scalar_t check_samples; /* of a stretch of that comparison */
 #endif
 } pmf_recursion_config_t;
 
 typedef struct {
     real_t cross[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta phi^T; lower half if least squares */
     real_t square[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta zeta^T, lower half; instruments only */
-    real_t right[PMF_MAX_PARAMETERS];                      /* sum zeta z */
-    real_t weight;                                         /* sum of the discounted weights */
-    real_t squares;                                        /* and of their squares */
+    real_t right[PMF_MAX_PARAMETERS]; /* sum zeta z */
+    real_t weight; /* sum of the discounted weights */
+    real_t squares; /* and of their squares */
 } pmf_sums_t;
 
 typedef struct {
     real_t theta[PMF_MAX_PARAMETERS];
     real_t variance_factor[PMF_MAX_PARAMETERS]; /* diagonal of P */
-    real_t inflation[PMF_MAX_PARAMETERS]; /* theirs, for innovations that are not white and samples that count unequally */
+    real_t
+        inflation[PMF_MAX_PARAMETERS]; /* theirs, for innovations that are not white and samples that count unequally */
     real_t innovation, innovation_variance;
 } pmf_estimate_t;
 
@@ -250,24 +256,26 @@ typedef struct {
 
 typedef struct {
     pmf_sums_t sums;
-    real_t peak[PMF_MAX_PARAMETERS];                       /* largest information seen in motions of the present size */
-    real_t power, power_before; /* squares of the leading column over what the encoder shows, of this half memory of motion, and the last */
+    real_t peak[PMF_MAX_PARAMETERS]; /* largest information seen in motions of the present size */
+    real_t power, power_before; /* squares of the leading column over what the encoder shows, of this half memory of
+                                   motion, and the last */
     real_t factor[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* information = L D L^T: L below the diagonal */
-    real_t inverse_pivot[PMF_MAX_PARAMETERS];              /* 1 / D */
+    real_t inverse_pivot[PMF_MAX_PARAMETERS]; /* 1 / D */
     pmf_estimate_t estimate;
-    real_t mass;   /* 1 - forgetting^updates: how much of the regularisation is in force */
+    real_t mass; /* 1 - forgetting^updates: how much of the regularisation is in force */
     real_t weight; /* of the innovations below */
     real_t innovation_square;
     whole_t updates; /* saturating */
     whole_t started; /* updates since the first estimate, 0 before, saturating */
-    real_t score[PMF_MAX_PARAMETERS];  /* sum of zeta times innovation in this block */
+    real_t score[PMF_MAX_PARAMETERS]; /* sum of zeta times innovation in this block */
     whole_t block_updates, blocks;
-    whole_t moved;   /* looks at samples in motion in this half memory */
-    whole_t swings;  /* what these, and those of the last one, showed of the leading column, as bits */
-    whole_t outdated; /* updates in which to forget in haste: the information is from larger motions than those of late */
-    whole_t excited;  /* constant trace: looks for which the axis is taken to be excited */
-    whole_t since;    /* updates since the start, or since then; saturating */
-    whole_t frozen;  /* too little information left to forget any more */
+    whole_t moved; /* looks at samples in motion in this half memory */
+    whole_t swings; /* what these, and those of the last one, showed of the leading column, as bits */
+    whole_t
+        outdated; /* updates in which to forget in haste: the information is from larger motions than those of late */
+    whole_t excited; /* constant trace: looks for which the axis is taken to be excited */
+    whole_t since; /* updates since the start, or since then; saturating */
+    whole_t frozen; /* too little information left to forget any more */
 #if PMF_WITH_PROCESS
     real_t lift; /* what `lowest` is worth in the constant of the output itself */
 #endif
@@ -276,7 +284,7 @@ typedef struct {
     whole_t unmodelled; /* the last verdict on it, as a status bit */
 #endif
     real_t reference[PMF_MAX_PARAMETERS]; /* diagonal of P that constant trace keeps */
-    real_t trace;                         /* mean of P over the reference; 0: not set yet */
+    real_t trace; /* mean of P over the reference; 0: not set yet */
 #if PMF_WINDOW_BLOCKS > 0
     pmf_sums_t window[PMF_WINDOW_BLOCKS];
     whole_t window_block, window_updates; /* the one that is filled, and its updates */
@@ -286,24 +294,24 @@ typedef struct {
 /* A body with friction, simulated from the input alone with a slow copy of the estimate. */
 typedef struct {
     uint32_t enabled;
-    uint32_t adapt;                /* 0: the parameters stay the initial ones (off-line passes) */
+    uint32_t adapt; /* 0: the parameters stay the initial ones (off-line passes) */
     uint32_t has_initial;
     uint32_t direct_index[PMF_ROLES]; /* a role's parameter in the direct recursion, PMF_NO_PARAMETER: none */
-    uint32_t index[PMF_ROLES];      /* and in the instrumental one */
-    uint32_t check_column;  /* filtered velocity, measured; the next ones are the model's, and its acceleration */
+    uint32_t index[PMF_ROLES]; /* and in the instrumental one */
+    uint32_t check_column; /* filtered velocity, measured; the next ones are the model's, and its acceleration */
     uint32_t target_column; /* corrected by what the discrete filters make of the model's own acceleration: */
-    uint32_t mass_column;   /* that of the instrument of the mass */
+    uint32_t mass_column; /* that of the instrument of the mass */
     uint32_t sensitivities; /* the number of parameters; 0: the model's stops and reversals count as known */
     uint32_t cause[PMF_ROLES], role[PMF_ROLES]; /* the model's signal that each one multiplies, and its first role */
-    uint32_t trial_samples;         /* so long is a new start given before it is judged */
+    uint32_t trial_samples; /* so long is a new start given before it is judged */
     scalar_t dt, input_gain;
-    scalar_t jump_gain;     /* of each of the two stages that a blow at a stop goes through */
+    scalar_t jump_gain; /* of each of the two stages that a blow at a stop goes through */
     scalar_t position_gain; /* of the correction of the model's position, which matters with a spring only */
     scalar_t initial[PMF_ROLES];
-    scalar_t smoothing;      /* per four samples, of the copy */
-    scalar_t memory;         /* forgetting of the check, per sample */
+    scalar_t smoothing; /* per four samples, of the copy */
+    scalar_t memory; /* forgetting of the check, per sample */
     scalar_t mismatch_limit; /* mean square difference of the velocities, as a part of their mean square */
-    scalar_t noise_power;    /* of the filtered measured velocity */
+    scalar_t noise_power; /* of the filtered measured velocity */
 } pmf_auxiliary_config_t;
 
 /* What a parameter's change makes of the model's stops. */
@@ -319,34 +327,34 @@ typedef struct {
     real_t power, mismatch;
     real_t cross, innovations, changes; /* products of the innovations and the changes of the input; their squares */
     whole_t running; /* has parameters */
-    whole_t trial;   /* samples until it is judged */
+    whole_t trial; /* samples until it is judged */
     whole_t trusted;
     whole_t in_charge; /* the instrumental estimate has taken over from the direct one */
-    whole_t feedback;  /* the last verdict, as a status bit */
-    whole_t turn;      /* of the samples between two steps of the copy */
+    whole_t feedback; /* the last verdict, as a status bit */
+    whole_t turn; /* of the samples between two steps of the copy */
 } pmf_auxiliary_state_t;
 
 #if PMF_WITH_LINEAR
 /* A linear process, simulated from the input alone with a slow copy of the estimate, and the filters 1 / A(s). */
 typedef struct {
     uint32_t enabled;
-    uint32_t n, m, offset;   /* parameters: a_0 to a_(n-1), b_0 to b_m and the constant, if there is one */
-    uint32_t input_node;     /* held input, as late as the output and its dead time later */
-    uint32_t first_column;   /* regressors, target, instruments */
+    uint32_t n, m, offset; /* parameters: a_0 to a_(n-1), b_0 to b_m and the constant, if there is one */
+    uint32_t input_node; /* held input, as late as the output and its dead time later */
+    uint32_t first_column; /* regressors, target, instruments */
     uint32_t update_samples; /* so often are the filters computed from the copy */
     uint32_t settle_samples; /* beside the settling of the process itself */
-    uint32_t start_updates;  /* of the direct estimate before the model starts from it */
+    uint32_t start_updates; /* of the direct estimate before the model starts from it */
     scalar_t half_dt;
     scalar_t scale[PMF_MAX_ORDER + 1]; /* dt^(n-i) */
-    scalar_t limit[PMF_MAX_ORDER];     /* of a_i dt^(n-i), beyond which the process is too fast for the samples */
-    scalar_t smoothing;                /* per update, of the copy */
-    scalar_t memory;                   /* forgetting of the comparison with the output, per sample */
+    scalar_t limit[PMF_MAX_ORDER]; /* of a_i dt^(n-i), beyond which the process is too fast for the samples */
+    scalar_t smoothing; /* per update, of the copy */
+    scalar_t memory; /* forgetting of the comparison with the output, per sample */
 } pmf_linear_config_t;
 
 /* The filters s^i / A(s), time in samples. */
 typedef struct {
     real_t a[PMF_MAX_ORDER];
-    real_t inverse;                                                /* of a trapezoidal step */
+    real_t inverse; /* of a trapezoidal step */
     real_t step[PMF_MAX_ORDER][PMF_MAX_ORDER], gain[PMF_MAX_ORDER]; /* of a held signal */
 } pmf_linear_filter_t;
 
@@ -358,14 +366,14 @@ typedef struct {
 
 typedef struct {
     real_t parameter[PMF_MAX_PARAMETERS]; /* the copy */
-    real_t b[PMF_MAX_PARAMETERS];         /* as the simulation has it */
-    pmf_linear_filter_t own, fast;        /* of the copy; more damped, for data, where that would settle too late */
+    real_t b[PMF_MAX_PARAMETERS]; /* as the simulation has it */
+    pmf_linear_filter_t own, fast; /* of the copy; more damped, for data, where that would settle too late */
     pmf_linear_signals_t behind_own, behind_fast;
     pmf_linear_signals_t bent; /* how the coefficients of these signals differ where time goes in samples */
     real_t settling[PMF_MAX_ORDER];
     real_t output, power, mismatch;
     real_t discount; /* of what was gathered with other filters; 1 where they did not change */
-    whole_t since;   /* updates of the direct estimate at the start */
+    whole_t since; /* updates of the direct estimate at the start */
     whole_t wait, age, unsettled, settled;
     whole_t running, in_charge;
     whole_t damped; /* data go behind the fast filters */
@@ -425,9 +433,9 @@ PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t 
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p);
 /* The estimate of the last step. */
 const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state);
-/* Opens the memory after a change of the plant: of what was gathered on one parameter, or with PMF_NO_PARAMETER on all, only
- * the part root^2 counts on, 0 < root <= 1. The estimate stays where it is; filters and auxiliary model go on. What the
- * innovations said of the error bars counts anew, also with root = 1. */
+/* Opens the memory after a change of the plant: of what was gathered on one parameter, or with PMF_NO_PARAMETER on all,
+ * only the part root^2 counts on, 0 < root <= 1. The estimate stays where it is; filters and auxiliary model go on.
+ * What the innovations said of the error bars counts anew, also with root = 1. */
 void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter, real_t root);
 /* Variance of a parameter of the estimate, for innovations as coloured as they are; PMF_UNKNOWN until there is one. */
 real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter);
@@ -441,9 +449,9 @@ PMF_API uint32_t pmf_parameters(const pmf_config_t *config);
 
 typedef struct {
     uint32_t magic, version;
-    uint32_t layout;   /* CRC-32 of names, types and places of the state's fields */
-    uint32_t size;     /* of all this, in bytes */
-    uint32_t config;   /* CRC-32 of the configuration */
+    uint32_t layout; /* CRC-32 of names, types and places of the state's fields */
+    uint32_t size; /* of all this, in bytes */
+    uint32_t config; /* CRC-32 of the configuration */
     uint32_t checksum; /* CRC-32 of the five words above and the state */
     pmf_state_t state;
 } pmf_saved_t;
@@ -463,8 +471,8 @@ typedef struct {
     uint32_t parameter;
     uint32_t interval; /* samples between two estimates that count */
     real_t nominal;
-    real_t shift;      /* the change to be noticed, > 0 */
-    real_t threshold;  /* of the logarithm of the likelihood ratio */
+    real_t shift; /* the change to be noticed, > 0 */
+    real_t threshold; /* of the logarithm of the likelihood ratio */
 } pmf_alarm_config_t;
 
 typedef struct {

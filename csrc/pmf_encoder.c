@@ -43,8 +43,8 @@ static real_t signed_fraction(real_t start, real_t end)
 }
 
 /* The interval before the last: its direction from the tracker, or the last count's. */
-static real_t late_direction(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state,
-                             real_t innovation, whole_t fast, real_t velocity_two_before)
+static real_t late_direction(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t innovation,
+                             whole_t fast, real_t velocity_two_before)
 {
     truth_t slow = (fast == 0) & (state->fast == 0);
     real_t end, start;
@@ -90,8 +90,7 @@ static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state
     return PMF_BIT(rest, PMF_STANDSTILL);
 }
 
-static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t innovation,
-                  real_t predicted)
+static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t innovation, real_t predicted)
 {
     state->velocity_before = state->velocity;
     state->position = predicted + config->position_gain * innovation;
@@ -103,7 +102,8 @@ static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state
 static whole_t check(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t *input,
                      integer_t *change, whole_t *counts)
 {
-    truth_t invalid = PMF_NOT(*input * *input <= PMF_LARGEST_INPUT * PMF_LARGEST_INPUT); /* NaN, or its square may be infinite */
+    truth_t invalid =
+        PMF_NOT(*input * *input <= PMF_LARGEST_INPUT * PMF_LARGEST_INPUT); /* NaN, or its square may be infinite */
     whole_t status = PMF_W(0);
     if (PMF_ANY(invalid)) {
         *input = PMF_IF(invalid, state->input, *input);
@@ -164,8 +164,8 @@ static whole_t bridged(const pmf_encoder_state_t *state, integer_t change, integ
 }
 #endif
 
-PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
-                                 whole_t count, real_t *signal)
+PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state,
+                                              real_t input, whole_t count, real_t *signal)
 {
     uint32_t mask = config->count_mask;
     truth_t started = state->started != 0U;

@@ -28,8 +28,8 @@
 
 #define LARGER(a, b) PMF_IF((a) > (b), a, b)
 
-/* Directional forgetting (Cao and Schwartz 2000): W - (1 - f) W phi phi^T W / (phi^T W phi). What phi says nothing of is
- * not forgotten, so that there is nothing to wind up and no regularisation is needed. */
+/* Directional forgetting (Cao and Schwartz 2000): W - (1 - f) W phi phi^T W / (phi^T W phi). What phi says nothing of
+ * is not forgotten, so that there is nothing to wind up and no regularisation is needed. */
 PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *phi,
                                  uint32_t p)
 {
@@ -72,8 +72,8 @@ PMF_INLINE void forget_weight(const pmf_recursion_config_t *config, pmf_recursio
 }
 
 #if PMF_WITH_SEPARATE
-/* Forgetting by parameter (Saelid and Foss 1983): P = D^-1 P D^-1, that is D R D for the information, and so for the sums
- * that it is made of. Returns the weight of the past that is left to apply. */
+/* Forgetting by parameter (Saelid and Foss 1983): P = D^-1 P D^-1, that is D R D for the information, and so for the
+ * sums that it is made of. Returns the weight of the past that is left to apply. */
 PMF_INLINE real_t forget_separately(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t f,
                                     uint32_t p, uint32_t instrumental)
 {
@@ -114,20 +114,20 @@ PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf
     return PMF_IF(state->frozen != 0U, PMF_R(1.0), weight);
 }
 
-/* Sums the squares of the acceleration in motion, in units of what the encoder shows, over this half memory of motion and
- * the last. Is another one over? */
+/* Sums the squares of the acceleration in motion, in units of what the encoder shows, over this half memory of motion
+ * and the last. Is another one over? */
 PMF_INLINE truth_t note_swing(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead,
                               real_t square, truth_t moves)
 {
     state->moved += PMF_BIT(moves, 1U);
-    state->swings |= PMF_IF(moves & (square > PMF_R(1.0)),
-                            PMF_IF(lead < PMF_R(0.0), PMF_W(SLOWED_DOWN), PMF_W(SPED_UP)), PMF_W(0));
+    state->swings |=
+        PMF_IF(moves & (square > PMF_R(1.0)), PMF_IF(lead < PMF_R(0.0), PMF_W(SLOWED_DOWN), PMF_W(SPED_UP)), PMF_W(0));
     state->power = PMF_IF(moves, state->power + square, state->power);
     return moves & PMF_NOT(state->moved < config->half_memory);
 }
 
-/* Were both more than the encoder's errors could feign, and did it show how the axis sped up and slowed down? All but that,
- * as a constant speed or running down, says little, however long. */
+/* Were both more than the encoder's errors could feign, and did it show how the axis sped up and slowed down? All but
+ * that, as a constant speed or running down, says little, however long. */
 PMF_INLINE truth_t excites(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
     real_t least = PMF_ALIKE((scalar_t)config->half_memory);
@@ -234,7 +234,7 @@ PMF_SELDOM void discount_sums(pmf_sums_t *sums, uint32_t p, real_t factor)
 #endif
 
 #if PMF_ENDLESS
-#define MOST_WEIGHT PMF_R(524288.0)     /* 2^19 samples in a sum */
+#define MOST_WEIGHT PMF_R(524288.0) /* 2^19 samples in a sum */
 #define LONG_MEMORY PMF_SCALAR(0.999999) /* forgetting from which on there may be so many */
 
 /* A sum of float32 takes in nothing that is below 2^-24 of it. So what was gathered counts by half before that, again
@@ -257,8 +257,8 @@ PMF_INLINE void make_room(const pmf_recursion_config_t *config, pmf_recursion_st
 }
 #endif
 
-PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
-                              const real_t *column, uint32_t p, uint32_t instrumental)
+PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
+                           uint32_t p, uint32_t instrumental)
 {
     real_t fade = weight_of_past(config, state), f = memory_of(config, state, fade);
     if (SCHEME(config) != PMF_EXPONENTIAL && SCHEME(config) != PMF_SEPARATE) {
@@ -288,7 +288,8 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
     make_room(config, state, column[instrumental != 0U ? p + 1U : 0U],
               instrumental != 0U ? state->sums.square[0][0] : state->sums.cross[0][0], p);
 #endif
-    add_sample(&state->sums, f, column, p, instrumental, state->started <= config->residual_updates); /* later nobody reads it */
+    add_sample(&state->sums, f, column, p, instrumental,
+               state->started <= config->residual_updates); /* later nobody reads it */
 #if PMF_WINDOW_BLOCKS > 0
     if (SCHEME(config) == PMF_WINDOW) {
         slide_window(config, state, column);
@@ -298,8 +299,8 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
     state->updates += PMF_BIT(state->updates < SATURATED, 1U);
 }
 
-/* Constant trace (Goodwin and Sin 1984, section 3.3) keeps that of P at the end of the first memory, or of the first one of
- * smaller motions, each parameter in its own units. */
+/* Constant trace (Goodwin and Sin 1984, section 3.3) keeps that of P at the end of the first memory, or of the first
+ * one of smaller motions, each parameter in its own units. */
 static void note_trace(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                        whole_t status)
 {

@@ -1,16 +1,15 @@
-/* Samples that no motion explains: a counter set anew, a wrong reading, a spike of the input. For pmf_encoder.c alone, which see.
- * SPDX-License-Identifier: Apache-2.0
+/* Samples that no motion explains: a counter set anew, a wrong reading, a spike of the input. For pmf_encoder.c alone,
+ * which see. SPDX-License-Identifier: Apache-2.0
  *
  * A change of the counts is predicted from the last one, from how that had changed, and from what the input does. What
- * predictions missed by so far, as a leaking maximum, says what a motion may do; at rest, and with an input larger than any
- * lately, in proportion to the input. A change beyond that is left out and the predicted one taken in its place. The next
- * sample says what it was:
- *   it changes as predicted: the counter was set anew, its zero has moved and all goes on;
- *   it comes back: a wrong reading, and what was missed meanwhile came evenly over the samples since the last good one;
- *   it goes on from the suspicious one, and so does the third: a blow, say, so what was held back is added, nothing is lost,
- *     and the filters settle again, for it did not come all at once.
- * An input far beyond the largest one lately is judged before the filters get it, two samples later: by then the counts have
- * answered, or it has stayed; else the last one counts in its place. Nothing here touches a sample that is not suspicious.
+ * predictions missed by so far, as a leaking maximum, says what a motion may do; at rest, and with an input larger than
+ * any lately, in proportion to the input. A change beyond that is left out and the predicted one taken in its place.
+ * The next sample says what it was: it changes as predicted: the counter was set anew, its zero has moved and all goes
+ * on; it comes back: a wrong reading, and what was missed meanwhile came evenly over the samples since the last good
+ * one; it goes on from the suspicious one, and so does the third: a blow, say, so what was held back is added, nothing
+ * is lost, and the filters settle again, for it did not come all at once. An input far beyond the largest one lately is
+ * judged before the filters get it, two samples later: by then the counts have answered, or it has stayed; else the
+ * last one counts in its place. Nothing here touches a sample that is not suspicious.
  */
 #ifndef PMF_GUARD_H
 #define PMF_GUARD_H
@@ -19,21 +18,21 @@
 
 #if PMF_WITH_GUARD
 
-#define FIRST_SAMPLES 4U             /* a record may begin in motion */
-#define STEP PMF_R(4.0)              /* by which the encoder's step alone spoils a prediction */
-#define NOISE PMF_R(2.0)             /* of a second difference of counts */
-#define REST_EDGE PMF_R(6.0)         /* less than that is never suspicious: at rest */
-#define MOTION_EDGE PMF_R(8.0)       /* and in motion */
-#define CAUTION PMF_R(3.0)           /* times what was missed so far */
-#define EARLY_CAUTION PMF_R(30.0)    /* while little is known */
-#define EARLY_SPIKE PMF_R(1e6)       /* times the largest input */
-#define PEAK_MARGIN PMF_R(1.25)           /* times the leaking peak: else an input that stays would move it in every sample */
-#define NEW_SIZE PMF_R(2.0)          /* times the peak: what a motion may do grows with such an input, at most by */
+#define FIRST_SAMPLES 4U /* a record may begin in motion */
+#define STEP PMF_R(4.0) /* by which the encoder's step alone spoils a prediction */
+#define NOISE PMF_R(2.0) /* of a second difference of counts */
+#define REST_EDGE PMF_R(6.0) /* less than that is never suspicious: at rest */
+#define MOTION_EDGE PMF_R(8.0) /* and in motion */
+#define CAUTION PMF_R(3.0) /* times what was missed so far */
+#define EARLY_CAUTION PMF_R(30.0) /* while little is known */
+#define EARLY_SPIKE PMF_R(1e6) /* times the largest input */
+#define PEAK_MARGIN PMF_R(1.25) /* times the leaking peak: else an input that stays would move it in every sample */
+#define NEW_SIZE PMF_R(2.0) /* times the peak: what a motion may do grows with such an input, at most by */
 #define LARGEST_GROWTH PMF_R(100.0)
-#define SWINGS PMF_R(0.25)           /* part of the largest input: less of a change says little of its effect */
-#define GAIN_STEP PMF_R(0.03125)     /* of the normalised gradient */
-#define LEAST_PEAK PMF_R(1e-12)      /* of an input that is one: its inverse squared is a number */
-#define LARGEST_RATE PMF_R(1e9)      /* of a predicted change: it has to fit an integer */
+#define SWINGS PMF_R(0.25) /* part of the largest input: less of a change says little of its effect */
+#define GAIN_STEP PMF_R(0.03125) /* of the normalised gradient */
+#define LEAST_PEAK PMF_R(1e-12) /* of an input that is one: its inverse squared is a number */
+#define LARGEST_RATE PMF_R(1e9) /* of a predicted change: it has to fit an integer */
 #define ANY_SHARE PMF_R(1e20)
 
 static integer_t signed_count(uint32_t mask, whole_t count); /* of pmf_encoder.c */
@@ -44,7 +43,8 @@ static real_t size_of(real_t x)
 }
 
 /* From a sample that is believed. */
-PMF_SELDOM void learn_scatter(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t where, real_t missed)
+PMF_SELDOM void learn_scatter(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t where,
+                              real_t missed)
 {
     real_t excess = size_of(missed) - (guard->scatter + STEP);
     where = where & (excess > PMF_R(0.0)) & (guard->doubt == 0U) & (guard->seen >= FIRST_SAMPLES);
@@ -70,14 +70,15 @@ static real_t limit_of(const pmf_encoder_config_t *config, const pmf_encoder_sta
     reach = PMF_IF(last > reach, last, reach);
     share = PMF_IF(guard->peak > LEAST_PEAK, reach / guard->peak, PMF_IF(reach > PMF_R(0.0), ANY_SHARE, PMF_R(0.0)));
 #if PMF_WITH_PROCESS
-    if (config->process != 0U) { /* its output is no motion: it may step by right, so only what it never did is suspicious */
+    if (config->process !=
+        0U) { /* its output is no motion: it may step by right, so only what it never did is suspicious */
         *open = PMF_NOT(learned | (guard->seen > config->guard >> 3));
         return REST_EDGE + EARLY_CAUTION * (guard->scatter + STEP) * PMF_IF(share < PMF_R(1.0), PMF_R(1.0), share);
     }
 #endif
     missed = learned | (guard->scatter > PMF_R(0.0)); /* or a smooth motion, of which all was foreseen */
-    *open = (guard->seen < FIRST_SAMPLES)
-        | (PMF_NOT(missed | (guard->seen > config->guard >> 3)) & (moves | (share > PMF_R(0.0))));
+    *open = (guard->seen < FIRST_SAMPLES) |
+            (PMF_NOT(missed | (guard->seen > config->guard >> 3)) & (moves | (share > PMF_R(0.0))));
     last = guard->scatter + PMF_IF((share > NEW_SIZE) | PMF_NOT(missed), STEP, PMF_R(0.0));
     share = PMF_IF(moves & (share < PMF_R(1.0)), PMF_R(1.0), share);
     return PMF_IF(moves, MOTION_EDGE, REST_EDGE) + PMF_IF(learned, CAUTION, EARLY_CAUTION) * last * share;
@@ -126,8 +127,8 @@ PMF_SELDOM void learn_anew(pmf_guard_state_t *guard, truth_t where, real_t chang
 }
 
 /* Decides on a change from the accepted count where it or one before is suspicious. A doubtful input counts as none. */
-PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, whole_t count, truth_t apart,
-                            integer_t *change)
+PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, whole_t count,
+                                truth_t apart, integer_t *change)
 {
     pmf_guard_state_t *guard = &state->guard;
     uint32_t mask = config->count_mask;
@@ -138,14 +139,17 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     real_t predicted = guard->rate + guard->gain * (driven - guard->held), before = PMF_TO_REAL(guard->change);
     real_t gap = PMF_TO_REAL((integer_t)guard->suspect);
     real_t part = PMF_TO_REAL(read) - before, whole = PMF_TO_REAL(*change) - before, pending = whole - part;
-    real_t missed = part - predicted, missed_whole = whole - predicted, size = size_of(missed), most, limit, rate, share, expected;
+    real_t missed = part - predicted, missed_whole = whole - predicted, size = size_of(missed), most, limit, rate,
+           share, expected;
     real_t steady = before - guard->rate;
     limit = (PMF_R(1.0) + gap) * limit_of(config, state, &open); /* what is missed adds up until the next good sample */
     back = size_of(missed_whole) <= limit;
     back = (back & PMF_NOT(suspected & (size < size_of(missed_whole)))) | open | apart;
     anew = suspected & PMF_NOT(back) & (size <= limit) & (size < size_of(missed - pending));
-    /* two wrong readings in a row may look like the first two samples of a blow; a third one goes on only after a blow */
-    real = (guard->suspect > 1U) & (size_of(missed - PMF_R(1.25) * guard->missed) <= PMF_R(0.75) * size_of(guard->missed) + limit);
+    /* two wrong readings in a row may look like the first two samples of a blow; a third one goes on only after a blow
+     */
+    real = (guard->suspect > 1U) &
+           (size_of(missed - PMF_R(1.25) * guard->missed) <= PMF_R(0.75) * size_of(guard->missed) + limit);
     real = suspected & PMF_NOT(back | anew) & (real | (guard->suspect >= PMF_GUARD_SUSPECTS));
     sound = back | anew | real;
     wild = back & PMF_NOT(suspected | apart) & was_wild(config, guard, missed_whole);
@@ -182,14 +186,16 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
 /* The largest input, and with it what a motion may do. */
 PMF_SELDOM void grow(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t where, real_t size)
 {
-    truth_t scales = where & (guard->seen >= config->guard) & (guard->peak > LEAST_PEAK) & (size > NEW_SIZE * guard->peak);
+    truth_t scales =
+        where & (guard->seen >= config->guard) & (guard->peak > LEAST_PEAK) & (size > NEW_SIZE * guard->peak);
     real_t growth = PMF_IF(size < LARGEST_GROWTH * guard->peak, size / guard->peak, LARGEST_GROWTH);
     guard->scatter = PMF_IF(scales, (guard->scatter + STEP) * growth - STEP, guard->scatter);
     guard->peak = PMF_IF(where, size, guard->peak);
 }
 
 /* Decides on the input that the filters get now, where it was doubtful. */
-static void judge_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t missed_before, truth_t large)
+static void judge_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t missed_before,
+                        truth_t large)
 {
     pmf_guard_state_t *guard = &state->guard;
     truth_t doubtful = (guard->doubt & 2U) != 0U, stays = large & ((guard->doubt & 1U) != 0U);
@@ -204,7 +210,7 @@ static void judge_input(const pmf_encoder_config_t *config, pmf_encoder_state_t 
 
 /* The input that comes: does it set a new size, or is it doubtful? */
 PMF_SELDOM truth_t meet_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, truth_t grows,
-                             real_t missed_before, real_t size)
+                              real_t missed_before, real_t size)
 {
     pmf_guard_state_t *guard = &state->guard;
     real_t spike = PMF_IF(guard->seen >= config->guard, PMF_ALIKE(config->spike), EARLY_SPIKE);
@@ -217,11 +223,13 @@ PMF_SELDOM truth_t meet_input(const pmf_encoder_config_t *config, pmf_encoder_st
 }
 
 /* The input that comes, and the one that the filters get now. */
-static whole_t guard_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t missed_before, real_t input)
+static whole_t guard_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t missed_before,
+                           real_t input)
 {
     pmf_guard_state_t *guard = &state->guard;
     real_t margin = PEAK_MARGIN * guard->peak;
-    truth_t large = input * input > margin * margin, moves = state->moving > PMF_R(0.0), learns = guard->seen < config->guard;
+    truth_t large = input * input > margin * margin, moves = state->moving > PMF_R(0.0),
+            learns = guard->seen < config->guard;
     if (PMF_ANY(large | (guard->doubt != 0U))) {
         large = meet_input(config, state, large, missed_before, size_of(input));
     }
@@ -237,8 +245,8 @@ static whole_t guard_input(const pmf_encoder_config_t *config, pmf_encoder_state
     return PMF_BIT(large, PMF_INVALID_INPUT);
 }
 
-/* A sample: `change`, from the accepted count, becomes what is to be believed, and so does state->input_before. `apart`:
- * max_speed has judged the change. Returns status bits. */
+/* A sample: `change`, from the accepted count, becomes what is to be believed, and so does state->input_before.
+ * `apart`: max_speed has judged the change. Returns status bits. */
 static whole_t pmf_guard(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input, whole_t count,
                          truth_t apart, integer_t *change)
 {
@@ -248,7 +256,8 @@ static whole_t pmf_guard(const pmf_encoder_config_t *config, pmf_encoder_state_t
     real_t edge = REST_EDGE + PMF_IF(state->moving > PMF_R(0.0), CAUTION * guard->scatter, PMF_R(0.0));
     truth_t plain = (missed * missed <= edge * edge) & ((guard->suspect | guard->doubt) == 0U) & PMF_NOT(apart);
     real_t beyond = guard->scatter + STEP, least = SWINGS * guard->peak;
-    truth_t looks = (guard->seen < config->guard) & (missed * missed > REST_EDGE * REST_EDGE); /* the lesson may be wrong */
+    truth_t looks =
+        (guard->seen < config->guard) & (missed * missed > REST_EDGE * REST_EDGE); /* the lesson may be wrong */
     whole_t status = PMF_W(0);
     if (PMF_ALL(plain & PMF_NOT(looks))) {
         if (PMF_ANY(missed * missed > beyond * beyond)) {

@@ -108,7 +108,8 @@ PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_rec
                                    const real_t *column);
 #if PMF_WITH_PROCESS
 /* The estimate of an output that was counted from its first value, with the constant for the output itself. */
-PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, pmf_estimate_t *lifted);
+PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
+                                pmf_estimate_t *lifted);
 #endif
 /* Encoder, auxiliary model and network alone, for batch methods: the columns are in state->network.column. */
 PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);

@@ -16,8 +16,8 @@
 
 #define COMPENSATED(config) (PMF_WITH_NOISE != 0 && (config)->compensated != 0U)
 
-#define POOR PMF_R(50.0)    /* information below POOR times the regularisation is called poor */
-#define FREEZE PMF_R(1e-3)  /* and below FREEZE times it there is nothing left worth forgetting */
+#define POOR PMF_R(50.0) /* information below POOR times the regularisation is called poor */
+#define FREEZE PMF_R(1e-3) /* and below FREEZE times it there is nothing left worth forgetting */
 #define LEAST_CLEAN PMF_R(0.02) /* of a column's information */
 #define MIN_BLOCKS 8.0
 #define LITTLE PMF_SCALAR(0.25) /* of what begins the haste ends it */
@@ -76,7 +76,8 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
     explained += estimate->innovation_variance * unsure / state->sums.weight;
     limit = config->unexplained * explained * (state->check.weight + state->check_before.weight) +
             NEGLIGIBLE * (state->check.target + state->check_before.target);
-    large = (state->check_before.weight > PMF_R(0.0)) & (state->check.innovation + state->check_before.innovation > limit);
+    large =
+        (state->check_before.weight > PMF_R(0.0)) & (state->check.innovation + state->check_before.innovation > limit);
     state->unmodelled = PMF_IF(where & judged, PMF_BIT(large, PMF_UNMODELLED), state->unmodelled);
     return PMF_IF(where, state->unmodelled, PMF_W(0));
 }
@@ -101,9 +102,9 @@ PMF_INLINE whole_t subtract_noise(const pmf_recursion_config_t *config, const pm
     return poor;
 }
 
-/* After every half memory of motions that excite the axis the peaks come down to what these can give. Where more is known
- * than accelerations like those of late could give for good, it is from larger motions, and forgotten in haste: a memory is
- * one of time, whatever the size of the motion. */
+/* After every half memory of motions that excite the axis the peaks come down to what these can give. Where more is
+ * known than accelerations like those of late could give for good, it is from larger motions, and forgotten in haste: a
+ * memory is one of time, whatever the size of the motion. */
 PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead,
                               truth_t looks, uint32_t p, real_t known)
 {
@@ -117,7 +118,8 @@ PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursio
         return;
     }
     known *= config->shown;
-    state->outdated = PMF_IF(moves & (known < LITTLE * config->outgrown * state->power_before), PMF_W(0), state->outdated);
+    state->outdated =
+        PMF_IF(moves & (known < LITTLE * config->outgrown * state->power_before), PMF_W(0), state->outdated);
     ends = note_swing(config, state, lead, square, moves);
     if (!PMF_ANY(ends)) {
         return;
@@ -189,8 +191,8 @@ PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recurs
 
 /* What theta shall be moved by, before the gain: from the right-hand side while the estimate is young (nothing
  * of the first solution's rounding stays), from the innovation afterwards (rounding of the sums does not enter). */
-PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state,
-                            const real_t *zeta, uint32_t p, uint32_t instrumental, real_t move[N])
+PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, const real_t *zeta,
+                         uint32_t p, uint32_t instrumental, real_t move[N])
 {
     truth_t young = state->started <= config->residual_updates;
     uint32_t i, j;
@@ -199,7 +201,8 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
         if (PMF_ANY(young)) {
             real_t left = state->sums.right[i];
             for (j = 0; j < p; ++j) {
-                left -= (instrumental == 0U && j > i ? state->sums.cross[j][i] : state->sums.cross[i][j]) * state->estimate.theta[j];
+                left -= (instrumental == 0U && j > i ? state->sums.cross[j][i] : state->sums.cross[i][j]) *
+                        state->estimate.theta[j];
             }
             move[i] = PMF_IF(young, left, move[i]);
         }
@@ -216,8 +219,8 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
 }
 
 #if PMF_WITH_PROCESS
-/* Variance of the constant plus `lift` times the lowest coefficient, over that of the innovations: a sum of squares, for in
- * the entries of P it would be a small difference. */
+/* Variance of the constant plus `lift` times the lowest coefficient, over that of the innovations: a sum of squares,
+ * for in the entries of P it would be a small difference. */
 PMF_SELDOM real_t lifted_factor(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
 {
     real_t x[N], sum = PMF_R(0.0);
@@ -234,7 +237,8 @@ PMF_SELDOM real_t lifted_factor(const pmf_recursion_config_t *config, pmf_recurs
     return PMF_IF(sum - sum == PMF_R(0.0), sum, PMF_UNKNOWN);
 }
 
-PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, pmf_estimate_t *lifted)
+PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
+                                pmf_estimate_t *lifted)
 {
     const pmf_estimate_t *estimate = &state->estimate;
     real_t constant;
@@ -254,9 +258,9 @@ PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recurs
 #endif
 
 /* Spread of theta by blocks of innovations against that of white ones (batch means): with weights w its covariance is
- * P (sum w^2) S P, S the long-run covariance of the scores, where white innovations and equal weights have P times their
- * variance. What is missing to MIN_BLOCKS of them counts as blocks of innovations that are the same for as long as the
- * filters may make them. `move` is a block's sum after the gain. */
+ * P (sum w^2) S P, S the long-run covariance of the scores, where white innovations and equal weights have P times
+ * their variance. What is missing to MIN_BLOCKS of them counts as blocks of innovations that are the same for as long
+ * as the filters may make them. `move` is a block's sum after the gain. */
 static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                        real_t move[N])
 {
@@ -329,8 +333,8 @@ PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_s
     state->block_updates += PMF_BIT(where, 1U);
 }
 
-PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
-                              const real_t *column, uint32_t p, uint32_t instrumental)
+PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
+                          uint32_t p, uint32_t instrumental)
 {
     real_t information[N][N], move[N], pivot, own;
     projection_t projection;
@@ -440,13 +444,13 @@ PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_s
 }
 
 #if !defined(PMF_PARAMETERS)
-/* The same code with the number of parameters as a constant: loops unroll, the bits stay. In functions of their own, for the
- * time that a compiler takes grows faster than what it compiles. */
-#define FIXED(p, instrumental)                                                                                    \
-    PMF_APART whole_t checked_##p##_##instrumental(const pmf_recursion_config_t *config,                          \
-                                                   pmf_recursion_state_t *state, const real_t *column)            \
-    {                                                                                                             \
-        return checked(config, state, column, p##U, instrumental##U);                                             \
+/* The same code with the number of parameters as a constant: loops unroll, the bits stay. In functions of their own,
+ * for the time that a compiler takes grows faster than what it compiles. */
+#define FIXED(p, instrumental)                                                                                         \
+    PMF_APART whole_t checked_##p##_##instrumental(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, \
+                                                   const real_t *column)                                               \
+    {                                                                                                                  \
+        return checked(config, state, column, p##U, instrumental##U);                                                  \
     }
 FIXED(3, 0)
 FIXED(3, 1)

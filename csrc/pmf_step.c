@@ -70,7 +70,8 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     truth_t settling;
 #if PMF_WITH_GUARD
     truth_t suspicious = (status & (PMF_INVALID_INPUT | PMF_COUNT_JUMP)) != 0U;
-    truth_t bridged = ((status & PMF_BRIDGED) != 0U) & (state->hold == config->encoder.guard_hold); /* by the sample before */
+    truth_t bridged =
+        ((status & PMF_BRIDGED) != 0U) & (state->hold == config->encoder.guard_hold); /* by the sample before */
     state->hold = PMF_IF(suspicious, PMF_W(config->encoder.guard_hold),
                          PMF_IF(bridged, PMF_W(0), state->hold - PMF_BIT(state->hold > 0U, 1U)));
     status = status & ~(uint32_t)PMF_BRIDGED;
@@ -165,7 +166,8 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
 #else
     truth_t held = settled & PMF_NOT(settled);
 #endif
-    truth_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column, held), in_charge, borrows;
+    truth_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column, held), in_charge,
+            borrows;
     whole_t status, stepped = PMF_W(0);
     /* what was gathered with a wrong direction would stay */
     PMF_WHERE(PMF_NOT(trusted) & (state->instrument.updates != 0U), &state->instrument,

@@ -40,8 +40,9 @@ static uint32_t columns_fit(uint32_t first, uint32_t parameters, uint32_t instru
 static uint32_t level_fits(const pmf_recursion_config_t *recursion)
 {
     uint32_t none = recursion->constant == PMF_NO_PARAMETER && recursion->lowest == PMF_NO_PARAMETER;
-    return none != 0U || recursion->n_parameters == 0U || (recursion->constant < recursion->n_parameters && recursion->lowest < recursion->n_parameters &&
-                          recursion->constant != recursion->lowest)
+    return none != 0U || recursion->n_parameters == 0U ||
+                   (recursion->constant < recursion->n_parameters && recursion->lowest < recursion->n_parameters &&
+                    recursion->constant != recursion->lowest)
                ? 1U
                : 0U;
 }
@@ -49,7 +50,8 @@ static uint32_t level_fits(const pmf_recursion_config_t *recursion)
 static uint32_t recursion_fits(const pmf_recursion_config_t *recursion)
 {
     return columns_fit(recursion->first_column, recursion->n_parameters, recursion->instrumental) != 0U &&
-                   recursion->leading < PMF_MAX_PARAMETERS && level_fits(recursion) != 0U && recursion->scheme <= PMF_SEPARATE
+                   recursion->leading < PMF_MAX_PARAMETERS && level_fits(recursion) != 0U &&
+                   recursion->scheme <= PMF_SEPARATE
                ? 1U
                : 0U;
 }
@@ -86,7 +88,8 @@ static uint32_t linear_fits(const pmf_linear_config_t *model)
 /* Either recursion may give the estimate that is lifted. */
 static uint32_t one_level(const pmf_config_t *config)
 {
-    return config->direct.constant == config->instrument.constant && config->direct.lowest == config->instrument.lowest &&
+    return config->direct.constant == config->instrument.constant &&
+                   config->direct.lowest == config->instrument.lowest &&
                    config->direct.n_parameters == config->instrument.n_parameters
                ? 1U
                : 0U;

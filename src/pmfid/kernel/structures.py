@@ -100,7 +100,7 @@ def value(text: str, constants: Mapping[str, int]) -> int:
 
     Raises ValueError for anything else: the header is read, never run.
     """
-    plain = re.sub(r"\b(0x[0-9a-fA-F]+|\d+)[uU]\b", r"\1", text).strip()
+    plain = re.sub(r"\b(0x[0-9a-fA-F]+|\d+)[uU]\b", r"\1", " ".join(text.split()))
     try:
         tree = ast.parse(plain, mode="eval")
     except SyntaxError:
