@@ -29,7 +29,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(*arguments: str) -> str:
-    result = CliRunner().invoke(main, ["compare", *arguments])
+    result = CliRunner().invoke(main, ["compare", *arguments], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return result.stdout
 

@@ -340,16 +340,16 @@ def test_the_kernel_writes_only_where_there_is_room():
     u, counts = np.zeros((axes, samples)), np.zeros((axes, samples), np.int64)
 
     def results(rows: int = axes, kept: int = 4, parameters: int = p) -> list[np.ndarray]:
-        wide = [np.empty((rows, kept, parameters)) for _ in range(3)]
-        return [*wide, np.empty((rows, kept)), np.empty((rows, kept)), np.empty((rows, kept), np.uint32)]
+        wide = [np.zeros((rows, kept, parameters)) for _ in range(3)]
+        return [*wide, np.zeros((rows, kept)), np.zeros((rows, kept)), np.zeros((rows, kept), np.uint32)]
 
     kernel.run(u, counts, 0, axes, 3, results(), 0)  # 2, 5, 8 and the last
-    short = [*results()[:5], np.empty((axes, 3), np.uint32)]
+    short = [*results()[:5], np.zeros((axes, 3), np.uint32)]
     for wrong in (results(kept=3), results(kept=5), results(rows=2), results(parameters=2), short):
         with pytest.raises(ValueError, match="must have shapes"):
             kernel.run(u, counts, 0, axes, 3, wrong, 0)
     single, split = results(), results()
-    single[1], split[4] = single[1].astype(np.float32), np.empty((2 * axes, 4))[::2]
+    single[1], split[4] = single[1].astype(np.float32), np.zeros((2 * axes, 4))[::2]
     for wrong in (single, split):
         with pytest.raises(ValueError, match="must be arrays of float64"):
             kernel.run(u, counts, 0, axes, 3, wrong, 0)
