@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,7 +41,10 @@ def print_commissioning(state: Commissioning, out: Path | None) -> None:
     _lines(*(f"doubt: {text}" for text in state.doubts))
     if state.choice is None:
         return
-    expected = ", ".join(f"{name.replace('_', ' ')} {std:.3g}" for name, std in state.choice.std.items())
+    expected = ", ".join(
+        f"{name.replace('_', ' ')} {f'{std:.3g}' if math.isfinite(std) else 'not known'}"
+        for name, std in state.choice.std.items()
+    )
     _lines(f"next input ({state.choice.name}): standard deviations expected of one run: {expected}")
     if out is not None:
         _lines(f"report: {out / 'report.html'}", f"motion: {out / 'design.csv'}")

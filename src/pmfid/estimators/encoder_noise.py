@@ -14,6 +14,8 @@ from pmfid.filters.network import LATE_POSITION, SPLIT_FORWARD, VELOCITY, Networ
 
 #: Samples of a response that are in memory at once.
 PART = 2**17
+#: What the encoder shows of the leading column, at least.
+LEAST = 1e-18
 #: Frequencies at which the gain that an encoder's error meets is looked at, and the decades below that of the samples.
 FREQUENCIES, DECADES = 4096, 9
 
@@ -60,7 +62,7 @@ def shown(estimator: Estimator) -> float:
     builder = ColumnBuilder(estimator.equation, estimator.spec)
     column = builder.regressors()[estimator.equation.leading]
     gain = np.max(np.abs(frequency_response(estimator, builder.network, column)))
-    return float((estimator.encoder.resolution / 2 * gain) ** -2)
+    return float(max(estimator.encoder.resolution / 2 * gain, LEAST) ** -2)  # float32 holds that, too
 
 
 def frequency_response(estimator: Estimator, network: Network, column: Taps) -> NDArray[np.complex128]:

@@ -56,9 +56,13 @@ def long_run_covariance(scores: NDArray[np.float64], lags: int) -> NDArray[np.fl
 def parts_of_their_own(
     sensitivity: NDArray[np.float64], rcond: float | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Which part of each column of sensitivity (n, p), 0 to 1, is no combination of the others, (p,), 0 for a column of
-    zeros; and the pseudo-inverse (p, n) of the columns scaled to unit length. rcond: as for `numpy.linalg.pinv`."""
-    size = np.linalg.norm(sensitivity, axis=0)
+    """Which part of each column of sensitivity (n, p), 0 to 1, is no combination of the others, (p,); and the
+    pseudo-inverse (p, n) of the columns scaled to unit length. The part is 0 for a column of zeros, and for all where
+    their squares leave the range of numbers. rcond: as for `numpy.linalg.pinv`."""
+    with np.errstate(over="ignore"):  # looked at
+        size = np.linalg.norm(sensitivity, axis=0)
+    if not np.all(np.isfinite(size)):
+        return np.zeros(size.size), np.zeros(sensitivity.shape[::-1])
     scaled = sensitivity / np.where(size > 0, size, 1.0)
     inverse = np.linalg.pinv(scaled) if rcond is None else np.linalg.pinv(scaled, rcond=rcond)
     parts = 1 / np.maximum(np.linalg.norm(inverse, axis=1), 1.0)

@@ -66,7 +66,7 @@ def read_experiment(path: Path, axis: Axis) -> Experiment:
             resolution = axis.encoder.resolution
             y = (_unwrapped(y, axis.encoder.bits) + 0.5) * (1.0 if resolution == NO_ENCODER else resolution)
         return Experiment(
-            scale * columns["input"],
+            _scaled(columns["input"], scale),
             y,
             dt=config.dt if t is None else None,
             t=t,
@@ -133,7 +133,7 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
         counts, resolution = _floor_counts(y, quantize, 1e-9), quantize
         count_notes += (f"position quantised anew with a step of {quantize:g}",)
     notes = scale_notes + time_notes + count_notes
-    return Record(scale * columns["input"], counts, dt, resolution, notes, name)
+    return Record(_scaled(columns["input"], scale), counts, dt, resolution, notes, name)
 
 
 def _check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None]) -> None:
@@ -170,6 +170,17 @@ def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ..
             f"name a scalar variable, or give a number"
         )
     return array.item(), (f"input scaled by {scale} = {array.item():g}",)
+
+
+def _scaled(column: Floats, scale: float) -> Floats:
+    with np.errstate(over="ignore"):  # looked at
+        scaled = scale * column
+    if np.any(np.isinf(scaled) & np.isfinite(column)):
+        raise UsageError(
+            f"[record] input_scale = {scale:g} takes the input beyond the range of numbers; it is the factor from the "
+            "column to u"
+        )
+    return scaled
 
 
 def _counts(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:

@@ -16,6 +16,10 @@ from pmfid.models.drive import Drive
 __all__ = ["check_ends", "check_grid", "check_noise", "check_pair", "check_parameters", "check_positive"]
 
 
+#: Sizes of what machines are made of, in SI units.
+LEAST, MOST = 1e-20, 1e20
+
+
 class Posed(Protocol):
     """What the checks read of a problem (`problem.Problem`)."""
 
@@ -78,6 +82,8 @@ def check_parameters(problem: Posed) -> None:
         for name, value in case.items():
             if not math.isfinite(value) or (name == "mass" and value <= 0) or (name != "offset" and value < 0):
                 raise UsageError(f"{name} must be given, finite and {_SIGN.get(name, 'at least 0')}, got {value}")
+            if abs(value) > MOST or 0 < abs(value) < LEAST:
+                raise UsageError(f"{name} = {value:g}: no machine has that; give it in SI units")
     if not problem.unknown or len(set(problem.names)) < len(problem.names):
         raise UsageError(
             f"unknown and nuisance must name different parameters, at least one unknown, got {problem.names}"
@@ -139,6 +145,8 @@ def check_noise(problem: Posed) -> None:
         value = getattr(problem, name)
         if value is not None and not (math.isfinite(value) and value > 0):
             raise UsageError(f"{name} must be positive and finite, got {value}")
+        if value is not None and not LEAST**2 < value < MOST**2:
+            raise UsageError(f"{name} = {value:g}: no encoder has that; check the unit")
     if problem.prior is not None:
         _check_prior(problem.prior, len(problem.names))
 

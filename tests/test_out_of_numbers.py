@@ -1,0 +1,57 @@
+"""Values that leave the range of numbers, found by generated calls, are one clear error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid.design import Limits, Problem
+from pmfid.estimators.encoder_noise import shown
+from pmfid.estimators.least_squares import parts_of_their_own
+from pmfid.session.config import load_axis
+from pmfid.session.records import read_record
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "cart.toml"
+NOMINAL = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+
+
+def problem(**changes: object) -> Problem:
+    given = {"resolution": 1e-5, "nominal": NOMINAL} | changes
+    return Problem(pmfid.Drive(2.0), unknown=("mass",), horizon=2.0, intervals=20, limits=Limits(input=3.0), **given)
+
+
+def test_sensitivities_whose_squares_are_beyond_numbers_tell_nothing_apart() -> None:
+    parts, inverse = parts_of_their_own(np.array([[1e200, 1.0], [1.0, 1e200]]))
+    assert not np.any(parts)
+    assert np.all(np.isfinite(inverse))
+
+
+def test_a_motion_too_small_for_numbers_is_shown_all_the_same() -> None:
+    estimator = pmfid.BCRLS(pmfid.Drive(2.0), pmfid.Encoder(1e-29), 1e6, 1e-9, forgetting=0.99)
+    assert 0 < shown(estimator) < 1e37
+
+
+def test_an_input_scale_beyond_numbers_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,u,counts\n" + "".join(f"{k / 100},{k % 7 + 10},{k}\n" for k in range(50)))
+    with pytest.raises(pmfid.UsageError, match="input_scale"):
+        read_record(path, load_axis(EXAMPLE, {"record.input_scale": 1e308}))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"resolution": 1e-200},
+        {"resolution": None, "noise_variance": 1e200},
+        {"nominal": NOMINAL | {"mass": 1e-200}},
+        {"nominal": NOMINAL | {"viscous_friction": 1e200}},
+    ],
+    ids=["fine", "noisy", "light", "sticky"],
+)
+def test_no_machine_is_made_of_such_sizes(changes: dict[str, object]) -> None:
+    assert problem().names == ("mass",)
+    with pytest.raises(pmfid.UsageError, match=r"check the unit|SI units"):
+        problem(**changes)
