@@ -12,7 +12,7 @@ from pmfid.design import Limits, Problem
 from pmfid.estimators.encoder_noise import shown
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.session.config import load_axis
-from pmfid.session.records import read_record
+from pmfid.session.records import read_experiment, read_record
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cart.toml"
 NOMINAL = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
@@ -39,6 +39,14 @@ def test_an_input_scale_beyond_numbers_is_refused(tmp_path: Path) -> None:
     path.write_text("t,u,counts\n" + "".join(f"{k / 100},{k % 7 + 10},{k}\n" for k in range(50)))
     with pytest.raises(pmfid.UsageError, match="input_scale"):
         read_record(path, load_axis(EXAMPLE, {"record.input_scale": 1e308}))
+
+
+def test_a_resolution_beyond_numbers_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,u,y\n" + "".join(f"{k / 100},{k % 7},{k + 10}\n" for k in range(50)))
+    changes = {"record.output_kind": "counts", "encoder.resolution": 1.7e308}
+    with pytest.raises(pmfid.UsageError, match="resolution"):
+        read_experiment(path, load_axis(EXAMPLE.with_name("second_order.toml"), changes))
 
 
 @pytest.mark.parametrize(

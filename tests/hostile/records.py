@@ -100,7 +100,7 @@ def _typed(rng: Rng, columns: Columns) -> Columns:
     name = str(rng.choice(list(columns)))
     values = np.asarray(columns[name])
     ways: list[Callable[[], Any]] = [
-        lambda: [f"{value:.6g} V" for value in values.tolist()],
+        lambda: [f"{value:.6g} V" for value in _numbers(values).tolist()],
         lambda: [str(value).replace(".", ",") for value in values.tolist()],
         lambda: _numbers(values) > 0.1,
         lambda: ["" for _ in values],

@@ -64,7 +64,8 @@ def read_experiment(path: Path, axis: Axis) -> Experiment:
         t = None if t is None else t * _stated_factor(config)
         if config.output_kind == "counts":
             resolution = axis.encoder.resolution
-            y = (_unwrapped(y, axis.encoder.bits) + 0.5) * (1.0 if resolution == NO_ENCODER else resolution)
+            step = 1.0 if resolution == NO_ENCODER else resolution
+            y = _scaled(_unwrapped(y, axis.encoder.bits) + 0.5, step, "[encoder] resolution")
         return Experiment(
             _scaled(columns["input"], scale),
             y,
@@ -172,13 +173,12 @@ def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ..
     return array.item(), (f"input scaled by {scale} = {array.item():g}",)
 
 
-def _scaled(column: Floats, scale: float) -> Floats:
+def _scaled(column: Floats, scale: float, key: str = "[record] input_scale") -> Floats:
     with np.errstate(over="ignore"):  # looked at
         scaled = scale * column
     if np.any(np.isinf(scaled) & np.isfinite(column)):
         raise UsageError(
-            f"[record] input_scale = {scale:g} takes the input beyond the range of numbers; it is the factor from the "
-            "column to u"
+            f"{key} = {scale:g} takes the column beyond the range of numbers; it is a factor for every value of it"
         )
     return scaled
 

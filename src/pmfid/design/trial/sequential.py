@@ -81,8 +81,9 @@ class Commissioning:
     @staticmethod
     def _next(choice: Choice) -> dict[str, object]:
         design = choice.design
-        numbers = {"value": design.value, "predicted_std": design.predicted_std}
-        return numbers | {"input": choice.name, "expected_std": dict(choice.std)}
+        numbers: dict[str, object] = {"value": design.value, "predicted_std": design.predicted_std}
+        expected = {name: std if np.isfinite(std) else None for name, std in choice.std.items()}
+        return numbers | {"input": choice.name, "expected_std": expected}
 
     def _round(self, each: Round) -> dict[str, object]:
         std = each.known.std(self.problem.names)
