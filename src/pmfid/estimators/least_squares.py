@@ -58,11 +58,15 @@ def parts_of_their_own(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Which part of each column of sensitivity (n, p), 0 to 1, is no combination of the others, (p,); and the
     pseudo-inverse (p, n) of the columns scaled to unit length. The part is 0 for a column of zeros, and for all where
-    their squares leave the range of numbers. rcond: as for `numpy.linalg.pinv`."""
+    one is beyond numbers. rcond: as for `numpy.linalg.pinv`."""
     with np.errstate(over="ignore"):  # looked at
         size = np.linalg.norm(sensitivity, axis=0)
-    if not np.all(np.isfinite(size)):
-        return np.zeros(size.size), np.zeros(sensitivity.shape[::-1])
+    huge = ~np.isfinite(size)
+    if np.any(huge):  # the squares are beyond numbers, or the column itself
+        largest = np.max(np.abs(sensitivity[:, huge]), axis=0)
+        if not np.all(np.isfinite(largest)):
+            return np.zeros(size.size), np.zeros(sensitivity.shape[::-1])
+        size[huge] = largest * np.linalg.norm(sensitivity[:, huge] / largest, axis=0)
     scaled = sensitivity / np.where(size > 0, size, 1.0)
     inverse = np.linalg.pinv(scaled) if rcond is None else np.linalg.pinv(scaled, rcond=rcond)
     parts = 1 / np.maximum(np.linalg.norm(inverse, axis=1), 1.0)

@@ -82,7 +82,7 @@ def check_parameters(problem: Posed) -> None:
         for name, value in case.items():
             if not math.isfinite(value) or (name == "mass" and value <= 0) or (name != "offset" and value < 0):
                 raise UsageError(f"{name} must be given, finite and {_SIGN.get(name, 'at least 0')}, got {value}")
-            if abs(value) > MOST or 0 < abs(value) < LEAST:
+            if abs(value) > MOST or (name == "mass" and value < LEAST):
                 raise UsageError(f"{name} = {value:g}: no machine has that; give it in SI units")
     if not problem.unknown or len(set(problem.names)) < len(problem.names):
         raise UsageError(
