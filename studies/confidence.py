@@ -16,7 +16,6 @@ from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import Adequacy, weigh
 from pmfid.estimators.auto import AUTO, first_choice
-from pmfid.estimators.base import status_names
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
@@ -25,6 +24,7 @@ from pmfid.estimators.results import Fit
 from pmfid.judge.drive import judge
 from pmfid.models.drive import Drive
 from pmfid.paper.truth import CartRecord, Study, Task, table, tally
+from pmfid.status import status_names
 from studies.machines import AXES, MOTIONS, WRONG, machine_record, truth
 from studies.sections import Page, by_name
 

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from pmfid.encoder import Encoder
 from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.iv import RIV
-from pmfid.estimators.recursive import RecursiveEstimator, Track
+from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.rls import RLS
+from pmfid.estimators.track import Track
 from pmfid.models.drive import Drive
 from pmfid.paper.truth import CartRecord, table
 from pmfid.status import Status

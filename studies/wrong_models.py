@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.estimators.base import status_names
 from pmfid.estimators.registry import methods_for
 from pmfid.models.drive import Drive
 from pmfid.paper.truth import (
@@ -26,7 +25,7 @@ from pmfid.paper.truth import (
     vouched,
 )
 from pmfid.simulation import CART, CART_DT, position_control, resolution_of
-from pmfid.status import Status
+from pmfid.status import Status, status_names
 from studies.wrong_plants import DESCRIPTIONS, KD, KP, PLANTS, U_MAX, wrong_record
 
 SCENARIOS = ("prbs", "stop-and-go")

@@ -196,7 +196,7 @@ def imports_between_modules(root: Path) -> dict[str, set[str]]:
     return graph
 
 
-@pytest.mark.parametrize("root", [REPOSITORY / "studies"], ids=lambda path: path.name)
+@pytest.mark.parametrize("root", [PACKAGE, REPOSITORY / "studies"], ids=lambda path: path.name)
 def test_no_imports_run_in_a_circle(root: Path) -> None:
     graph = imports_between_modules(root)
     assert sum(map(len, graph.values())) > 20

@@ -12,9 +12,9 @@ import pytest
 
 import pmfid
 from pmfid import Status, _kernel64
-from pmfid.estimators.fleet import _kept
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import RECURSIVE
+from pmfid.estimators.side_by_side import _kept
 from pmfid.kernel.structures import whole_words
 from tests.conftest import cart_run
 from tests.test_architecture import C_FLAGS, COMPILER, CSRC

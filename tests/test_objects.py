@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.estimators.base import like
+from pmfid.estimators.configuration import like
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.estimators.runner import Runner

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from pmfid.estimators.bcls import BCLS as BCLS
     from pmfid.estimators.bcrls import BCRLS as BCRLS
     from pmfid.estimators.fleet import Fleet as Fleet
-    from pmfid.estimators.fleet import Tracks as Tracks
     from pmfid.estimators.interval import IntervalML as IntervalML
     from pmfid.estimators.iv import IV as IV
     from pmfid.estimators.iv import RIV as RIV
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from pmfid.estimators.rsrivc import RSRIVC as RSRIVC
     from pmfid.estimators.srivc import SRIVC as SRIVC
     from pmfid.estimators.track import Track as Track
+    from pmfid.estimators.track import Tracks as Tracks
     from pmfid.export.firmware import export_firmware as export_firmware
     from pmfid.models.drive import Drive as Drive
     from pmfid.models.drive import EquationModel as EquationModel
@@ -69,7 +69,7 @@ _PUBLIC = {
     "Status": "pmfid.status",
     "TransferFunction": "pmfid.models.transfer_function",
     "Track": "pmfid.estimators.track",
-    "Tracks": "pmfid.estimators.fleet",
+    "Tracks": "pmfid.estimators.track",
     "Result": "pmfid.session.result",
     "UsageError": "pmfid.errors",
     "export_firmware": "pmfid.export.firmware",

@@ -58,3 +58,8 @@ ADVICE = {
         "beyond the error bars are possible, the larger the coarser it is; open-loop motion is free of them"
     ),
 }
+
+
+def status_names(status: int) -> list[str]:
+    """The names of the bits that are set."""
+    return [bit.name.lower() for bit in Status(status) if bit.name]

@@ -24,7 +24,7 @@ from pmfid.demo.run import (
     DemoRow,
     seconds,
 )
-from pmfid.estimators.recursive import Track
+from pmfid.estimators.track import Track
 from pmfid.simulation import CART, Scenario, axis_toml, write_csv
 from pmfid.status import ADVICE, Status
 

@@ -13,8 +13,9 @@ from pmfid.errors import UsageError
 from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.plants import default_zeros
-from pmfid.estimators.recursive import RecursiveEstimator, Track
+from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.rls import RLS
+from pmfid.estimators.track import Track
 from pmfid.models.drive import Drive
 from pmfid.simulation import CART, Scenario, make_scenario
 from pmfid.types import Flags, Floats

@@ -14,7 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.estimators.base import Estimator, like
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.configuration import like
 from pmfid.estimators.difference import Difference, rms, without_nuisance
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Lack, lacks

@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import Adequacy, contradicted, weigh
-from pmfid.estimators.base import Estimator, like
+from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.bcrls import BCRLS
+from pmfid.estimators.configuration import like
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.likelihood import Best

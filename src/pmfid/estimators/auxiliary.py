@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from scipy.signal import lfilter
 
-from pmfid.estimators.base import Estimator, like
+from pmfid.estimators.base import Estimator
 from pmfid.estimators.bcrls import BCRLS
+from pmfid.estimators.configuration import like
 from pmfid.estimators.encoder_noise import impulse_products
 from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps

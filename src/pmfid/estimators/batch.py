@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.encoder import fine_counts
 from pmfid.errors import UsageError
-from pmfid.estimators.base import Estimator, check_arrays, check_size, integer_counts
+from pmfid.estimators.arguments import check_arrays, check_size, integer_counts
+from pmfid.estimators.base import Estimator
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.least_squares import long_run_covariance
 from pmfid.estimators.level import level_of

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 if TYPE_CHECKING:
-    from pmfid.estimators.base import Estimator
+    from _typeshed import DataclassInstance as Configured
 
-E = TypeVar("E", bound="Estimator")
+E = TypeVar("E")
+C = TypeVar("C", bound="Configured")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,7 +37,7 @@ class ByName(Mapping[str, float]):
         return repr(dict(self.pairs))
 
 
-def freeze(estimator: Estimator) -> None:
+def freeze(estimator: Configured) -> None:
     """Gives an estimator copies that do not change of the lists, arrays and dicts it was made with."""
     for name, value in configuration_of(estimator).items():
         if isinstance(value, Mapping) and not isinstance(value, ByName):
@@ -45,7 +46,7 @@ def freeze(estimator: Estimator) -> None:
             object.__setattr__(estimator, name, tuple(value))
 
 
-def configuration_of(estimator: Estimator) -> dict[str, object]:
+def configuration_of(estimator: Configured) -> dict[str, object]:
     """What an estimator was made with, by the names of its arguments."""
     return {field.name: getattr(estimator, field.name) for field in fields(estimator) if field.init}
 
@@ -55,18 +56,18 @@ def made(cls: Callable[..., E], configuration: Mapping[str, object]) -> E:
     return cls(**configuration)
 
 
-def changed(estimator: E, changes: Mapping[str, object]) -> E:
+def changed(estimator: C, changes: Mapping[str, object]) -> C:
     """The same method with some of its arguments changed, without samples: `dataclasses.replace` for a mapping."""
     return made(type(estimator), configuration_of(estimator) | dict(changes))
 
 
-def like(cls: type[E], estimator: Estimator, **changes: object) -> E:
+def like(cls: type[C], estimator: Configured, **changes: object) -> C:
     """Another method with all of an estimator's configuration that it has a use for, but for the changes.
 
     What names parameters (`initial`, `forgetting_of`) goes over with the same model only: another has others.
     """
-    taken = {field.name for field in fields(cls) if field.init}
-    kept = {name: value for name, value in configuration_of(estimator).items() if name in taken}
-    if changes.get("model", estimator.model) != estimator.model:
+    taken, given = {field.name for field in fields(cls) if field.init}, configuration_of(estimator)
+    kept = {name: value for name, value in given.items() if name in taken}
+    if changes.get("model", given["model"]) != given["model"]:
         kept = {name: value for name, value in kept.items() if not isinstance(value, ByName)}
     return made(cls, kept | changes)

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.base import EXACT, Estimator, check_arrays, like
+from pmfid.estimators.arguments import check_arrays
+from pmfid.estimators.base import EXACT, Estimator
 from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.configuration import like
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.results import Columns, Fit
 from pmfid.filters.columns import tustin_image

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.arguments import check_arrays, check_size
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel, role_values
-from pmfid.estimators.base import check_arrays, check_size, like
 from pmfid.estimators.bcls import BCLS
+from pmfid.estimators.configuration import like
 from pmfid.estimators.encoder_noise import impulse_products
 from pmfid.estimators.identifiable import TINY, check_identifiable
 from pmfid.estimators.lattice import lattice_scatter

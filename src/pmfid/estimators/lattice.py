@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.arguments import held
 from pmfid.estimators.auxiliary import role_values
-from pmfid.estimators.base import Estimator, held
+from pmfid.estimators.base import Estimator
 from pmfid.estimators.difference import first_speed
 from pmfid.estimators.results import Columns
 from pmfid.types import Floats

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.base import check_arrays, held, like
+from pmfid.estimators.arguments import check_arrays, held
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.bcls import BCLS
+from pmfid.estimators.configuration import like
 from pmfid.estimators.difference import (
     LEAST_MASS,
     STEP,

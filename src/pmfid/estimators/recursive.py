@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Real
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from numpy.typing import ArrayLike
 
@@ -16,14 +16,13 @@ from pmfid.estimators.configuration import configuration_of, made
 from pmfid.estimators.encoder_noise import shown
 from pmfid.estimators.level import level_of
 from pmfid.estimators.runner import Runner
-from pmfid.estimators.track import Track as Track
+from pmfid.estimators.track import Track, Tracks
 from pmfid.kernel.saved import MOST_WEIGHT
 from pmfid.kernel.structures import constants_of
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
     from pmfid._kernel64 import Kernel
-    from pmfid.estimators.fleet import Tracks
 
 
 #: What becomes of old samples -> its number in the kernel.
@@ -73,7 +72,7 @@ class RecursiveEstimator(Estimator):
     forgetting: float = field(default=1.0, kw_only=True)
     forgetting_scheme: str = field(default="exponential", kw_only=True)
     forgetting_of: Mapping[str, float] | None = field(default=None, kw_only=True)
-    runner: Runner = field(init=False, repr=False, compare=False)
+    runner: Runner[Self] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -167,7 +166,7 @@ class RecursiveEstimator(Estimator):
             config["window_block"] = math.ceil(1 / (1 - forgetting) / WINDOW_BLOCKS)
         return config
 
-    def start(self, state: bytes | None = None) -> Runner:
+    def start(self, state: bytes | None = None) -> Runner[Self]:
         """An estimation of its own, from the beginning or from a saved state, beside this object's and all others.
 
         Raises UsageError for a state that is not of this configuration.

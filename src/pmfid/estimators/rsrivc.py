@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, ClassVar, cast
 
 from pmfid.errors import UsageError
 from pmfid.estimators.auxiliary import CHECK_TIME_CONSTANTS, COPY_TIME_CONSTANTS
-from pmfid.estimators.base import like
 from pmfid.estimators.bcrls import BCRLS
+from pmfid.estimators.configuration import like
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.srivc import ProcessOnly
 from pmfid.filters.columns import ColumnBuilder

@@ -3,33 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import Field
 from numbers import Real
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
-from pmfid.estimators.base import check_arrays, integer_counts
+from pmfid.estimators.arguments import check_arrays, integer_counts
 from pmfid.estimators.configuration import configuration_of, made
-from pmfid.estimators.track import Track
+from pmfid.estimators.side_by_side import SideBySide
+from pmfid.estimators.track import Track, Tracks
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
     from pmfid._kernel64 import Kernel
-    from pmfid.estimators.fleet import Tracks
-    from pmfid.estimators.recursive import RecursiveEstimator
 
 
-class Runner:
+class OnLine(Protocol):
+    """What a runner knows of its estimator (`RecursiveEstimator`): the configuration, and how one is begun with it."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # a dataclass
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def units(self) -> tuple[str, ...]: ...
+    @property
+    def precision(self) -> str: ...
+    def start(self, state: bytes | None = None) -> Runner[Self]:
+        """An estimation of its own."""
+        ...
+
+
+E = TypeVar("E", bound=OnLine)
+
+
+class Runner(Generic[E]):
     """What a recursive estimator has gathered from the samples so far, and the only object that samples change.
 
     `estimator.start()` makes one. Copies, also by `copy.deepcopy`, `pickle` and process pools, go on from the present
     state with the same bits and share nothing with the original. Two runners are equal only if they are one.
     """
 
-    def __init__(self, estimator: RecursiveEstimator, kernel: Kernel) -> None:
+    def __init__(self, estimator: E, kernel: Kernel) -> None:
         # not the estimator itself, which has a runner of its own: the two would keep each other alive
-        self._type: type[RecursiveEstimator] = type(estimator)
+        self._type: type[E] = type(estimator)
         self._configuration = configuration_of(estimator)
         self.names, self.units, self.precision = estimator.names, estimator.units, estimator.precision
         self.kernel = kernel
@@ -38,7 +57,7 @@ class Runner:
         self.__dict__["step"] = kernel.step
 
     @property
-    def estimator(self) -> RecursiveEstimator:
+    def estimator(self) -> E:
         """The configuration, as a new estimator."""
         return made(self._type, self._configuration)
 
@@ -71,10 +90,12 @@ class Runner:
         every so many. Each axis has the bits of `run`. To go on with further samples use a `Fleet`.
         Raises UsageError like `Fleet.run`.
         """
-        from pmfid.estimators.fleet import Fleet
-
         table = integer_counts(counts)
-        return Fleet(self, max(1, table.shape[0]) if table.ndim else 1).run(u, table, every=every)
+        return self.side_by_side(max(1, table.shape[0]) if table.ndim else 1).run(u, table, every)
+
+    def side_by_side(self, axes: int, workers: int | None = None) -> SideBySide:
+        """So many axes from the present state; arguments and errors of `Fleet`, which keeps them."""
+        return SideBySide(self.kernel, self.precision, self.names, self.units, axes, workers)
 
     @property
     def estimate(self) -> Estimate:
@@ -121,5 +142,5 @@ class Runner:
         load_state(self.kernel, self.precision, state)
 
 
-def _resumed(cls: type[RecursiveEstimator], configuration: Mapping[str, object], state: bytes) -> Runner:
+def _resumed(cls: type[E], configuration: Mapping[str, object], state: bytes) -> Runner[E]:
     return made(cls, configuration).start(state)

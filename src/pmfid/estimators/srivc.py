@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.base import Estimator, check_arrays, check_size, held
+from pmfid.estimators.arguments import check_arrays, check_size, held
+from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.estimators.results import Fit

@@ -47,3 +47,27 @@ class Track:
     def flagged(self, bit: Status) -> NDArray[np.bool_]:
         """(n,) where a status bit is set."""
         return np.asarray((self.status & bit) != 0)
+
+
+@dataclass(frozen=True)
+class Tracks(Track):
+    """Estimates of many axes: a `Track` whose arrays have the axis in front.
+
+    theta, variance_factor, inflation: (axes, m, p); innovation, innovation_variance, status: (axes, m), where m is the
+    number of samples that were kept; samples: (m,) their numbers. `tracks["mass"]` is (axes, m).
+    """
+
+    samples: NDArray[np.int64]
+
+    def axis(self, index: int) -> Track:
+        """The track of one axis."""
+        return Track(
+            self.names,
+            self.units,
+            self.theta[index],
+            self.variance_factor[index],
+            self.inflation[index],
+            self.innovation[index],
+            self.innovation_variance[index],
+            self.status[index],
+        )

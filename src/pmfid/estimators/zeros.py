@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.estimators.base import Estimator, like
+from pmfid.estimators.base import Estimator
 from pmfid.estimators.bcls import BCLS
+from pmfid.estimators.configuration import like
 
 
 def choose_prefilter_zeros(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[float, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
-from pmfid.estimators.base import check_arrays
+from pmfid.estimators.arguments import check_arrays
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.kernel.saved import configuration, shape_of, tight_state
 

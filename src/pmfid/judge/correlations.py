@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pmfid.estimators.arguments import held
 from pmfid.estimators.auxiliary import role_values
-from pmfid.estimators.base import Estimator, held, like
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.output_error import OE
 from pmfid.judge.balance import FEWEST_BINS, Balance, encoder_response, low_pass

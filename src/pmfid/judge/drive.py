@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import CONTRADICTED, Adequacy, examine, force_moves
-from pmfid.estimators.base import Estimator, like
+from pmfid.estimators.base import Estimator
 from pmfid.estimators.bcls import BCLS
+from pmfid.estimators.configuration import like
 from pmfid.estimators.identifiable import BEYOND, TINY
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.ls import LS

@@ -10,7 +10,7 @@ from operator import index
 import numpy as np
 
 from pmfid._estimate import Estimate
-from pmfid.estimators.base import like
+from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.calibration import Calibration, block_keep, make_detectors

@@ -10,7 +10,8 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.auto import AUTO, choose, first_choice
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.plants import default_zeros
-from pmfid.estimators.recursive import RecursiveEstimator, Track
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.track import Track
 from pmfid.paper.merit import NO_ANSWER, Score, score
 from pmfid.paper.truth import CartRecord, make_estimator
 from pmfid.simulation import CART_DT, Scenario

@@ -13,8 +13,9 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.configuration import made
-from pmfid.estimators.recursive import RecursiveEstimator, Track
+from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
+from pmfid.estimators.track import Track
 from pmfid.judge.drive import judge
 from pmfid.models.drive import Drive
 from pmfid.paper.figure import Results

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
-from pmfid.estimators.base import check_arrays
+from pmfid.estimators.arguments import check_arrays
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import NO_ENCODER, Axis

@@ -15,7 +15,7 @@ import numpy as np
 
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.base import like
+from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.ls import LS
 from pmfid.estimators.output_error import OE

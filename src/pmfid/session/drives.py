@@ -12,16 +12,17 @@ import numpy as np
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auto import AUTO, Choice, choose, first_choice
-from pmfid.estimators.base import Estimator, like, status_names
+from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
-from pmfid.estimators.configuration import made
+from pmfid.estimators.configuration import like, made
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.ls import LS
 from pmfid.estimators.plants import plant_of
-from pmfid.estimators.recursive import RecursiveEstimator, Track
+from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns
+from pmfid.estimators.track import Track
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.judge.drive import judge
 from pmfid.session.config import Axis, check_sampling
@@ -30,7 +31,7 @@ from pmfid.session.kinds import Kind, Progress, method_of, settings
 from pmfid.session.outliers import Believed, believed
 from pmfid.session.records import Record, read_record
 from pmfid.session.result import DriveResult
-from pmfid.status import Status
+from pmfid.status import Status, status_names
 
 CHUNK = 100_000
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.base import Estimator, status_names
+from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.configuration import made
 from pmfid.estimators.recursive import RecursiveEstimator
@@ -31,7 +31,7 @@ from pmfid.session.config import NO_ENCODER, Axis, check_sampling
 from pmfid.session.kinds import Kind, Progress, method_of, settings
 from pmfid.session.records import read_experiment
 from pmfid.session.result import ProcessResult, delay_of, expects_unstable
-from pmfid.status import Status
+from pmfid.status import Status, status_names
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.order import DELAYS, ORDERS, UNSTABLE, Candidate, Search, accepted_first, search_structure
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from pmfid.errors import place_of
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.recursive import Track
 from pmfid.estimators.results import Fit
+from pmfid.estimators.track import Track
 from pmfid.judge.assess import Assessment
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.records import Record

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from pmfid._estimate import Estimate
 from pmfid.errors import PmfidError, UsageError
-from pmfid.estimators.base import Estimator, check_arrays
+from pmfid.estimators.arguments import check_arrays
+from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import changed, configuration_of
 from pmfid.estimators.results import Fit
 from pmfid.estimators.track import Track

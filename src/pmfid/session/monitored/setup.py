@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.estimators.base import like
+from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV, RIV, initial_vector
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
