@@ -23,8 +23,6 @@
 
 #define SPED_UP 1U
 #define SLOWED_DOWN 2U
-#define HALF_MEMORIES 4U /* the same bits of the last half memory are so many times as large */
-#define SOME PMF_R(0.0625) /* of what the encoder shows, squared: the axis moves */
 
 #define LARGER(a, b) PMF_IF((a) > (b), a, b)
 
@@ -112,37 +110,6 @@ PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf
         weight = PMF_IF(part < weight, part, weight);
     }
     return PMF_IF(state->frozen != 0U, PMF_R(1.0), weight);
-}
-
-/* Sums the squares of the acceleration in motion, in units of what the encoder shows, over this half memory of motion
- * and the last. Is another one over? */
-PMF_INLINE truth_t note_swing(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead,
-                              real_t square, truth_t moves)
-{
-    state->moved += PMF_BIT(moves, 1U);
-    state->swings |=
-        PMF_IF(moves & (square > PMF_R(1.0)), PMF_IF(lead < PMF_R(0.0), PMF_W(SLOWED_DOWN), PMF_W(SPED_UP)), PMF_W(0));
-    state->power = PMF_IF(moves, state->power + square, state->power);
-    return moves & PMF_NOT(state->moved < config->half_memory);
-}
-
-/* Were both more than the encoder's errors could feign, and did it show how the axis sped up and slowed down? All but
- * that, as a constant speed or running down, says little, however long. */
-PMF_INLINE truth_t excites(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
-{
-    real_t least = PMF_ALIKE((scalar_t)config->half_memory);
-    whole_t both = PMF_W(SPED_UP | SLOWED_DOWN);
-    return (((state->swings | (state->swings >> 2)) & both) == both) & (state->power > least) &
-           (state->power_before > least);
-}
-
-/* The next half memory of motion begins. */
-PMF_INLINE void end_half_memory(pmf_recursion_state_t *state, truth_t ends)
-{
-    state->moved = PMF_IF(ends, PMF_W(0), state->moved);
-    state->swings = PMF_IF(ends, (state->swings & PMF_W(SPED_UP | SLOWED_DOWN)) * HALF_MEMORIES, state->swings);
-    state->power_before = PMF_IF(ends, state->power, state->power_before);
-    state->power = PMF_IF(ends, PMF_R(0.0), state->power);
 }
 
 /* With a model that follows the estimate the first samples were gathered with a poor one: until the memory is full each

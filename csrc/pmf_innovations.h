@@ -1,0 +1,183 @@
+/* What innovations say: their variance, by how much coloured ones lengthen the error bars, and whether the model
+ * explains them. For pmf_recursion.c alone. SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef PMF_INNOVATIONS_H
+#define PMF_INNOVATIONS_H
+
+#include "pmf_forgetting.h"
+
+#define MIN_BLOCKS 8.0
+#define SKIPPED_INNOVATIONS 4U /* innovations of a fresh estimate say nothing of the noise */
+#define JUDGED 16U /* updates between two verdicts on the model, half-way between two looks; a power of two */
+#define NEGLIGIBLE PMF_R(1e-6) /* mean square part of the target that no model need explain */
+#define COMPENSATED(config) (PMF_WITH_NOISE != 0 && (config)->compensated != 0U)
+
+#if PMF_WITH_NOISE
+/* The innovations of another stretch of samples; those of the last one are kept beside. */
+static void note_unexplained(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                             real_t target)
+{
+    real_t square = state->estimate.innovation * state->estimate.innovation;
+    truth_t ends = where & PMF_NOT(state->check.weight < config->check_samples);
+    if (PMF_ANY(ends)) {
+        state->check_before.weight = PMF_IF(ends, state->check.weight, state->check_before.weight);
+        state->check_before.innovation = PMF_IF(ends, state->check.innovation, state->check_before.innovation);
+        state->check_before.target = PMF_IF(ends, state->check.target, state->check_before.target);
+        PMF_WHERE(ends, &state->check, pmf_clear(&state->check, (uint32_t)sizeof state->check));
+    }
+    state->check.weight = PMF_IF(where, state->check.weight + PMF_R(1.0), state->check.weight);
+    state->check.innovation = PMF_IF(where, state->check.innovation + square, state->check.innovation);
+    state->check.target = PMF_IF(where, state->check.target + target * target, state->check.target);
+}
+
+/* Are the innovations larger than the known noise, and the error bars, make them? In the last two stretches alone: what
+ * the start left, however large, is forgotten for good. */
+static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                           real_t target)
+{
+    const pmf_estimate_t *estimate = &state->estimate;
+    const real_t *theta = estimate->theta;
+    real_t explained = PMF_R(0.0), unsure = PMF_R(0.0), limit;
+    truth_t judged, large;
+    uint32_t i, j;
+    if (!PMF_ANY(where)) {
+        return PMF_W(0);
+    }
+    note_unexplained(config, state, where, target);
+    judged = (state->updates & (JUDGED - 1U)) == PMF_LOOK / 2U;
+    if (!PMF_ANY(judged)) {
+        return PMF_IF(where, state->unmodelled, PMF_W(0));
+    }
+#if PMF_WITH_PROCESS
+    explained = PMF_ALIKE(config->target_power);
+#endif
+    for (i = 0; i < PARAMETERS(config); ++i) {
+#if PMF_WITH_PROCESS
+        explained -= PMF_SCALAR(2.0) * theta[i] * config->target_noise[i];
+#endif
+        for (j = 0; j < PARAMETERS(config); ++j) {
+            explained += theta[i] * config->noise[i][j] * theta[j];
+        }
+        unsure += estimate->inflation[i]; /* mean of phi^T (covariance of theta) phi, over that of the innovations */
+    }
+    explained += estimate->innovation_variance * unsure / state->sums.weight;
+    limit = config->unexplained * explained * (state->check.weight + state->check_before.weight) +
+            NEGLIGIBLE * (state->check.target + state->check_before.target);
+    large =
+        (state->check_before.weight > PMF_R(0.0)) & (state->check.innovation + state->check_before.innovation > limit);
+    state->unmodelled = PMF_IF(where & judged, PMF_BIT(large, PMF_UNMODELLED), state->unmodelled);
+    return PMF_IF(where, state->unmodelled, PMF_W(0));
+}
+#endif
+
+PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where)
+{
+    pmf_estimate_t *estimate = &state->estimate;
+    real_t square = estimate->innovation * estimate->innovation;
+    real_t f = memory_of(config, state, PMF_ALIKE(config->forgetting)); /* as the samples themselves */
+    where = where & (state->started > SKIPPED_INNOVATIONS) & (state->frozen == 0U);
+    if (PMF_ANY(where)) {
+        state->weight = PMF_IF(where, f * state->weight + PMF_R(1.0), state->weight);
+        state->innovation_square = PMF_IF(where, f * state->innovation_square + square, state->innovation_square);
+        estimate->innovation_variance =
+            PMF_IF(where, state->innovation_square / state->weight, estimate->innovation_variance);
+    }
+}
+
+#if PMF_WITH_PROCESS
+/* Variance of the constant plus `lift` times the lowest coefficient, over that of the innovations: a sum of squares,
+ * for in the entries of P it would be a small difference. */
+PMF_SELDOM real_t lifted_factor(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
+{
+    real_t x[N], sum = PMF_R(0.0);
+    uint32_t i;
+    for (i = 0; i < PARAMETERS(config); ++i) {
+        x[i] = PMF_R(0.0);
+    }
+    x[config->constant] = PMF_R(1.0);
+    x[config->lowest] = state->lift;
+    forward(PARAMETERS(config), state->factor, x);
+    for (i = 0; i < PARAMETERS(config); ++i) {
+        sum += x[i] * x[i] * state->inverse_pivot[i];
+    }
+    return PMF_IF(sum - sum == PMF_R(0.0), sum, PMF_UNKNOWN);
+}
+#endif
+
+/* Spread of theta by blocks of innovations against that of white ones (batch means): with weights w its covariance is
+ * P (sum w^2) S P, S the long-run covariance of the scores, where white innovations and equal weights have P times
+ * their variance. What is missing to MIN_BLOCKS of them counts as blocks of innovations that are the same for as long
+ * as the filters may make them. `move` is a block's sum after the gain. */
+static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                       real_t move[N])
+{
+    real_t share = state->sums.squares / PMF_TO_REAL(state->block_updates);
+    truth_t few = state->blocks < (uint32_t)MIN_BLOCKS;
+    real_t blocks;
+    uint32_t i;
+    state->blocks += PMF_BIT(where & (state->blocks < PMF_BLOCK_MEMORY), 1U);
+    blocks = PMF_IF(few, PMF_R(MIN_BLOCKS), PMF_TO_REAL(state->blocks));
+    for (i = 0; i < PARAMETERS(config); ++i) {
+        real_t white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
+        real_t *inflation = &state->estimate.inflation[i], change;
+#if PMF_WITH_PROCESS
+        if (i == config->constant) { /* as it is read */
+            white = lifted_factor(config, state) * state->estimate.innovation_variance;
+            move[i] += state->lift * move[config->lowest];
+        }
+#endif
+        change = move[i] * move[i] * share / white - PMF_IF(few, PMF_ALIKE(config->correlated), *inflation);
+        /* beyond the number format, or nothing over nothing, it would stay */
+        *inflation = PMF_IF(where & (change - change == PMF_R(0.0)), *inflation + change / blocks, *inflation);
+    }
+}
+
+PMF_INLINE void solve(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
+{
+    uint32_t i;
+    forward(p, state->factor, move);
+    for (i = 0; i < p; ++i) {
+        move[i] *= state->inverse_pivot[i];
+    }
+    backward(p, state->factor, move);
+}
+
+/* At the end of a block its effect on theta is compared with that of white innovations. */
+PMF_SELDOM void end_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where, uint32_t p,
+                          uint32_t instrumental, projection_t *projection)
+{
+    real_t move[N];
+    uint32_t i;
+    for (i = 0; i < p; ++i) {
+        move[i] = state->score[i];
+        state->score[i] = PMF_IF(where, PMF_R(0.0), state->score[i]);
+    }
+    if (instrumental != 0U) {
+        project_more(p, projection, move);
+    }
+    solve(state, p, move);
+    note_block(config, state, where, move);
+    state->block_updates = PMF_IF(where, PMF_W(0), state->block_updates);
+}
+
+/* Gathers the innovations of a block. */
+PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                           const real_t *zeta, uint32_t p)
+{
+    uint32_t i, j;
+    for (i = 0; i < p; ++i) {
+        real_t sum = state->score[i] + zeta[i] * state->estimate.innovation;
+#if PMF_WITH_PROCESS
+        if (COMPENSATED(config)) {
+            sum -= config->target_noise[i];
+        }
+#endif
+        for (j = 0; j < p && COMPENSATED(config); ++j) {
+            sum += config->noise[i][j] * state->estimate.theta[j];
+        }
+        state->score[i] = PMF_IF(where, sum, state->score[i]);
+    }
+    state->block_updates += PMF_BIT(where, 1U);
+}
+
+#endif
