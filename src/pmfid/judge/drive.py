@@ -19,6 +19,7 @@ from pmfid.estimators.output_error import OE, WORST_FIT, Following
 from pmfid.estimators.rls import RLS
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.judge.counts import count_jump, counts_per_sample
 from pmfid.status import Status
 
 #: A correlation this many standard deviations from zero is taken for real.
@@ -27,8 +28,6 @@ SIGNIFICANT = 4.5
 UNMODELLED = "the counts show what the model lacks, or a parameter that changes"
 #: Counts per sample below which the encoder's error is no white noise.
 COARSE = 1.0
-#: A change of the counts so much larger than the usual ones is no motion.
-JUMP = 30
 #: With fewer samples, or none that moves, there is nothing to judge a model by.
 FEWEST = 50
 #: With a memory the last of the record counts, so many times the memory.
@@ -148,15 +147,6 @@ def _positive(estimator: Estimator) -> set[str]:
     return {name for name, positive in zip(equation.names, equation.positive, strict=True) if positive}
 
 
-def counts_per_sample(counts: NDArray[np.int64]) -> float:
-    """Mean over the samples that lie between the first and the last change of the counts; 0 without motion."""
-    change = np.abs(np.diff(counts))
-    moving = np.flatnonzero(change)
-    if moving.size == 0:
-        return 0.0
-    return float(change[moving[0] : moving[-1] + 1].mean())
-
-
 def _coarse(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
     per_sample = counts_per_sample(counts)
     if "known-step" in estimator.method and per_sample < COARSE:
@@ -171,29 +161,6 @@ def _jump(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
     sentence = count_jump(counts) if estimator.encoder.max_speed is None else ""
     if sentence:
         yield "count_jump", sentence
-
-
-def count_jump(counts: NDArray[np.int64]) -> str:
-    """What to say of one change of the counts (n,) far beyond all others: a wrap that nobody has undone, or a lost
-    position; empty where there is none."""
-    change = np.abs(np.diff(counts))
-    worst = int(np.argmax(change))
-    usual = float(np.quantile(_motion(counts, change), 0.99))
-    if not change[worst] > JUMP * (usual + 1):
-        return ""
-    return (
-        f"the counts jump by {change[worst]} at row {worst + 2}, usually by {usual:.3g} at most: a counter that "
-        "wraps needs [encoder] bits; for lost counts give max_speed"
-    )
-
-
-def _motion(counts: NDArray[np.int64], change: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sizes (n - 1,) of the changes (n - 1,) of the counts (n,), without wrong readings, which come back at once: a few
-    of a hundred would else be what is usual."""
-    if change.size < 2:
-        return change
-    across = np.abs(counts[2:] - counts[:-2])
-    return np.asarray(np.r_[np.minimum(np.minimum(change[:-1], change[1:]), across), change[-1:]])
 
 
 def recent(estimator: Estimator, samples: int) -> slice:

@@ -19,7 +19,7 @@ from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.ls import LS
 from pmfid.estimators.output_error import OE
-from pmfid.judge.drive import count_jump
+from pmfid.judge.counts import count_jump
 from pmfid.models.drive import EquationModel, Model
 from pmfid.models.equation import Equation
 from pmfid.session.config import Axis
