@@ -150,11 +150,13 @@ def test_a_state_that_samples_made_is_taken(name: str, estimator: RecursiveEstim
         assert estimator.get_state() == state
 
 
-@pytest.mark.parametrize("name", ["8-bcrls-float32", "5-rls-float64"])
+@pytest.mark.parametrize(
+    ("name", "place"), [("8-bcrls-float32", "export"), ("5-rls-float64", "export"), ("1-bcrls-float32", "fleet")]
+)
 @needs(GCC)
-def test_crafted_states_harm_no_export(name: str, tmp_path: Path) -> None:
-    """The whole of it, Python's and the fleet's kernel as well: `make hostile`."""
+def test_crafted_states_do_no_harm(name: str, place: str, tmp_path: Path) -> None:
+    """All estimators in all three places: `make hostile`."""
     estimator = dict(estimators())[name]
-    outcome = attack(program(estimator, "export", tmp_path), folder_of(estimator, "export", tmp_path / "files"), 300, 1)
+    outcome = attack(program(estimator, place, tmp_path), folder_of(estimator, place, tmp_path / "files"), 300, 1)
     assert outcome.report == ""
     assert 100 < outcome.taken < 300

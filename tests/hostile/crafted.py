@@ -15,7 +15,7 @@ import pmfid
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.firmware import export_firmware
 from pmfid.kernel.saved import configuration, shape_of, tight_state
-from pmfid.kernel.structures import resized, source_folder, structures
+from pmfid.kernel.structures import resized, source_folder, structures, whole_words
 from tests.firmware.build import REQUIRED
 from tests.test_many import PROCESS, PROCESSES, VARIANTS, fleet_record, make, process_record
 
@@ -61,6 +61,8 @@ def folder_of(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
     (folder / "state").write_bytes(state.tobytes())
     fields = [(offset, int(kind == "f")) for _, kind, offset in leaves(types["pmf_state_t"])]
     (folder / "words").write_bytes(np.array(fields, "<u4").tobytes())
+    if place == "fleet":
+        (folder / "whole").write_bytes(whole_words(estimator.precision))
     return folder
 
 
