@@ -79,8 +79,9 @@ enum {
     PMF_COULOMB_BACKWARD,
     PMF_OFFSET,
     PMF_STIFFNESS,
-    PMF_ROLES
+    PMF_DEAD_TIME /* [s], of the input */
 };
+#define PMF_ROLES (7 + PMF_WITH_DEAD_TIME)
 #define PMF_NO_PARAMETER 0xffU
 
 /* Status bits of a step. The Python enumeration `Status` has the same values and the advice. */
@@ -334,6 +335,21 @@ typedef struct {
     whole_t turn; /* of the samples between two steps of the copy */
 } pmf_auxiliary_state_t;
 
+#if PMF_WITH_DEAD_TIME
+/* An input that acts late, by any part of a sample. */
+typedef struct {
+    uint32_t room; /* whole samples at most; 0: it acts at once */
+    scalar_t rate; /* samples per second */
+    scalar_t dead_time; /* [s], where no auxiliary model has its own */
+} pmf_late_config_t;
+
+typedef struct {
+    real_t past[PMF_MAX_LATE]; /* inputs, that of the interval which the counts speak of first */
+    real_t older, newer, part; /* what acts in that interval: `part` of it the older one */
+    real_t gathered; /* dead time that what was gathered is for [s] */
+} pmf_late_state_t;
+#endif
+
 #if PMF_WITH_LINEAR
 /* A linear process, simulated from the input alone with a slow copy of the estimate, and the filters 1 / A(s). */
 typedef struct {
@@ -388,6 +404,9 @@ typedef struct {
     pmf_encoder_config_t encoder;
     pmf_network_config_t network;
     pmf_recursion_config_t direct; /* from the counts alone */
+#if PMF_WITH_DEAD_TIME
+    pmf_late_config_t late;
+#endif
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_config_t auxiliary;
 #endif
@@ -408,6 +427,9 @@ typedef struct {
     pmf_encoder_state_t encoder;
     pmf_network_state_t network;
     pmf_recursion_state_t direct;
+#if PMF_WITH_DEAD_TIME
+    pmf_late_state_t late;
+#endif
 #if PMF_WITH_PROCESS
     pmf_estimate_t lifted; /* the estimate with the constant of the output itself */
 #endif

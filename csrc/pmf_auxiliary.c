@@ -148,46 +148,85 @@ static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary
     }
 }
 
-PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal)
+/* Moves for the part of the interval that is left, under a constant force. */
+static void advance(const body_t *body, scalar_t dt, phase_t *phase)
 {
-    real_t middle = state->position + PMF_R(0.5) * config->dt * state->velocity;
-    body_t body = body_of(config, state->parameter, signal[PMF_LATE_INPUT], middle);
-    real_t sum;
-    truth_t absurd;
-    phase_t phase;
     uint32_t turn;
-    phase.velocity = state->velocity;
-    phase.left = PMF_R(1.0);
-    phase.distance[0] = phase.distance[1] = phase.moving[0] = phase.moving[1] = PMF_R(0.0);
+    phase->distance[0] = phase->distance[1] = phase->moving[0] = phase->moving[1] = PMF_R(0.0);
     for (turn = 0; turn < 2U; ++turn) {
         /* from rest it may break away, or stick */
-        truth_t rests = phase.velocity == PMF_R(0.0), left = phase.left > PMF_R(0.0);
-        truth_t forward = (rests & (body.force > body.coulomb[0])) | (phase.velocity > PMF_R(0.0));
-        truth_t backward = PMF_NOT(forward) & (PMF_NOT(rests) | (-body.force > body.coulomb[1]));
+        truth_t rests = phase->velocity == PMF_R(0.0), left = phase->left > PMF_R(0.0);
+        truth_t forward = (rests & (body->force > body->coulomb[0])) | (phase->velocity > PMF_R(0.0));
+        truth_t backward = PMF_NOT(forward) & (PMF_NOT(rests) | (-body->force > body->coulomb[1]));
         if (PMF_ANY((forward | backward) & left)) {
-            move(&body, config->dt, forward & left, backward & left, &phase);
+            move(body, dt, forward & left, backward & left, phase);
         }
     }
-    signal[PMF_ACCELERATION] = (phase.velocity - state->velocity) / config->dt;
-    sum = signal[PMF_ACCELERATION] + phase.distance[0] + phase.distance[1] + middle;
+}
+
+/* Signals and state from the motion of an interval. */
+static void conclude(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const body_t *body,
+                     phase_t *phase, real_t middle, real_t *signal)
+{
+    real_t sum;
+    truth_t absurd;
+    signal[PMF_ACCELERATION] = (phase->velocity - state->velocity) / config->dt;
+    sum = signal[PMF_ACCELERATION] + phase->distance[0] + phase->distance[1] + middle;
     absurd = PMF_NOT(sum - sum == PMF_R(0.0));
     if (PMF_ANY(absurd)) { /* parameters: it starts again from rest */
-        phase.velocity = PMF_IF(absurd, PMF_R(0.0), phase.velocity);
-        phase.distance[0] = PMF_IF(absurd, PMF_R(0.0), phase.distance[0]);
-        phase.distance[1] = PMF_IF(absurd, PMF_R(0.0), phase.distance[1]);
+        phase->velocity = PMF_IF(absurd, PMF_R(0.0), phase->velocity);
+        phase->distance[0] = PMF_IF(absurd, PMF_R(0.0), phase->distance[0]);
+        phase->distance[1] = PMF_IF(absurd, PMF_R(0.0), phase->distance[1]);
         signal[PMF_ACCELERATION] = PMF_IF(absurd, PMF_R(0.0), signal[PMF_ACCELERATION]);
         middle = PMF_IF(absurd, signal[PMF_LATE_POSITION], middle);
         state->position = PMF_IF(absurd, middle, state->position);
     }
-    emit_motion(&phase, middle, signal);
+    emit_motion(phase, middle, signal);
     if (config->sensitivities != 0U) {
-        note_sensitivity(config, state, &body, state->velocity, phase.velocity, signal);
+        note_sensitivity(config, state, body, state->velocity, phase->velocity, signal);
         PMF_WHERE(absurd, state, forget_sensitivity(state));
     }
-    state->velocity = phase.velocity;
-    state->position += config->dt * (phase.distance[0] + phase.distance[1]) +
+    state->velocity = phase->velocity;
+    state->position += config->dt * (phase->distance[0] + phase->distance[1]) +
                        config->position_gain * (signal[PMF_LATE_POSITION] - middle);
 }
+
+PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal)
+{
+    real_t middle = state->position + PMF_R(0.5) * config->dt * state->velocity;
+    body_t body = body_of(config, state->parameter, signal[PMF_LATE_INPUT], middle);
+    phase_t phase;
+    phase.velocity = state->velocity;
+    phase.left = PMF_R(1.0);
+    advance(&body, config->dt, &phase);
+    conclude(config, state, &body, &phase, middle, signal);
+}
+
+#if PMF_LATE
+/* The older input acts for a part of the interval, the newer one for the rest; each of the two parts is exact. */
+void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
+                             const pmf_late_state_t *late, real_t *signal)
+{
+    real_t middle = state->position + PMF_R(0.5) * config->dt * state->velocity, pushed;
+    body_t body = body_of(config, state->parameter, late->older, middle);
+    body_t second = body_of(config, state->parameter, late->newer, middle);
+    phase_t phase, rest;
+    phase.velocity = state->velocity;
+    phase.left = late->part;
+    advance(&body, config->dt, &phase);
+    rest.velocity = phase.velocity;
+    rest.left = PMF_R(1.0) - late->part;
+    advance(&second, config->dt, &rest);
+    pushed = late->older * (phase.moving[0] + phase.moving[1]) + late->newer * (rest.moving[0] + rest.moving[1]);
+    rest.distance[0] += phase.distance[0];
+    rest.distance[1] += phase.distance[1];
+    rest.moving[0] += phase.moving[0];
+    rest.moving[1] += phase.moving[1];
+    /* where it stops in the first part, that part's force decides what is left behind the stop */
+    conclude(config, state, state->velocity * phase.velocity > PMF_R(0.0) ? &second : &body, &rest, middle, signal);
+    signal[PMF_AUXILIARY + PMF_INPUT] = pushed;
+}
+#endif
 
 PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state,
                                    uint32_t first, real_t *column)
@@ -201,6 +240,12 @@ PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const p
         target += jump * state->parameter[config->role[i]];
     }
     column[config->target_column] -= target;
+#if PMF_LATE
+    if (config->index[PMF_DEAD_TIME] != PMF_NO_PARAMETER) {
+        /* the regressor of the dead time is a derivative at the model's own, from which the target counts */
+        column[config->target_column] += state->parameter[PMF_DEAD_TIME] * column[first + config->index[PMF_DEAD_TIME]];
+    }
+#endif
 }
 
 PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state)
@@ -285,7 +330,14 @@ PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxi
     }
     for (i = 0; i < PMF_ROLES; ++i) {
         real_t target = index[i] == PMF_NO_PARAMETER ? PMF_R(0.0) : theta[index[i]], moved;
+#if PMF_WITH_DEAD_TIME
+        if (i == PMF_DEAD_TIME && index[i] == PMF_NO_PARAMETER) {
+            continue; /* it is known */
+        }
+        if (i < PMF_OFFSET || i == PMF_DEAD_TIME) {
+#else
         if (i < PMF_OFFSET) {
+#endif
             target = PMF_IF(target < PMF_R(0.0), PMF_R(0.0), target);
         }
         moved = state->parameter[i] + smoothing * (target - state->parameter[i]);

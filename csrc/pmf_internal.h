@@ -33,6 +33,11 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #else
 #define PMF_LINEAR PMF_WITH_LINEAR
 #endif
+#ifdef PMF_LANES
+#define PMF_LATE 0 /* each axis would look up another of its inputs */
+#else
+#define PMF_LATE PMF_WITH_DEAD_TIME
+#endif
 #ifdef PMF_FLOAT32
 #define PMF_ENDLESS PMF_WITH_ENDLESS
 #else
@@ -80,6 +85,11 @@ PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder
                                  whole_t count, real_t *signal);
 /* Needs the encoder's signals of the same step. */
 PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal);
+#if PMF_LATE
+/* The same where the input changes inside the interval. */
+void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
+                             const pmf_late_state_t *late, real_t *signal);
+#endif
 /* The equation holds exactly for the model; what its columns leave is the error of the discretisation, and the same
  * for the plant. It is taken from the target. Regressors and target then know that the model's stops and reversals move
  * with its parameters. `first`: the column of the first regressor. */

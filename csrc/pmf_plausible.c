@@ -188,6 +188,9 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
 #endif
            check_recursion(&config->direct, &state->direct);
 #if PMF_WITH_AUXILIARY
+#if PMF_WITH_DEAD_TIME
+    fine &= finite((const real_t *)(const void *)&state->late, REALS(state->late));
+#endif
     fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->borrowed);
 #endif
 #if PMF_WITH_LINEAR

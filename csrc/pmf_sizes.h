@@ -10,12 +10,14 @@
 #define PMF_MAX_NOISE PMF_MAX_PARAMETERS
 #define PMF_MAX_COLUMNS (5 * PMF_MAX_PARAMETERS + 4)
 #define PMF_MAX_ORDER 6 /* of the linear process that is simulated */
+#define PMF_MAX_LATE 22 /* inputs that are kept for a dead time: one more than its whole samples, and one */
 #define PMF_WINDOW_BLOCKS 8 /* of a sliding window; 0 saves their memory where no window is used */
 
 /* 0 leaves a part out, its code and its memory. */
 #define PMF_WITH_AUXILIARY 1 /* the auxiliary model and its recursion */
 #define PMF_WITH_LINEAR 1 /* the model of a linear process and its recursion */
 #define PMF_WITH_PROCESS 1 /* an output that no encoder's friction holds: its start and its own noise */
+#define PMF_WITH_DEAD_TIME 1 /* an input that acts late */
 #define PMF_WITH_SEPARATE 1 /* forgetting by parameter */
 #define PMF_WITH_GUARD 1 /* against samples that no motion explains */
 #define PMF_WITH_ENDLESS 1 /* float32 that forgets nothing, or so slowly that its sums may be full */

@@ -1,7 +1,7 @@
 /* One sample straight through: encoder, network, recursion.
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "pmf_internal.h"
+#include "pmf_dead_time.h"
 
 #define TAKE_OVER PMF_R(3.0) /* times the samples, or the variance */
 #define SHORT_BAR PMF_R(0.01) /* of the mass */
@@ -76,10 +76,20 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
                          PMF_IF(bridged, PMF_W(0), state->hold - PMF_BIT(state->hold > 0U, 1U)));
     status = status & ~(uint32_t)PMF_BRIDGED;
 #endif
+#if PMF_LATE
+    if (config->late.room != 0U) {
+        delay_input(config, state);
+    }
+#endif
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
-        PMF_WHERE(state->auxiliary.running != 0U, state,
-                  pmf_auxiliary_step(&config->auxiliary, &state->auxiliary, state->network.node));
+#if PMF_LATE
+        if (config->late.room != 0U && state->auxiliary.running != 0U) {
+            pmf_auxiliary_late_step(&config->auxiliary, &state->auxiliary, &state->late, state->network.node);
+        } else
+#endif
+            PMF_WHERE(state->auxiliary.running != 0U, state,
+                      pmf_auxiliary_step(&config->auxiliary, &state->auxiliary, state->network.node));
     }
 #endif
     pmf_network_step(&config->network, &state->network);
@@ -87,6 +97,11 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     if (config->auxiliary.enabled != 0U) {
         pmf_auxiliary_correct(&config->auxiliary, &state->auxiliary, config->instrument.first_column,
                               state->network.column);
+#if PMF_LATE
+        if (config->late.room != 0U) {
+            correct_direct(config, state, state->network.column);
+        }
+#endif
     }
 #endif
 #if PMF_LINEAR
@@ -186,6 +201,11 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     state->auxiliary.in_charge = PMF_BIT(in_charge, 1U);
     pmf_auxiliary_follow(auxiliary, &state->auxiliary, in_charge, state->instrument.estimate.theta, auxiliary->index);
     if (PMF_ALL(in_charge)) {
+#if PMF_LATE
+        if (config->late.room != 0U) {
+            follow_dead_time(config, state);
+        }
+#endif
         return status;
     }
     borrows = PMF_NOT(in_charge) & (state->direct.started != 0U) & ((direct_status & PMF_POOR_EXCITATION) == 0U);
@@ -193,6 +213,11 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
         borrows = borrows & PMF_NOT(trusted);
     }
     pmf_auxiliary_follow(auxiliary, &state->auxiliary, borrows, state->direct.estimate.theta, auxiliary->direct_index);
+#if PMF_LATE
+    if (config->late.room != 0U) {
+        follow_dead_time(config, state);
+    }
+#endif
     PMF_WHERE(PMF_NOT(in_charge), &state->borrowed, borrow_estimate(config, state));
     direct_status = (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK;
     return PMF_IF(in_charge, status, direct_status | (status & (PMF_RESET | PMF_UNMODELLED | PMF_FEEDBACK)));

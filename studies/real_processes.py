@@ -11,7 +11,8 @@ import numpy as np
 from pmfid.encoder import Encoder
 from pmfid.errors import PmfidError
 from pmfid.estimators.srivc import SRIVC, make_problem
-from pmfid.models.transfer_function import ESTIMATE, TransferFunction
+from pmfid.models.equation import ESTIMATE
+from pmfid.models.transfer_function import TransferFunction
 from pmfid.paper.truth import Study, Task, table
 from pmfid.simulation.process import Controller, simulate_late, simulate_loop
 from pmfid.transfer.experiment import Experiment

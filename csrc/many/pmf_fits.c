@@ -97,7 +97,8 @@ static uint32_t one_level(const pmf_config_t *config)
 
 uint32_t pmf_fits(const pmf_config_t *config)
 {
-    return network_fits(&config->network) & recursion_fits(&config->direct) & recursion_fits(&config->instrument) &
+    return (config->late.room < PMF_MAX_LATE - 1U ? 1U : 0U) & network_fits(&config->network) &
+           recursion_fits(&config->direct) & recursion_fits(&config->instrument) &
            (config->auxiliary.enabled == 0U ? 1U : auxiliary_fits(&config->auxiliary)) &
            (config->linear.enabled == 0U ? 1U : linear_fits(&config->linear) & one_level(config));
 }

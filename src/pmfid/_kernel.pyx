@@ -28,6 +28,7 @@ cdef extern from "pmf_internal.h":
         PMF_DIRECTION
         PMF_MOVING
         PMF_LATE_INPUT
+        PMF_DEAD_TIME
     # Of the configuration only what is read here: Python fills it by name from pmf.h.
     ctypedef struct pmf_network_config_t:
         uint32_t n_columns
@@ -38,6 +39,8 @@ cdef extern from "pmf_internal.h":
     ctypedef struct pmf_auxiliary_state_t:
         real_t parameter[PMF_ROLES]
         real_t velocity, position
+    ctypedef struct pmf_late_state_t:
+        real_t older, newer, part
     ctypedef struct pmf_config_t:
         pmf_network_config_t network
     ctypedef struct pmf_state_t:
@@ -56,6 +59,8 @@ cdef extern from "pmf_internal.h":
     void pmf_rebase(pmf_state_t *, uint32_t) nogil
     const pmf_estimate_t *pmf_estimate(const pmf_config_t *, const pmf_state_t *) nogil
     void pmf_clear(void *, uint32_t) nogil
+    void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *, pmf_auxiliary_state_t *, const pmf_late_state_t *,
+                                 real_t *) nogil
     void pmf_auxiliary_step(const pmf_auxiliary_config_t *, pmf_auxiliary_state_t *, real_t *) nogil
     uint32_t pmf_parameters(const pmf_config_t *) nogil
     void pmf_covariance_factor(const pmf_config_t *, const pmf_state_t *, real_t *) nogil
@@ -324,17 +329,19 @@ cdef class ManyKernel:
             pmf_many_run(&self.config, &self.layout, &many, first, end, states)
 
 
-def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, double velocity=0.0, double position=0.0):
+def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, double velocity=0.0, double position=0.0, double before=0.0):
     """The auxiliary model alone: a body with friction under a held input.
 
-    parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness); u: (n,),
-    u[k] holds for the interval k; velocity, position: at the start; a spring is slack at position 0. Returns (n,) mean velocity, signed moving fraction and moving fraction of
+    parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness, dead time [s] >= 0), those left out 0; u: (n,),
+    u[k] holds from the interval k on, the dead time later; before: input before the first; velocity, position: at the start; a spring is slack at position 0. Returns (n,) mean velocity, signed moving fraction and moving fraction of
     every interval, and the velocity at the end.
     """
     cdef pmf_auxiliary_config_t config
     cdef pmf_auxiliary_state_t state
+    cdef pmf_late_state_t late
     cdef real_t signal[PMF_SIGNALS]
-    cdef Py_ssize_t n = u.shape[0], k
+    cdef Py_ssize_t n = u.shape[0], k, whole
+    cdef double samples
     cdef cnp.ndarray[double, mode="c"] mean = np.empty(n)
     cdef cnp.ndarray[double, mode="c"] direction = np.empty(n)
     cdef cnp.ndarray[double, mode="c"] moving = np.empty(n)
@@ -342,13 +349,24 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
     pmf_clear(&state, sizeof(state))
     pmf_clear(signal, sizeof(signal))
     config.dt, config.input_gain = dt, input_gain
-    for role in range(PMF_ROLES):
+    if len(parameters) > PMF_ROLES:
+        raise ValueError(f"there are {PMF_ROLES} roles, got {len(parameters)} parameters")
+    for role in range(len(parameters)):
         state.parameter[role] = parameters[role]
     state.velocity, state.position = velocity, position
+    samples = min(max(state.parameter[PMF_DEAD_TIME] / dt, 0.0), <double> n)
+    whole = <Py_ssize_t> samples
+    late.part = samples - whole
     with nogil:
         for k in range(n):
-            signal[PMF_LATE_INPUT] = u[k]
-            pmf_auxiliary_step(&config, &state, signal)
+            if samples == 0.0:
+                signal[PMF_LATE_INPUT] = u[k]
+                pmf_auxiliary_step(&config, &state, signal)
+            else:
+                late.newer = u[k - whole] if k >= whole else before
+                late.older = u[k - whole - 1] if k > whole else before
+                signal[PMF_LATE_INPUT] = late.newer + late.part * (late.older - late.newer)
+                pmf_auxiliary_late_step(&config, &state, &late, signal)
             mean[k] = signal[PMF_AUXILIARY + PMF_VELOCITY]
             direction[k] = signal[PMF_AUXILIARY + PMF_DIRECTION]
             moving[k] = signal[PMF_AUXILIARY + PMF_MOVING]

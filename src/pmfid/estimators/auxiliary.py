@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -17,7 +18,7 @@ from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
 from pmfid.kernel.configuration import new_kernel
 from pmfid.kernel.structures import constants_of
-from pmfid.models.equation import STIFFNESS, Equation
+from pmfid.models.equation import ESTIMATE, STIFFNESS, Equation
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
@@ -39,6 +40,15 @@ CHECK_TIME_CONSTANTS = 30.0
 #: and the stretches of samples that it is taken over, two at a time, in filter time constants.
 UNEXPLAINED = 2.5
 MODEL_CHECK_TIME_CONSTANTS = 50.0
+
+
+@dataclass(frozen=True)
+class Direct(BCRLS):
+    """`BCRLS` beside an auxiliary model, which gives it the dead time that its equation is linearised at."""
+
+    @classmethod
+    def refuses(cls, equation: Equation) -> str:
+        return super().refuses(equation) if equation.dead_time != ESTIMATE else ""
 
 
 def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
@@ -74,7 +84,7 @@ def direct_estimator(estimator: Estimator) -> BCRLS:
     """The method that needs no auxiliary model: to start from, and to fall back on."""
     scheme = getattr(estimator, "forgetting_scheme", "exponential")
     symmetric = estimator.model.symmetric
-    return like(BCRLS, estimator, model=symmetric, forgetting_scheme=scheme, forgetting=1.0, forgetting_of=None)
+    return like(Direct, estimator, model=symmetric, forgetting_scheme=scheme, forgetting=1.0, forgetting_of=None)
 
 
 def make_auxiliary_kernel(
@@ -106,11 +116,11 @@ def make_auxiliary_kernel(
         "noise_power": _kept(estimator, _noise_power),
         "direct_index": _indices(direct.equation.roles),
         "index": _indices(estimator.equation.roles),
-        "initial": role_values(estimator, initial),
+        "initial": estimator.equation.role_values(initial),
         "jump_gain": 1 - math.exp(-2 / estimator.order * estimator.cutoff * estimator.dt),
         "sensitivities": len(causes),
         "cause": causes,
-        "role": [estimator.equation.roles.index(i) for i in range(p)] if causes else [],
+        "role": [estimator.equation.roles.index(i) for i in range(len(causes))],
     }
     kernel = new_kernel(
         estimator.precision,
@@ -122,6 +132,7 @@ def make_auxiliary_kernel(
         instrument=_with_check(estimator, estimator.recursion_config(p, True, forgetting, first))
         | {"growing": int(adapt)},
         auxiliary=auxiliary,
+        late=estimator.late_config,
     )
     return kernel, first
 
@@ -149,13 +160,8 @@ def _causes(equation: Equation) -> list[int]:
     the velocity back: the kernel does not follow that, and the stops count as known."""
     if equation.roles[STIFFNESS] is not None:
         return []
-    return [ACCELERATION if t.derivative == 2 else AUXILIARY + BLOCK[t.signal] for t in equation.unknown]
-
-
-def role_values(estimator: Estimator, theta: Sequence[float] | None) -> list[float]:
-    """The values of the auxiliary model's roles; 0 where there is no such parameter."""
-    roles = estimator.equation.roles
-    return [0.0 if index is None or theta is None else float(theta[index]) for index in roles]
+    terms = [term for term in equation.unknown if term.signal != "input"]  # the dead time comes last
+    return [ACCELERATION if t.derivative == 2 else AUXILIARY + BLOCK[t.signal] for t in terms]
 
 
 def _indices(roles: Sequence[int | None]) -> list[int]:

@@ -21,7 +21,7 @@ from pmfid.filters.network import Network, Taps, scaled
 from pmfid.kernel.configuration import new_kernel
 from pmfid.kernel.structures import constants_of
 from pmfid.models.drive import Model
-from pmfid.models.equation import Equation
+from pmfid.models.equation import ESTIMATE, MOST_LATE, Equation
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
@@ -87,6 +87,11 @@ class Estimator:
                 f"cutoff * dt must be at most 2, got {self.cutoff * self.dt:g}: the filters' pole would lie beyond "
                 f"what samples every {self.dt:g} s can show; use a cutoff of at most {2 / self.dt:g} rad/s"
             )
+        if self.equation.dead_time not in (0, ESTIMATE) and not self.equation.dead_time <= MOST_LATE * self.dt:
+            raise UsageError(
+                f"dead_time is {self.equation.dead_time:g} s, more than {MOST_LATE} samples: shift the input column by "
+                "whole samples, and give the rest"
+            )
         if self.settle_samples > MAX_SETTLE_SAMPLES:
             raise UsageError(
                 f"cutoff = {self.cutoff:g} rad/s is too low for dt = {self.dt:g} s: the filters would settle after "
@@ -107,6 +112,11 @@ class Estimator:
     @classmethod
     def refuses(cls, equation: Equation) -> str:
         """Why the method cannot take this equation, with a remedy; empty where it can."""
+        if equation.dead_time == ESTIMATE:
+            return (
+                f'{cls.method} does not simulate the motion, as it must where dead_time = "estimate"; use iv, riv, '
+                "output-error or interval, or give the dead time in s"
+            )
         if not equation.only_simulated:
             return ""
         return (
@@ -209,6 +219,7 @@ class Estimator:
                 direct=direct,
                 settle_samples=self.settle_samples,
                 first_samples=self.first_samples,
+                late=self.late_config,
             )
         except ValueError as error:  # more than it holds
             raise UsageError(str(error)) from None
@@ -223,6 +234,16 @@ class Estimator:
             config["guard_hold"] = min(HELD_OUT, self.settle_samples)
             config["spike"] = self.plant.spike
         return config
+
+    @property
+    def late_config(self) -> dict[str, float] | None:
+        """The part of the kernel configuration on an input that acts late; None: it acts at once."""
+        late = self.equation.dead_time
+        if not late:
+            return None
+        known = 0.0 if late == ESTIMATE else float(late)
+        room = MOST_LATE if late == ESTIMATE else math.ceil(known / self.dt)
+        return {"room": room, "rate": 1 / self.dt, "dead_time": known}
 
     @property
     def first_samples(self) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,12 +63,13 @@ class Difference:
         gain = self.equation.input_gain
         u = self.u if force is None else self.u + force / gain
         start = float(v0), float(x0 - self.y[0])  # a spring's length counts from the first count
-        velocity = _kernel64.simulate(self.roles_of(theta), gain, self.dt, u, *start)[0]
+        velocity = _kernel64.simulate(self.equation.role_values(theta), gain, self.dt, u, *start, self.before)[0]
         return x0 + np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt, velocity
 
-    def roles_of(self, theta: Sequence[float]) -> list[float]:
-        """The parameters (p,) as the simulation takes them, 0 for what the equation lacks."""
-        return [0.0 if index is None else float(theta[index]) for index in self.equation.roles]
+    @property
+    def before(self) -> float:
+        """The input before the first, of which only a dead time knows: none where the axis rests until that acts."""
+        return 0.0 if np.all(self.y[:2] == self.y[0]) else float(self.u[0])
 
     def filtered(self, signal: Floats) -> Floats:
         """The high-pass, from rest: white noise on top of a random walk leaves it white."""

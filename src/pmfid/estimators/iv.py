@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.arguments import check_arrays, check_size
-from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel, role_values
+from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
 from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.configuration import like
 from pmfid.estimators.encoder_noise import impulse_products
@@ -23,7 +23,16 @@ from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.srivc import ProcessSolver, fixed_filters
-from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, STIFFNESS, Equation
+from pmfid.models.equation import (
+    COULOMB_BACKWARD,
+    COULOMB_FORWARD,
+    ESTIMATE,
+    LATE,
+    MASS,
+    OFFSET,
+    STIFFNESS,
+    Equation,
+)
 from pmfid.status import Status
 from pmfid.transfer.solve import ProcessProblem, Solution
 
@@ -44,6 +53,8 @@ START_PART = 0.05
 REST_SAMPLES = 5
 #: Relative step of the differences for the covariance.
 JACOBIAN_STEP = 1e-3
+#: Dead times [samples] that are tried before one is estimated.
+TRIED = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0)
 #: Blocks that fade in and out hold the noise behind the filters apart from what lasts from so many times on that these
 #: take to settle.
 LASTING = 4
@@ -118,7 +129,10 @@ class IV(ProcessSolver, Simulating):
         """
         rests = self._rests(*check_arrays(u, counts), theta)
         jacobian = np.empty((theta.size, theta.size))
-        for i, step in enumerate(JACOBIAN_STEP * np.maximum(np.abs(theta), 1e-3 * np.max(np.abs(theta)))):
+        size = np.maximum(np.abs(theta), 1e-3 * np.max(np.abs(theta)))
+        if (late := self.equation.roles[LATE]) is not None:
+            size[late] = self.dt
+        for i, step in enumerate(JACOBIAN_STEP * size):
             error = []
             for side in (step, -step):
                 moved = theta + side * np.eye(theta.size)[i]
@@ -131,8 +145,33 @@ class IV(ProcessSolver, Simulating):
         """Parameters to simulate with first: the given ones, or from the counts alone; (p,)."""
         if self.initial is not None:
             return initial_vector(self.initial, self.names)
+        if self.equation.dead_time == ESTIMATE:
+            return self._start_late(u, counts)
         batch = like(BCLS, self, model=self.model.symmetric)
-        return spread(role_values(batch, list(batch.fit(u, counts).theta)), self.equation)
+        return spread(batch.equation.role_values(batch.fit(u, counts).theta), self.equation)
+
+    def _start_late(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
+        """The same with the dead time at which the simulated velocity is nearest to the measured one."""
+        found: list[tuple[float, NDArray[np.float64]]] = []
+        refused: NotIdentifiableError | None = None
+        for samples in TRIED:
+            known = like(IV, self, model=self.model.at_dead_time(samples * self.dt))
+            try:
+                theta = known.start(u, counts)
+            except NotIdentifiableError as error:
+                refused = refused or error
+                continue
+            found.append((known.mismatch(theta, u, counts), np.r_[theta, samples * self.dt]))
+        if not found:
+            raise refused or NotIdentifiableError("no start for the iteration")
+        return min(found, key=lambda pair: pair[0])[1]
+
+    def mismatch(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> float:
+        """Mean square of the filtered velocity that the model at theta (p,) lacks, over that of the measured one."""
+        columns, used, _ = self._filtered(theta, *check_arrays(u, counts), None)
+        check = auxiliary_columns(self)[3]
+        measured, modelled = columns[used, check], columns[used, check + 1]
+        return float(np.sum((measured - modelled) ** 2) / max(float(np.sum(measured**2)), TINY))
 
     def columns_at(
         self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike, rests: bool | None = None
@@ -142,9 +181,22 @@ class IV(ProcessSolver, Simulating):
         A record that begins at rest, which the model says as well, has been at rest before: its first motion counts.
         rests: does it? None: as the counts and theta say.
         """
-        u_array, counts_array = check_arrays(u, counts)
+        columns, used, status = self._filtered(theta, *check_arrays(u, counts), rests)
+        first, p = auxiliary_columns(self)[2], len(self.names)
+        columns = columns[used, first:]
+        occurred = int(np.bitwise_or.reduce(status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP)
+        return Columns(columns[:, :p], columns[:, p], columns[:, p + 1 : 2 * p + 1], used, occurred)
+
+    def _filtered(
+        self,
+        theta: NDArray[np.float64],
+        u_array: NDArray[np.float64],
+        counts_array: NDArray[np.int64],
+        rests: bool | None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.uint32]]:
+        """All columns (n, c), which rows count (n,), and the status (n,)."""
         check_size(u_array)
-        kernel, first = make_auxiliary_kernel(self, 1.0, list(theta), adapt=False)
+        kernel, _ = make_auxiliary_kernel(self, 1.0, list(theta), adapt=False)
         rests = self._rests(u_array, counts_array, theta) if rests is None else rests
         before = 2 * self.settle_samples + 1 if rests else 0
         rest = np.full(before, counts_array[:1])
@@ -152,9 +204,7 @@ class IV(ProcessSolver, Simulating):
         columns, status = columns[before:], status[before:]
         used = (status & Status.SETTLING) == 0
         used[: 0 if before else int(START_PART * used.size)] = False
-        columns, p = columns[used, first:], len(self.names)
-        occurred = int(np.bitwise_or.reduce(status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP)
-        return Columns(columns[:, :p], columns[:, p], columns[:, p + 1 : 2 * p + 1], used, occurred)
+        return columns, used, status
 
     def _rests(self, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]) -> bool:
         """Does the axis rest at first, by the counts and by the friction of theta (p,)?"""

@@ -56,7 +56,7 @@ def lacks(difference: Difference, q: Floats) -> list[Lack]:
 
 
 def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[Lack]:
-    values = difference.roles_of(list(q * difference.scale))
+    values = difference.equation.role_values(q * difference.scale)
     speed, side, usual = np.abs(v), np.sign(v), rms(v[v != 0])
     coulomb = max(
         (values[COULOMB_FORWARD] + values[COULOMB_BACKWARD]) / 2,

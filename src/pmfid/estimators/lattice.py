@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.arguments import held
-from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.difference import first_speed
 from pmfid.estimators.results import Columns
@@ -49,7 +48,7 @@ def _simulated(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[n
 
     start = first_speed(counts, estimator.dt, estimator.cutoff, 1.0)
     step, gain = estimator.encoder.resolution, estimator.equation.input_gain
-    roles = role_values(estimator, list(theta))
+    roles = estimator.equation.role_values(theta)
     velocity = _kernel64.simulate(roles, gain, estimator.dt, held(u), start * step, 0.0)[0]
     place = np.asarray(np.r_[0.0, np.cumsum(velocity[:-1])] * estimator.dt / step)
     if not np.max(np.abs(place)) < MOST_COUNTS:

@@ -163,7 +163,7 @@ class Following(Simulating, BatchEstimator):
         inertia = max(mass, drag * dt)  # less of it shows within a sample only
         natural = np.array([inertia, drag, drag, force, force, force, force / travel])
         size = np.abs(theta)
-        for index, smallest in zip(self.equation.roles, 0.01 * natural, strict=True):
+        for index, smallest in zip(self.equation.roles, np.r_[0.01 * natural, dt], strict=True):
             if index is not None:
                 size[index] = max(size[index], smallest)
         scale, pole = np.r_[size, travel, travel * self.cutoff], self.drift_cutoff or self.cutoff

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pmfid.estimators.base import Estimator
-from pmfid.models.equation import Equation
+from pmfid.models.equation import ESTIMATE, Equation
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class Simulating(Estimator):
 
     @classmethod
     def refuses(cls, equation: Equation) -> str:
-        refused = super().refuses(equation)
+        refused = super().refuses(equation) if equation.dead_time != ESTIMATE else ""
         if refused or not equation.without_simulation:
             return refused
         return (

@@ -15,8 +15,8 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.estimators.results import Fit
-from pmfid.models.equation import Equation
-from pmfid.models.transfer_function import ESTIMATE, MAX_DELAY, TransferFunction
+from pmfid.models.equation import ESTIMATE, Equation
+from pmfid.models.transfer_function import MAX_DELAY, TransferFunction
 from pmfid.transfer.confidence import covariance
 from pmfid.transfer.dead_time import after, solve_dead_time
 from pmfid.transfer.experiment import Experiment

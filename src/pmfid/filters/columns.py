@@ -117,6 +117,8 @@ class ColumnBuilder:
         if term.signal in PROCESS_SIGNALS:
             return self.process(term)
         block = 0 if source == "measured" else AUXILIARY
+        if term.signal in HELD and term.derivative == 1:
+            return self._rate(HELD[term.signal] + block)
         if term.signal in HELD:
             return self._hold(HELD[term.signal] + block)
         if term.signal in SPLIT:
@@ -196,6 +198,13 @@ class ColumnBuilder:
     def model_acceleration(self) -> Taps:
         """The filtered mean acceleration of the auxiliary model, exactly."""
         return self._hold(ACCELERATION)
+
+    def _rate(self, source: int) -> Taps:
+        """The filtered derivative of a held signal."""
+        spec = self.spec
+        if spec.discretization == "matched":
+            return self._derivative(source, 1)
+        return hold_exact(self.network, source, spec.cutoff, spec.order, spec.dt, 1)
 
     def _hold(self, source: int) -> Taps:
         spec = self.spec

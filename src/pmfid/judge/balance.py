@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from scipy.signal import lfilter
 
-from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.difference import rms
 from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import long_run_covariance
@@ -130,7 +129,7 @@ class Balance:
 
     def model_friction(self, velocity: Floats) -> Floats:
         """Friction [N] that the model has at a velocity (n,) [m/s]."""
-        _, *friction = role_values(self.estimator, list(self.theta))
+        _, *friction = self.estimator.equation.role_values(self.theta)
         forward = friction[0] * velocity + friction[2]
         return np.where(velocity > 0, forward, friction[1] * velocity - friction[3])
 
@@ -184,7 +183,7 @@ def encoder_response(balance: Balance) -> tuple[Floats, Floats]:
     change = np.zeros(2 * estimator.settle_samples)
     change[:2] = 1 / estimator.dt, -1 / estimator.dt
     *_, before, velocity = low_pass(estimator, change)
-    viscous = role_values(estimator, list(balance.theta))[1]
+    viscous = estimator.equation.role_values(balance.theta)[1]
     return velocity, balance.theta[estimator.equation.leading] * estimator.cutoff * (
         before - velocity
     ) + viscous * velocity

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.estimators.arguments import held
-from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV
@@ -54,7 +53,7 @@ def simulated_velocity(estimator: IV, theta: Floats, u: Floats) -> Floats:
     """Mean velocity (n,) [m/s] of every interval, from rest, under the input u (n,) alone."""
     from pmfid import _kernel64
 
-    roles = role_values(estimator, list(theta))
+    roles = estimator.equation.role_values(theta)
     return np.asarray(_kernel64.simulate(roles, estimator.equation.input_gain, estimator.dt, u)[0])
 
 

@@ -31,13 +31,15 @@ def new_kernel(
     instrument: Values | None = None,
     auxiliary: Values | None = None,
     linear: Values | None = None,
+    late: Values | None = None,
 ) -> Kernel:
     """A kernel in its initial state.
 
     stages: rows (source, a, b0, b1); columns: per column a list of (node, weight); encoder, direct, instrument,
-    auxiliary, linear: the fields of the C structures by name; without the last two there is no model that is simulated,
-    and no `instrument`. first_samples: settle_samples where not given. Raises ValueError where a size is exceeded, a
-    field is missing or unknown, or the kernel finds the numbers impossible.
+    auxiliary, linear, late: the fields of the C structures by name; without auxiliary and linear there is no model that
+    is simulated, and no `instrument`; without late the input acts at once. first_samples: settle_samples where not
+    given. Raises ValueError where a size is exceeded, a field is missing or unknown, or the kernel finds the numbers
+    impossible.
     """
     from pmfid import _kernel32, _kernel64
 
@@ -51,6 +53,7 @@ def new_kernel(
         "direct": direct,
         "auxiliary": auxiliary,
         "linear": linear,
+        "late": late,
         "instrument": instrument,
     }
     fill(config, values)

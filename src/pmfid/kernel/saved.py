@@ -43,13 +43,15 @@ def shape_of(config: Structured) -> Shape:
         max_columns=columns,
         max_order=int(linear["n"]) if linear["enabled"] else 1,
         window_blocks=constants["PMF_WINDOW_BLOCKS"] if constants["PMF_WINDOW"] in schemes else 0,
+        max_late=int(config["late"]["room"]) + 2 if config["late"]["room"] else 1,
+        with_dead_time=int(config["late"]["room"] > 0),
         with_auxiliary=int(config["auxiliary"]["enabled"]),
         with_linear=int(linear["enabled"]),
         with_process=int(process),
         with_guard=int(config["encoder"]["guard"] > 0),
         with_separate=int(constants["PMF_SEPARATE"] in schemes),
         with_endless=int(any(long_memory(recursion) for recursion in recursions)),
-        with_split=int(bool(process) or any(node in split_signals() for node in nodes)),
+        with_split=int(bool(process) or config["late"]["room"] > 0 or any(node in split_signals() for node in nodes)),
         with_noise=int(noise),
     )
 

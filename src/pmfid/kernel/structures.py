@@ -51,6 +51,8 @@ class Shape:
     max_columns: int
     max_order: int
     window_blocks: int
+    max_late: int
+    with_dead_time: int
     with_auxiliary: int
     with_linear: int
     with_process: int

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
-from typing import ClassVar, Protocol
+from typing import ClassVar, Literal, Protocol
 
 from pmfid.errors import UsageError
-from pmfid.models.equation import Equation, Term
+from pmfid.models.equation import Equation, Term, check_dead_time
 
 FRICTIONS = ("symmetric", "directional")
 
@@ -24,6 +24,10 @@ class Model(Protocol):
     @property
     def symmetric(self) -> Model:
         """The model that can be identified before the directions of motion are told apart."""
+        ...
+
+    def at_dead_time(self, seconds: float) -> Model:
+        """The same with a known dead time of the input [s]."""
         ...
 
 
@@ -43,6 +47,9 @@ class EquationModel:
     def symmetric(self) -> EquationModel:
         return EquationModel(self.equation.symmetric)
 
+    def at_dead_time(self, seconds: float) -> EquationModel:
+        return EquationModel(self.equation.at_dead_time(seconds))
+
 
 @dataclass(frozen=True)
 class Drive:
@@ -57,6 +64,8 @@ class Drive:
     directional: mass, viscous_friction_forward, viscous_friction_backward, coulomb_friction_forward,
     coulomb_friction_backward [, stiffness]. With directional friction the offset cannot be told from the two Coulomb
     frictions and must stay out.
+    dead_time: by which u acts late, or the counts are [s], any part of a sample; "estimate": a parameter, too, up to 20
+    samples, for the methods that simulate (iv, riv, output-error, interval).
     Friction that falls with speed near standstill (Stribeck) is not in the model: the status says `unmodelled`.
     Raises UsageError for an input gain that is 0 or not finite, an unknown friction, or both of the last.
     """
@@ -67,6 +76,7 @@ class Drive:
     offset: bool = False
     friction: str = "symmetric"
     spring: bool = False
+    dead_time: float | Literal["estimate"] = 0.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.input_gain, Real) or not 1e-30 < abs(self.input_gain) < 1e30:
@@ -74,6 +84,7 @@ class Drive:
                 f"input_gain must be finite and not 0, got {self.input_gain!r}; "
                 "it is the force per unit of input, 1 where the input is the force itself"
             )
+        check_dead_time(self.dead_time)
         if self.friction not in FRICTIONS:
             raise UsageError(f"friction must be one of {FRICTIONS}, got {self.friction!r}")
         if self.friction == "directional" and self.offset:
@@ -89,7 +100,8 @@ class Drive:
             unknown.append(Term("moving", 0, "offset", "N"))
         if self.spring:
             unknown.append(Term("output", 0, "stiffness", "N/m"))
-        return Equation(tuple(unknown), (Term("input", 0, coefficient=self.input_gain),))
+        known = (Term("input", 0, coefficient=self.input_gain),)
+        return Equation(tuple(unknown), known, dead_time=self.dead_time)
 
     @property
     def symmetric(self) -> Drive:
@@ -97,6 +109,9 @@ class Drive:
         if self.friction == "symmetric":
             return self
         return replace(self, friction="symmetric", offset=True)
+
+    def at_dead_time(self, seconds: float) -> Drive:
+        return replace(self, dead_time=seconds)
 
 
 _FRICTION_TERMS = {

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Real
 from typing import Literal, get_args
 
 from pmfid.errors import UsageError, did_you_mean
+from pmfid.types import Floats
 
 #: `output`: the measured position; `input`: what drives the plant; `direction`: sign of the velocity, at a
 #: reversal inside a sample as the signed moving fraction; `moving`: 1 while the plant moves (a constant load);
@@ -33,6 +36,7 @@ PROCESS_SIGNALS = ("process_output", "process_input", "constant", "start")
 #: Highest and lowest derivative of the signals that have any; the others hold for a sampling interval and have none.
 DERIVATIVES = {
     "output": (0, 2),
+    "input": (0, 1),
     "forward_output": (1, 1),
     "backward_output": (1, 1),
     "process_output": (0, 6),
@@ -65,18 +69,25 @@ ROLES: tuple[tuple[tuple[Signal, int], ...], ...] = (
     (("direction", 0), ("backward", 0)),
     (("moving", 0),),
     (("output", 0),),
+    (("input", 1),),
 )
-MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, OFFSET, STIFFNESS = range(7)
-#: Roles that are never negative: inertia and friction.
-POSITIVE_ROLES = (MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD)
+MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, OFFSET, STIFFNESS, LATE = range(8)
+#: Roles that are never negative: inertia, friction and dead time.
+POSITIVE_ROLES = (MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, LATE)
+DEAD_TIME = "dead_time"
+#: In place of a dead time that is to be found.
+ESTIMATE: Literal["estimate"] = "estimate"
+#: Longest dead time, in samples.
+MOST_LATE = 20
 
 
 @dataclass(frozen=True)
 class Term:
     """coefficient * d^derivative signal / dt^derivative, the coefficient unknown (it has a name) or known.
 
-    signal: see `Signal`. derivative: 0 to 2 of `output`, 1 of `forward_output` and `backward_output`, else 0. The
-    output itself counts from its first sample on. Of a process: 0 to 6 of the output, less than that of the input.
+    signal: see `Signal`. derivative: 0 to 2 of `output`, 1 of `forward_output` and `backward_output`, else 0, or 1 of
+    `input` for a dead time, see `Equation`. The output itself counts from its first sample on. Of a process: 0 to 6 of
+    the output, less than that of the input.
     name, unit: of an unknown coefficient; None, if it is known. coefficient: the known value; for an unknown one a
     factor, as -1 for the other side. Raises UsageError for another signal, derivative or value.
     """
@@ -121,6 +132,9 @@ class Equation:
     The order is the highest derivative of the output. delay: of the input, in whole samples; of a process only.
     only_simulated: of a process, why only methods that simulate it can estimate it; empty if others can.
     further: names and units of unknowns in which it is not linear, for such methods.
+    dead_time: by which the input of a machine acts late [s], any part of a sample; "estimate": it is unknown, too, and
+    the equation has a further unknown term, dead_time times the derivative of the input: what it is to first order,
+    around the dead time of the model that is simulated. Late counts are the same as a late input.
     Raises UsageError where there is no unknown or no known term, where two unknowns share a name, where an unknown
     term has no name or a known one has, and where a term stands twice.
     """
@@ -130,9 +144,11 @@ class Equation:
     delay: int = 0
     only_simulated: str = ""
     further: tuple[tuple[str, str], ...] = ()
+    dead_time: float | Literal["estimate"] = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "unknown", tuple(self.unknown))
+        self._check_dead_time()
+        object.__setattr__(self, "unknown", (*self.unknown, *self._late()))
         object.__setattr__(self, "known", tuple(self.known))
         names = [term.name for term in self.unknown]
         if not self.unknown or not self.known or None in names or len(set(names)) < len(names):
@@ -152,6 +168,34 @@ class Equation:
         places = [(term.signal, term.derivative) for term in (*self.unknown, *self.known)]
         if len(set(places)) < len(places):
             raise UsageError("a signal's derivative stands in two terms of the equation, which cannot be told apart")
+
+    def _check_dead_time(self) -> None:
+        check_dead_time(self.dead_time)
+        if self.dead_time and self.process:
+            raise UsageError("the dead time of a linear process is that of its TransferFunction; leave dead_time out")
+
+    def _late(self) -> tuple[Term, ...]:
+        """The term of a dead time that is to be found, where it is not there yet."""
+        late = [term for term in self.unknown if (term.signal, term.derivative) == ("input", 1)]
+        if late and self.dead_time != ESTIMATE:
+            raise UsageError('the derivative of the input is the term of a dead time: write dead_time = "estimate"')
+        if late or self.dead_time != ESTIMATE:
+            return ()
+        gains = [term.coefficient for term in self.known if (term.signal, term.derivative) == ("input", 0)]
+        return (Term("input", 1, DEAD_TIME, "s", gains[0]),) if gains else ()
+
+    def at_dead_time(self, seconds: float) -> Equation:
+        """The same equation with a known dead time [s]."""
+        unknown = tuple(term for term in self.unknown if (term.signal, term.derivative) != ("input", 1))
+        return replace(self, unknown=unknown, dead_time=seconds)
+
+    def role_values(self, theta: Sequence[float] | Floats | None) -> list[float]:
+        """What the simulated body takes for each role: of the parameters (p,), 0 for those that the equation lacks, and
+        the dead time also where it is known; None: that alone."""
+        known = [0.0 if index is None or theta is None else float(theta[index]) for index in self.roles]
+        if self.dead_time != ESTIMATE:
+            known[LATE] = self.dead_time
+        return known
 
     def _check_process(self) -> None:
         terms = (*self.unknown, *self.known)
@@ -235,14 +279,16 @@ class Equation:
         kept = [term for term, apart in zip(self.unknown, split, strict=True) if not apart]
         there = {(term.signal, term.derivative) for term in kept}
         merged = [term for term in SYMMETRIC if (term.signal, term.derivative) not in there]
-        return Equation((*kept, *merged), self.known)
+        return replace(self, unknown=(*kept, *merged))
 
     @property
     def text(self) -> str:
         """In one line, for people."""
         if not self.process:
-            left = [f"{term.name} {term.reads}" for term in self.unknown]
-            return f"{' + '.join(left)} = {' + '.join(f'{t.coefficient:.9g} {t.reads}' for t in self.known)}"
+            left = [f"{term.name} {term.reads}" for term in self.unknown if term.signal != "input"]
+            late = DEAD_TIME if self.dead_time == ESTIMATE else f"{self.dead_time:.9g} s"
+            driven = " + ".join(f"{term.coefficient:.9g} {term.reads}" for term in self.known)
+            return f"{' + '.join(left)} = {driven}" + (f", u from {late} before" if self.dead_time else "")
         # its output's highest derivative is the known term, and the input's side has factors -1
         highest = Term("process_output", self.order).reads
         left, right = (
@@ -265,6 +311,13 @@ class Equation:
         if any(len(signals & {way, way.replace("for", "back")}) == 1 for way in ("forward", "forward_output")):
             return "it has friction in one direction only"
         return ""
+
+
+def check_dead_time(value: object) -> None:
+    """Raises UsageError unless it is a time [s] or "estimate"."""
+    number = isinstance(value, Real) and not isinstance(value, bool) and 0 <= float(value) < math.inf
+    if not number and value != ESTIMATE:
+        raise UsageError(f'dead_time must be a time in s from 0 on, or "estimate", got {value!r}')
 
 
 #: What takes the place of terms that tell the directions apart.

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from numbers import Integral, Real
+from dataclasses import dataclass, replace
+from numbers import Integral
 from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
-from pmfid.models.equation import Equation, Term
+from pmfid.models.equation import DEAD_TIME, ESTIMATE, Equation, Term, check_dead_time
 
 MAX_ORDER = 6
 MAX_DELAY = 20
-DEAD_TIME = "dead_time"
-#: In place of a dead time that is to be found.
-ESTIMATE: Literal["estimate"] = "estimate"
 
 
 @dataclass(frozen=True)
@@ -66,9 +62,7 @@ class TransferFunction:
 
     def _check_dead_time(self) -> None:
         value = self.dead_time
-        number = isinstance(value, Real) and not isinstance(value, bool) and 0 <= value < math.inf
-        if not number and value != ESTIMATE:
-            raise UsageError(f'dead_time must be a time in s from 0 on, or "estimate", got {value!r}')
+        check_dead_time(value)
         if value and self.delay:
             raise UsageError(
                 f"delay = {self.delay} and dead_time = {value!r} are both there: count one into the other, and drop it"
@@ -98,6 +92,9 @@ class TransferFunction:
     @property
     def symmetric(self) -> TransferFunction:
         return self
+
+    def at_dead_time(self, seconds: float) -> TransferFunction:
+        return replace(self, dead_time=seconds)
 
     def split(self, theta: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Numerator (m+1,) and denominator (n+1,) in descending powers of s, the first of these 1, from theta (p,)."""

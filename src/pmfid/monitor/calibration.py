@@ -17,7 +17,6 @@ import numpy as np
 
 from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.base import Estimator
 from pmfid.monitor.detectors import EDGE, ChiSquare, Cusum, Detector, Glr, PageHinkley, statistics
 from pmfid.monitor.reference import noisier, resampled
@@ -173,7 +172,7 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
     """Counts (n,) of the model at theta (p,) under u (n,); phase: of the start on the lattice, in counts."""
     from pmfid._kernel64 import simulate
 
-    mean = simulate(role_values(estimator, list(theta)), estimator.equation.input_gain, estimator.dt, u)[0]
+    mean = simulate(estimator.equation.role_values(theta), estimator.equation.input_gain, estimator.dt, u)[0]
     position = np.concatenate([[0.0], np.cumsum(mean[:-1] * estimator.dt)])
     if not np.max(np.abs(position)) < MOST_COUNTS * estimator.encoder.resolution:
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.estimators.auxiliary import make_auxiliary_kernel, role_values
+from pmfid.estimators.auxiliary import make_auxiliary_kernel
 from pmfid.estimators.base import Estimator
 from pmfid.kernel.saved import take_guard
 from pmfid.status import Status
@@ -75,7 +75,7 @@ def reference_kernel(estimator: Estimator, theta: Sequence[float]) -> tuple[Kern
 def start_blocks(estimator: Estimator, theta: Floats) -> int:
     """Blocks that count for nothing after a start or a gap, while the model's velocity is not yet that of the plant: it
     comes near with the plant's own time constant, mass over viscous friction."""
-    mass, viscous = role_values(estimator, list(theta))[:2]
+    mass, viscous = estimator.equation.role_values(theta)[:2]
     time = START_TIME_CONSTANTS * mass / max(viscous, 1e-300)
     return 1 + min(MOST_START_BLOCKS, math.ceil(time / (block_samples(estimator) * estimator.dt)))
 

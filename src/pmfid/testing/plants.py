@@ -15,8 +15,17 @@ from pmfid.encoder import Encoder, quantize
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.models.drive import Model
-from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, MASS, OFFSET, STIFFNESS, VISCOUS_FORWARD
-from pmfid.models.transfer_function import DEAD_TIME, ESTIMATE, TransferFunction
+from pmfid.models.equation import (
+    COULOMB_BACKWARD,
+    COULOMB_FORWARD,
+    DEAD_TIME,
+    ESTIMATE,
+    MASS,
+    OFFSET,
+    STIFFNESS,
+    VISCOUS_FORWARD,
+)
+from pmfid.models.transfer_function import TransferFunction
 from pmfid.types import Counts, Floats
 
 T = TypeVar("T", bound=np.generic)
