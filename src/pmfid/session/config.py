@@ -16,6 +16,7 @@ from pmfid.estimators import Method
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation, Signal, Term
 from pmfid.models.transfer_function import TransferFunction
+from pmfid.monitor.names import DetectorName
 from pmfid.session.toml_file import FileSection, load_sections
 
 __all__ = ["Axis", "check_sampling", "load_axis"]
@@ -229,7 +230,7 @@ class MonitorConfig(FileSection):
         None,
         description="the normal value of every parameter, { mass = 1.07, ... }, or leave it out: from the reference",
     )
-    detector: Literal["cusum", "page-hinkley", "glr", "chi-square"] = Field("glr", description="the detector")
+    detector: DetectorName = Field("glr", description="the detector")
     mtbf_hours: float = Field(
         24.0, ge=0.1, le=1e6, description="the mean time between false alarms in hours, for example 24.0"
     )
