@@ -3,7 +3,8 @@ not."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import ClassVar
 
@@ -17,7 +18,8 @@ from pmfid.monitor.detectors import Cusum, Detector, make_detectors
 from pmfid.monitor.names import DETECTORS
 from pmfid.monitor.scores import Scale
 from pmfid.report.monitored_figures import calibration_figure
-from pmfid.session.config import MonitorConfig
+from pmfid.session import arrays
+from pmfid.session.config import Axis, MonitorConfig, load_axis
 from pmfid.session.monitored import cache
 
 TAIL = Tail(1.0, 1.0, 1.0, 10.0, (3.0, 2.0))
@@ -76,3 +78,105 @@ def test_the_figure_of_thresholds_leaves_no_detector_out() -> None:
     (legend,) = figure.legends
     labels = [text.get_text() for text in legend.get_texts()]
     assert labels[:9] == [f"{names[0]} (in use)", *names[1:]]
+
+
+# --- a key of [model] -------------------------------------------------------------------------------------------------
+
+
+class StoppedError(Exception):
+    """Before anything is identified."""
+
+
+#: Other values than the default one of each field of a model; a new field needs a line.
+DRIVE = {"input_gain": 3.0, "offset": True, "friction": "directional", "spring": True}
+PROCESS = {"n": 3, "m": 2, "delay": 4, "offset": True, "integrators": 1, "unstable": True, "dead_time": 0.25}
+TERM = {"signal": "forward_output", "derivative": 1, "name": "d", "unit": "N s/m", "coefficient": 2.5}
+#: What a model needs beside a field.
+PLAIN: dict[type, dict[str, object]] = {pmfid.Drive: {"input_gain": 2.0}, pmfid.TransferFunction: {"n": 2, "m": 0}}
+FIELDS = [(pmfid.Drive, {name: value}) for name, value in DRIVE.items()]
+FIELDS += [(pmfid.TransferFunction, {name: value}) for name, value in PROCESS.items()]
+
+
+def model_of(cls: type, field: dict[str, object]) -> pmfid.Drive | pmfid.TransferFunction:
+    model = cls(**(PLAIN[cls] | ({"n": 3, "m": 2} if "m" in field else {}) | field))
+    assert model != cls(**PLAIN[cls])
+    return model
+
+
+def equation_model(**known: object) -> pmfid.EquationModel:
+    """One whose unknown terms differ from a plain one in every field."""
+    own = pmfid.Term(**TERM)
+    unknown = (pmfid.Term("output", 2, "m", "kg", -1.0), own, pmfid.Term("direction", 0, "F"))
+    return pmfid.EquationModel(pmfid.Equation(unknown, (pmfid.Term("input", 0, **known),)))
+
+
+def from_python(model: object, monkeypatch: pytest.MonkeyPatch) -> object:
+    """What `pmfid.identify` identifies, by way of AXIS.toml's [model]."""
+    seen: list[Axis] = []
+
+    def run(_: object, axis: Axis) -> None:
+        seen.append(axis)
+        raise StoppedError
+
+    monkeypatch.setattr(arrays, "run", run)
+    encoder = None if isinstance(model, pmfid.TransferFunction) else pmfid.Encoder(1e-4)
+    with pytest.raises(StoppedError):
+        pmfid.identify(np.ones(100), np.arange(100), model=model, dt=0.01, cutoff=20.0, encoder=encoder)
+    return seen[0].model.make()
+
+
+def from_toml(keys: dict[str, object], tmp_path: Path) -> object:
+    section = "\n".join(f"{key} = {toml(value)}" for key, value in keys.items())
+    path = tmp_path / "axis.toml"
+    path.write_text(
+        '[record]\ninput = "u"\noutput = "x"\ntime = "t"\n[encoder]\nresolution = 1e-4\n'
+        f"[estimator]\ncutoff = 20.0\n[model]\n{section}\n"
+    )
+    return load_axis(path).model.make()
+
+
+def toml(value: object) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {toml(item)}" for key, item in value.items()) + " }"
+    return f"[{', '.join(map(toml, value))}]" if isinstance(value, list) else json.dumps(value)
+
+
+def test_every_field_of_a_model_is_tried_here() -> None:
+    """`initial_conditions` are refused in one sentence: the starts are always part of the fit there."""
+    assert set(DRIVE) == {field.name for field in fields(pmfid.Drive)}
+    assert {*PROCESS, "initial_conditions"} == {field.name for field in fields(pmfid.TransferFunction)}
+    assert set(TERM) == {field.name for field in fields(pmfid.Term)}
+    assert all(TERM[field.name] != field.default for field in fields(pmfid.Term))
+
+
+@pytest.mark.parametrize(("cls", "field"), FIELDS, ids=str)
+def test_a_field_of_a_model_arrives_from_python_and_from_a_file(
+    cls: type, field: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A field that one of them forgets is dropped without a word, and another plant is identified."""
+    model = model_of(cls, field)
+    assert from_python(model, monkeypatch) == model
+    keys = {name: getattr(model, name) for name in {**PLAIN[cls], **field}}
+    assert from_toml({"kind": model.kind, **keys}, tmp_path) == model
+
+
+def test_terms_arrive_from_python_and_from_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = equation_model(coefficient=0.7)
+    assert from_python(model, monkeypatch) == model
+    unknown = [{field.name: getattr(term, field.name) for field in fields(term)} for term in model.equation.unknown]
+    keys = {"kind": "equation", "unknown": unknown, "known": [{"signal": "input", "coefficient": 0.7}]}
+    assert from_toml(keys, tmp_path) == model
+
+
+def test_the_unit_of_a_known_term_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert from_python(equation_model(unit="V"), monkeypatch) == equation_model()
+
+
+@pytest.mark.parametrize("further", [{"delay": 3}, {"only_simulated": "a reason"}, {"further": (("late", "s"),)}])
+def test_what_no_file_says_of_an_equation_is_refused(further: dict[str, object]) -> None:
+    """It was dropped: a dead time of three samples was none."""
+    terms = (pmfid.Term("process_output", 0, "a0"), pmfid.Term("process_input", 0, "b0", coefficient=-1.0))
+    known = (pmfid.Term("process_output", 1, coefficient=-1.0),)
+    model = pmfid.EquationModel(pmfid.Equation(terms, known, **further))
+    with pytest.raises(pmfid.UsageError, match="TransferFunction"):
+        pmfid.identify(np.ones(100), np.arange(100), model=model, dt=0.01, cutoff=20.0, encoder=pmfid.Encoder(1e-4))
