@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import pmfid
+from pmfid.cli.main import identify
 from pmfid.cli.monitor import monitor
 from pmfid.monitor.calibration import Calibration, Tail
 from pmfid.monitor.detectors import Cusum, Detector, make_detectors
@@ -20,7 +21,10 @@ from pmfid.monitor.scores import Scale
 from pmfid.report.monitored_figures import calibration_figure
 from pmfid.session import arrays
 from pmfid.session.config import Axis, MonitorConfig, load_axis
+from pmfid.session.formats import FORMATS, SPOKEN
+from pmfid.session.formats.reading import READERS
 from pmfid.session.monitored import cache
+from tests.hostile import records
 
 TAIL = Tail(1.0, 1.0, 1.0, 10.0, (3.0, 2.0))
 
@@ -180,3 +184,14 @@ def test_what_no_file_says_of_an_equation_is_refused(further: dict[str, object])
     model = pmfid.EquationModel(pmfid.Equation(terms, known, **further))
     with pytest.raises(pmfid.UsageError, match="TransferFunction"):
         pmfid.identify(np.ones(100), np.arange(100), model=model, dt=0.01, cutoff=20.0, encoder=pmfid.Encoder(1e-4))
+
+
+# --- a file format ----------------------------------------------------------------------------------------------------
+
+
+def test_every_format_has_a_reader_is_told_of_and_is_attacked() -> None:
+    """`test_records.py` and `test_unpacked.py` go through the same list."""
+    assert set(READERS) == set(FORMATS)
+    assert set(records.WRITERS) == set(FORMATS)
+    assert SPOKEN in str(identify.help)
+    assert SPOKEN in (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")

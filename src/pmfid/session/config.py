@@ -72,7 +72,7 @@ class RecordConfig(FileSection):
     dt: Positive | None = Field(None, description="the sample period in s, for example 1e-3")
     input_scale: Annotated[float | str, AfterValidator(_usable_scale)] = Field(
         1.0,
-        description="a factor, u = input_scale * column, or the name of a scalar variable in the .mat file",
+        description="a factor, u = input_scale * column, or the name of a scalar variable in the file",
     )
 
     @model_validator(mode="after")
