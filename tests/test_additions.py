@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, get_args
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ import pytest
 import pmfid
 from pmfid.cli.main import identify
 from pmfid.cli.monitor import monitor
+from pmfid.models.signals import SIGNALS, Signal
 from pmfid.monitor.calibration import Calibration, Tail
 from pmfid.monitor.detectors import Cusum, Detector, make_detectors
 from pmfid.monitor.names import DETECTORS
@@ -184,6 +185,17 @@ def test_what_no_file_says_of_an_equation_is_refused(further: dict[str, object])
     model = pmfid.EquationModel(pmfid.Equation(terms, known, **further))
     with pytest.raises(pmfid.UsageError, match="TransferFunction"):
         pmfid.identify(np.ones(100), np.arange(100), model=model, dt=0.01, cutoff=20.0, encoder=pmfid.Encoder(1e-4))
+
+
+# --- a signal ---------------------------------------------------------------------------------------------------------
+
+
+def test_every_signal_has_its_facts() -> None:
+    """And holds for an interval or has derivatives: a term of it can be made, and reads as something."""
+    assert tuple(SIGNALS) == get_args(Signal)
+    for signal, facts in SIGNALS.items():
+        for derivative in range(facts.derivatives[0], facts.derivatives[1] + 1):
+            assert pmfid.Term(signal, derivative).reads == facts.reads + "'" * derivative
 
 
 # --- a file format ----------------------------------------------------------------------------------------------------

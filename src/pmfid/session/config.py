@@ -15,7 +15,8 @@ from pydantic import AfterValidator, Field, model_validator
 from pmfid.errors import UsageError
 from pmfid.estimators import Method
 from pmfid.models.drive import Drive, EquationModel, Model
-from pmfid.models.equation import Equation, Signal, Term
+from pmfid.models.equation import Equation, Term
+from pmfid.models.signals import Signal
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.monitor.names import DetectorName
 from pmfid.session.toml_file import FileSection, load_sections
