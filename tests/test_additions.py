@@ -4,6 +4,7 @@ not."""
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import ClassVar, get_args
@@ -27,6 +28,7 @@ from pmfid.session.formats.reading import READERS
 from pmfid.session.monitored import cache
 from tests.hostile import records
 
+REPOSITORY = Path(__file__).parents[1]
 TAIL = Tail(1.0, 1.0, 1.0, 10.0, (3.0, 2.0))
 
 
@@ -37,12 +39,14 @@ def bcrls() -> pmfid.BCRLS:
 # --- a detector -------------------------------------------------------------------------------------------------------
 
 
-def test_every_detector_is_made_and_every_file_and_option_may_name_it() -> None:
+def test_every_detector_is_made_and_told_of_and_every_file_and_option_may_name_it() -> None:
     assert set(make_detectors(0.9)) == set(DETECTORS)
     (option,) = (parameter for parameter in monitor.params if parameter.name == "detector")
     assert tuple(option.to_info_dict()["type"]["choices"]) == DETECTORS
+    choosing = (REPOSITORY / "docs/monitoring.md").read_text(encoding="utf-8").partition("## Choosing")[2]
     for name in DETECTORS:
         assert MonitorConfig(detector=name).detector == name
+        assert f"`{name}`" in choosing.partition("\n## ")[0]
 
 
 @dataclass(frozen=True)
@@ -206,4 +210,16 @@ def test_every_format_has_a_reader_is_told_of_and_is_attacked() -> None:
     assert set(READERS) == set(FORMATS)
     assert set(records.WRITERS) == set(FORMATS)
     assert SPOKEN in str(identify.help)
-    assert SPOKEN in (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    assert SPOKEN in (REPOSITORY / "README.md").read_text(encoding="utf-8")
+
+
+# --- the recipes ------------------------------------------------------------------------------------------------------
+
+
+def test_every_file_that_a_recipe_names_is_there() -> None:
+    recipes = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8").partition("## Adding things")[2]
+    named = set(re.findall(r"`([\w./-]*\w\.(?:py|pyi|pyx|pxd|pxi|c|h|md|toml|in))`", recipes))
+    there = [f"/{path}" for folder in ("src", "csrc", "tests", "docs") for path in (REPOSITORY / folder).rglob("*")]
+    there += [f"/{path}" for path in REPOSITORY.iterdir()]
+    assert len(named) > 30
+    assert {name for name in named if not any(path.endswith(f"/{name}") for path in there)} == set()
