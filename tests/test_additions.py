@@ -43,9 +43,10 @@ def test_every_detector_is_made_and_told_of_and_every_file_and_option_may_name_i
     assert set(make_detectors(0.9)) == set(DETECTORS)
     (option,) = (parameter for parameter in monitor.params if parameter.name == "detector")
     assert tuple(option.to_info_dict()["type"]["choices"]) == DETECTORS
-    choosing = (REPOSITORY / "docs/monitoring.md").read_text(encoding="utf-8").partition("## Choosing")[2]
+    steps, _, choosing = (REPOSITORY / "docs/monitoring.md").read_text(encoding="utf-8").partition("## Choosing")
     for name in DETECTORS:
         assert MonitorConfig(detector=name).detector == name
+        assert name in steps.partition("# detector =")[2].partition("\n")[0]
         assert f"`{name}`" in choosing.partition("\n## ")[0]
 
 
