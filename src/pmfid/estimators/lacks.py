@@ -15,6 +15,7 @@ from pmfid.estimators.difference import Difference, rms
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,
+    LATE,
     MASS,
     OFFSET,
     STIFFNESS,
@@ -28,7 +29,7 @@ LEAST_FRICTION = 0.02
 #: Speeds, as parts of the root mean square one, over which Stribeck friction falls.
 STRIBECK_SPEEDS = (0.03, 0.1, 0.3)
 #: What a machine may well have: parts of Coulomb friction, of viscous friction, of the motor's force, of a sample.
-STRIBECK, UNEVEN, CURVED, LATE = 0.3, 0.15, 0.15, 0.5
+STRIBECK, UNEVEN, CURVED, LATE_BY = 0.3, 0.15, 0.15, 0.5
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,9 @@ def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[Lack]:
 def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator[Lack]:
     gain, u, roles = difference.equation.input_gain, difference.u, difference.equation.roles
     late = gain * np.diff(u, prepend=u[0]) / difference.dt
-    yield Lack("dead_time", "a dead time, or a lag, of the input", "", late, LATE * difference.dt)
+    if roles[LATE] is None:
+        cure = 'set dead_time = "estimate" in [model]'
+        yield Lack("dead_time", "a dead time, or a lag, of the input", cure, late, LATE_BY * difference.dt)
     place = (x - np.mean(x)) / max(float(np.ptp(x)), np.finfo(float).tiny)
     yield Lack("uneven_way", "friction that differs along the travel", "", np.sign(v) * place, 0.0)
     if roles[STIFFNESS] is None:

@@ -71,9 +71,14 @@ def check_positive(name: str, value: float | None) -> None:
         raise UsageError(f"limit {name} must be positive and finite, got {value}; leave it out where there is none")
 
 
+#: Of a drive, what no design takes.
+NOT_YET = {"spring": "a load on a spring", "dead_time": "an input that acts late"}
+
+
 def check_parameters(problem: Posed) -> None:
-    if problem.drive.spring:
-        raise UsageError("a design for a load on a spring is not there yet; leave spring out")
+    for key, what in NOT_YET.items():
+        if getattr(problem.drive, key):
+            raise UsageError(f"a design for {what} is not there yet; leave {key} out")
     known = problem.drive.equation.names
     for name in (*problem.names, *problem.nominal, *(name for case in problem.scenarios for name in case)):
         if name not in known:

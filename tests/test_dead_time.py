@@ -1,0 +1,190 @@
+"""An input that acts late, by any part of a sample: known, estimated, and found where the model has none."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid import IV, OE, RIV, Drive, Encoder, IntervalML, Status, UsageError
+from pmfid.estimators.adequacy import examine
+from pmfid.kernel.structures import constants_of
+from pmfid.models import equation
+from pmfid.models.equation import Equation, Term
+from pmfid.simulation.drive import DriveParameters
+from pmfid.simulation.machine import Machine, MachineRun, control_machine, drive_machine
+
+#: Gain, mass, viscous and Coulomb friction, sample period, input, travel per count, cutoff.
+CART = (2.0, 1.07, 12.8, 0.8, 0.01, 3.0, 9.2e-5, 20.0)
+WHEEL = (0.031, 2.6e-5, 4e-5, 1.5e-3, 0.002, 0.4, 2 * np.pi / 2048, 40.0)
+STAGE = (58.0, 41.0, 120.0, 16.0, 0.005, 1.6, 1e-5, 15.0)
+AXES = {"cart": CART, "wheel": WHEEL, "stage": STAGE}
+
+
+@cache
+def prbs(axis: str, late: float, seed: int = 1) -> MachineRun:
+    gain, mass, viscous, coulomb, dt, size, step, _ = AXES[axis]
+    rng = np.random.default_rng(seed)
+    u = size * np.repeat(rng.choice([-1.0, 1.0], 300), 6)
+    machine = Machine(DriveParameters(mass, viscous, coulomb, gain), dead_time=late * dt)
+    return drive_machine(machine, u, dt, step, phase=rng.uniform(0, step))
+
+
+@cache
+def strokes(late: float, seed: int = 1) -> MachineRun:
+    """The cart under position control, from place to place."""
+    gain, mass, viscous, coulomb, dt, _, step, _ = CART
+    rng = np.random.default_rng(seed)
+    places = np.cumsum(rng.uniform(0.1, 0.3, 14) * np.resize([1.0, -1.0], 14))
+    blend = np.linspace(0, 1, 80) ** 2 * (3 - 2 * np.linspace(0, 1, 80))
+    reference = np.concatenate(
+        [np.r_[a + (b - a) * blend, np.full(40, b)] for a, b in zip(np.r_[0.0, places[:-1]], places, strict=True)]
+    )
+    machine = Machine(DriveParameters(mass, viscous, coulomb, gain), dead_time=late * dt)
+    return control_machine(machine, reference, dt, step, kp=150.0, kd=5.0, u_max=12.0, phase=rng.uniform(0, step))
+
+
+def made(method: type, axis: str, late: float | str) -> pmfid.IV:
+    gain, _, _, _, dt, _, step, cutoff = AXES[axis]
+    return method(Drive(gain, dead_time=late), Encoder(step), dt, cutoff)
+
+
+def truth(axis: str) -> np.ndarray:
+    return np.array(AXES[axis][1:4])
+
+
+@pytest.mark.parametrize("late", [0.0, 0.3, 2.0, 4.6])
+@pytest.mark.parametrize("axis", AXES)
+def test_iv_finds_the_dead_time_and_the_rest_is_as_without_one(axis: str, late: float) -> None:
+    run, dt = prbs(axis, late), AXES[axis][4]
+    fit = made(IV, axis, "estimate").fit(run.u, run.counts)
+    assert fit.names[-1] == "dead_time"
+    assert fit.theta[-1] / dt == pytest.approx(late, abs=0.02)
+    np.testing.assert_allclose(fit.theta[:3] / truth(axis), 1.0, atol=0.02)
+    assert np.all(np.abs(fit.theta[:3] - truth(axis)) < 4 * fit.theta_std[:3] + 1e-3 * truth(axis))
+
+
+@pytest.mark.parametrize("method", [OE, IntervalML])
+@pytest.mark.parametrize("late", [0.0, 1.4])
+def test_methods_that_follow_the_whole_motion_find_it_under_control(method: type, late: float) -> None:
+    run = strokes(late)
+    fit = made(method, "cart", "estimate").fit(run.u, run.counts)
+    assert fit.theta[-1] / 0.01 == pytest.approx(late, abs=0.02)
+    np.testing.assert_allclose(fit.theta[:3] / truth("cart"), 1.0, atol=0.005)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.7, 3.2])
+@pytest.mark.parametrize("axis", AXES)
+def test_riv_finds_it_from_zero_on(axis: str, late: float) -> None:
+    run, dt = prbs(axis, late), AXES[axis][4]
+    track = made(RIV, axis, "estimate").run(run.u, run.counts)
+    assert track.theta[-1, -1] / dt == pytest.approx(late, abs=0.05)
+    np.testing.assert_allclose(track.theta[-1, :3] / truth(axis), 1.0, atol=0.03)
+    assert not track.status[-1] & Status.UNMODELLED
+
+
+def test_a_dead_time_that_changes_is_followed() -> None:
+    first, second = prbs("cart", 0.4), prbs("cart", 1.6, seed=2)
+    track = made(RIV, "cart", "estimate")
+    forgetful = type(track)(track.model, track.encoder, track.dt, track.cutoff, forgetting=0.995)
+    u = np.r_[first.u, second.u]
+    counts = np.r_[first.counts, second.counts - second.counts[0] + first.counts[-1]]
+    found = forgetful.run(u, counts).theta
+    assert found[first.u.size - 1, -1] / 0.01 == pytest.approx(0.4, abs=0.05)
+    assert found[-1, -1] / 0.01 == pytest.approx(1.6, abs=0.05)
+
+
+@pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, IV, OE])
+def test_a_known_dead_time_leaves_nothing_of_its_bias(method: type) -> None:
+    run = prbs("cart", 1.3)
+    known, none = (made(method, "cart", late).fit(run.u, run.counts).theta for late in (0.013, 0.0))
+    np.testing.assert_allclose(known / truth("cart"), 1.0, atol=0.03)
+    assert abs(none[0] / 1.07 - 1) > 0.2
+
+
+@pytest.mark.parametrize("method", [pmfid.RLS, pmfid.BCRLS, RIV])
+def test_a_known_dead_time_on_line(method: type) -> None:
+    run = prbs("cart", 1.3)
+    track = made(method, "cart", 0.013).run(run.u, run.counts)
+    np.testing.assert_allclose(track.theta[-1] / truth("cart"), 1.0, atol=0.03)
+
+
+def test_one_that_is_not_in_the_model_is_named_with_the_remedy_and_the_remedy_helps() -> None:
+    run = prbs("stage", 0.6)
+    found = examine(made(IV, "stage", 0.0), run.u, run.counts)
+    assert not found.adequate
+    assert 'dead_time = "estimate"' in found.says
+    assert examine(made(IV, "stage", "estimate"), run.u, run.counts).adequate
+
+
+def test_from_arrays_to_json() -> None:
+    run = prbs("cart", 0.7)
+    result = pmfid.identify(
+        run.u, run.counts, model=Drive(2.0, dead_time="estimate"), encoder=Encoder(CART[6]), dt=0.01, cutoff=20.0
+    )
+    assert result["dead_time"] == pytest.approx(0.007, abs=2e-4)
+    told = json.loads(result.to_json())
+    assert told["parameters"]["dead_time"]["unit"] == "s"
+
+
+def test_saved_states_go_on_with_the_same_bits_and_hold_the_inputs_that_are_still_to_act() -> None:
+    run = prbs("cart", 3.4)
+    one = made(RIV, "cart", "estimate")
+    one.run(run.u[:900], run.counts[:900])
+    other = made(RIV, "cart", "estimate")
+    other.set_state(one.get_state())
+    np.testing.assert_array_equal(
+        one.run(run.u[900:], run.counts[900:]).theta, other.run(run.u[900:], run.counts[900:]).theta
+    )
+
+
+def test_many_axes_have_the_bits_of_one() -> None:
+    runs = [prbs("cart", late) for late in (0.0, 0.7, 1.3)]
+    u, counts = np.array([run.u for run in runs]), np.array([run.counts for run in runs])
+    many = made(RIV, "cart", "estimate").run_many(u, counts)
+    for i, run in enumerate(runs):
+        alone = made(RIV, "cart", "estimate").run(run.u, run.counts)
+        np.testing.assert_array_equal(np.asarray(many.theta)[i, -1], alone.theta[-1])
+
+
+def test_an_export_without_one_has_no_trace_of_it(tmp_path: Path) -> None:
+    from pmfid.export.firmware import export_firmware
+
+    for late, with_it in ((0.0, 0), (0.02, 1)):
+        folder = tmp_path / str(with_it)
+        export_firmware(made(RIV, "cart", late), folder)
+        assert f"#define PMF_WITH_DEAD_TIME {with_it}" in (folder / "pmf_sizes.h").read_text()
+
+
+@pytest.mark.parametrize("value", [-0.01, float("nan"), float("inf"), "guess", True, None])
+def test_what_is_no_time_is_refused(value: object) -> None:
+    with pytest.raises(UsageError, match="dead_time must be a time in s from 0 on"):
+        Drive(2.0, dead_time=value)  # type: ignore[arg-type]
+
+
+def test_refusals_have_a_remedy() -> None:
+    with pytest.raises(UsageError, match="use iv, riv, output-error or interval"):
+        made(pmfid.LS, "cart", "estimate")
+    with pytest.raises(UsageError, match="shift the input column by whole samples"):
+        made(IV, "cart", 0.21)
+    with pytest.raises(UsageError, match='write dead_time = "estimate"'):
+        Equation((Term("output", 2, "m"), Term("input", 1, "late")), (Term("input"),))
+
+
+def test_the_equation_says_it_and_takes_it_out_again() -> None:
+    late = Drive(2.0, dead_time="estimate").equation
+    assert "u from dead_time before" in late.text
+    assert late.at_dead_time(0.0) == Drive(2.0).equation
+    assert Drive(2.0, dead_time=0.004).equation.role_values(None)[equation.LATE] == 0.004
+
+
+def test_roles_have_the_kernels_numbers() -> None:
+    numbers, names = constants_of(None), ["MASS", "VISCOUS_FORWARD", "VISCOUS_BACKWARD", "COULOMB_FORWARD"]
+    for name in (*names, "COULOMB_BACKWARD", "OFFSET", "STIFFNESS"):
+        assert getattr(equation, name) == numbers[f"PMF_{name}"]
+    assert numbers["PMF_DEAD_TIME"] == equation.LATE
+    assert numbers["PMF_ROLES"] == len(equation.ROLES)
