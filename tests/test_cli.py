@@ -23,6 +23,7 @@ from pmfid import Drive
 from pmfid.cli.main import main
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
+from pmfid.session.formats import SUFFIXES
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, make_scenario, write_csv
 from pmfid.simulation.drive import Schedule, quantize, simulate_drive
 
@@ -171,7 +172,7 @@ def test_record_missing_or_a_directory_or_of_unknown_type(tmp_path: Path, cart: 
     assert "Is a directory; give the path of a data file" in bad(tmp_path)
     other = tmp_path / "run.xlsx"
     other.write_bytes(cart.csv.read_bytes())
-    assert "use one of .csv, .parquet, .mat" in bad(other)
+    assert f"use one of {', '.join(SUFFIXES)}" in bad(other)
 
 
 # --- configurations and options that cannot be used -----------------------------------------------------------------

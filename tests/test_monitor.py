@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from pmfid import BCRLS, IV, RIV, RLS, Drive, Encoder, Status, UsageError
-from pmfid.monitor.calibration import Calibration, calibrate, fit_tail, make_detectors, noise_ratio
+from pmfid.monitor.calibration import Calibration, calibrate, fit_tail, noise_ratio
 from pmfid.monitor.cause import explain
-from pmfid.monitor.detectors import DETECTORS, Cusum, Glr, PageHinkley, statistics
+from pmfid.monitor.detectors import Cusum, Glr, PageHinkley, make_detectors, statistics
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, WATCHING, Alarm, Settled, StateChange, Watch
 from pmfid.monitor.monitor import Monitor
+from pmfid.monitor.names import DETECTORS
 from pmfid.monitor.scores import Blocks, ScoreFilter, make_scale, scores
 from pmfid.simulation import CART, CART_DT, Schedule, position_control, prbs, quantize, resolution_of, simulate_drive
 from pmfid.simulation.scenarios import CART_CONTROL

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from pmfid.estimators.iv import IV
-from pmfid.monitor.calibration import Calibration, block_keep, calibrate, fit_record_tail, fit_tail, make_detectors
-from pmfid.monitor.detectors import DETECTORS, EDGE
+from pmfid.monitor.calibration import Calibration, block_keep, calibrate, fit_record_tail, fit_tail
+from pmfid.monitor.detectors import EDGE, make_detectors
+from pmfid.monitor.names import DETECTORS
 from pmfid.monitor.reference import PIECE, noisier, resampled
 from pmfid.monitor.scores import block_samples, scores
 from pmfid.session.monitored.setup import calibration_notes

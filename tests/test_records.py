@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import scipy.io
 
 from pmfid.errors import UsageError
 from pmfid.session.config import Axis, load_axis
+from pmfid.session.formats import SUFFIXES
 from pmfid.session.records import MIN_SAMPLES, Record, read_record
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -45,13 +47,15 @@ def columns(n: int = 20) -> dict[str, Any]:
     return {"t": k * DT, "u": np.cos(0.3 * k), "y": counts * 1e-3, "counts": counts}
 
 
+WRITERS: dict[str, Callable[[Path, dict[str, Any]], object]] = {
+    ".csv": lambda path, data: pl.DataFrame(data).write_csv(path),
+    ".parquet": lambda path, data: pl.DataFrame(data).write_parquet(path),
+    ".mat": scipy.io.savemat,
+}
+
+
 def write(path: Path, data: dict[str, Any]) -> Path:
-    if path.suffix == ".mat":
-        scipy.io.savemat(path, data)
-    elif path.suffix == ".csv":
-        pl.DataFrame(data).write_csv(path)
-    else:
-        pl.DataFrame(data).write_parquet(path)
+    WRITERS[path.suffix](path, data)
     return path
 
 
@@ -76,7 +80,7 @@ def edited(values: np.ndarray, row: int, value: float) -> np.ndarray:
     return copy
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat", ".CSV"])
+@pytest.mark.parametrize("suffix", [*SUFFIXES, ".CSV"])
 def test_good_files_of_every_kind_give_the_same_record(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"run{suffix}"
     write(tmp_path / f"run{suffix.lower()}", columns()).rename(path)
@@ -179,7 +183,7 @@ def test_bits_without_counts_is_noted(tmp_path: Path) -> None:
     assert read_record(csv(tmp_path), make_axis(encoder_bits=8)).notes == ("bits is ignored, the output is a position",)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+@pytest.mark.parametrize("suffix", SUFFIXES)
 def test_missing_column_lists_the_available_ones(tmp_path: Path, suffix: str) -> None:
     text = message(write(tmp_path / f"run{suffix}", columns()), make_axis(record_output="count"))
     assert text.startswith("[record] output = 'count': there is no such column; available are t, u, y, counts")
@@ -244,7 +248,7 @@ def test_csv_with_a_row_too_long(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("n", "text"), [(0, "0 samples"), (1, "1 sample,"), (MIN_SAMPLES - 1, "9 samples")])
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+@pytest.mark.parametrize("suffix", SUFFIXES)
 def test_too_few_samples(tmp_path: Path, n: int, text: str, suffix: str) -> None:
     path = write(tmp_path / f"run{suffix}", columns(n))
     found = message(path)
@@ -256,7 +260,7 @@ def test_ten_samples_are_enough_to_read(tmp_path: Path) -> None:
     assert len(read_record(write(tmp_path / "run.csv", columns(MIN_SAMPLES)), make_axis()).u) == MIN_SAMPLES
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+@pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("content", [b"", b" \n"])
 def test_empty_file(tmp_path: Path, suffix: str, content: bytes) -> None:
     path = tmp_path / f"run{suffix}"
@@ -264,7 +268,7 @@ def test_empty_file(tmp_path: Path, suffix: str, content: bytes) -> None:
     assert "the file is empty" in message(path)
 
 
-@pytest.mark.parametrize("suffix", [".parquet", ".mat"])
+@pytest.mark.parametrize("suffix", [suffix for suffix in SUFFIXES if suffix != ".csv"])
 @pytest.mark.parametrize("fraction", [0.01, 0.3, 0.9, 0.999])
 def test_truncated_file(tmp_path: Path, suffix: str, fraction: float) -> None:
     path = write(tmp_path / f"run{suffix}", columns(200))
@@ -273,7 +277,7 @@ def test_truncated_file(tmp_path: Path, suffix: str, fraction: float) -> None:
     assert f"not a readable {suffix} file, truncated or corrupt" in message(path)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+@pytest.mark.parametrize("suffix", SUFFIXES)
 def test_content_of_another_type(tmp_path: Path, suffix: str) -> None:
     other = write(tmp_path / ("other.mat" if suffix == ".csv" else "other.csv"), columns(200))
     path = tmp_path / f"run{suffix}"
@@ -283,7 +287,7 @@ def test_content_of_another_type(tmp_path: Path, suffix: str) -> None:
 
 def test_unknown_file_type(tmp_path: Path) -> None:
     path = csv(tmp_path).rename(tmp_path / "run.xlsx")
-    assert message(path) == "file type '.xlsx' is not known; use one of .csv, .parquet, .mat"
+    assert message(path) == f"file type '.xlsx' is not known; use one of {', '.join(SUFFIXES)}"
 
 
 def test_missing_file_and_directory(tmp_path: Path) -> None:
@@ -416,7 +420,7 @@ def test_matlab_vectors_of_different_length(tmp_path: Path) -> None:
     assert "the columns differ in length: {'u': 19, 'y': 20, 't': 20}" in message(path)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+@pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize(("key", "column"), [("input", "u"), ("output", "y"), ("time", "t")])
 @pytest.mark.parametrize("value", [np.nan, -np.inf])
 def test_values_that_are_not_finite(tmp_path: Path, suffix: str, key: str, column: str, value: float) -> None:
@@ -502,7 +506,8 @@ def test_input_scale_variable_missing_or_in_a_csv(tmp_path: Path) -> None:
     text = message(path, make_axis(record_input_scale="gian"))
     assert "input_scale = 'gian': there is no such column" in text
     assert "did you mean 'gain'?" in text
-    assert "only a .mat file has scalar variables" in message(csv(tmp_path), make_axis(record_input_scale="y"))
+    text = message(csv(tmp_path), make_axis(record_input_scale="y"))
+    assert text == "[record] input_scale = 'y' is a column and no scalar variable; give a number"
 
 
 def test_no_motion_and_constant_input_are_no_errors(tmp_path: Path) -> None:

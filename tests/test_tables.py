@@ -16,8 +16,9 @@ from pmfid.cli.main import main
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError, printable
 from pmfid.session.config import load_axis
+from pmfid.session.formats.reading import read_table
 from pmfid.session.records import read_experiment
-from pmfid.session.tables import column, read_table
+from pmfid.session.tables import column
 from tests.test_front import CART, PROCESS
 
 

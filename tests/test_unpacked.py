@@ -15,13 +15,16 @@ import polars as pl
 import pytest
 import scipy.io
 
+from pmfid.session.formats import SUFFIXES
+
 #: Rows of the columns below, and how many times their bytes a reader may take.
 ROWS, MOST = 1_000_000, 10
 READ = """
 import resource, sys
 from pathlib import Path
 from pmfid.errors import UsageError
-from pmfid.session.tables import column, read_table
+from pmfid.session.formats.reading import read_table
+from pmfid.session.tables import column
 import polars, scipy.io
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 try:
@@ -53,7 +56,10 @@ def csv(path: Path, u: np.ndarray) -> None:
     pl.DataFrame({"u": u, "y": u, **{f"spare{k}": u for k in range(5)}}).write_csv(path)
 
 
-@pytest.mark.parametrize("write", [mat, parquet, csv], ids=lambda write: write.__name__)
+WRITERS: list[Callable[[Path, np.ndarray], None]] = [mat, parquet, csv]
+
+
+@pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
 def test_a_column_takes_a_few_times_its_size(tmp_path: Path, write: Callable[[Path, np.ndarray], None]) -> None:
     path = tmp_path / f"run.{write.__name__}"
     write(path, np.arange(ROWS) % 7 / 8)
@@ -67,6 +73,12 @@ BOMBS: dict[str, Callable[[Path], object]] = {
     "zeros.mat": lambda path: scipy.io.savemat(path, {"u": np.zeros(60_000_000)}, do_compression=True),
     "rows.parquet": lambda path: pl.DataFrame({"u": pl.repeat(0, 60_000_000, eager=True)}).write_parquet(path),
 }
+
+
+def test_every_format_is_tried_here() -> None:
+    """What is packed inside has a bomb."""
+    assert {f".{write.__name__}" for write in WRITERS} == set(SUFFIXES)
+    assert {Path(name).suffix for name in BOMBS} == set(SUFFIXES) - {".csv"}
 
 
 @pytest.mark.parametrize("name", BOMBS)

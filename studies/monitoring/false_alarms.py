@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.monitor.calibration import Calibration, block_keep, make_detectors
-from pmfid.monitor.detectors import Detector
+from pmfid.monitor.calibration import Calibration, block_keep
+from pmfid.monitor.detectors import Detector, make_detectors
 from pmfid.monitor.scores import block_samples, scores
 from pmfid.simulation.scenarios import CART_DT
 from pmfid.types import Floats

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pmfid.monitor.calibration import Calibration
-from pmfid.monitor.detectors import DETECTORS
+from pmfid.monitor.names import DETECTORS
 from studies.monitoring import detection, false_alarms, page
 from studies.monitoring.axis import CALIBRATIONS, INCREMENTS, calibrated
 from studies.monitoring.detection import MTBF_HOURS

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from pmfid.estimators import METHODS
-from pmfid.models.equation import DERIVATIVES
+from pmfid.models.signals import SIGNALS
+from pmfid.monitor.names import DETECTORS
 from tests.hostile.plants import Columns
 
 Rng = np.random.Generator
@@ -59,7 +60,7 @@ def monitor(rng: Rng, facts: Columns) -> str:
     section = {
         **some(rng, 0.95, reference=["normal.csv"]),
         **some(rng, 0.15, nominal=[nominal, nominal, {"mass": 1.0}, dict.fromkeys(names, 0.0), {}]),
-        **some(rng, 0.2, detector=["cusum", "page-hinkley", "glr", "chi-square"], tolerance=[0.0, 0.02, 0.999]),
+        **some(rng, 0.2, detector=list(DETECTORS), tolerance=[0.0, 0.02, 0.999]),
         **some(rng, 0.1, mtbf_hours=[0.1, 24.0, 1e6]),
     }
     return text_of(rng, {"monitor": section})
@@ -96,12 +97,12 @@ def _drive(rng: Rng, facts: Columns) -> Columns:
 
 
 def _equation(rng: Rng, facts: Columns) -> Columns:
-    signals = ["output", "direction", "moving", "forward", "backward", "forward_output", "backward_output", "input"]
+    signals = sorted((name for name, facts in SIGNALS.items() if not facts.of_process), key="input".__eq__)
     terms = [{"signal": "output", "derivative": 2, "name": "m"}, {"signal": "output", "derivative": 1, "name": "d"}]
     terms += [{"signal": "direction", "name": "c", "unit": str(rng.choice(["N", "[b]", "$\\frac$", "µ*/"]))}]
     if rng.random() < 0.5:
-        signal = str(rng.choice(signals))
-        low, high = DERIVATIVES.get(signal, (0, 0))  # type: ignore[call-overload]
+        signal = signals[rng.integers(len(signals))]
+        low, high = SIGNALS[signal].derivatives
         derivative = int(rng.integers(low, high + 2 if rng.random() < 0.1 else high + 1))
         terms.append({"signal": signal, "derivative": derivative, "name": f"p{derivative}"})
     kept = [term for term in terms if rng.random() > 0.15]

@@ -12,7 +12,7 @@ import numpy as np
 
 import pmfid
 from pmfid.errors import UsageError
-from pmfid.models.equation import Signal
+from pmfid.models.signals import Signal
 from tests.firmware.build import GCC, REQUIRED, WARNINGS, command
 
 #: Input and counts of the self-test: it is not run.

@@ -137,24 +137,23 @@ def as_csv(rng: Rng, columns: Columns) -> bytes:
 
 def as_file(rng: Rng, columns: Columns, folder: Path) -> tuple[str, bytes]:
     """A record as a file: name and bytes, of which some may be missing, wrong, or packed."""
-    kind = str(rng.choice(["csv", "parquet", "mat"], p=[0.7, 0.15, 0.15]))
-    if kind == "csv":
-        data = as_csv(rng, columns)
-    elif kind == "parquet":
-        how = str(rng.choice(["zstd", "gzip", "snappy", "uncompressed"]))
-        _frame(columns).write_parquet(folder / "drawn.parquet", compression=how)  # type: ignore[arg-type]
-        data = (folder / "drawn.parquet").read_bytes()
-    else:
-        data = _mat(rng, columns, folder)
+    kind = str(rng.choice(list(WRITERS), p=[part for part, _ in WRITERS.values()]))
+    data = WRITERS[kind][1](rng, columns, folder)
     if rng.random() < 0.08:
         data = damaged(rng, data)
     stem = str(rng.choice(["run", "a b", "run[red]", "größe", "esc\x1b[31m"], p=[0.9, 0.03, 0.03, 0.02, 0.02]))
-    end = str(rng.choice([kind, kind.upper(), "csv", "gz", "txt"], p=[0.92, 0.02, 0.03, 0.01, 0.02]))
-    return f"{stem}.{end}", data
+    ends = [kind, kind.upper(), ".csv", ".gz", ".txt"]
+    return f"{stem}{rng.choice(ends, p=[0.92, 0.02, 0.03, 0.01, 0.02])}", data
 
 
 def _frame(columns: Columns) -> pl.DataFrame:
     return pl.DataFrame({name: pl.Series(values, strict=False) for name, values in columns.items()})
+
+
+def _parquet(rng: Rng, columns: Columns, folder: Path) -> bytes:
+    how = str(rng.choice(["zstd", "gzip", "snappy", "uncompressed"]))
+    _frame(columns).write_parquet(folder / "drawn.parquet", compression=how)  # type: ignore[arg-type]
+    return (folder / "drawn.parquet").read_bytes()
 
 
 def _mat(rng: Rng, columns: Columns, folder: Path) -> bytes:
@@ -166,6 +165,14 @@ def _mat(rng: Rng, columns: Columns, folder: Path) -> bytes:
         named[name] = odd[rng.integers(len(odd))]
     scipy.io.savemat(folder / "drawn.mat", named, do_compression=bool(rng.random() < 0.5))
     return (folder / "drawn.mat").read_bytes()
+
+
+#: Suffix -> the part of the files that have it, and their bytes.
+WRITERS: dict[str, tuple[float, Callable[[Rng, Columns, Path], bytes]]] = {
+    ".csv": (0.7, lambda rng, columns, _: as_csv(rng, columns)),
+    ".parquet": (0.15, _parquet),
+    ".mat": (0.15, _mat),
+}
 
 
 def damaged(rng: Rng, data: bytes) -> bytes:

@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
+from pmfid.session.formats import SPOKEN
 from tests.hostile.commands import COMMANDS
 from tests.hostile.verdict import DONE, NOT_IDENTIFIABLE, USAGE, Verdict, judge
 
@@ -20,7 +21,7 @@ PAGE = """# Hostile input
 
 Written by `make study`. {cases} calls of `pmfid`, each with files and options drawn at random from valid and broken
 parts (`tests/hostile/commands.py`): every command; six plants, drives, equations and transfer functions; short records
-as CSV, Parquet and MATLAB files, packed, damaged, with another ending; pipes with what loggers do; AXIS.toml, its
+as {formats} files, packed, damaged, with another ending; pipes with what loggers do; AXIS.toml, its
 [monitor], and SPEC.toml with keys left out, of the wrong type, zero, huge, not finite; columns missing, exchanged,
 scaled, empty, as text, with NaN; rows left out, repeated, reversed; counters that wrap; options of no, another or 400
 digits' value; places that are taken or not there; names with control characters. Every warning counts as an error, and
@@ -69,7 +70,7 @@ def page(verdicts: list[Verdict]) -> str:
     """The page of so many calls."""
     from tests.hostile.verdict import HANGS, RUN_TIME
 
-    return PAGE.format(cases=len(verdicts), rows="\n".join(rows(verdicts)), hangs=HANGS, run=RUN_TIME)
+    return PAGE.format(cases=len(verdicts), rows="\n".join(rows(verdicts)), hangs=HANGS, run=RUN_TIME, formats=SPOKEN)
 
 
 def rows(verdicts: list[Verdict]) -> list[str]:

@@ -18,6 +18,7 @@ from pmfid.cli.reproduce import reproduce
 from pmfid.cli.simulate import simulate
 from pmfid.errors import PmfidError, printable
 from pmfid.estimators import METHODS
+from pmfid.session.formats import SPOKEN
 
 EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
 #: More threads for products of small matrices only wait for each other: a search took four times as long.
@@ -77,7 +78,15 @@ def _open_closed_streams() -> None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
-@main.command(short_help="Identify the parameters of a record.")
+@main.command(
+    short_help="Identify the parameters of a record.",
+    help=f"""Identify the parameters of RECORD, a {SPOKEN} file.
+
+    Of a transfer function several records make one estimate.
+
+    Exit code 0: an estimate; 2: wrong usage or unreadable input; 3: the data cannot identify the parameters.
+    """,
+)
 @RECORDS
 @CONFIG
 @click.option(
@@ -109,12 +118,7 @@ def _open_closed_streams() -> None:
 def identify(
     records: tuple[Path, ...], config: Path, quantize: float | None, out: Path | None, as_json: bool, **options: object
 ) -> None:
-    """Identify the parameters of RECORD, a CSV, Parquet or MATLAB .mat file.
-
-    Of a transfer function several records make one estimate.
-
-    Exit code 0: an estimate; 2: wrong usage or unreadable input; 3: the data cannot identify the parameters.
-    """
+    """Identify the parameters of a record."""
     from pmfid.session.config import load_axis
     from pmfid.session.identify import identify as run
     from pmfid.session.identify import kind_of

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pmfid.monitor.names import DETECTORS
+
 if TYPE_CHECKING:
     from pmfid.session.config import Axis
     from pmfid.session.kinds import Progress
@@ -29,9 +31,7 @@ if TYPE_CHECKING:
     help="With a section [monitor] that names a record of normal work.",
 )
 @click.option("--mtbf-hours", type=float, metavar="H", help="Mean time between false alarms.")
-@click.option(
-    "--detector", type=click.Choice(("cusum", "page-hinkley", "glr", "chi-square")), help="What looks for a change."
-)
+@click.option("--detector", type=click.Choice(DETECTORS), help="What looks for a change.")
 @click.option("--tolerance", type=float, metavar="PART", help="Relative deviation that is no change.")
 @click.option(
     "--out",

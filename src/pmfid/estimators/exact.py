@@ -26,8 +26,8 @@ SETTLED = 1e-12
 #: ... and from which on they are taken to have settled where rounding or noise goes on.
 CLOSE = 1e-6
 OUTPUTS = ("output", "process_output")
-#: Signals that hold for an interval, and what they are made from.
-HELD = ("input", "process_input", "direction", "moving", "constant")
+#: What it makes, and what the terms on the right are made from, in the order of its rows.
+SOURCES = ("input", "process_input", "direction", "moving", "constant")
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Exact:
     def at(self, theta: Floats) -> Pass:
         """Columns around the equation's own denominator at theta (p,)."""
         A, held = self._denominator(theta), self._held(theta)
-        found = respond_exactly(A, held, np.array([self.signals[name] for name in HELD]), self.filter.dt)
+        found = respond_exactly(A, held, np.array([self.signals[name] for name in SOURCES]), self.filter.dt)
         F, p = self.filter, len(self.equation.unknown)
         inputs = [F.equation(response, A) for response in found.responses]
         phi, slope, known = np.zeros((p, self.y.size)), np.zeros((p, self.y.size)), np.zeros(self.y.size)
@@ -90,16 +90,18 @@ class Exact:
     def _held(self, theta: Floats) -> list[ExactTerm]:
         """All other terms on the right."""
         terms = [
-            ExactTerm(HELD.index(term.signal), term.derivative, -term.coefficient * value, column)
+            ExactTerm(SOURCES.index(term.signal), term.derivative, -term.coefficient * value, column)
             for column, (term, value) in enumerate(zip(self.equation.unknown, theta, strict=True))
-            if term.signal in HELD
+            if term.signal in SOURCES
         ]
-        known = [term for term in self.equation.known if term.signal in HELD]
-        return terms + [ExactTerm(HELD.index(term.signal), term.derivative, term.coefficient, None) for term in known]
+        known = [term for term in self.equation.known if term.signal in SOURCES]
+        return terms + [
+            ExactTerm(SOURCES.index(term.signal), term.derivative, term.coefficient, None) for term in known
+        ]
 
     def _main(self, held: list[ExactTerm]) -> int:
         """The term of the input itself, that instruments are made from."""
-        names = [HELD[term.source] for term in held]
+        names = [SOURCES[term.source] for term in held]
         return next(i for i, name in enumerate(names) if name in ("input", "process_input"))
 
     def _instruments(self, zeta: Floats, signal: Floats) -> None:
@@ -117,8 +119,10 @@ def make_exact(estimator: Estimator, u: Floats, y: Floats) -> Exact:
     """The record u, y: (n,), for an equation of outputs and held signals, at rest at the start."""
     equation = estimator.equation
     names = {term.signal for term in (*equation.unknown, *equation.known)}
-    if not names <= {*OUTPUTS, *HELD}:
-        raise UsageError(f"the exact discretisation takes no terms of {sorted(names - {*OUTPUTS, *HELD})}; use matched")
+    if not names <= {*OUTPUTS, *SOURCES}:
+        raise UsageError(
+            f"the exact discretisation takes no terms of {sorted(names - {*OUTPUTS, *SOURCES})}; use matched"
+        )
     if "process_output" not in names:  # a position counts from its first sample
         y = y - y[0]
     late = np.r_[np.zeros(equation.delay), u][: u.size]

@@ -39,10 +39,11 @@ from pmfid.filters.network import (
     Taps,
     scaled,
 )
-from pmfid.models.equation import PROCESS_SIGNALS, Equation, Term
+from pmfid.models.equation import Equation, Term
 
-#: Signals that hold for a sampling interval, as nodes of the block from the counts.
+#: The nodes of signals that hold for a sampling interval, in the block from the counts.
 HELD = {"input": INPUT, "direction": DIRECTION, "moving": MOVING, "forward": FORWARD, "backward": BACKWARD}
+#: ... and of the velocity in one direction.
 SPLIT = {"forward_output": FORWARD_VELOCITY, "backward_output": BACKWARD_VELOCITY}
 #: The measured velocity, split by the direction of the auxiliary model.
 SPLIT_BY_MODEL = {"forward_output": SPLIT_FORWARD, "backward_output": SPLIT_BACKWARD}
@@ -114,7 +115,7 @@ class ColumnBuilder:
 
     def term(self, term: Term, source: str) -> Taps:
         """The filtered derivative that the term stands for, one sample late."""
-        if term.signal in PROCESS_SIGNALS:
+        if term.facts.of_process:
             return self.process(term)
         block = 0 if source == "measured" else AUXILIARY
         if term.signal in HELD:

@@ -5,56 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, get_args
 
 from pmfid.errors import UsageError, did_you_mean
-
-#: `output`: the measured position; `input`: what drives the plant; `direction`: sign of the velocity, at a
-#: reversal inside a sample as the signed moving fraction; `moving`: 1 while the plant moves (a constant load);
-#: `forward`, `backward`: 1 while it moves forward, -1 while it moves backward; `forward_output`, `backward_output`:
-#: the position as far as it changes in that direction. Of a linear process, where rest means nothing:
-#: `process_output`, from count zero; `process_input`, held; `constant`: 1; `start`: an impulse at the first sample.
-Signal = Literal[
-    "output",
-    "input",
-    "direction",
-    "moving",
-    "forward",
-    "backward",
-    "forward_output",
-    "backward_output",
-    "process_output",
-    "process_input",
-    "constant",
-    "start",
-]
-PROCESS_SIGNALS = ("process_output", "process_input", "constant", "start")
-
-#: Highest and lowest derivative of the signals that have any; the others hold for a sampling interval and have none.
-DERIVATIVES = {
-    "output": (0, 2),
-    "forward_output": (1, 1),
-    "backward_output": (1, 1),
-    "process_output": (0, 6),
-    "process_input": (0, 6),
-    "start": (0, 5),
-}
-
-#: How a signal reads.
-READS: dict[Signal, str] = {
-    "output": "x",
-    "input": "u",
-    "direction": "sign(x')",
-    "moving": "(while it moves)",
-    "forward": "(moving forward)",
-    "backward": "(moving backward)",
-    "forward_output": "(x forward)",
-    "backward_output": "(x backward)",
-    "process_output": "y",
-    "process_input": "u",
-    "constant": "",
-    "start": "(impulse at the first sample)",
-}
+from pmfid.models.signals import PROCESS_SIGNALS, SIGNALS, Signal, SignalFacts
 
 #: What the auxiliary model of the kernel takes each role from (csrc/pmf.h): signal and derivative of the term.
 ROLES: tuple[tuple[tuple[Signal, int], ...], ...] = (
@@ -88,12 +41,12 @@ class Term:
     coefficient: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.signal not in get_args(Signal):
-            known = list(get_args(Signal))
+        known = list(SIGNALS)
+        if self.signal not in known:
             raise UsageError(
                 f"a term's signal must be one of {known}, got {self.signal!r}{did_you_mean(self.signal, known)}"
             )
-        low, high = DERIVATIVES.get(self.signal, (0, 0))
+        low, high = self.facts.derivatives
         if not low <= self.derivative <= high:
             allowed = f"{low}" if low == high else f"{low} to {high}"
             raise UsageError(f"derivative of a term of {self.signal} must be {allowed}, got {self.derivative}")
@@ -103,15 +56,19 @@ class Term:
             raise UsageError(f"coefficient of a term must be finite and not 0, got {self.coefficient}")
 
     @property
+    def facts(self) -> SignalFacts:
+        return SIGNALS[self.signal]
+
+    @property
     def noisy(self) -> bool:
         """Does the term carry the noise of the measured output? Not to speak of where it is not differentiated: there
         a step of the encoder is as small as it is against the travel."""
-        return self.signal == "process_output" or (self.signal.endswith("output") and self.derivative > 0)
+        return self.facts.measured and (self.facts.of_process or self.derivative > 0)
 
     @property
     def reads(self) -> str:
         """The signal and its derivative, for people."""
-        return f"{READS[self.signal]}{chr(39) * self.derivative}"
+        return f"{self.facts.reads}{chr(39) * self.derivative}"
 
 
 @dataclass(frozen=True)
@@ -183,7 +140,7 @@ class Equation:
 
     @property
     def order(self) -> int:
-        return max(term.derivative for term in (*self.unknown, *self.known) if term.signal.endswith("output"))
+        return max(term.derivative for term in (*self.unknown, *self.known) if term.facts.measured)
 
     @cached_property
     def noisy(self) -> tuple[int, ...]:
@@ -229,7 +186,7 @@ class Equation:
     @property
     def symmetric(self) -> Equation:
         """With friction that is the same in both directions, and a constant load that takes up what differs."""
-        split = [term.signal in ("forward", "backward", "forward_output", "backward_output") for term in self.unknown]
+        split = [term.facts.one_way for term in self.unknown]
         if not any(split):
             return self
         kept = [term for term, apart in zip(self.unknown, split, strict=True) if not apart]

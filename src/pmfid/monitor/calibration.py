@@ -19,7 +19,7 @@ from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import role_values
 from pmfid.estimators.base import Estimator
-from pmfid.monitor.detectors import EDGE, ChiSquare, Cusum, Detector, Glr, PageHinkley, statistics
+from pmfid.monitor.detectors import EDGE, ChiSquare, Detector, make_detectors, statistics
 from pmfid.monitor.reference import noisier, resampled
 from pmfid.monitor.scores import Blocks, Scale, block_samples, make_scale, scores, start_blocks
 from pmfid.types import Counts, Floats
@@ -74,12 +74,6 @@ class Calibration:
     noise: Floats
     hours: float
     record_hours: float = 0.0
-
-
-def make_detectors(keep: float, precision: tuple[tuple[float, ...], ...] = ()) -> dict[str, Detector]:
-    """All detectors; keep: discount of a block in the memory of the estimate."""
-    made: list[Detector] = [Cusum(), PageHinkley(), Glr(), ChiSquare(keep, precision)]
-    return {detector.name: detector for detector in made}
 
 
 def block_keep(estimator: Estimator) -> float:

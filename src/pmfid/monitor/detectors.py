@@ -12,6 +12,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from pmfid.monitor.names import DetectorName
 from pmfid.types import Floats
 
 State = tuple[Floats, ...]
@@ -24,7 +25,7 @@ EDGE = 1.0
 class Detector(Protocol):
     """name: as in AXIS.toml; tolerance: (p,) deviations in standard deviations that are no change."""
 
-    name: ClassVar[str]
+    name: ClassVar[DetectorName]
 
     def start(self, shape: tuple[int, ...]) -> State:
         """The state before the first block; shape: (..., p) of x."""
@@ -42,7 +43,7 @@ class Cusum:
     drift: half the deviation that it is tuned for, in standard deviations of a block.
     """
 
-    name: ClassVar[str] = "cusum"
+    name: ClassVar[DetectorName] = "cusum"
     drift: float = 0.5
 
     def start(self, shape: tuple[int, ...]) -> State:
@@ -62,7 +63,7 @@ class PageHinkley:
     mean, in blocks of average information; it starts as if a tenth of that had been seen without a deviation.
     """
 
-    name: ClassVar[str] = "page-hinkley"
+    name: ClassVar[DetectorName] = "page-hinkley"
     drift: float = 0.5
     memory: float = 1000.0
 
@@ -84,7 +85,7 @@ class Glr:
     T = max over the last `window` starts and the parameters of (|sum x| - tolerance sum w)^2 / (2 (sum w + edge)).
     """
 
-    name: ClassVar[str] = "glr"
+    name: ClassVar[DetectorName] = "glr"
     window: int = 32
 
     def start(self, shape: tuple[int, ...]) -> State:
@@ -105,7 +106,7 @@ class ChiSquare:
     deviations. keep: discount of a block; precision: (p, p) C^-1, inverse covariance of d in normal work, row by row.
     """
 
-    name: ClassVar[str] = "chi-square"
+    name: ClassVar[DetectorName] = "chi-square"
     keep: float = 0.9
     precision: tuple[tuple[float, ...], ...] = ()
 
@@ -124,7 +125,10 @@ class ChiSquare:
         return state, np.einsum("...i,ij,...j->...", d, precision, d)
 
 
-DETECTORS = ("cusum", "page-hinkley", "glr", "chi-square")
+def make_detectors(keep: float, precision: tuple[tuple[float, ...], ...] = ()) -> dict[str, Detector]:
+    """All detectors by name; keep: discount of a block in the memory of the estimate; precision: see `ChiSquare`."""
+    made: list[Detector] = [Cusum(), PageHinkley(), Glr(), ChiSquare(keep, precision)]
+    return {detector.name: detector for detector in made}
 
 
 def statistics(detector: Detector, x: Floats, w: Floats, tolerance: Floats) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pmfid.errors import UsageError
-from pmfid.monitor.detectors import DETECTORS
+from pmfid.monitor.names import DETECTORS
 from pmfid.types import Floats
 
 STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING = (

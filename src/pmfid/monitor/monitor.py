@@ -13,8 +13,9 @@ from pmfid._estimate import Estimate
 from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.monitor.calibration import Calibration, block_keep, make_detectors
+from pmfid.monitor.calibration import Calibration, block_keep
 from pmfid.monitor.cause import INPUT_GAIN, TRANSITION, Cause, explain, sized
+from pmfid.monitor.detectors import make_detectors
 from pmfid.monitor.events import (
     CANNOT_TELL,
     SETTLING,

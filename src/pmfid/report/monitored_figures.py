@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -158,7 +159,7 @@ def calibration_figure(tails: Mapping[str, Tail], used: str, mtbf_hours: float) 
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
         axes = figure.add_subplot()
-        for colour, (name, tail) in zip(COLOURS, tails.items(), strict=False):
+        for colour, (name, tail) in zip(cycle(COLOURS), tails.items(), strict=False):
             unit, maxima = tail.threshold(mtbf_hours), np.array(tail.maxima)
             rate = np.arange(1, maxima.size + 1) / tail.hours
             axes.semilogy(maxima / unit, rate, "o", ms=3, color=colour, alpha=0.7)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import cast
 
 import numpy as np
@@ -12,8 +13,9 @@ from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
 from pmfid.estimators.arguments import check_arrays
 from pmfid.models.drive import Drive, EquationModel, Model
+from pmfid.models.equation import Equation
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.session.config import NO_ENCODER, Axis
+from pmfid.session.config import NO_ENCODER, Axis, keys_of
 from pmfid.session.identify import identify as run
 from pmfid.session.records import record_of
 from pmfid.session.result import Result
@@ -80,19 +82,18 @@ def _encoder(encoder: Encoder | None, model: Model) -> dict[str, object]:
 
 def _model(model: Model) -> dict[str, object]:
     """The keys of [model] that make the same model."""
-    if isinstance(model, Drive):
-        own = {"input_gain": model.input_gain, "offset": model.offset, "friction": model.friction}
-        return {"kind": model.kind, **own, "spring": model.spring}
-    if isinstance(model, TransferFunction):
-        if model.initial_conditions:
-            raise UsageError("the starts of experiments are always part of the fit here: drop initial_conditions")
-        names = ("n", "m", "delay", "offset", "integrators", "unstable", "dead_time")
-        return {"kind": model.kind, **{name: getattr(model, name) for name in names}}
+    if isinstance(model, TransferFunction) and model.initial_conditions:
+        raise UsageError("the starts of experiments are always part of the fit here: drop initial_conditions")
+    if isinstance(model, Drive | TransferFunction):
+        return {"kind": model.kind, **{key: getattr(model, key) for key in keys_of(type(model))}}
     if not isinstance(model, EquationModel):
         raise UsageError(f"model must be a Drive, an EquationModel or a TransferFunction, got {type(model).__name__}")
-    places = ("signal", "derivative", "coefficient")
-    known = [{name: getattr(term, name) for name in places} for term in model.equation.known]
-    unknown = [{name: getattr(term, name) for name in (*places, "name", "unit")} for term in model.equation.unknown]
+    equation = model.equation
+    if equation != Equation(equation.unknown, equation.known):
+        raise UsageError("an equation with delay, only_simulated or further is that of a TransferFunction: give one")
+    unknown, known = ([asdict(term) for term in side] for side in (equation.unknown, equation.known))
+    for term in known:  # its coefficient is a number, of no name and no unit
+        del term["name"], term["unit"]
     return {"kind": model.kind, "unknown": unknown, "known": known}
 
 

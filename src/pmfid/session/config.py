@@ -6,6 +6,7 @@ The description of a field ends the error message about it: it must read well af
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -14,8 +15,10 @@ from pydantic import AfterValidator, Field, model_validator
 from pmfid.errors import UsageError
 from pmfid.estimators import Method
 from pmfid.models.drive import Drive, EquationModel, Model
-from pmfid.models.equation import Equation, Signal, Term
+from pmfid.models.equation import Equation, Term
+from pmfid.models.signals import Signal
 from pmfid.models.transfer_function import TransferFunction
+from pmfid.monitor.names import DetectorName
 from pmfid.session.toml_file import FileSection, load_sections
 
 __all__ = ["Axis", "check_sampling", "load_axis"]
@@ -40,8 +43,10 @@ def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
     return value
 
 
-#: Keys of [model] for a transfer function alone.
-OF_PROCESSES = ("n", "m", "delay", "dead_time", "integrators", "unstable")
+#: What makes the model of a kind, beside the user's own terms.
+MODELS: dict[str, type[Drive | TransferFunction]] = {cls.kind: cls for cls in (Drive, TransferFunction)}
+#: Fields of a model that no file sets: the starts of experiments are always part of the fit.
+NOT_IN_FILES = ("initial_conditions",)
 #: Resolution of an output that is a number and no count: finer than any.
 NO_ENCODER = 1e-29
 
@@ -68,7 +73,7 @@ class RecordConfig(FileSection):
     dt: Positive | None = Field(None, description="the sample period in s, for example 1e-3")
     input_scale: Annotated[float | str, AfterValidator(_usable_scale)] = Field(
         1.0,
-        description="a factor, u = input_scale * column, or the name of a scalar variable in the .mat file",
+        description="a factor, u = input_scale * column, or the name of a scalar variable in the file",
     )
 
     @model_validator(mode="after")
@@ -153,7 +158,7 @@ class ModelConfig(FileSection):
             raise ValueError("input_gain is missing; give the force in N per unit of u, for example 2.0")
         if self.kind != "equation" and (self.unknown or "known" in self.model_fields_set):
             raise ValueError('unknown and known are for kind = "equation"; add that, or drop them')
-        own = {"input_gain", "friction", "offset", "spring"} & self.model_fields_set
+        own = set(keys_of(Drive)) & self.model_fields_set
         if self.kind == "equation" and own:
             raise ValueError(f'{", ".join(sorted(own))} is for kind = "drive"; write it as a term of unknown or known')
         self._check_transfer_function()
@@ -164,34 +169,32 @@ class ModelConfig(FileSection):
         return self
 
     def _check_transfer_function(self) -> None:
-        wanted, own = self.kind == "transfer_function", set(OF_PROCESSES) & self.model_fields_set
+        wanted, of_drive, of_process = (
+            self.kind == "transfer_function",
+            set(keys_of(Drive)),
+            set(keys_of(TransferFunction)),
+        )
+        own = (of_process - of_drive) & self.model_fields_set
         if wanted and (self.n is None or self.m is None):
             raise ValueError("n or m is missing; give the numbers of poles and zeros, or search: pmfid order RECORD")
         if own and not wanted:
             raise ValueError(f'{", ".join(sorted(own))} is for kind = "transfer_function"; add that, or drop it')
-        foreign = {"input_gain", "friction", "spring", "unknown", "known"} & self.model_fields_set
+        foreign = ({*of_drive, "unknown", "known"} - of_process) & self.model_fields_set
         if wanted and foreign:
             raise ValueError(f"{', '.join(sorted(foreign))} is not for a transfer function; drop it")
 
     def make(self) -> Model:
         """The model that the section describes. Raises UsageError where the terms make no equation."""
-        if self.kind == "transfer_function" and self.n is not None and self.m is not None:
-            return TransferFunction(
-                self.n,
-                self.m,
-                delay=self.delay,
-                offset=self.offset,
-                integrators=self.integrators,
-                unstable=self.unstable,
-                dead_time=self.dead_time,
-            )
-        if self.kind == "drive" and self.input_gain is not None:
-            return Drive(self.input_gain, offset=self.offset, friction=self.friction, spring=self.spring)
-        unknown = tuple(
-            Term(term.signal, term.derivative, term.name, term.unit, term.coefficient) for term in self.unknown
-        )
-        known = tuple(Term(term.signal, term.derivative, coefficient=term.coefficient) for term in self.known)
-        return EquationModel(Equation(unknown, known))
+        if self.kind == "equation":
+            unknown, known = (tuple(Term(**dict(term)) for term in side) for side in (self.unknown, self.known))
+            return EquationModel(Equation(unknown, known))
+        cls = MODELS[self.kind]
+        return cls(**{key: getattr(self, key) for key in keys_of(cls)})
+
+
+def keys_of(model: type[Drive | TransferFunction]) -> tuple[str, ...]:
+    """The keys of [model] that make such a model: the names of its fields."""
+    return tuple(field.name for field in fields(model) if field.name not in NOT_IN_FILES)
 
 
 class EstimatorConfig(FileSection):
@@ -229,7 +232,7 @@ class MonitorConfig(FileSection):
         None,
         description="the normal value of every parameter, { mass = 1.07, ... }, or leave it out: from the reference",
     )
-    detector: Literal["cusum", "page-hinkley", "glr", "chi-square"] = Field("glr", description="the detector")
+    detector: DetectorName = Field("glr", description="the detector")
     mtbf_hours: float = Field(
         24.0, ge=0.1, le=1e6, description="the mean time between false alarms in hours, for example 24.0"
     )

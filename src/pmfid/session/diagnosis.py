@@ -121,10 +121,9 @@ def check_direction(record: Record, axis: Axis) -> str:
 def _of_position(equation: Equation) -> Equation | None:
     """The same equation of first order with the integral of the output in its place; None if it is no such equation."""
     terms = (*equation.unknown, *equation.known)
-    signals = {term.signal for term in terms}
-    if equation.order != 1 or signals & {"forward_output", "backward_output"}:
+    if equation.order != 1 or any(term.facts.measured and term.facts.one_way for term in terms):
         return None
-    if not signals & {"direction", "moving", "forward", "backward"}:
+    if not any(term.facts.of_motion for term in terms):
         return None
     unknown, known = (
         tuple(replace(term, derivative=term.derivative + (term.signal == "output")) for term in side)

@@ -1,4 +1,4 @@
-"""Records: read the input and the encoder counts from CSV, Parquet or MATLAB v5 files, and check them.
+"""Records: read the input and the encoder counts from a file of any of the `formats`, and check them.
 
 A record that leaves this module is finite, evenly sampled and long enough to try; whether it moves enough to
 identify anything is not decided here. Rows in messages count from 1 at the first row of data.
@@ -16,7 +16,8 @@ import numpy as np
 from pmfid.errors import UsageError
 from pmfid.session.clock import named_unit, sample_period, time_factor
 from pmfid.session.config import NO_ENCODER
-from pmfid.session.tables import Table, column, from_array, lookup, read_table
+from pmfid.session.formats.reading import read_table
+from pmfid.session.tables import Table, column, from_array, lookup
 from pmfid.transfer.experiment import Experiment
 from pmfid.types import Counts, Floats
 
@@ -81,7 +82,7 @@ def read_experiment(path: Path, axis: Axis) -> Experiment:
 
 
 def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record:
-    """Read the record that `axis.record` describes from a .csv, .parquet or .mat (v5) file.
+    """Read the record that `axis.record` describes from a file of one of the `formats`.
 
     With `quantize`, a step in unit of y, the position is counted anew by a coarser encoder of that step
     (floor quantiser, mean error -step/2). Raises UsageError naming the file, the column, the first bad row
@@ -163,7 +164,7 @@ def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ..
         return scale, ()
     value = lookup(table, "input_scale", scale)
     if not isinstance(value, np.ndarray):
-        raise UsageError(f"[record] input_scale = {scale!r}: only a .mat file has scalar variables; give a number")
+        raise UsageError(f"[record] input_scale = {scale!r} is a column and no scalar variable; give a number")
     array = from_array(f"[record] input_scale = {scale!r}", value)
     if array.size != 1 or not np.isfinite(array).all() or array.item() == 0:
         raise UsageError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import FrozenInstanceError, replace
 from functools import partial
 
@@ -12,7 +13,7 @@ from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import changed, configuration_of
 from pmfid.models.drive import Drive, EquationModel
-from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, VISCOUS_BACKWARD, VISCOUS_FORWARD
+from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, VISCOUS_BACKWARD, VISCOUS_FORWARD, Term
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.testing.case import COPIES, Case, call, last, require, require_refusal, result_of
 from pmfid.types import Floats
@@ -135,19 +136,18 @@ def _turned(estimator: Estimator, theta: Floats) -> Floats:
         here, there = roles[one], roles[other]
         if here is not None and there is not None:
             turned[here], turned[there] = theta[there], theta[here]
-    return turned * [-1.0 if signal in ("moving", "constant", "start") else 1.0 for signal in _signals(estimator)]
+    return turned * _each(estimator, lambda term: -1.0 if term.facts.keeps_sign else 1.0)
 
 
 def _factors(estimator: Estimator) -> Floats:
     """By which a parameter grows when position and force have a thousandth of their unit."""
-    grows = {"direction", "moving", "forward", "backward", "process_input", "constant", "start"}
-    return np.array([THOUSAND if signal in grows else 1.0 for signal in _signals(estimator)])
+    return _each(estimator, lambda term: 1.0 if term.facts.measured or term.signal == "input" else THOUSAND)
 
 
-def _signals(estimator: Estimator) -> list[str]:
-    """Of each parameter: what it multiplies; nothing for the coefficients of a pre-filter and a dead time."""
-    signals: list[str] = [term.signal for term in estimator.equation.unknown]
-    return signals + [""] * (len(estimator.names) - len(signals))
+def _each(estimator: Estimator, factor: Callable[[Term], float]) -> Floats:
+    """Of each parameter that of its term; 1 for the coefficients of a pre-filter and a dead time."""
+    factors = [factor(term) for term in estimator.equation.unknown]
+    return np.array(factors + [1.0] * (len(estimator.names) - len(factors)))
 
 
 def _in_thousandths(encoder: Encoder) -> Encoder:

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from pmfid.estimators.base import Estimator
-from pmfid.monitor.calibration import Calibration, Tail, calibrate
+from pmfid.monitor.calibration import Calibration, Tail, block_keep, calibrate
+from pmfid.monitor.detectors import make_detectors
 from pmfid.monitor.scores import Scale
 from pmfid.types import Floats
 
@@ -38,7 +39,8 @@ def cached_calibration(
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Calibration, Path, bool]:
     """`calibrate`, its file, and whether that was there already. A cache that cannot be written is none."""
-    digest = sha256(f"{VERSION} {estimator!r} {hours!r} {counts is None}".encode())
+    detectors = make_detectors(block_keep(estimator))  # their thresholds are what the file is for
+    digest = sha256(f"{VERSION} {estimator!r} {hours!r} {counts is None} {detectors!r}".encode())
     for part in (theta, u, np.zeros(0) if counts is None else counts):
         digest.update(np.ascontiguousarray(part).tobytes())
     path = cache_dir() / f"calibration-{digest.hexdigest()[:32]}.json"

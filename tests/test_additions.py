@@ -1,0 +1,226 @@
+"""What is added in the place that ARCHITECTURE.md names reaches every other place, or a test here says where it does
+not."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import ClassVar, get_args
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid.cli.main import identify
+from pmfid.cli.monitor import monitor
+from pmfid.models.signals import SIGNALS, Signal
+from pmfid.monitor.calibration import Calibration, Tail
+from pmfid.monitor.detectors import Cusum, Detector, make_detectors
+from pmfid.monitor.names import DETECTORS
+from pmfid.monitor.scores import Scale
+from pmfid.report.monitored_figures import calibration_figure
+from pmfid.session import arrays
+from pmfid.session.config import Axis, MonitorConfig, load_axis
+from pmfid.session.formats import FORMATS, SPOKEN
+from pmfid.session.formats.reading import READERS
+from pmfid.session.monitored import cache
+from tests.hostile import records
+
+REPOSITORY = Path(__file__).parents[1]
+TAIL = Tail(1.0, 1.0, 1.0, 10.0, (3.0, 2.0))
+
+
+def bcrls() -> pmfid.BCRLS:
+    return pmfid.BCRLS(pmfid.Drive(2.0), pmfid.Encoder(1e-4), 0.01, 30.0, forgetting=0.99)
+
+
+# --- a detector -------------------------------------------------------------------------------------------------------
+
+
+def test_every_detector_is_made_and_told_of_and_every_file_and_option_may_name_it() -> None:
+    assert set(make_detectors(0.9)) == set(DETECTORS)
+    (option,) = (parameter for parameter in monitor.params if parameter.name == "detector")
+    assert tuple(option.to_info_dict()["type"]["choices"]) == DETECTORS
+    steps, _, choosing = (REPOSITORY / "docs/monitoring.md").read_text(encoding="utf-8").partition("## Choosing")
+    for name in DETECTORS:
+        assert MonitorConfig(detector=name).detector == name
+        assert name in steps.partition("# detector =")[2].partition("\n")[0]
+        assert f"`{name}`" in choosing.partition("\n## ")[0]
+
+
+@dataclass(frozen=True)
+class Slower(Cusum):
+    """One more."""
+
+    name: ClassVar[str] = "slower"  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("further", [{"slower": Slower()}, {"cusum": Cusum(drift=0.7)}])
+def test_thresholds_of_other_detectors_are_not_those_of_these(
+    further: dict[str, Detector], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file from before a detector was added, or tuned anew, is no calibration of it: it would have no threshold."""
+
+    def made(*_: object, **__: object) -> Calibration:
+        scale = Scale(*(np.ones(3) for _ in Scale.__dataclass_fields__))
+        return Calibration(np.ones(3), scale, (), dict.fromkeys(cache.make_detectors(0.9), TAIL), np.ones(3), 1.0)
+
+    def get() -> tuple[Calibration, bool]:
+        found, _, cached = cache.cached_calibration(bcrls(), np.ones(3), np.ones(9), None, 1.0)
+        return found, cached
+
+    monkeypatch.setenv("PMFID_CACHE", str(tmp_path))
+    monkeypatch.setattr(cache, "calibrate", made)
+    old = get()[0]
+    assert get()[1]
+    monkeypatch.setattr(cache, "make_detectors", lambda keep: make_detectors(keep) | further)
+    found, cached = get()
+    assert not cached
+    assert set(further) - set(old.tails) <= set(found.tails)
+    assert get()[1]
+
+
+def test_the_figure_of_thresholds_leaves_no_detector_out() -> None:
+    names = [f"detector {i}" for i in range(9)]
+    figure = calibration_figure(dict.fromkeys(names, TAIL), names[0], 24.0)
+    (legend,) = figure.legends
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert labels[:9] == [f"{names[0]} (in use)", *names[1:]]
+
+
+# --- a key of [model] -------------------------------------------------------------------------------------------------
+
+
+class StoppedError(Exception):
+    """Before anything is identified."""
+
+
+#: Other values than the default one of each field of a model; a new field needs a line.
+DRIVE = {"input_gain": 3.0, "offset": True, "friction": "directional", "spring": True}
+PROCESS = {"n": 3, "m": 2, "delay": 4, "offset": True, "integrators": 1, "unstable": True, "dead_time": 0.25}
+TERM = {"signal": "forward_output", "derivative": 1, "name": "d", "unit": "N s/m", "coefficient": 2.5}
+#: What a model needs beside a field.
+PLAIN: dict[type, dict[str, object]] = {pmfid.Drive: {"input_gain": 2.0}, pmfid.TransferFunction: {"n": 2, "m": 0}}
+FIELDS = [(pmfid.Drive, {name: value}) for name, value in DRIVE.items()]
+FIELDS += [(pmfid.TransferFunction, {name: value}) for name, value in PROCESS.items()]
+
+
+def model_of(cls: type, field: dict[str, object]) -> pmfid.Drive | pmfid.TransferFunction:
+    model = cls(**(PLAIN[cls] | ({"n": 3, "m": 2} if "m" in field else {}) | field))
+    assert model != cls(**PLAIN[cls])
+    return model
+
+
+def equation_model(**known: object) -> pmfid.EquationModel:
+    """One whose unknown terms differ from a plain one in every field."""
+    own = pmfid.Term(**TERM)
+    unknown = (pmfid.Term("output", 2, "m", "kg", -1.0), own, pmfid.Term("direction", 0, "F"))
+    return pmfid.EquationModel(pmfid.Equation(unknown, (pmfid.Term("input", 0, **known),)))
+
+
+def from_python(model: object, monkeypatch: pytest.MonkeyPatch) -> object:
+    """What `pmfid.identify` identifies, by way of AXIS.toml's [model]."""
+    seen: list[Axis] = []
+
+    def run(_: object, axis: Axis) -> None:
+        seen.append(axis)
+        raise StoppedError
+
+    monkeypatch.setattr(arrays, "run", run)
+    encoder = None if isinstance(model, pmfid.TransferFunction) else pmfid.Encoder(1e-4)
+    with pytest.raises(StoppedError):
+        pmfid.identify(np.ones(100), np.arange(100), model=model, dt=0.01, cutoff=20.0, encoder=encoder)
+    return seen[0].model.make()
+
+
+def from_toml(keys: dict[str, object], tmp_path: Path) -> object:
+    section = "\n".join(f"{key} = {toml(value)}" for key, value in keys.items())
+    path = tmp_path / "axis.toml"
+    path.write_text(
+        '[record]\ninput = "u"\noutput = "x"\ntime = "t"\n[encoder]\nresolution = 1e-4\n'
+        f"[estimator]\ncutoff = 20.0\n[model]\n{section}\n"
+    )
+    return load_axis(path).model.make()
+
+
+def toml(value: object) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {toml(item)}" for key, item in value.items()) + " }"
+    return f"[{', '.join(map(toml, value))}]" if isinstance(value, list) else json.dumps(value)
+
+
+def test_every_field_of_a_model_is_tried_here() -> None:
+    """`initial_conditions` are refused in one sentence: the starts are always part of the fit there."""
+    assert set(DRIVE) == {field.name for field in fields(pmfid.Drive)}
+    assert {*PROCESS, "initial_conditions"} == {field.name for field in fields(pmfid.TransferFunction)}
+    assert set(TERM) == {field.name for field in fields(pmfid.Term)}
+    assert all(TERM[field.name] != field.default for field in fields(pmfid.Term))
+
+
+@pytest.mark.parametrize(("cls", "field"), FIELDS, ids=str)
+def test_a_field_of_a_model_arrives_from_python_and_from_a_file(
+    cls: type, field: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A field that one of them forgets is dropped without a word, and another plant is identified."""
+    model = model_of(cls, field)
+    assert from_python(model, monkeypatch) == model
+    keys = {name: getattr(model, name) for name in {**PLAIN[cls], **field}}
+    assert from_toml({"kind": model.kind, **keys}, tmp_path) == model
+
+
+def test_terms_arrive_from_python_and_from_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = equation_model(coefficient=0.7)
+    assert from_python(model, monkeypatch) == model
+    unknown = [{field.name: getattr(term, field.name) for field in fields(term)} for term in model.equation.unknown]
+    keys = {"kind": "equation", "unknown": unknown, "known": [{"signal": "input", "coefficient": 0.7}]}
+    assert from_toml(keys, tmp_path) == model
+
+
+def test_the_unit_of_a_known_term_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert from_python(equation_model(unit="V"), monkeypatch) == equation_model()
+
+
+@pytest.mark.parametrize("further", [{"delay": 3}, {"only_simulated": "a reason"}, {"further": (("late", "s"),)}])
+def test_what_no_file_says_of_an_equation_is_refused(further: dict[str, object]) -> None:
+    """It was dropped: a dead time of three samples was none."""
+    terms = (pmfid.Term("process_output", 0, "a0"), pmfid.Term("process_input", 0, "b0", coefficient=-1.0))
+    known = (pmfid.Term("process_output", 1, coefficient=-1.0),)
+    model = pmfid.EquationModel(pmfid.Equation(terms, known, **further))
+    with pytest.raises(pmfid.UsageError, match="TransferFunction"):
+        pmfid.identify(np.ones(100), np.arange(100), model=model, dt=0.01, cutoff=20.0, encoder=pmfid.Encoder(1e-4))
+
+
+# --- a signal ---------------------------------------------------------------------------------------------------------
+
+
+def test_every_signal_has_its_facts() -> None:
+    """And holds for an interval or has derivatives: a term of it can be made, and reads as something."""
+    assert tuple(SIGNALS) == get_args(Signal)
+    for signal, facts in SIGNALS.items():
+        for derivative in range(facts.derivatives[0], facts.derivatives[1] + 1):
+            assert pmfid.Term(signal, derivative).reads == facts.reads + "'" * derivative
+
+
+# --- a file format ----------------------------------------------------------------------------------------------------
+
+
+def test_every_format_has_a_reader_is_told_of_and_is_attacked() -> None:
+    """`test_records.py` and `test_unpacked.py` go through the same list."""
+    assert set(READERS) == set(FORMATS)
+    assert set(records.WRITERS) == set(FORMATS)
+    assert SPOKEN in str(identify.help)
+    assert SPOKEN in (REPOSITORY / "README.md").read_text(encoding="utf-8")
+
+
+# --- the recipes ------------------------------------------------------------------------------------------------------
+
+
+def test_every_file_that_a_recipe_names_is_there() -> None:
+    recipes = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8").partition("## Adding things")[2]
+    named = set(re.findall(r"`([\w./-]*\w\.(?:py|pyi|pyx|pxd|pxi|c|h|md|toml|in))`", recipes))
+    there = [f"/{path}" for folder in ("src", "csrc", "tests", "docs") for path in (REPOSITORY / folder).rglob("*")]
+    there += [f"/{path}" for path in REPOSITORY.iterdir()]
+    assert len(named) > 30
+    assert {name for name in named if not any(path.endswith(f"/{name}") for path in there)} == set()
