@@ -172,7 +172,8 @@ def test_imports_point_down(root: Path) -> None:
 
 def test_every_room_of_the_table_exists() -> None:
     source = REPOSITORY / "src" / "pmfid"
-    present = {path.stem for path in source.iterdir() if path.is_dir() or path.suffix in (".py", ".pyi", ".pyx", ".pxi")}
+    files = source_files(source)
+    present = {path.stem for path in source.iterdir() if path.is_dir() or path in files}
     assert set(MAY_IMPORT) - {"pmfid"} <= present
 
 
