@@ -1,16 +1,23 @@
 # One door for every chore; each target makes the environment it needs in .venv.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck clang valgrind
+BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
-SOURCES = $(shell find src csrc -name '*.py' -o -name '*.pyi' -o -name '*.pyx' -o -name '*.[ch]' -o -name '*.j2')
+SOURCES = $(shell find src csrc -name '*.py' -o -name '*.py[ix]' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.j2')
 
 .PHONY: demo test check format bench study hostile firmware firmware-tools images clean
 
+# What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. Not compiled to
+# bytecode before it is imported: most of it never is.
 .venv/installed: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	test -x .venv/bin/python || $(PYTHON) -m venv .venv
-	test .venv/dependencies -nt requirements-dev.txt || $(PIP) install -r requirements-dev.txt
-	touch .venv/dependencies
-	$(PIP) install --no-build-isolation --no-deps --force-reinstall .
+	$(PIP) install --no-compile -c requirements-dev.txt $(BUILD_TOOLS)
+	$(PIP) install --no-compile -c requirements-dev.txt --no-build-isolation .
+	touch $@
+
+# What tests, checks and studies need beyond that.
+.venv/tools: requirements-dev.txt | .venv/installed
+	$(PIP) install -r requirements-dev.txt
 	touch $@
 
 demo: .venv/installed
@@ -30,25 +37,25 @@ firmware-tools:
 # A process for each core with one thread each (the threads of several would only wait for each other), a file of tests
 # in one of them; benchmarks stay out, they want the machine for themselves.
 WORKERS ?= auto
-test: .venv/installed firmware-tools
+test: .venv/tools firmware-tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark
 
 KERNEL = $(wildcard csrc/*.[ch] csrc/many/*.[ch])
 
-check: .venv/installed
+check: .venv/tools
 	.venv/bin/ruff format --check .
 	.venv/bin/clang-format --dry-run --Werror $(KERNEL)
 	.venv/bin/ruff check .
 	.venv/bin/mypy
 	.venv/bin/python -m pytest -q tests/test_architecture.py
 
-format: .venv/installed
+format: .venv/tools
 	.venv/bin/ruff format .
 	.venv/bin/clang-format -i $(KERNEL)
 	.venv/bin/ruff check --fix .
 
 # Peers that nothing else needs: sippy_unipi brings CasADi with it.
-.venv/peers: requirements-bench.txt .venv/installed
+.venv/peers: requirements-bench.txt | .venv/tools
 	$(PIP) install -r requirements-bench.txt
 	touch $@
 
@@ -58,10 +65,10 @@ bench: .venv/peers
 	.venv/bin/python -m benchmarks.instructions .benchmarks/instructions.json
 	.venv/bin/python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json docs/benchmarks.md
 
-firmware: .venv/installed
+firmware: .venv/tools
 	.venv/bin/python -m tests.firmware.study --out docs/footprint.md
 
-study: .venv/installed
+study: .venv/tools
 	.venv/bin/python -m studies.accuracy --out docs/accuracy.md
 	.venv/bin/python -m studies.automatic --out docs/automatic.md
 	.venv/bin/python -m studies.confidence --out docs/confidence.md
@@ -76,7 +83,7 @@ study: .venv/installed
 	.venv/bin/python -m tests.hostile.study --out docs/hostile.md
 
 # Attacks at length, an hour at most: crafted states under the sanitizers, openings, names in exports, calls, pipes.
-hostile: .venv/installed
+hostile: .venv/tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.hostile.campaign $(PARTS)
 
 images: .venv/installed

@@ -110,7 +110,7 @@ def room_of(parts: tuple[str, ...]) -> str:
 def python_of(path: Path) -> str:
     """Text that `ast` can parse; of Cython only the imports, each on its own line as before."""
     text = path.read_text(encoding="utf-8")
-    if path.suffix != ".pyx":
+    if path.suffix not in (".pyx", ".pxi"):
         return text
     lines = (line.strip().replace("cimport", "import") for line in text.splitlines())
     return "\n".join(line if re.match(r"(import|from)\s+[\w.]+", line) else "" for line in lines)
@@ -145,7 +145,7 @@ def rooms_imported(path: Path, root: Path) -> Iterator[tuple[int, str]]:
 
 
 def source_files(root: Path) -> list[Path]:
-    return sorted(path for suffix in ("py", "pyi", "pyx") for path in root.rglob(f"*.{suffix}"))
+    return sorted(path for suffix in ("py", "pyi", "pyx", "pxi") for path in root.rglob(f"*.{suffix}"))
 
 
 def violations(root: Path) -> list[str]:
@@ -172,7 +172,8 @@ def test_imports_point_down(root: Path) -> None:
 
 def test_every_room_of_the_table_exists() -> None:
     source = REPOSITORY / "src" / "pmfid"
-    present = {path.stem for path in source.iterdir() if path.is_dir() or path.suffix in (".py", ".pyi", ".pyx")}
+    files = source_files(source)
+    present = {path.stem for path in source.iterdir() if path.is_dir() or path in files}
     assert set(MAY_IMPORT) - {"pmfid"} <= present
 
 
@@ -244,13 +245,13 @@ def test_the_checker_finds_what_it_is_for(tmp_path: Path) -> None:
     (root / "filters").mkdir(parents=True)
     (root / "filters" / "bad.py").write_text(BAD_FILTER)
     (root / "attic.py").write_text("")
-    (root / "_kernel.pyx").write_text("cimport numpy as cnp\ncdef int x\nfrom pmfid.encoder cimport Encoder\n")
+    (root / "_kernel.pxi").write_text("cimport numpy as cnp\ncdef int x\nfrom pmfid.encoder cimport Encoder\n")
     (root / "simulation.py").write_text("from pmfid.errors import UsageError\nfrom pmfid.status import Status\n")
     (root / "__init__.py").write_text("from importlib import import_module\nimport_module('pmfid.encoder')\n")
     lines = ["3: {} session", "4: {} report", "5: {} pmfid", "5: {} simulation", "6: {} estimators", "7: {} report"]
     lines += ["11: {} simulation", "13: {} ?", "15: {} cli"]
     assert violations(root) == [
-        "_kernel.pyx:3: _kernel imports encoder",
+        "_kernel.pxi:3: _kernel imports encoder",
         "attic.py: room attic is not in the table; give it a line",
         *("filters/bad.py:" + line.format("filters imports") for line in lines),
         "simulation.py:2: simulation imports status",

@@ -98,7 +98,8 @@ def make(cls: type[RecursiveEstimator], precision: str = "float64", **options: A
 
 def fleet_of(estimator: RecursiveEstimator, axes: int, way: int, workers: int = 1) -> pmfid.Fleet:
     fleet = pmfid.Fleet(estimator, axes, workers=workers)
-    fleet._way = way
+    assert fleet._many._way == _kernel64.ManyKernel.fastest_way
+    fleet._many._way = way
     return fleet
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import pmfid
@@ -70,13 +70,15 @@ def test_state_saved_and_restored_continues_with_the_same_bits(drive):
     clock=st.integers(3, 20),
     zeros=st.sampled_from([None, (-3.0, -11.0)]),
 )
+@example(seed=893, increments=256, cutoff=47.0, clock=16, zeros=(-3.0, -11.0))  # instruments that say next to nothing
 @pytest.mark.parametrize("pair", [(pmfid.LS, pmfid.RLS), (pmfid.BCLS, pmfid.BCRLS)])
 def test_recursive_equals_batch_without_forgetting(pair, drive, seed, increments, cutoff, clock, zeros):
     run = cart_run(seed, samples=1500, increments=increments, clock=clock)
     batch, recursive = (cls(drive, run.encoder, DT, cutoff, prefilter_zeros=zeros) for cls in pair)
     fit = batch.fit(run.u, run.counts)
     last = recursive.run(run.u, run.counts)
-    np.testing.assert_allclose(last.theta[-1], fit.theta, rtol=1e-8)
+    # what little a record says of a parameter lets rounding grow as it lets noise grow
+    assert np.all(np.abs(last.theta[-1] - fit.theta) < 1e-8 * np.abs(fit.theta) + 1e-6 * fit.theta_std)
     columns = batch.columns(run.u, run.counts)
     half = np.linalg.qr(columns.zeta)[0].T @ columns.phi
     np.testing.assert_allclose(last.variance_factor[-1], np.diag(np.linalg.inv(half.T @ half)), rtol=1e-6)

@@ -1,5 +1,4 @@
-# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
-"""Thin binding of the C kernel; compiled twice, as `_kernel64` and `_kernel32`."""
+# Thin binding of the C kernel; compiled twice, as `_kernel64` and `_kernel32`.
 
 from cpython.bytes cimport PyBytes_FromStringAndSize
 from cpython.long cimport PyLong_AsUnsignedLongLongMask
