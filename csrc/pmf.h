@@ -344,9 +344,11 @@ typedef struct {
 } pmf_late_config_t;
 
 typedef struct {
-    real_t past[PMF_MAX_LATE]; /* inputs, that of the interval which the counts speak of first */
+    real_t
+        past[PMF_MAX_LATE]; /* inputs, from `at` on and round: that of the interval which the counts speak of first */
     real_t older, newer, part; /* what acts in that interval: `part` of it the older one */
     real_t gathered; /* dead time that what was gathered is for [s] */
+    whole_t at;
 } pmf_late_state_t;
 #endif
 

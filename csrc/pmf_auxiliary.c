@@ -12,6 +12,13 @@
 #if PMF_WITH_AUXILIARY
 
 #define NEWTON_TURNS 3
+#if PMF_WITH_DEAD_TIME
+#define NEVER_NEGATIVE(role) ((role) < PMF_OFFSET || (role) == PMF_DEAD_TIME)
+#define IS_KNOWN(role, index) ((role) == PMF_DEAD_TIME && (index) == PMF_NO_PARAMETER)
+#else
+#define NEVER_NEGATIVE(role) ((role) < PMF_OFFSET)
+#define IS_KNOWN(role, index) 0
+#endif
 #define FEEDBACK_MEMORY PMF_R(0.999)
 #define FEEDBACK_STARTS \
     250U /* innovations of a young estimate are large and say nothing; as many more make a verdict */
@@ -330,14 +337,10 @@ PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxi
     }
     for (i = 0; i < PMF_ROLES; ++i) {
         real_t target = index[i] == PMF_NO_PARAMETER ? PMF_R(0.0) : theta[index[i]], moved;
-#if PMF_WITH_DEAD_TIME
-        if (i == PMF_DEAD_TIME && index[i] == PMF_NO_PARAMETER) {
-            continue; /* it is known */
+        if (IS_KNOWN(i, index[i])) {
+            continue;
         }
-        if (i < PMF_OFFSET || i == PMF_DEAD_TIME) {
-#else
-        if (i < PMF_OFFSET) {
-#endif
+        if (NEVER_NEGATIVE(i)) {
             target = PMF_IF(target < PMF_R(0.0), PMF_R(0.0), target);
         }
         moved = state->parameter[i] + smoothing * (target - state->parameter[i]);

@@ -32,17 +32,15 @@ static void delay_input(const pmf_config_t *config, pmf_state_t *state)
     const pmf_late_config_t *late = &config->late;
     real_t *signal = state->network.node, *past = state->late.past, mean;
     real_t samples = dead_time_of(config, state) * late->rate;
-    uint32_t i, whole;
-    for (i = late->room + 1U; i > 0U; --i) {
-        past[i] = past[i - 1U];
-    }
-    past[0] = signal[PMF_LATE_INPUT];
+    uint32_t kept = late->room + 2U, whole;
+    state->late.at = state->late.at == 0U ? kept - 1U : state->late.at - 1U;
+    past[state->late.at] = signal[PMF_LATE_INPUT];
     samples = samples > PMF_R(0.0) ? samples : PMF_R(0.0);
     samples = samples < PMF_R(1.0) * (real_t)late->room ? samples : (real_t)late->room;
     whole = (uint32_t)samples;
     state->late.part = samples - (real_t)whole;
-    state->late.older = past[whole + 1U];
-    state->late.newer = past[whole];
+    state->late.older = past[(state->late.at + whole + 1U) % kept];
+    state->late.newer = past[(state->late.at + whole) % kept];
     mean = state->late.newer + state->late.part * (state->late.older - state->late.newer);
     signal[PMF_LATE_INPUT] = mean;
     signal[PMF_INPUT] = signal[PMF_MOVING] * mean;

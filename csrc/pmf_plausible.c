@@ -189,7 +189,9 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
            check_recursion(&config->direct, &state->direct);
 #if PMF_WITH_AUXILIARY
 #if PMF_WITH_DEAD_TIME
-    fine &= finite((const real_t *)(const void *)&state->late, REALS(state->late));
+    fine &= finite(state->late.past, REALS(state->late.past)) & finite(&state->late.older, 1U) &
+            finite(&state->late.newer, 1U) & within(&state->late.part, 1U, PMF_R(0.0), PMF_R(1.0)) &
+            finite(&state->late.gathered, 1U) & at_most(state->late.at, config->late.room + 1U);
 #endif
     fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->borrowed);
 #endif

@@ -22,6 +22,7 @@ from pmfid.estimators.output_error import OE
 from pmfid.estimators.results import Fit
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.models.equation import ESTIMATE
 from pmfid.status import Status
 
 AUTO = "auto"
@@ -71,6 +72,8 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
     for cls, reason in _CANDIDATES:
         if issubclass(cls, Simulating) and configured.equation.without_simulation:
             continue
+        if not issubclass(cls, Simulating) and configured.equation.dead_time == ESTIMATE:
+            continue  # it would be wrong by as much as the dead time makes it
         candidate = _candidate(cls, configured, u, counts)
         try:
             fit = candidate.fit(u, counts)
@@ -127,7 +130,7 @@ def _sharp(
 def _candidate(cls: type[BatchEstimator], configured: Estimator, u: ArrayLike, counts: ArrayLike) -> BatchEstimator:
     if cls in (BCLS, LS):
         zeros = choose_prefilter_zeros(configured, u, counts) if cls is BCLS else None
-        return like(cls, configured, model=configured.model.symmetric, prefilter_zeros=zeros)
+        return like(cls, configured, model=configured.model.simple, prefilter_zeros=zeros)
     return like(cls, configured, prefilter_zeros=None)
 
 

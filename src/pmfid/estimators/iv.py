@@ -147,7 +147,7 @@ class IV(ProcessSolver, Simulating):
             return initial_vector(self.initial, self.names)
         if self.equation.dead_time == ESTIMATE:
             return self._start_late(u, counts)
-        batch = like(BCLS, self, model=self.model.symmetric)
+        batch = like(BCLS, self, model=self.model.simple)
         return spread(batch.equation.role_values(batch.fit(u, counts).theta), self.equation)
 
     def _start_late(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:

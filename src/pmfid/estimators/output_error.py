@@ -149,7 +149,7 @@ class Following(Simulating, BatchEstimator):
         try:
             columns, theta = first.settled(u, counts)
         except NotIdentifiableError:
-            batch = like(BCLS, self, model=self.model.symmetric)
+            batch = like(BCLS, self, model=self.model.simple)
             check_identifiable(batch.columns(u, counts), batch.names)
             theta = first.start(u, counts)
             columns = first.columns_at(theta, u, counts)

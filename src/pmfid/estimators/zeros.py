@@ -18,9 +18,9 @@ def choose_prefilter_zeros(estimator: Estimator, u: ArrayLike, counts: ArrayLike
     motion, not of the noise.
     Raises what `BCLS.columns` raises.
     """
-    needed = len(estimator.model.symmetric.equation.noisy)
+    needed = len(estimator.model.simple.equation.noisy)
     sets = estimator.plant.candidate_zeros(estimator.cutoff, estimator.memory, needed)
-    batches = [like(BCLS, estimator, model=estimator.model.symmetric, prefilter_zeros=zeros) for zeros in sets]
+    batches = [like(BCLS, estimator, model=estimator.model.simple, prefilter_zeros=zeros) for zeros in sets]
     information = [_log_information(batch, u, counts) for batch in batches]
     return sets[int(np.argmax(information))]
 

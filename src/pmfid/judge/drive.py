@@ -131,7 +131,7 @@ def reference(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> dict[str
         fit = like(IV, estimator, prefilter_zeros=None).fit(u, counts)
     except NotIdentifiableError:
         zeros = choose_prefilter_zeros(estimator, u, counts)
-        fit = like(BCLS, estimator, model=estimator.model.symmetric, prefilter_zeros=zeros).fit(u, counts)
+        fit = like(BCLS, estimator, model=estimator.model.simple, prefilter_zeros=zeros).fit(u, counts)
     return _table(fit.names, fit.theta, fit.theta_std)
 
 
@@ -183,7 +183,7 @@ def _model(
     u, counts = u[part], counts[part]
     if u.size < FEWEST or not np.any(np.diff(like(OE, estimator, prefilter_zeros=None).position(counts))):
         return
-    if not np.any(like(LS, estimator, model=estimator.model.symmetric, prefilter_zeros=None).columns(u, counts).used):
+    if not np.any(like(LS, estimator, model=estimator.model.simple, prefilter_zeros=None).columns(u, counts).used):
         return
     theta, std = theta[: len(estimator.equation.names)], std[: len(estimator.equation.names)]
     at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)

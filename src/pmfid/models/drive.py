@@ -8,7 +8,7 @@ from numbers import Real
 from typing import ClassVar, Literal, Protocol
 
 from pmfid.errors import UsageError
-from pmfid.models.equation import Equation, Term, check_dead_time
+from pmfid.models.equation import ESTIMATE, Equation, Term, check_dead_time
 
 FRICTIONS = ("symmetric", "directional")
 
@@ -24,6 +24,11 @@ class Model(Protocol):
     @property
     def symmetric(self) -> Model:
         """The model that can be identified before the directions of motion are told apart."""
+        ...
+
+    @property
+    def simple(self) -> Model:
+        """The same, and without a dead time that is to be found: what methods that simulate no motion can identify."""
         ...
 
     def at_dead_time(self, seconds: float) -> Model:
@@ -46,6 +51,11 @@ class EquationModel:
     @property
     def symmetric(self) -> EquationModel:
         return EquationModel(self.equation.symmetric)
+
+    @property
+    def simple(self) -> EquationModel:
+        found = self.equation.dead_time == ESTIMATE
+        return self.symmetric.at_dead_time(0.0) if found else self.symmetric
 
     def at_dead_time(self, seconds: float) -> EquationModel:
         return EquationModel(self.equation.at_dead_time(seconds))
@@ -109,6 +119,10 @@ class Drive:
         if self.friction == "symmetric":
             return self
         return replace(self, friction="symmetric", offset=True)
+
+    @property
+    def simple(self) -> Drive:
+        return self.symmetric.at_dead_time(0.0) if self.dead_time == ESTIMATE else self.symmetric
 
     def at_dead_time(self, seconds: float) -> Drive:
         return replace(self, dead_time=seconds)

@@ -93,6 +93,10 @@ class TransferFunction:
     def symmetric(self) -> TransferFunction:
         return self
 
+    @property
+    def simple(self) -> TransferFunction:
+        return self
+
     def at_dead_time(self, seconds: float) -> TransferFunction:
         return replace(self, dead_time=seconds)
 

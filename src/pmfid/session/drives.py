@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -25,6 +26,7 @@ from pmfid.estimators.results import Columns
 from pmfid.estimators.track import Track
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.judge.drive import judge
+from pmfid.models.equation import LATE
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction, diagnose
 from pmfid.session.kinds import Kind, Progress, method_of, settings
@@ -32,6 +34,7 @@ from pmfid.session.outliers import Believed, believed
 from pmfid.session.records import Record, read_record
 from pmfid.session.result import DriveResult
 from pmfid.status import Status, status_names
+from pmfid.types import Floats
 
 CHUNK = 100_000
 
@@ -140,11 +143,17 @@ def _batch_twin(estimator: Estimator) -> BatchEstimator:
     if isinstance(estimator, BatchEstimator):
         return estimator
     if isinstance(estimator, RIV):
-        return like(LS, estimator, prefilter_zeros=None)
+        model = estimator.model.at_dead_time(0.0) if late_of(estimator) is not None else estimator.model
+        return like(LS, estimator, model=model, prefilter_zeros=None)
     twin = like(ESTIMATORS["bcls" if estimator.instrumental else "ls"], estimator)
     if not isinstance(twin, BatchEstimator):
         raise UsageError(f"{estimator.method} has no off-line method beside it")
     return twin
+
+
+def late_of(estimator: Estimator) -> int | None:
+    """The parameter that is the dead time, where it is to be found."""
+    return estimator.equation.roles[LATE]
 
 
 def _recursive(
@@ -157,7 +166,12 @@ def _recursive(
             "the record ends before there is an estimate: too little motion for every parameter; record longer"
         )
     theta, std = track.theta[-1], track.theta_std[-1]
-    relative = _relative_error(columns, track)
+    late, free = late_of(estimator), track.theta
+    if late is not None:  # the equation at the dead time that was found, which has no unknown for it
+        known = estimator.model.at_dead_time(max(0.0, float(theta[late])))
+        columns = like(LS, estimator, model=known, prefilter_zeros=None).columns(record.u, record.counts)
+        free = np.delete(free, late, axis=1)
+    relative = _relative_error(columns, free, track.status)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
     held = occurred | (last & ~int(Status.SETTLING | Status.UNMODELLED | Status.FEEDBACK))  # `judge` looks closer
     flags, notes = judge(estimator, record.u, record.counts, theta, std)
@@ -166,13 +180,13 @@ def _recursive(
     return DriveResult(estimator, theta, std, status, notes, record, relative, track=track)
 
 
-def _relative_error(columns: Columns, track: Track) -> float:
+def _relative_error(columns: Columns, theta: Floats, status: NDArray[np.uint32]) -> float:
     """Of the filtered equation, each sample with the estimate of its time."""
-    known = columns.used & ((track.status & (Status.SETTLING | Status.STARTING)) == 0)
+    known = columns.used & ((status & (Status.SETTLING | Status.STARTING)) == 0)
     rows = known[columns.used]
     z = columns.z[rows]
     with np.errstate(over="ignore", invalid="ignore"):  # of a track that has diverged: infinite is right, and no result
-        residual = z - np.sum(columns.phi[rows] * track.theta[known], axis=1)
+        residual = z - np.sum(columns.phi[rows] * theta[known], axis=1)
         return float(np.linalg.norm(residual) / np.linalg.norm(z))
 
 

@@ -75,10 +75,14 @@ def check_positive(name: str, value: float | None) -> None:
 NOT_YET = {"spring": "a load on a spring", "dead_time": "an input that acts late"}
 
 
-def check_parameters(problem: Posed) -> None:
+def check_drive(drive: Drive) -> None:
     for key, what in NOT_YET.items():
-        if getattr(problem.drive, key):
+        if getattr(drive, key):
             raise UsageError(f"a design for {what} is not there yet; leave {key} out")
+
+
+def check_parameters(problem: Posed) -> None:
+    check_drive(problem.drive)
     known = problem.drive.equation.names
     for name in (*problem.names, *problem.nominal, *(name for case in problem.scenarios for name in case)):
         if name not in known:
