@@ -28,8 +28,8 @@ from pmfid.types import Floats
 
 #: A force is missed where its score is so many of its standard deviations: chance alone once in a thousand records.
 MISSED = 4.0
-#: Forces whose scores are so near the largest are named, too, and so many at most.
-NEARLY, MOST_SAID = 0.9, 3
+#: Forces that explain so nearly as much as the best are named, too, and so many at most.
+NEARLY, MOST_SAID = 0.8, 3
 #: Two estimates contradict each other from so many standard deviations of their difference on.
 CONTRADICTED = 2.5
 #: Part of a force's effect that is no combination of the parameters', below which nothing can be said of it.
@@ -46,7 +46,7 @@ class Adequacy:
     difference, q: the fit; noise: standard deviation beside the encoder's step [counts], of a fit within the counts,
     else None; lacks: k forces; z: (k,) how many standard deviations their scores
     are from zero; size, size_std: (k,) coefficients that the counts ask for, to first order, and their standard
-    deviations; moves: (p, k) by how much the parameters of that fit move for a unit of each.
+    deviations; expected: (k,) the information on each; moves: (p, k) by how much the parameters of that fit move for a unit of each.
     """
 
     difference: Difference
@@ -56,6 +56,7 @@ class Adequacy:
     z: Floats
     size: Floats
     size_std: Floats
+    expected: Floats
     moves: Floats
 
     @property
@@ -70,9 +71,25 @@ class Adequacy:
 
     @cached_property
     def missed(self) -> tuple[int, ...]:
-        """The forces that the counts ask for, the clearest first."""
-        order = np.argsort(-np.abs(self.z))
-        return tuple(int(k) for k in order if abs(self.z[k]) > MISSED)
+        """The forces that the counts ask for, that which explains most of what is left first."""
+        return tuple(int(k) for k in np.argsort(-self.gain) if abs(self.z[k]) > MISSED)
+
+    @property
+    def named(self) -> tuple[int, ...]:
+        """Of the missed forces those that explain so nearly the most that either may be what is lacking."""
+        return tuple(k for k in self.missed if self.gain[k] > NEARLY * self.gain[self.missed[0]])
+
+    @cached_property
+    def gain(self) -> Floats:
+        """(k,) by how much each force alone would improve the log-likelihood, to first order, doubled: its score may
+        stand out clearly and yet leave most of what is wrong, where another one leaves nothing."""
+        return np.asarray(self.size**2 * self.expected)
+
+    @property
+    def dead_time(self) -> float | None:
+        """Dead time [s] of the input that the counts ask for, to first order, where one may be what is lacking."""
+        found = [k for k in self.named if self.lacks[k].name == "dead_time" and self.size[k] > 0]
+        return float(self.size[found[0]]) if found else None
 
     @property
     def left(self) -> float:
@@ -85,8 +102,7 @@ class Adequacy:
     def says(self) -> str:
         """What is wrong with the model, for people; empty where nothing is."""
         if self.missed:
-            near = [k for k in self.missed if abs(self.z[k]) > NEARLY * abs(self.z[self.missed[0]])]
-            asked = list(dict.fromkeys(self._said(k) for k in near))[:MOST_SAID]
+            asked = list(dict.fromkeys(self._said(k) for k in self.named))[:MOST_SAID]
             cure = self.lacks[self.missed[0]].cure
             like_it = f"the motion asks for {'; or for '.join(asked)}; or for something like it"
             return f"{like_it}: {cure}" if cure else like_it
@@ -155,7 +171,7 @@ def _tested(best: Best, information: float, slope: Floats) -> Adequacy:
         variance = np.maximum(variance, phase_scatter(difference, q, alone, noise))
     z, size, std = score / np.sqrt(variance), score / expected, np.sqrt(variance) / expected
     found = tuple(lack for lack, there in zip(candidates, apart, strict=True) if there)
-    return Adequacy(difference, q, noise, found, z, size, std, moves)
+    return Adequacy(difference, q, noise, found, z, size, std, expected, moves)
 
 
 def _effect(difference: Difference, q: Floats, lack: Lack) -> Floats:

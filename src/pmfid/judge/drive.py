@@ -52,8 +52,8 @@ def judge(
     is larger than its error bar and 2 %; std_too_small: larger than its error bar; unmodelled: the counts show that
     the model lacks something; not_followed: they are nothing like what it simulates; model_spread: they would not show
     what it may lack, and that would move a parameter beyond its error bar; feedback: what is unexplained comes back
-    through the input; count_jump: one change of the counts is no motion; coarse_motion: too few counts per sample for
-    a method that takes the encoder's error for white noise. With a memory the last three of it are judged.
+    through the input; dead_time: an input that acts late may be what it lacks; count_jump: one change of the counts is no
+    motion; coarse_motion: too few counts per sample for a method that takes the encoder's error for white noise. With a memory the last three of it are judged.
     adequacy: what `examine` says of the whole record, where that is known already.
     """
     residual = [*_model(estimator, u, counts, theta, std, adequacy), *_feedback(estimator, u, counts, theta)]
@@ -201,6 +201,12 @@ def _model(
         )
     if not found.adequate:
         yield "unmodelled", f"{UNMODELLED}: {found.says}; the error bars do not cover it"
+        if found.dead_time is not None:
+            yield (
+                "dead_time",
+                f"a dead time of about {found.dead_time / estimator.dt:.2g} samples explains the counts better: set "
+                'dead_time = "estimate" in [model]',
+            )
         return
     yield from _hidden(estimator, found, (u, counts), theta, std)
 
