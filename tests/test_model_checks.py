@@ -175,6 +175,21 @@ def test_the_residual_is_that_of_the_estimator_and_the_velocities_lie_on_each_ot
     np.testing.assert_allclose(viscous, result.theta[1] * balance.measured, atol=1e-9)
 
 
+def test_the_friction_of_the_model_is_that_of_its_parameters() -> None:
+    balance, velocity = balance_of(clean()), np.array([-0.2, 0.3])
+    assert balance is not None
+    _, viscous, coulomb = clean().theta
+    np.testing.assert_allclose(balance.model_friction(velocity), viscous * velocity + coulomb * np.sign(velocity))
+
+
+def test_behind_a_coarse_encoder_the_velocity_is_that_of_the_model() -> None:
+    fine, coarse = balance_of(clean()), balance_of(clean(increments=64))
+    assert fine is not None
+    assert coarse is not None
+    assert fine.velocity is fine.measured
+    assert coarse.velocity is coarse.simulated
+
+
 def test_the_encoder_response_is_that_of_the_balance() -> None:
     """One wrong count in the record moves the residual by the response."""
     run = cart_run(1, increments=None)
