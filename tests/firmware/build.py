@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import shutil
 import subprocess
 import tempfile
@@ -84,6 +85,12 @@ def compiled(folder: Path, prefix: str, target: Target, main: Path, optimize: st
     if done.returncode != 0:
         raise RuntimeError(done.stderr[:2000])
     return program
+
+
+def calls(folder: Path, target: Target, objects: list[str]) -> set[str]:
+    """What the objects need of others."""
+    nm = target.compiler.replace("gcc", "nm") if target.board else "nm"
+    return set(re.findall(r"^\s+U (\S+)$", command([nm, "-u", *objects], folder).stdout, re.MULTILINE))
 
 
 @cache
