@@ -76,9 +76,15 @@ def good(record: Path, *options: str, config: Path = AXIS) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def found(cart: Cart) -> Callable[[str], dict[str, Any]]:
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where `found` writes, a folder for each method."""
+    return tmp_path_factory.mktemp("found") / "new"
+
+
+@pytest.fixture(scope="module")
+def found(cart: Cart, out: Path) -> Callable[[str], dict[str, Any]]:
     """What each method makes of the run, once."""
-    return cache(lambda method: good(cart.csv, "--method", method))
+    return cache(lambda method: good(cart.csv, "--method", method, "--out", str(out / method)))
 
 
 def complaint(result: Result, code: int = 2) -> str:
@@ -460,9 +466,10 @@ def test_a_homing_in_a_record_is_told_once(tmp_path: Path, cart: Cart) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_out_writes_the_report_the_numbers_and_the_track(tmp_path: Path, cart: Cart, method: str) -> None:
-    out = tmp_path / "new" / "folder"
-    printed = good(cart.csv, "--method", method, "--out", str(out))
+def test_out_writes_the_report_the_numbers_and_the_track(
+    out: Path, found: Callable[[str], dict[str, Any]], method: str
+) -> None:
+    printed, out = found(method), out / method
     track = issubclass(ESTIMATORS[printed["method"]], RecursiveEstimator)
     expected = {"report.html", "result.json"} | ({"track.parquet"} if track else set())
     assert {path.name for path in out.iterdir()} == expected
