@@ -93,6 +93,8 @@ static void note_settling(const pmf_linear_config_t *config, pmf_linear_state_t 
         state->unsettled = state->age;
     } else if (state->age / 3U * 2U > state->unsettled + config->settle_samples) {
         state->settled = 1U;
+    } else {
+        /* wait */
     }
 }
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import pickle
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from unittest import mock
 
 import pytest
 from click.testing import CliRunner
@@ -13,6 +16,9 @@ import pmfid
 from pmfid.cli.main import main
 from pmfid.estimators.registry import methods_for
 from pmfid.report.comparison import _fit
+from pmfid.session.compare import Comparison, compare
+from pmfid.session.config import Axis
+from pmfid.session.kinds import Progress, Records
 from pmfid.simulation import CART, make_scenario, write_csv
 from studies.second_order import write
 
@@ -26,6 +32,21 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("compare") / "cart.csv"
     write_csv(make_scenario("prbs", seed=1), path)
     return path
+
+
+@pytest.fixture(autouse=True, scope="module")
+def compared() -> Iterator[None]:
+    """The same records are compared once; each test looks at what is made of it."""
+    known: dict[bytes, Comparison] = {}
+
+    def once(data: Records, axis: Axis, done: Progress | None = None) -> Comparison:
+        key = pickle.dumps((data, axis))
+        if key not in known:
+            known[key] = compare(data, axis, done)
+        return known[key]
+
+    with mock.patch("pmfid.session.compare.compare", once):
+        yield
 
 
 def run(*arguments: str) -> str:

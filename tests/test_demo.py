@@ -31,6 +31,14 @@ def result() -> DemoResult:
     return run_demo()
 
 
+@pytest.fixture(scope="module")
+def folder(result: DemoResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the demo writes."""
+    place = tmp_path_factory.mktemp("demo")
+    write_demo(place, result)
+    return place
+
+
 def printed(result: DemoResult, width: int) -> str:
     console = Console(file=StringIO(), width=width)
     console.print(demo_table(result))
@@ -100,24 +108,22 @@ def test_the_findings_hold_whether_plain_rls_is_fine_or_not(result: DemoResult) 
     assert "fine here too" in text if worst <= 1 else "biased here" in text
 
 
-def test_same_seed_same_bytes(result: DemoResult, tmp_path: Path) -> None:
-    write_demo(tmp_path / "a", result)
+def test_same_seed_same_bytes(folder: Path, tmp_path: Path) -> None:
     write_demo(tmp_path / "b" / "deep", run_demo())
     for name in ("report.html", "cart.csv"):
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / "deep" / name).read_bytes()
-    page = (tmp_path / "a" / "report.html").read_text("utf-8")
+        assert (folder / name).read_bytes() == (tmp_path / "b" / "deep" / name).read_bytes()
+    page = (folder / "report.html").read_text("utf-8")
     assert page.count("<svg") == 4
     assert "http" not in page
     assert len(page) < 1_500_000
     assert all(f'<td class="number">{n}</td>' in page for n in INCREMENTS)
 
 
-def test_the_record_gives_the_new_mass(result: DemoResult, tmp_path: Path) -> None:
-    write_demo(tmp_path, result)
-    t, u, counts = np.loadtxt(tmp_path / "cart.csv", delimiter=",", skiprows=1, unpack=True)
+def test_the_record_gives_the_new_mass(folder: Path) -> None:
+    t, u, counts = np.loadtxt(folder / "cart.csv", delimiter=",", skiprows=1, unpack=True)
     estimator = pmfid.BCRLS(pmfid.Drive(2.0), pmfid.Encoder(22.75e-6), t[1] - t[0], 50.0, forgetting=0.99)
     assert estimator.run(u, counts.astype(int))["mass"][-1] == pytest.approx(1.44, rel=0.01)
-    assert "2.275e-05 m" in (tmp_path / "report.html").read_text("utf-8")
+    assert "2.275e-05 m" in (folder / "report.html").read_text("utf-8")
 
 
 def test_main_draws_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,10 +16,25 @@ from pmfid.cli.main import main
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import OFF_LINE, RECURSIVE
 from pmfid.export.initializer import literal
+from pmfid.export.samples import recorded
 from pmfid.kernel.saved import configuration
 from pmfid.kernel.structures import structures
 from tests.conftest import EMPS, cart_run, needs_emps
-from tests.firmware.build import CLANG, GCC, HERE, M4F, M7, REQUIRED, WARNINGS, Target, command, compiled
+from tests.firmware.build import (
+    CLANG,
+    GCC,
+    HERE,
+    M4F,
+    M7,
+    REQUIRED,
+    WARNINGS,
+    Target,
+    command,
+    compiled,
+    links,
+    objects,
+    run,
+)
 from tests.firmware.footprint import cost, kept
 from tests.firmware.replay import PREFIX, difference, exported
 from tests.test_many import process_record
@@ -118,9 +133,12 @@ def process_estimator(name: str, precision: str) -> RecursiveEstimator:
 
 
 @needs(GCC)
-@pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("name", PROCESSES)
+@pytest.mark.parametrize(
+    ("name", "precision"),
+    [(name, precision) for name, (cls, _) in PROCESSES.items() for precision in PRECISIONS[: 1 + (name == cls.method)]],
+)
 def test_linear_processes_are_exported(name: str, precision: str, tmp_path: Path) -> None:
+    """The methods in both precisions; their variants, as those of a drive above, in float32."""
     estimator = process_estimator(name, precision)
     u, counts = (table[0].copy() for table in process_record())
     track = estimator.run(u, counts)
@@ -129,7 +147,7 @@ def test_linear_processes_are_exported(name: str, precision: str, tmp_path: Path
     u[1500], u[1501], counts[1600:] = np.nan, 1e30, counts[1600:] + 70_000
     assert difference(exported(estimator, tmp_path, u, counts), GCC, "-O2", *WARNINGS) is None
     assert "y'' + a0 y" in (tmp_path / "axis.h").read_text() or name == "order"
-    assert selftest(tmp_path, GCC).returncode == 0
+    assert selftest(tmp_path, GCC, *WARNINGS).returncode == 0
     resumed = process_estimator(name, precision)
     estimator.run(u[:1700], counts[:1700])
     resumed.set_state(estimator.get_state())
@@ -191,22 +209,28 @@ def test_a_difference_is_found(tmp_path: Path) -> None:
 # --- the self-test ----------------------------------------------------------------------------------------------------
 
 
-def selftest(folder: Path, target: Target, *options: str) -> subprocess.CompletedProcess[str]:
+def selftest(folder: Path, target: Target, *options: str, optimize: str = "-O2") -> subprocess.CompletedProcess[str]:
     """Compiles the self-test of an export with further options and runs it."""
-    sources = ["selftest.c", *sorted(path.name for path in folder.glob("pmf_*.c"))]
-    sources += [path.name for path in folder.glob("*_config.c")]
-    done = command([target.compiler, *REQUIRED, "-O2", *options, *sources, "-o", "test", "-lm"], folder)
-    assert done.returncode == 0, done.stderr[:2000]
-    return command(["./test"], folder)
+    (config,) = folder.glob("*_config.c")
+    prefix = config.name.removesuffix("_config.c")
+    return run(compiled(folder, prefix, target, folder / "selftest.c", optimize, *options), target)
 
 
 @needs(GCC)
-def test_make_selftest_and_example_as_a_stranger_would(folder: Path) -> None:
-    done = command(["make", "-s", "selftest", "all"], folder)
+def test_make_selftest_and_example_as_a_stranger_would(tmp_path: Path) -> None:
+    pmfid.export_firmware(make(pmfid.RIV), tmp_path)
+    done = command(["make", "-s", "selftest", "all"], tmp_path)
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
-    assert command(["./selftest"], folder).stdout == "800 samples, the same bits\n"
-    assert command(["./example"], folder).returncode == 0
-    command(["make", "clean"], folder)
+    assert command(["./selftest"], tmp_path).stdout == "800 samples, the same bits\n"
+    assert command(["./example"], tmp_path).returncode == 0
+
+
+@needs(GCC)
+def test_every_export_has_a_self_test_and_an_example_that_run(folder: Path) -> None:
+    """With the objects of the test above."""
+    assert selftest(folder, GCC, *WARNINGS, optimize="-O3").stdout == "800 samples, the same bits\n"
+    example = compiled(folder, PREFIX, GCC, folder / "main.c", "-O3", *WARNINGS)
+    assert run(example, GCC).returncode == 0
 
 
 FMA = "fma" in Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else False
@@ -240,23 +264,28 @@ def test_the_canary_finds_spoilt_arithmetic(
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize(
-    "compiler",
+    ("target", "optimize"),
     [
-        pytest.param(words, marks=needs(Target("", words[0])), id=" ".join(words))
-        for words in (
-            ("gcc", "-std=c99"),
-            ("clang", "-std=c99"),
-            ("g++", "-x", "c++", "-std=c++17"),
-            ("clang++", "-x", "c++", "-std=c++17"),
-            ("arm-none-eabi-gcc", "-std=c99", "-mcpu=cortex-m4", "-mthumb"),
+        pytest.param(target, optimize, marks=needs(target), id=target.name)
+        for target, optimize in (
+            (GCC, "-O3"),
+            (CLANG, "-O2"),
+            (M4F, "-O2"),
+            (Target("g++", "g++", ("-x", "c++", "-std=c++17")), "-O2"),
+            (Target("clang++", "clang++", ("-x", "c++", "-std=c++17")), "-O2"),
         )
     ],
 )
-def test_every_file_compiles_without_a_warning(compiler: tuple[str, ...], precision: str, tmp_path: Path) -> None:
+def test_every_file_compiles_without_a_warning(target: Target, optimize: str, precision: str, tmp_path: Path) -> None:
+    """The kernel in C with the options with which it computed the same bits above, which did not fail."""
     pmfid.export_firmware(make(pmfid.RIV, precision), tmp_path)
+    words = [target.compiler, *target.options, *(() if "c++" in target.options else ("-std=c99",))]
     files = [path.name for path in tmp_path.glob("*.c")]
     assert {"main.c", "selftest.c", "axis_config.c"} < set(files)
-    done = command([*compiler, *WARNINGS, "-O2", "-ffp-contract=off", "-c", *files], tmp_path)
+    if "c++" not in target.options:
+        assert len(objects(tmp_path, target, optimize, *WARNINGS)) == len(files) - 3
+        files = ["main.c", "selftest.c", "axis_config.c"]
+    done = command([*words, *WARNINGS, optimize, "-ffp-contract=off", "-c", *files], tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -265,11 +294,13 @@ MISRA = set(re.findall(r"^\| (\d+\.\d+) \|", FIRMWARE_PAGE.read_text(encoding="u
 
 
 @needs(Target("", "cppcheck"))
-@pytest.mark.parametrize("cls", [pmfid.BCRLS, pmfid.RIV])
-def test_misra_finds_only_what_is_justified(cls: type[RecursiveEstimator], tmp_path: Path) -> None:
-    pmfid.export_firmware(make(cls), tmp_path)
+@pytest.mark.parametrize("kind", ["drive", "process"])
+def test_misra_finds_only_what_is_justified(kind: str, tmp_path: Path) -> None:
+    """The drive with the most code and the process with the most, each with the macros of its export alone."""
+    pmfid.export_firmware(make(pmfid.RIV) if kind == "drive" else process_estimator("window", "float32"), tmp_path)
     files = sorted(path.name for path in tmp_path.glob("*.c") if path.name not in ("main.c", "selftest.c"))
-    done = command(["cppcheck", "--addon=misra", "--std=c99", "-UPMF_LANES", "-I.", *files], tmp_path)
+    options = ["--std=c99", "-UPMF_LANES", "-DONE_CONFIGURATION", "-I."]  # without -D it guesses a dozen others
+    done = command(["cppcheck", "--addon=misra", *options, *files], tmp_path)
     if "Bailing out from" in done.stderr or "failed to execute" in done.stderr.lower():
         pytest.skip("this cppcheck has no working MISRA addon")
     found = set(re.findall(r"misra-c2012-(\d+\.\d+)", done.stderr))
@@ -288,19 +319,18 @@ def test_sanitizers_find_nothing(tmp_path: Path) -> None:
 def test_valgrind_finds_nothing(tmp_path: Path) -> None:
     pmfid.export_firmware(make(pmfid.BCRLS), tmp_path)
     assert selftest(tmp_path, GCC, "-g").returncode == 0
-    done = command(["valgrind", "--error-exitcode=9", "--leak-check=full", "-q", "./test"], tmp_path)
+    done = command(["valgrind", "--error-exitcode=9", "--leak-check=full", "-q", "./selftest-gcc-O2"], tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
 
 
 @needs(CLANG)
 @pytest.mark.parametrize("cls", [pmfid.BCRLS, pmfid.RIV])
 def test_fuzzing_for_a_while_finds_nothing(cls: type[RecursiveEstimator], tmp_path: Path) -> None:
-    pmfid.export_firmware(make(cls), tmp_path)
     sanitize = ("-fsanitize=fuzzer,undefined", "-fno-sanitize-recover=all")
-    try:
-        program = compiled(tmp_path, "axis", CLANG, HERE / "fuzz.c", "-O2", *sanitize)
-    except RuntimeError:
+    if not links(CLANG, "-fsanitize=fuzzer", "-Dmain=LLVMFuzzerTestOneInput"):
         pytest.skip("this clang has no libFuzzer")
+    pmfid.export_firmware(make(cls), tmp_path)
+    program = compiled(tmp_path, "axis", CLANG, HERE / "fuzz.c", "-O2", *sanitize)
     options = ["-max_total_time=3", "-max_len=600", "-len_control=0", "-seed=1"]
     done = command([f"./{program.name}", *options], tmp_path)
     assert done.returncode == 0, done.stderr[-2000:]
@@ -331,16 +361,15 @@ def test_interrupted_after_any_sample_it_goes_on_with_the_same_bits(
     cls: type[RecursiveEstimator], precision: str
 ) -> None:
     u, counts = hostile()
-    whole = make(cls, precision)
-    states = []
-    for value, count in zip(u, counts.tolist(), strict=True):
-        whole.step(value, count)
-        states.append(whole.get_state())
-    resumed = make(cls, precision)
+    whole, resumed, done = make(cls, precision), make(cls, precision), 0
     for k in [*range(0, 60), *range(60, 1199, 41)]:
-        resumed.set_state(states[k])
-        resumed.step(u[k + 1], int(counts[k + 1]))
-        assert resumed.get_state() == states[k + 1]
+        for part in range(done, k + 1):
+            whole.step(u[part], int(counts[part]))
+        resumed.set_state(whole.get_state())
+        for one in (whole, resumed):
+            one.step(u[k + 1], int(counts[k + 1]))
+        assert resumed.get_state() == whole.get_state()
+        done = k + 2
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -412,6 +441,13 @@ def test_off_line_methods_and_full_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("")
     with pytest.raises(pmfid.UsageError, match=r"thesis\.tex"):
         pmfid.export_firmware(make(pmfid.RLS), tmp_path)
+
+
+def test_a_self_test_of_one_sample_is_one_and_of_none_is_not(tmp_path: Path) -> None:
+    assert len(recorded(make(pmfid.RLS), [1.0], [0]).u) == 1
+    for u, counts in (([], []), ([np.nan], [0])):
+        with pytest.raises(pmfid.UsageError, match="at least one; take another record"):
+            recorded(make(pmfid.RLS), u, counts)
 
 
 def test_the_command_says_what_is_missing(tmp_path: Path) -> None:

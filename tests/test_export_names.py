@@ -32,6 +32,7 @@ PREFIXES = [
 REFUSED = [
     "int8",
     "uint32",
+    "int_least64",
     "size",
     "real",
     "truth",

@@ -15,7 +15,7 @@ from tests.hostile.plants import PLANTS, Columns
 from tests.hostile.records import as_csv
 from tests.hostile.verdict import judge, run
 
-CASES, GROUP = 100, 10
+CASES, GROUP = 40, 10
 ROTARY = """
 [record]
 input = "u"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import subprocess
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -108,40 +109,68 @@ def assert_equal_tracks(fleet: pmfid.Track, single: pmfid.Track) -> None:
         assert np.array_equal(getattr(fleet, name), getattr(single, name)), name
 
 
+@dataclass(frozen=True)
+class Alone:
+    """What an axis gives that runs by itself."""
+
+    track: pmfid.Track
+    state: bytes
+
+
+@lru_cache(maxsize=1)
+def each_alone(kind: str, number: int, precision: str) -> tuple[Alone, ...]:
+    """Every axis of its record, for one of VARIANTS or PROCESSES: the same for all ways side by side, which come one
+    after the other."""
+    found = []
+    for inputs, counts in zip(*RECORDS[kind](), strict=True):
+        estimator = one_of(kind, number, precision)
+        found.append(Alone(estimator.run(inputs, counts), estimator.get_state()))
+    return tuple(found)
+
+
+RECORDS = {"drive": fleet_record, "process": process_record}
+
+
+def one_of(kind: str, number: int, precision: str) -> RecursiveEstimator:
+    if kind == "drive":
+        cls, options = VARIANTS[number]
+        return make(cls, precision, **options)
+    cls, options = PROCESSES[number]
+    return make(cls, precision, **({"model": PROCESS, "forgetting": 0.999, "cutoff": 10.0} | options))
+
+
+def described(cases: list[tuple[type[RecursiveEstimator], dict[str, Any]]]) -> list[Any]:
+    return [pytest.param(k, id=f"{cls.__name__}-{options}") for k, (cls, options) in enumerate(cases)]
+
+
+def side_by_side_as_alone(kind: str, number: int, precision: str, way: int) -> tuple[Alone, ...]:
+    alone = each_alone(kind, number, precision)
+    fleet = fleet_of(one_of(kind, number, precision), AXES, way)
+    tracks = fleet.run(*RECORDS[kind](), every=1)
+    for axis in range(AXES):
+        assert_equal_tracks(tracks.axis(axis), alone[axis].track)
+        assert fleet.axis(axis).get_state() == alone[axis].state
+    return alone
+
+
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize(("cls", "options"), VARIANTS, ids=lambda value: getattr(value, "__name__", str(value)))
-def test_every_axis_has_the_bits_that_it_has_alone(cls, options, precision, way):
-    u, counts = fleet_record()
-    fleet = fleet_of(make(cls, precision, **options), AXES, way)
-    tracks = fleet.run(u, counts, every=1)
+@pytest.mark.parametrize("number", described(VARIANTS))
+def test_every_axis_has_the_bits_that_it_has_alone(number, precision, way):
     occurred = Status(0)
-    for axis in range(AXES):
-        single = make(cls, precision, **options)
-        track = single.run(u[axis], counts[axis])
-        assert_equal_tracks(tracks.axis(axis), track)
-        assert fleet.axis(axis).get_state() == single.get_state()
-        occurred |= Status(int(np.bitwise_or.reduce(track.status)))
+    for axis in side_by_side_as_alone("drive", number, precision, way):
+        occurred |= Status(int(np.bitwise_or.reduce(axis.track.status)))
     expected = Status.INVALID_INPUT | Status.COUNT_JUMP | Status.STANDSTILL | Status.POOR_EXCITATION
     assert expected in occurred, "the record does not test what it is for"
 
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize(("cls", "options"), PROCESSES, ids=lambda value: getattr(value, "__name__", str(value)))
-def test_every_linear_process_has_the_bits_that_it_has_alone(cls, options, precision, way):
-    u, counts = process_record()
-    settings = {"model": PROCESS, "forgetting": 0.999, "cutoff": 10.0} | options
-    fleet = fleet_of(make(cls, precision, **settings), AXES, way)
-    tracks = fleet.run(u, counts, every=1)
-    followed = 0
-    for axis in range(AXES):
-        single = make(cls, precision, **settings)
-        track = single.run(u[axis], counts[axis])
-        assert_equal_tracks(tracks.axis(axis), track)
-        assert fleet.axis(axis).get_state() == single.get_state()
-        followed += not Status(int(track.status[-1])) & (Status.FALLBACK | Status.STARTING)
-    assert followed > AXES // 2, "the record does not test what it is for"
+@pytest.mark.parametrize("number", described(PROCESSES))
+def test_every_linear_process_has_the_bits_that_it_has_alone(number, precision, way):
+    alone = side_by_side_as_alone("process", number, precision, way)
+    followed = [not Status(int(axis.track.status[-1])) & (Status.FALLBACK | Status.STARTING) for axis in alone]
+    assert sum(followed) > AXES // 2, "the record does not test what it is for"
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -9,6 +9,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -30,9 +31,15 @@ from pmfid.session.monitored.stream import Stop, line_samples
 from pmfid.session.monitored.timeline import Sample, Skipped
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing
-from studies.monitoring.pipe import command, lines, resident, write_axis
+from studies.monitoring.pipe import lines, resident, write_axis
 
 CHANGE = 15.0
+#: A calibration of so many hours is enough here, and the same for the command in a process of its own.
+HOURS = 4.0
+START = (
+    f"import pmfid.session.monitored.setup as m; m.simulated_hours = lambda h: {HOURS}; "
+    "from pmfid.cli.main import main; main()"
+)
 SKIPPED = ("bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_jumps")
 
 
@@ -47,7 +54,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (place / "run.csv").write_text("\n".join(["t,u,counts", *rows]) + "\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PMFID_CACHE", str(place / "cache"))
-        patch.setattr("pmfid.session.monitored.setup.simulated_hours", lambda hours: 4.0)
+        patch.setattr("pmfid.session.monitored.setup.simulated_hours", lambda hours: HOURS)
         yield place
 
 
@@ -60,6 +67,21 @@ def invoke(folder: Path, *arguments: str, stdin: bytes | None = None, code: int 
     return result.stdout if code == 0 else result.output
 
 
+@pytest.fixture(scope="module")
+def read(folder: Path) -> str:
+    """What the command says of run.csv; it has written page.html and out.parquet."""
+    return invoke(folder, "--json", "--report", str(folder / "page.html"), "--out", str(folder / "out.parquet"))
+
+
+#: As much of a pipe as shows what the command starts with.
+TWO_LINES = b"t,u,counts\n0,1,2\n0.01,1,2\n"
+
+
+def command(axis: Path, *arguments: str) -> list[str]:
+    """`pmfid monitor -` in a process of its own."""
+    return [sys.executable, "-c", START, "monitor", "-", "--config", str(axis), *arguments]
+
+
 def events(text: str, kind: str) -> list[dict[str, Any]]:
     found = [json.loads(line) for line in text.splitlines()]
     return [event for event in found if event["event"] == kind]
@@ -68,17 +90,16 @@ def events(text: str, kind: str) -> list[dict[str, Any]]:
 # --- a record ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_record_with_a_heavier_load(folder: Path) -> None:
-    text = invoke(folder, "--json", "--report", str(folder / "page.html"), "--out", str(folder / "out.parquet"))
-    (start,), (alarm,) = events(text, "start"), events(text, "alarm")
+def test_a_record_with_a_heavier_load(folder: Path, read: str) -> None:
+    (start,), (alarm,) = events(read, "start"), events(read, "alarm")
     assert start["nominal"]["mass"] == pytest.approx(CART.mass, rel=2e-3)
     assert (alarm["parameter"], alarm["direction"], alarm["unit"]) == ("mass", "up", "kg")
     assert alarm["relative"] == pytest.approx(0.2, abs=0.03)
     assert CHANGE < alarm["time"] < CHANGE + 3
-    (settled,) = events(text, "settled")
+    (settled,) = events(read, "settled")
     assert settled["parameters"]["mass"]["change"] == pytest.approx(0.2, abs=0.01)
     nothing = dict.fromkeys(SKIPPED, 0) | {"outliers": 0, "rows_lost": 0, "problem": ""}
-    assert events(text, "end") == [{"event": "end", "samples": 4000, "alarms": 1, **nothing}]
+    assert events(read, "end") == [{"event": "end", "samples": 4000, "alarms": 1, **nothing}]
     table = pl.read_parquet(folder / "out.parquet")
     assert table.height == 4000
     assert table["mass"][-1] == pytest.approx(1.2 * CART.mass, rel=0.01)
@@ -107,14 +128,14 @@ def test_options_go_before_the_file(folder: Path) -> None:
     assert events(text, "alarm") == []
 
 
+@pytest.mark.usefixtures("read")
 def test_the_calibration_is_made_once(folder: Path) -> None:
-    invoke(folder, "--tolerance", "0.5")
-    (start,) = events(invoke(folder, "--json"), "start")
+    (start,) = events(invoke(folder, "--json", "--tolerance", "0.5", stdin=TWO_LINES), "start")
     assert start["cached"] is True
     path = Path(start["calibration"])
     assert path.parent == folder / "cache"
     path.write_text(path.read_text()[:100])  # a broken file is made anew
-    (start,) = events(invoke(folder, "--json"), "start")
+    (start,) = events(invoke(folder, "--json", stdin=TWO_LINES), "start")
     assert start["cached"] is False
 
 
@@ -168,9 +189,8 @@ def test_without_a_reference_the_nominal_values_do(folder: Path, tmp_path: Path)
 # --- a pipe -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_pipe_gives_what_the_record_gives(folder: Path) -> None:
-    stdin = (folder / "run.csv").read_bytes()
-    piped, read = invoke(folder, "--json", stdin=stdin), invoke(folder, "--json")
+def test_a_pipe_gives_what_the_record_gives(folder: Path, read: str) -> None:
+    piped = invoke(folder, "--json", stdin=(folder / "run.csv").read_bytes())
     assert events(piped, "alarm") == [
         {key: pytest.approx(value) if isinstance(value, float) else value for key, value in alarm.items()}
         for alarm in events(read, "alarm")
@@ -218,7 +238,7 @@ def test_a_pipe_without_its_columns(folder: Path, stdin: bytes, message: str) ->
 
 
 def test_a_pipe_of_two_samples_says_so(folder: Path) -> None:
-    assert invoke(folder, stdin=b"t,u,counts\n0,1,2\n0.01,1,2\n").endswith("2 samples, 0 alarms\n")
+    assert invoke(folder, stdin=TWO_LINES).endswith("2 samples, 0 alarms\n")
 
 
 def samples_of(text: bytes, axis: Any) -> list[Any]:

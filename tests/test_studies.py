@@ -17,14 +17,10 @@ from studies.wrong_plants import PLANTS, wrong_record
 # --- the page ---------------------------------------------------------------------------------------------------------
 
 
-def test_same_seeds_same_bytes_whatever_the_processes(tmp_path: Path) -> None:
-    pages = []
-    for jobs in ("1", "2"):
-        page = tmp_path / f"{jobs}.md"
-        assert accuracy.main(["--out", str(page), "--seeds", "1", "--jobs", jobs, "--only", "creep"]) == 0
-        pages.append(page.read_bytes())
-    assert pages[0] == pages[1]
-    text = pages[0].decode()
+def test_a_page_has_the_section_that_was_asked_for(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    assert accuracy.main(["--out", str(page), "--seeds", "1", "--jobs", "2", "--only", "creep"]) == 0
+    text = page.read_text(encoding="utf-8")
     assert "    python -m studies.accuracy --out docs/accuracy.md --seeds 1 --only creep\n" in text
     assert "## Slow creep" in text
     assert "## Open loop" not in text

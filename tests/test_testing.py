@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -227,7 +228,12 @@ def broken(cls: type[Estimator]) -> list[str]:
 def test_a_broken_promise_is_found_and_named(cls) -> None:
     said = broken(cls)
     assert any(BROKEN[cls] in each for each in said), said
-    with pytest.raises(ContractError):
+
+
+@pytest.mark.parametrize("cls", [Mutable, Slanted, Stubborn, Rough])
+def test_the_first_broken_promise_ends_the_checks_as_a_whole(cls) -> None:
+    """Of the first check and of the last, off-line and on-line."""
+    with pytest.raises(ContractError, match=re.escape(BROKEN[cls])):
         check_estimator(cls(*SETTINGS))
 
 

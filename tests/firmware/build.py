@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+import re
 import shutil
 import subprocess
+import tempfile
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -42,17 +46,59 @@ def command(arguments: list[str], folder: Path, timeout: float = 600) -> subproc
     return subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=timeout)
 
 
+#: Objects of exported kernels, by everything that they are made of: many exports differ in their configuration alone.
+_MADE: dict[str, bytes] = {}
+
+
+def objects(folder: Path, target: Target, *options: str) -> list[str]:
+    """The kernel's objects in an exported folder, compiled once for the same sources and options. Raises RuntimeError
+    with what the compiler said."""
+    words = [target.compiler, *REQUIRED, *target.options, *options]
+    headers = b"".join(path.read_bytes() for path in sorted(folder.glob("pmf*.h")))
+    out = folder / "objects"
+    out.mkdir(exist_ok=True)
+    keys = {path.stem: _key(words, headers, path) for path in sorted(folder.glob("pmf_*.c"))}
+    missing = [name for name, key in keys.items() if key not in _MADE]
+    if missing:
+        done = command([*words, "-c", *(f"../{name}.c" for name in missing)], out)
+        if done.returncode != 0:
+            raise RuntimeError(done.stderr[:2000])
+    _MADE.update({keys[name]: (out / f"{name}.o").read_bytes() for name in missing})
+    for name, key in keys.items():
+        (out / f"{name}.o").write_bytes(_MADE[key])
+    return [f"objects/{name}.o" for name in keys]
+
+
+def _key(words: list[str], headers: bytes, source: Path) -> str:
+    return hashlib.sha256("\0".join(words).encode() + headers + source.read_bytes()).hexdigest()
+
+
 def compiled(folder: Path, prefix: str, target: Target, main: Path, optimize: str, *options: str) -> Path:
     """A program from an exported folder and a main file. Raises RuntimeError with what the compiler said."""
     program = folder / f"{main.stem}-{target.name}{optimize}"
-    sources = [str(main), *sorted(map(str, folder.glob("pmf_*.c"))), f"{prefix}_config.c"]
+    kernel = objects(folder, target, optimize, *options)
     board = ["--specs=rdimon.specs", f"-T{HERE / 'mps2.ld'}", str(HERE / "startup.c")] if target.board else []
     macros = [f'-DEXPORT_HEADER="{prefix}.h"', f"-DEXPORT_CONFIG={prefix}_config", "-I."]
-    options = (*REQUIRED, optimize, *target.options, *options, *macros)
-    done = command([target.compiler, *options, *sources, *board, "-Wl,--gc-sections", "-o", program.name], folder)
+    words = [target.compiler, *REQUIRED, *target.options, optimize, *options, *macros]
+    sources = [str(main), f"{prefix}_config.c", *kernel]
+    done = command([*words, *sources, *board, "-Wl,--gc-sections", "-o", program.name], folder)
     if done.returncode != 0:
         raise RuntimeError(done.stderr[:2000])
     return program
+
+
+def calls(folder: Path, target: Target, objects: list[str]) -> set[str]:
+    """What the objects need of others."""
+    nm = target.compiler.replace("gcc", "nm") if target.board else "nm"
+    return set(re.findall(r"^\s+U (\S+)$", command([nm, "-u", *objects], folder).stdout, re.MULTILINE))
+
+
+@cache
+def links(target: Target, *options: str) -> bool:
+    """Whether a program of nothing can be had with these options."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "nothing.c").write_text("int main(void) { return 0; }\n")
+        return command([target.compiler, *options, "nothing.c"], Path(folder)).returncode == 0
 
 
 def run(program: Path, target: Target, *arguments: str, clock: bool = False) -> subprocess.CompletedProcess[str]:
