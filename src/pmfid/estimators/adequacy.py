@@ -44,9 +44,9 @@ class Adequacy:
     """What the counts say on the model, at its best fit to them.
 
     difference, q: the fit; noise: standard deviation beside the encoder's step [counts], of a fit within the counts,
-    else None; lacks: k forces; z: (k,) how many standard deviations their scores
-    are from zero; size, size_std: (k,) coefficients that the counts ask for, to first order, and their standard
-    deviations; expected: (k,) the information on each; moves: (p, k) by how much the parameters of that fit move for a unit of each.
+    else None; lacks: k forces; z: (k,) how many standard deviations their scores are from zero; size, size_std: (k,)
+    coefficients that the counts ask for, to first order, and their standard deviations; expected: (k,) the information
+    on each; moves: (p, k) by how much the parameters of that fit move for a unit of each.
     """
 
     difference: Difference

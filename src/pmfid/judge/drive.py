@@ -50,11 +50,12 @@ def judge(
 
     implausible: a negative mass or friction; uncertain: not known to half its value; biased: the method's own error
     is larger than its error bar and 2 %; std_too_small: larger than its error bar; unmodelled: the counts show that
-    the model lacks something; not_followed: they are nothing like what it simulates; model_spread: they would not show
-    what it may lack, and that would move a parameter beyond its error bar; feedback: what is unexplained comes back
-    through the input; dead_time: an input that acts late may be what it lacks; count_jump: one change of the counts is no
-    motion; coarse_motion: too few counts per sample for a method that takes the encoder's error for white noise. With a memory the last three of it are judged.
-    adequacy: what `examine` says of the whole record, where that is known already.
+    the model lacks something; dead_time: an input that acts late may be what it lacks; not_followed: they are nothing
+    like what it simulates; model_spread: they would not show what it may lack, and that would move a parameter beyond
+    its error bar; feedback: what is unexplained comes back through the input; count_jump: one change of the counts is
+    no motion; coarse_motion: too few counts per sample for a method that takes the encoder's error for white noise.
+    With a memory the last three of it are judged. adequacy: what `examine` says of the whole record, where that is
+    known already.
     """
     residual = [*_model(estimator, u, counts, theta, std, adequacy), *_feedback(estimator, u, counts, theta)]
     # where the model is wrong, methods differ because they weigh its error differently: only large differences count
