@@ -79,7 +79,7 @@ enum {
     PMF_COULOMB_BACKWARD,
     PMF_OFFSET,
     PMF_STIFFNESS,
-    PMF_DEAD_TIME /* [s], of the input */
+    PMF_DELAY /* [s], of the input */
 };
 #define PMF_ROLES (7 + PMF_WITH_DEAD_TIME)
 #define PMF_NO_PARAMETER 0xffU
@@ -96,7 +96,8 @@ enum {
     PMF_RESET = 128,
     PMF_FALLBACK = 256,
     PMF_UNMODELLED = 512,
-    PMF_FEEDBACK = 1024
+    PMF_FEEDBACK = 1024,
+    PMF_DEAD_TIME = 2048
 };
 
 /* What becomes of old samples, beside the regularisation. */
@@ -313,7 +314,14 @@ typedef struct {
     scalar_t memory; /* forgetting of the check, per sample */
     scalar_t mismatch_limit; /* mean square difference of the velocities, as a part of their mean square */
     scalar_t noise_power; /* of the filtered measured velocity */
+    scalar_t lag_memory; /* forgetting of the comparison that shows a model ahead of the plant, per sample */
+    scalar_t lag_samples; /* that are worth one in it: the filters make neighbours alike */
 } pmf_auxiliary_config_t;
+
+/* What the model's velocity lacks of the measured one: products of that, the model's acceleration and its velocity. */
+typedef struct {
+    real_t weight, lack_lack, lack_acceleration, lack_velocity, acceleration, cross, velocity;
+} pmf_lag_t;
 
 /* What a parameter's change makes of the model's stops. */
 typedef struct {
@@ -332,6 +340,8 @@ typedef struct {
     whole_t trusted;
     whole_t in_charge; /* the instrumental estimate has taken over from the direct one */
     whole_t feedback; /* the last verdict, as a status bit */
+    pmf_lag_t lag;
+    whole_t late; /* whether the model is ahead, the last verdict as a status bit */
     whole_t turn; /* of the samples between two steps of the copy */
 } pmf_auxiliary_state_t;
 

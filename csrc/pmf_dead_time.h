@@ -19,7 +19,7 @@ static real_t dead_time_of(const pmf_config_t *config, const pmf_state_t *state)
 {
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
-        return state->auxiliary.parameter[PMF_DEAD_TIME];
+        return state->auxiliary.parameter[PMF_DELAY];
     }
 #endif
     (void)state;
@@ -50,18 +50,17 @@ static void delay_input(const pmf_config_t *config, pmf_state_t *state)
 /* The regressor of the dead time is a derivative, taken at the model's own; the direct target counts from there. */
 static void correct_direct(const pmf_config_t *config, const pmf_state_t *state, real_t *column)
 {
-    uint32_t index = config->auxiliary.direct_index[PMF_DEAD_TIME], first = config->direct.first_column;
+    uint32_t index = config->auxiliary.direct_index[PMF_DELAY], first = config->direct.first_column;
     if (index != PMF_NO_PARAMETER) {
-        column[first + config->direct.n_parameters] +=
-            state->auxiliary.parameter[PMF_DEAD_TIME] * column[first + index];
+        column[first + config->direct.n_parameters] += state->auxiliary.parameter[PMF_DELAY] * column[first + index];
     }
 }
 
 static void follow_dead_time(const pmf_config_t *config, pmf_state_t *state)
 {
-    real_t now = state->auxiliary.parameter[PMF_DEAD_TIME];
+    real_t now = state->auxiliary.parameter[PMF_DELAY];
     real_t apart = (now - state->late.gathered) * config->late.rate;
-    if (config->auxiliary.index[PMF_DEAD_TIME] == PMF_NO_PARAMETER || apart * apart <= FAR_AWAY * FAR_AWAY) {
+    if (config->auxiliary.index[PMF_DELAY] == PMF_NO_PARAMETER || apart * apart <= FAR_AWAY * FAR_AWAY) {
         return;
     }
     state->late.gathered = now;

@@ -53,7 +53,7 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_SELDOM static
 #endif
 
-#define PMF_STATUS_BITS (2 * PMF_FEEDBACK - 1) /* all of them */
+#define PMF_STATUS_BITS (2 * PMF_DEAD_TIME - 1) /* all of them */
 
 #define PMF_FOLLOWED 4U /* so often is the slow copy of the estimate taken on; a power of two */
 
@@ -102,6 +102,9 @@ PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_au
 /* Do the changes of the input follow the innovations? PMF_FEEDBACK or 0; `where`: the recursion has made a step. */
 PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const pmf_recursion_state_t *recursion,
                                        truth_t where, real_t change);
+/* Is the measured velocity behind the model's, as where the input acts late? PMF_DEAD_TIME or 0. */
+PMF_API whole_t pmf_auxiliary_late(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
+                                   const real_t *column, truth_t where);
 /* Moves the copy towards an estimate, whose parameters are found by `index`. */
 PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, truth_t where,
                                   const real_t *theta, const uint32_t *index);

@@ -150,7 +150,8 @@ PMF_SELDOM uint32_t check_auxiliary(const pmf_auxiliary_config_t *config, const 
            at_most(state->running, 1U) & at_most(state->trial, config->trial_samples) & at_most(state->trusted, 1U) &
            at_most(state->in_charge, 1U) & finite((const real_t *)(const void *)state->jump, REALS(state->jump)) &
            finite(&state->cross, 1U) & not_negative(&state->innovations, 1U) & not_negative(&state->changes, 1U) &
-           at_most(state->feedback, PMF_FEEDBACK);
+           at_most(state->feedback, PMF_FEEDBACK) &
+           finite((const real_t *)(const void *)&state->lag, REALS(state->lag)) & at_most(state->late, PMF_DEAD_TIME);
 }
 #endif
 

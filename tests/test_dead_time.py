@@ -121,6 +121,30 @@ def test_one_that_is_not_in_the_model_is_named_with_the_remedy_and_the_remedy_he
     assert examine(made(IV, "stage", "estimate"), run.u, run.counts).adequate
 
 
+WRONG_MODEL = Status.DEAD_TIME | Status.UNMODELLED
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_riv_says_on_line_that_the_input_acts_late(axis: str) -> None:
+    run = prbs(axis, 0.6, switches=900)
+    track = made(RIV, axis, 0.0).run(run.u, run.counts)
+    assert track.status[-1] & WRONG_MODEL
+    assert track.flagged(Status.DEAD_TIME).any() or axis == "wheel"  # there only that the model is wrong
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_riv_does_not_say_so_of_an_input_that_acts_at_once(axis: str) -> None:
+    run = prbs(axis, 0.0, switches=900)
+    assert not made(RIV, axis, 0.0).run(run.u, run.counts).flagged(Status.DEAD_TIME).any()
+
+
+@pytest.mark.parametrize("late", [0.0, 1.7])
+def test_riv_under_position_control(late: float) -> None:
+    run = strokes(late)
+    track = made(RIV, "cart", 0.0).run(run.u, run.counts)
+    assert track.flagged(WRONG_MODEL).any() == (late > 0)
+
+
 def test_from_arrays_to_json() -> None:
     run = prbs("cart", 0.7)
     result = pmfid.identify(
@@ -186,5 +210,5 @@ def test_roles_have_the_kernels_numbers() -> None:
     numbers, names = constants_of(None), ["MASS", "VISCOUS_FORWARD", "VISCOUS_BACKWARD", "COULOMB_FORWARD"]
     for name in (*names, "COULOMB_BACKWARD", "OFFSET", "STIFFNESS"):
         assert getattr(equation, name) == numbers[f"PMF_{name}"]
-    assert numbers["PMF_DEAD_TIME"] == equation.LATE
+    assert numbers["PMF_DELAY"] == equation.LATE
     assert numbers["PMF_ROLES"] == len(equation.ROLES)

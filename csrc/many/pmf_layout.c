@@ -97,8 +97,8 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
     }
     if (config->late.room == 0U) {
         leave_out(unused, IN_STATE(late), END_IN_STATE(late));
-        leave_out(unused, IN_STATE(auxiliary.parameter[PMF_DEAD_TIME]), END_IN_STATE(auxiliary.parameter));
-        leave_out(unused, IN_STATE(auxiliary.jump[PMF_DEAD_TIME]), END_IN_STATE(auxiliary.jump));
+        leave_out(unused, IN_STATE(auxiliary.parameter[PMF_DELAY]), END_IN_STATE(auxiliary.parameter));
+        leave_out(unused, IN_STATE(auxiliary.jump[PMF_DELAY]), END_IN_STATE(auxiliary.jump));
     }
     if (config->linear.enabled == 0U) {
         leave_out(unused, IN_STATE(linear), END_IN_STATE(linear));

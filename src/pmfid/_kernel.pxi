@@ -27,7 +27,7 @@ cdef extern from "pmf_internal.h":
         PMF_DIRECTION
         PMF_MOVING
         PMF_LATE_INPUT
-        PMF_DEAD_TIME
+        PMF_DELAY
     # Of the configuration only what is read here: Python fills it by name from pmf.h.
     ctypedef struct pmf_network_config_t:
         uint32_t n_columns
@@ -353,7 +353,7 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
     for role in range(len(parameters)):
         state.parameter[role] = parameters[role]
     state.velocity, state.position = velocity, position
-    samples = min(max(state.parameter[PMF_DEAD_TIME] / dt, 0.0), <double> n)
+    samples = min(max(state.parameter[PMF_DELAY] / dt, 0.0), <double> n)
     whole = <Py_ssize_t> samples
     late.part = samples - whole
     with nogil:

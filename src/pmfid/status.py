@@ -23,6 +23,7 @@ class Status(IntFlag):
     FALLBACK = _BITS["PMF_FALLBACK"]
     UNMODELLED = _BITS["PMF_UNMODELLED"]
     FEEDBACK = _BITS["PMF_FEEDBACK"]
+    DEAD_TIME = _BITS["PMF_DEAD_TIME"]
 
     @property
     def advice(self) -> tuple[str, ...]:
@@ -56,6 +57,10 @@ ADVICE = {
     Status.FEEDBACK: (
         "the input follows what the equation leaves unexplained, as under position control through the encoder: biases "
         "beyond the error bars are possible, the larger the coarser it is; open-loop motion is free of them"
+    ),
+    Status.DEAD_TIME: (
+        "the plant moves later than the model: the input acts late, or friction at low speed is not that of the model; "
+        'set dead_time = "estimate"; the error bars do not cover it'
     ),
 }
 

@@ -36,6 +36,8 @@ MISMATCH_LIMIT = 0.2
 BLOCK = {**HELD, **SPLIT, "output": VELOCITY}
 #: Memory of that comparison, in filter time constants.
 CHECK_TIME_CONSTANTS = 30.0
+#: The same of the comparison that shows a model ahead of the plant; samples within so many are taken for one there.
+LAG_TIME_CONSTANTS, ALIKE_TIME_CONSTANTS = 1000.0, 2.0
 #: Mean square innovation, over what a white encoder error explains, beyond which the equation is called wrong on-line,
 #: and the stretches of samples that it is taken over, two at a time, in filter time constants.
 UNEXPLAINED = 2.5
@@ -114,6 +116,8 @@ def make_auxiliary_kernel(
         "memory": math.exp(-estimator.cutoff * estimator.dt / CHECK_TIME_CONSTANTS),
         "mismatch_limit": MISMATCH_LIMIT,
         "noise_power": _kept(estimator, _noise_power),
+        "lag_memory": math.exp(-estimator.cutoff * estimator.dt / LAG_TIME_CONSTANTS),
+        "lag_samples": max(1.0, ALIKE_TIME_CONSTANTS / (estimator.cutoff * estimator.dt)),
         "direct_index": _indices(direct.equation.roles),
         "index": _indices(estimator.equation.roles),
         "initial": estimator.equation.role_values(initial),

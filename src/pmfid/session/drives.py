@@ -173,7 +173,8 @@ def _recursive(
         free = np.delete(free, late, axis=1)
     relative = _relative_error(columns, free, track.status)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
-    held = occurred | (last & ~int(Status.SETTLING | Status.UNMODELLED | Status.FEEDBACK))  # `judge` looks closer
+    closer = Status.UNMODELLED | Status.FEEDBACK | Status.DEAD_TIME  # `judge` looks closer at these
+    held = occurred | (last & ~int(Status.SETTLING | closer))
     flags, notes = judge(estimator, record.u, record.counts, theta, std)
     status = tuple(dict.fromkeys((*status_names(held), *flags)))
     notes = (*record.notes, *notes, *Status(held).advice)
