@@ -56,16 +56,21 @@ class Difference:
         return self.filtered(self.y - self.motion(q)[0]) / self.resolution
 
     def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
-        """Simulated position at the samples and mean velocity between them, each (n,); force (n,): on top of that of
-        the input [unit of the equation]."""
+        """Simulated position at the samples (n,) and mean velocity between them, (n,) or as fine as the force.
+
+        force (n,), or (k n,) for the k equal parts of every sample: on top of that of the input [unit of the
+        equation].
+        """
         from pmfid import _kernel64
 
         *theta, x0, v0 = q * self.scale
-        gain = self.equation.input_gain
-        u = self.u if force is None else self.u + force / gain
+        gain, parts, u = self.equation.input_gain, 1, self.u
+        if force is not None:
+            parts = force.size // u.size
+            u = np.repeat(u, parts) + force / gain
         start = float(v0), float(x0 - self.y[0])  # a spring's length counts from the first count
-        velocity = _kernel64.simulate(self.roles_of(theta), gain, self.dt, u, *start)[0]
-        return x0 + np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt, velocity
+        velocity = _kernel64.simulate(self.roles_of(theta), gain, self.dt / parts, u, *start)[0]
+        return x0 + np.r_[0.0, np.cumsum(velocity[:-1])][::parts] * (self.dt / parts), velocity
 
     def roles_of(self, theta: Sequence[float]) -> list[float]:
         """The parameters (p,) as the simulation takes them, 0 for what the equation lacks."""
