@@ -5,7 +5,8 @@ Three views of the same, of which the largest counts:
 - forces that machines have and this model has not (`estimators/lacks.py`), each by what the record says of its size: a
   spike at zero and a Gaussian slab of what is plausible (George and McCulloch 1993), so that a force that the counts
   rule out adds nothing, one that they cannot show adds what is plausible, and one that they ask for what they ask for;
-- another method that weighs the same record differently: instrumental variables against the motion that fits best;
+- another method that weighs the same record differently: each against the motion that fits best, and where the counts
+  contradict the model that one against instrumental variables;
 - where the counts contradict the model, parts of the record against each other: halves, slow and fast, forward and
   backward. They are seen through instrumental variables, too, and so are no matter of the methods that fit the motion
   within the counts: through a coarse encoder the parts would differ by the encoder's error, which these do not have.
@@ -64,10 +65,10 @@ def _views(
     """Mean squares (p,), one for each way to look at it."""
     squares, follows = believed_squares(found), isinstance(estimator, Following)
     yield found.moves**2 @ squares
+    yield np.maximum((theta - best) ** 2 - std**2, 0.0)
     if not follows:
         with suppress(NotIdentifiableError):
             yield force_moves(found, twin, columns) ** 2 @ squares
-        yield np.maximum((theta - best) ** 2 - std**2, 0.0)
     if found.adequate or (follows and found.follows):
         return
     whole = _solved(twin, columns, np.ones(columns.z.size, dtype=bool))
