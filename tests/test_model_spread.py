@@ -219,7 +219,8 @@ def test_tables_and_text_show_it(result: DriveResult) -> None:
     rows = parameter_rows(result)
     assert parameter_header(result) == ("parameter", "value", "std", "model spread", "95 %", "unit")
     assert rows[0][3] == spread
-    assert [column.header for column in terminal_table(result).columns] == list(parameter_header(result))
+    headings = [str(column.header).replace("\n", " ") for column in terminal_table(result).columns]
+    assert headings == list(parameter_header(result))
     assert f"(model spread {spread})" in str(result)
 
 

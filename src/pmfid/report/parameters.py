@@ -7,11 +7,13 @@ import numpy as np
 from pmfid.session.result import Result
 
 UNKNOWN = "–"
+#: Columns with spaces, which may take several lines.
+FOLDED = ("model spread", "95 %")
 
 
 def parameter_header(result: Result) -> tuple[str, ...]:
     """Of the columns of `parameter_rows`."""
-    beyond = () if result.model_spread is None else ("model spread", "95 %")
+    beyond = () if result.model_spread is None else FOLDED
     return ("parameter", "value", "std", *beyond, "unit")
 
 
