@@ -64,11 +64,11 @@ def _views(
 ) -> Iterator[Floats]:
     """Mean squares (p,), one for each way to look at it."""
     squares, follows = believed_squares(found), isinstance(estimator, Following)
-    yield found.moves**2 @ squares
+    yield (found.moves**2 @ squares)[: theta.size]
     yield np.maximum((theta - best) ** 2 - std**2, 0.0)
     if not follows:
         with suppress(NotIdentifiableError):
-            yield force_moves(found, twin, columns) ** 2 @ squares
+            yield (force_moves(found, twin, columns) ** 2 @ squares)[: theta.size]
     if found.adequate or (follows and found.follows):
         return
     whole = _solved(twin, columns, np.ones(columns.z.size, dtype=bool))
