@@ -54,8 +54,9 @@ def model_spread(
     twin = like(IV, estimator, prefilter_zeros=None)
     best = found.q[equation] * found.difference.scale[equation]
     columns = twin.columns_at(best, u, counts)
-    views = list(_views(estimator, twin, columns, theta[equation], std[equation], best, found))
-    spread[equation] = np.sqrt(np.max(views, axis=0))
+    with np.errstate(over="ignore", invalid="ignore"):  # of an estimate beyond numbers, which is refused as such
+        views = list(_views(estimator, twin, columns, theta[equation], std[equation], best, found))
+        spread[equation] = np.sqrt(np.max(views, axis=0))
     return spread
 
 
@@ -72,7 +73,9 @@ def _views(
     if found.adequate or (follows and found.follows):
         return
     whole = _solved(twin, columns, np.ones(columns.z.size, dtype=bool))
-    if follows and whole is not None:
+    if whole is None:
+        return
+    if follows:
         yield np.maximum((whole[0] - theta) ** 2 - whole[1] - std**2, 0.0)
     for part in _parts(twin, columns, found):
         first, second = _solved(twin, columns, part), _solved(twin, columns, ~part)
