@@ -53,7 +53,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         "## Models wrong on purpose, and what is said now",
         "",
         f"The plants of [accuracy](accuracy.md): the cart, {INCREMENTS} increments, Tf = 3 T; `riv` with forgetting "
-        f"{FORGETTING}, its last value; one seed of {seeds}. Error, std and model spread of mass, viscous and "
+        f"{FORGETTING}, its last value; seed 0. Error, std and model spread of mass, viscous and "
         "Coulomb friction in percent of the cart's parameters; in: which of the three the 95 % interval contains.",
         "",
         *(f"- {wrong}: {text}." for wrong, text in DESCRIPTIONS.items()),
