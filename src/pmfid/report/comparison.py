@@ -74,7 +74,7 @@ def comparison_dots(comparison: Comparison) -> Figure:
                     continue
                 i = result.estimator.names.index(name)
                 if result.interval_95 is not None:
-                    panel.plot(result.interval_95[i], [row, row], color=GREY, linewidth=1, zorder=0)
+                    panel.plot(result.interval_95[i], [row, row], color=GREY, linewidth=1.4, zorder=2)
                 panel.errorbar(result.theta[i], row, xerr=2 * result.theta_std[i], fmt="o", color="#0072B2", capsize=3)
             panel.set_xlabel(f"{name.replace('_', ' ')} in {unit}" if unit else name.replace("_", " "))
             panel.locator_params(axis="x", nbins=4)
