@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from contextlib import nullcontext
 from pathlib import Path
-from unittest import mock
 
 import pytest
 from click.testing import CliRunner
 
 from pmfid.cli.main import main
-from tests.conftest import EMPS, needs_emps
+from tests.conftest import EMPS, needs_emps, unjudged
 
 pytestmark = needs_emps
 
@@ -24,8 +23,7 @@ MILLIMETRE = ("--quantize", "1e-3", "--cutoff", "100", "--order", "2")
 def identified(*options: str, judged: bool = True) -> dict[str, float]:
     """The parameters that `pmfid identify DATA_EMPS.mat` prints, by name; judged: with the flags that say how far to
     trust them, which take most of the time."""
-    judge = nullcontext() if judged else mock.patch("pmfid.session.drives.judge", return_value=((), ()))
-    with judge:
+    with nullcontext() if judged else unjudged():
         result = CliRunner().invoke(main, ["identify", str(EMPS), "--config", str(AXIS), "--json", *options])
     assert (result.exit_code, result.stderr) == (0, "")
     printed = json.loads(result.stdout)
