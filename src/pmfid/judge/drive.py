@@ -211,9 +211,6 @@ def _model(
         return
     if found is None:
         return
-    part = recent(estimator, u.size)
-    u, counts = u[part], counts[part]
-    theta, std = theta[: len(estimator.equation.names)], std[: len(estimator.equation.names)]
     if found.left > WORST_FIT:
         yield (
             "not_followed",
@@ -223,7 +220,8 @@ def _model(
     if not found.adequate:
         yield "unmodelled", f"{UNMODELLED}: {found.says}; the error bars do not cover it"
         return
-    yield from _hidden(estimator, found, (u, counts), theta, std)
+    part, own = recent(estimator, u.size), slice(0, len(estimator.equation.names))
+    yield from _hidden(estimator, found, (u[part], counts[part]), theta[own], std[own])
 
 
 def _hidden(
