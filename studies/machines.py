@@ -107,12 +107,17 @@ def truth(axis: Axis) -> np.ndarray:
 
 def machine_record(axis: Axis, wrong: str, motion: str, increments: int, seed: int) -> CartRecord:
     """One run of the axis; the right machine is simulated exactly."""
-    rng = np.random.default_rng([seed, 7])
+    return record_of(axis, WRONG[wrong](axis), motion, increments, seed)
+
+
+def record_of(axis: Axis, machine: Machine, motion: str, increments: int, seed: int) -> CartRecord:
+    """One run of a machine on the bench of an axis; exactly simulated where it lacks nothing."""
+    rng, right = np.random.default_rng([seed, 7]), machine == Machine(axis.drive)
     resolution = axis.resolution * 4096 / increments
-    phase, machine = resolution * rng.random(), WRONG[wrong](axis)
+    phase = resolution * rng.random()
     if motion == "prbs":
         u = prbs(axis.samples, clock=axis.clock, amplitude=axis.volt, rng=rng)
-        if wrong == "nothing":
+        if right:
             return CartRecord(u, quantize(simulate_drive(axis.drive, u, axis.dt).x, resolution, phase), resolution)
         return CartRecord(u, drive_machine(machine, u, axis.dt, resolution, phase=phase).counts, resolution)
     if motion == "stop-and-go":
@@ -123,7 +128,7 @@ def machine_record(axis: Axis, wrong: str, motion: str, increments: int, seed: i
         tones = np.array(TONES) / (axis.move + axis.dwell)
         reference = multisine(axis.samples, axis.dt, tones, axis.stroke / 2, rng)
     kp, kd, u_max = (axis.control[name] for name in ("kp", "kd", "u_max"))
-    if wrong == "nothing":
+    if right:
         motion_, counts = position_control(
             axis.drive, reference, axis.dt, kp=kp, kd=kd, u_max=u_max, resolution=resolution, phase=phase
         )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -44,3 +46,9 @@ def assert_near(theta: np.ndarray, truth: np.ndarray, within: list[float]) -> No
     """Each relative error within its own bound; the message shows the errors in percent."""
     error = np.asarray(theta) / truth - 1
     assert np.all(np.abs(error) < within), f"errors in percent: {100 * error}"
+
+
+def unjudged() -> AbstractContextManager[object]:
+    """Within it, machines are identified without what is thought of the estimate: most of the time goes into that."""
+    without = {"judge": mock.Mock(return_value=((), ())), "examined": mock.Mock(return_value=None)}
+    return mock.patch.multiple("pmfid.session.drives", **without)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ from pmfid.session.records import Record, read_record
 from pmfid.session.result import DriveResult
 from pmfid.simulation.scenarios import CART, CART_DT, resolution_of
 from pmfid.simulation.signals import prbs
-from tests.conftest import EMPS, TRUTH, cart_run, needs_emps
+from tests.conftest import EMPS, TRUTH, cart_run, needs_emps, unjudged
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 WARNING = "Look here"
@@ -49,7 +48,7 @@ def result_of(u: np.ndarray, counts: np.ndarray, resolution: float, method: str 
     """Without the flags and sentences of `judge`, which the checks do not look at."""
     record = Record(u, counts, CART_DT, resolution, (), "cart")
     axis = load_axis(EXAMPLES / "cart.toml", {"estimator.method": method, "estimator.forgetting": 1.0})
-    with mock.patch("pmfid.session.drives.judge", return_value=((), ())):
+    with unjudged():
         return identify(record, axis)
 
 

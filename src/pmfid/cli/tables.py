@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from pmfid.errors import printable
 
@@ -41,12 +41,15 @@ def print_result(result: Result, out: Path | None) -> None:
 def _parameters(result: Result) -> Table:
     from rich.table import Table
 
+    from pmfid.report.parameters import FOLDED, parameter_header, parameter_rows
+
     table = Table(title=_safe(f"{result.name}: {result.estimator.method}, {result.samples} samples"))
-    for heading in ("parameter", "value", "std", "unit"):
-        table.add_column(heading, justify="right" if heading in ("value", "std") else "left")
-    rows = zip(result.estimator.names, result.theta, result.theta_std, result.estimator.units, strict=True)
-    for name, value, std, unit in rows:
-        table.add_row(name, f"{value:.6g}", f"{std:.2g}", _safe(unit))
+    for heading in parameter_header(result):
+        folds = heading in FOLDED  # the others stay whole in a narrow terminal
+        side: Literal["left", "right"] = "left" if heading in ("parameter", "unit") else "right"
+        table.add_column(heading.replace("model ", "model\n"), justify=side, no_wrap=not folds)
+    for row in parameter_rows(result):
+        table.add_row(*map(_safe, row))
     return table
 
 

@@ -193,19 +193,22 @@ def force_moves(found: Adequacy, estimator: Estimator, columns: Columns) -> Floa
     instruments say nothing on a parameter, by how much the best fit moves."""
     if not np.all(np.any(columns.zeta != 0, axis=0)):
         return found.moves
-    forces = np.column_stack([lack.force for lack in found.lacks] or [np.zeros((columns.used.size, 0))])
+    n = columns.used.size
+    forces = np.column_stack([filtered(lack.force, estimator, n) for lack in found.lacks] or [np.zeros((n, 0))])
     gain = solve_with_instruments(columns)[1]
-    return np.asarray(-gain @ (columns.zeta.T @ filtered(forces, estimator)[columns.used]))
+    return np.asarray(-gain @ (columns.zeta.T @ forces[columns.used]))
 
 
-def filtered(forces: Floats, estimator: Estimator) -> Floats:
-    """Forces (n, k), held over each interval, behind the chain of an estimator; the columns come a sample later."""
+def filtered(force: Floats, estimator: Estimator, n: int) -> Floats:
+    """A force, held over each of n intervals or over each of their parts, behind the chain of an estimator (n,); the
+    columns come a sample later."""
     from scipy.signal import lfilter  # slow to import, and only this needs it
 
-    rate = 2 / estimator.dt
+    parts = force.size // n
+    rate = 2 * parts / estimator.dt
     pole = (rate - estimator.cutoff) / (rate + estimator.cutoff)
     gain = estimator.cutoff / (rate + estimator.cutoff)
-    late = np.r_[np.zeros((1, forces.shape[1])), forces[:-1]]
+    late = np.r_[np.zeros(parts), force[:-parts]]
     for stage in range(estimator.order):
-        late = lfilter([0.0, 2 * gain] if stage == 0 else [gain, gain], [1.0, -pole], late, axis=0)
-    return np.asarray(late)
+        late = lfilter([0.0, 2 * gain] if stage == 0 else [gain, gain], [1.0, -pole], late)
+    return np.asarray(late[::parts])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.signal import lfilter
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.least_squares import parts_of_their_own
-from pmfid.models.equation import Equation
+from pmfid.models.equation import LATE, Equation
 from pmfid.types import Floats
 
 #: Step of the difference quotients as a part of a parameter: far above the kinks that stops and reversals leave in
@@ -55,16 +56,27 @@ class Difference:
         return self.filtered(self.y - self.motion(q)[0]) / self.resolution
 
     def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
-        """Simulated position at the samples and mean velocity between them, each (n,); force (n,): on top of that of
-        the input [unit of the equation]."""
+        """Simulated position at the samples (n,) and mean velocity between them, (n,) or as fine as the force.
+
+        force (n,), or (k n,) for the k equal parts of every sample: on top of that of the input [unit of the
+        equation].
+        """
         from pmfid import _kernel64
 
         *theta, x0, v0 = q * self.scale
-        gain = self.equation.input_gain
-        u = self.u if force is None else self.u + force / gain
+        gain, parts, u = self.equation.input_gain, 1, self.u
+        if force is not None:
+            parts = force.size // u.size
+            u = np.repeat(u, parts) + self._early(force, theta[: len(self.equation.names)], parts) / gain
         start = float(v0), float(x0 - self.y[0])  # a spring's length counts from the first count
-        velocity = _kernel64.simulate(self.equation.role_values(theta), gain, self.dt, u, *start, self.before)[0]
-        return x0 + np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt, velocity
+        roles = self.equation.role_values(theta)
+        velocity = _kernel64.simulate(roles, gain, self.dt / parts, u, *start, self.before)[0]
+        return x0 + np.r_[0.0, np.cumsum(velocity[:-1])][::parts] * (self.dt / parts), velocity
+
+    def _early(self, force: Floats, theta: Sequence[float], parts: int) -> Floats:
+        """A force as it must stand in an input that acts late, to act in time."""
+        late = round(self.equation.role_values(theta)[LATE] * parts / self.dt)
+        return np.r_[force[late:], np.full(min(late, force.size), force[-1])] if late > 0 else force
 
     @property
     def before(self) -> float:

@@ -28,6 +28,11 @@ from pmfid.types import Floats
 LEAST_FRICTION = 0.02
 #: Speeds, as parts of the root mean square one, over which Stribeck friction falls.
 STRIBECK_SPEEDS = (0.03, 0.1, 0.3)
+#: The simulated velocity changes by at most this part of a Stribeck speed within the parts of a sample that this
+#: friction is taken over, of which there are so many at most: around a reversal it turns within a fraction of a sample.
+FINE, MOST_PARTS = 0.1, 16
+#: A smaller change of velocity, as a part of the Stribeck speed, is none.
+STEADY = 1e-3
 #: What a machine may well have: parts of Coulomb friction, of viscous friction, of the motor's force, of a sample.
 STRIBECK, UNEVEN, CURVED, LATE_BY = 0.3, 0.15, 0.15, 0.5
 
@@ -36,8 +41,9 @@ STRIBECK, UNEVEN, CURVED, LATE_BY = 0.3, 0.15, 0.15, 0.5
 class Lack:
     """One force that the model may lack.
 
-    name; says: what it is, for people; cure: what to do about it; force: (n,) against the motion, per unit of its
-    coefficient; plausible: coefficient that a machine may well have, 0: it is tested for, but not supposed.
+    name; says: what it is, for people; cure: what to do about it; force: (n,) against the motion, or (k n,) over the k
+    equal parts of every sample, per unit of its coefficient; plausible: coefficient that a machine may well have, 0: it
+    is tested for, but not supposed.
     """
 
     name: str
@@ -65,9 +71,8 @@ def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[Lack]:
     )
     viscous = (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2 * usual
     for part in STRIBECK_SPEEDS:
-        fall = side * np.exp(-((speed / (part * usual)) ** 2))
         says = "friction that is larger at low speed (Stribeck)"
-        yield Lack("stribeck", says, "", fall, STRIBECK * coulomb)
+        yield Lack("stribeck", says, "", _stribeck(difference, q, v, part * usual), STRIBECK * coulomb)
     yield Lack("curved", "friction that is not linear at high speed", "", v * speed / usual**2, CURVED * viscous)
     yield Lack("drifting", "friction that changes over the record", "", side * np.linspace(-1, 1, v.size), 0.0)
     roles = difference.equation.roles
@@ -78,6 +83,21 @@ def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[Lack]:
             cure += ", or offset = true for a constant load"
             says = "a constant load, or Coulomb friction that differs with the direction"
             yield Lack("load", says, cure, np.abs(side), UNEVEN * coulomb)
+
+
+def _stribeck(difference: Difference, q: Floats, v: Floats, fall: float) -> Floats:
+    """(k n,): exp(-(v / fall)^2) against the motion, its mean over the k parts of every sample as the velocity goes on
+    straight from one to the next."""
+    from scipy.special import erf  # slow to import, and only this needs it
+
+    change = float(np.max(np.abs(np.diff(v)), initial=0.0))
+    parts = int(np.clip(np.ceil(change / (FINE * fall)), 1, MOST_PARTS))
+    v = difference.motion(q, np.zeros(parts * v.size))[1]
+    ends = np.r_[v[0], (v[1:] + v[:-1]) / 2, v[-1]]
+    below = np.diff(fall * np.sqrt(np.pi) / 2 * erf(np.abs(ends) / fall))
+    step = np.diff(ends)
+    steady = np.abs(step) < STEADY * fall
+    return np.where(steady, np.sign(v) * np.exp(-((v / fall) ** 2)), below / np.where(steady, 1.0, step))
 
 
 def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator[Lack]:

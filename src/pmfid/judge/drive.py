@@ -169,6 +169,33 @@ def recent(estimator: Estimator, samples: int) -> slice:
     return slice(-round(min(samples, MEMORIES / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None)
 
 
+def examined(
+    estimator: Estimator,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    theta: NDArray[np.float64],
+    known: Adequacy | None = None,
+) -> Adequacy | None:
+    """What the counts say on the model near an estimate theta (p,) from u, counts: (n,), of the part of them that it is
+    of; None where nothing simulates the equation, or nothing moves. known: that, where it is known of this model.
+
+    Raises NotIdentifiableError where no motion of the model can be fitted.
+    """
+    if estimator.equation.without_simulation:
+        return None
+    part = recent(estimator, u.size)
+    u, counts = u[part], counts[part]
+    if u.size < FEWEST or not np.any(np.diff(like(OE, estimator, prefilter_zeros=None).position(counts))):
+        return None
+    if not np.any(like(LS, estimator, model=estimator.model.simple, prefilter_zeros=None).columns(u, counts).used):
+        return None
+    if known is not None and known.difference.equation == estimator.equation:
+        return known
+    theta = theta[: len(estimator.equation.names)]
+    at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
+    return examine(estimator, u, counts, at if at[estimator.equation.leading] > 0 else None)
+
+
 def _model(
     estimator: Estimator,
     u: NDArray[np.float64],
@@ -178,21 +205,12 @@ def _model(
     adequacy: Adequacy | None,
 ) -> Iterator[Finding]:
     """Does the motion that the model simulates explain the counts, and what could it lack that they do not show?"""
-    if estimator.equation.without_simulation:
-        return
-    part = recent(estimator, u.size)
-    u, counts = u[part], counts[part]
-    if u.size < FEWEST or not np.any(np.diff(like(OE, estimator, prefilter_zeros=None).position(counts))):
-        return
-    if not np.any(like(LS, estimator, model=estimator.model.simple, prefilter_zeros=None).columns(u, counts).used):
-        return
-    theta, std = theta[: len(estimator.equation.names)], std[: len(estimator.equation.names)]
-    at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
     try:
-        start = at if at[estimator.equation.leading] > 0 else None
-        found = adequacy or examine(estimator, u, counts, start)
+        found = examined(estimator, u, counts, theta, adequacy)
     except NotIdentifiableError as error:
         yield "unmodelled", f"{UNMODELLED}: no motion of the model follows the counts ({error})"
+        return
+    if found is None:
         return
     if found.left > WORST_FIT:
         yield (
@@ -209,7 +227,8 @@ def _model(
                 'dead_time = "estimate" in [model]',
             )
         return
-    yield from _hidden(estimator, found, (u, counts), theta, std)
+    part, own = recent(estimator, u.size), slice(0, len(estimator.equation.names))
+    yield from _hidden(estimator, found, (u[part], counts[part]), theta[own], std[own])
 
 
 def _hidden(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from pmfid.report.figures import figure_style
+from pmfid.report.figures import GREY, figure_style
 from pmfid.report.files import write_json
 from pmfid.report.html import Section, svg, write_report
 from pmfid.session.compare import Comparison
@@ -26,9 +26,14 @@ def write_comparison(out: Path, comparison: Comparison) -> None:
     refused = " ".join(f"{name} has no answer: {reason}." for name, reason in comparison.refused.items())
     sections = [
         Section("Methods", refused, (header, rows)),
-        Section("Estimates with two standard deviations", svg=svg(comparison_dots(comparison))),
+        Section("Estimates with two standard deviations", _thin(comparison), svg=svg(comparison_dots(comparison))),
     ]
     write_report(out / "compare.html", f"{comparison.name}: all methods", sections)
+
+
+def _thin(comparison: Comparison) -> str:
+    known = any(result.interval_95 is not None for result in comparison.results.values())
+    return "Thin lines: between these values in 95 %, what the model may lack included." if known else ""
 
 
 def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
@@ -54,7 +59,8 @@ def _fit(percent: float | None) -> str:
 
 
 def comparison_dots(comparison: Comparison) -> Figure:
-    """One panel for each parameter, PANELS in a row: estimates by method with bars of two standard deviations."""
+    """One panel for each parameter, PANELS in a row: estimates by method with bars of two standard deviations, and with
+    thin lines where what the model may lack is known."""
     first = next(iter(comparison.results.values())).estimator
     methods = list(comparison.results)
     lines, columns = -(-len(first.names) // PANELS), min(PANELS, len(first.names))
@@ -67,6 +73,8 @@ def comparison_dots(comparison: Comparison) -> Figure:
                 if name not in result.estimator.names:
                     continue
                 i = result.estimator.names.index(name)
+                if result.interval_95 is not None:
+                    panel.plot(result.interval_95[i], [row, row], color=GREY, linewidth=1.4, zorder=2)
                 panel.errorbar(result.theta[i], row, xerr=2 * result.theta_std[i], fmt="o", color="#0072B2", capsize=3)
             panel.set_xlabel(f"{name.replace('_', ' ')} in {unit}" if unit else name.replace("_", " "))
             panel.locator_params(axis="x", nbins=4)

@@ -12,8 +12,15 @@ from pmfid.report.figures import estimate_figure, residual_figure, signals_figur
 from pmfid.report.files import replace_file, write_json
 from pmfid.report.html import Section, svg, write_report
 from pmfid.report.model_checks import model_checks
+from pmfid.report.parameters import parameter_header, parameter_rows
 from pmfid.session.result import DriveResult
 from pmfid.session.row_file import fresh
+
+HOW_TO_READ = (
+    "std: how far the value varies from record to record of this length. model spread: how far friction, a load or a "
+    "dead time that the model lacks may move it, which no longer record would show. 95 %: between these values the "
+    "parameter is with both."
+)
 
 
 def write_drive(out: Path, result: DriveResult) -> None:
@@ -50,10 +57,6 @@ def _write_track(path: Path, result: DriveResult) -> None:
 
 def _parameters(result: DriveResult) -> Section:
     estimator = result.estimator
-    rows = [
-        [name, f"{value:.6g}", f"{std:.2g}", unit]
-        for name, value, std, unit in zip(estimator.names, result.theta, result.theta_std, estimator.units, strict=True)
-    ]
     zeros = ", ".join(f"{zero:.3g}" for zero in estimator.zeros)
     text = (
         f"{result.record.u.size} samples, dt = {result.record.dt:.6g} s, "
@@ -62,8 +65,8 @@ def _parameters(result: DriveResult) -> Section:
         + (f", pre-filter zeros {zeros} rad/s" if zeros else "")
         + f". Relative error of the filtered equation: {100 * result.relative_error:.3g} %."
     )
-    text = "\n\n".join([text, *(f"Note: {note}." for note in result.notes)])
-    return Section("Parameters", text, (("parameter", "value", "std", "unit"), rows))
+    text = "\n\n".join([text, HOW_TO_READ, *(f"Note: {note}." for note in result.notes)])
+    return Section("Parameters", text, (parameter_header(result), parameter_rows(result)))
 
 
 def _figures(result: DriveResult) -> list[Section]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.adequacy import Adequacy
 from pmfid.estimators.auto import AUTO, Choice, choose, first_choice
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
@@ -25,7 +26,8 @@ from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns
 from pmfid.estimators.track import Track
 from pmfid.estimators.zeros import choose_prefilter_zeros
-from pmfid.judge.drive import judge
+from pmfid.judge.drive import examined, judge, recent
+from pmfid.judge.spread import model_spread
 from pmfid.models.equation import LATE
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction, diagnose
@@ -129,13 +131,30 @@ def _estimate(
     if isinstance(estimator, RecursiveEstimator):
         return _recursive(estimator, record, columns, progress)
     fit = choice.fit if choice else batch.fit(record.u, record.counts)
-    known = choice.adequacy if choice else None
+    known, spread = _spread(estimator, record, fit.theta, fit.theta_std, choice.adequacy if choice else None)
     flags, notes = judge(estimator, record.u, record.counts, fit.theta, fit.theta_std, known)
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
         notes = (*notes, f"{estimator.method} is an off-line method: forgetting is not used")
     notes = (*record.notes, *notes, *Status(fit.status).advice)
     status = tuple(dict.fromkeys((*status_names(fit.status), *flags)))  # both may tell of a jump
-    return DriveResult(estimator, fit.theta, fit.theta_std, status, notes, record, fit.relative_error, fit=fit)
+    found = fit.theta, fit.theta_std, status, notes
+    return DriveResult(estimator, *found, record, fit.relative_error, fit=fit, model_spread=spread)
+
+
+def _spread(
+    estimator: Estimator, record: Record, theta: Floats, std: Floats, known: Adequacy | None
+) -> tuple[Adequacy | None, Floats]:
+    """What the counts say on the model, if anything, and by how much what it lacks may move the estimate (p,), NaN
+    where that is not known. known: the former, where it is known."""
+    unknown = np.full(theta.size, np.nan)
+    try:
+        found = examined(estimator, record.u, record.counts, theta, known)
+    except NotIdentifiableError:
+        return None, unknown
+    if found is None:
+        return None, unknown
+    part = recent(estimator, record.u.size)
+    return found, model_spread(estimator, record.u[part], record.counts[part], theta, std, found)
 
 
 def _batch_twin(estimator: Estimator) -> BatchEstimator:
@@ -175,10 +194,11 @@ def _recursive(
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
     closer = Status.UNMODELLED | Status.FEEDBACK | Status.DEAD_TIME  # `judge` looks closer at these
     held = occurred | (last & ~int(Status.SETTLING | closer))
-    flags, notes = judge(estimator, record.u, record.counts, theta, std)
+    adequacy, spread = _spread(estimator, record, theta, std, None)
+    flags, notes = judge(estimator, record.u, record.counts, theta, std, adequacy)
     status = tuple(dict.fromkeys((*status_names(held), *flags)))
     notes = (*record.notes, *notes, *Status(held).advice)
-    return DriveResult(estimator, theta, std, status, notes, record, relative, track=track)
+    return DriveResult(estimator, theta, std, status, notes, record, relative, track=track, model_spread=spread)
 
 
 def _relative_error(columns: Columns, theta: Floats, status: NDArray[np.uint32]) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,17 +18,38 @@ from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.process import Process
 from pmfid.types import Floats
 
+#: Standard deviations within which 95 % of a normal variable are, to either side.
+NORMAL_95 = 1.96
+
 
 @dataclass(frozen=True, eq=False)
 class Result(ABC):
     """Parameters of a plant: theta, theta_std (p,) with the estimator's names and units; status: names of the bits that
-    hold for the result; notes: sentences for people. `result["mass"]` is one parameter."""
+    hold for the result; notes: sentences for people. `result["mass"]` is one parameter.
+
+    theta_std is for what varies from record to record. model_spread (p,), of machines: by how much what the model lacks
+    may move the parameters, root mean square; NaN: not known, as where nothing simulates the equation.
+    """
 
     estimator: Estimator
     theta: Floats
     theta_std: Floats
     status: tuple[str, ...]
     notes: tuple[str, ...]
+    model_spread: Floats | None = field(default=None, kw_only=True)
+
+    @property
+    def interval_95(self) -> Floats | None:
+        """(p, 2) between which values the parameters are in 95 % of the records, what the model may lack included; NaN
+        where that is not known, None where there is no model spread at all. A mass or a friction that came out positive
+        is not below zero."""
+        if self.model_spread is None:
+            return None
+        half = NORMAL_95 * np.hypot(self.theta_std, self.model_spread)
+        positive = np.zeros(self.theta.size, dtype=bool)
+        positive[: len(self.estimator.equation.names)] = self.estimator.equation.positive
+        low = self.theta - half
+        return np.column_stack([np.where(positive & (self.theta > 0) & (low < 0), 0.0, low), self.theta + half])
 
     @property
     @abstractmethod
@@ -54,20 +75,47 @@ class Result(ABC):
         rows = zip(estimator.names, self.theta, self.theta_std, estimator.units, strict=True)
         lines = [f"{self.name}: {estimator.method}, {self.samples} samples"]
         lines += [f"  {name} = {value:.6g} ± {std:.2g} {unit}".rstrip() for name, value, std, unit in rows]
+        lines += [f"  95 % with what the model may lack: {told}" for told in self._told_beyond_noise()]
         lines += [f"status: {', '.join(self.status)}"] if self.status else []
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
+    def _told_beyond_noise(self) -> list[str]:
+        """One line for each parameter of which something is known beside the noise."""
+        if self.model_spread is None or self.interval_95 is None:
+            return []
+        rows = zip(self.estimator.names, self.model_spread, self.interval_95, strict=True)
+        return [
+            f"{name} {low:.6g} to {high:.6g} (model spread {spread:.2g})"
+            for name, spread, (low, high) in rows
+            if np.isfinite(spread)
+        ]
+
+    def _beyond_noise(self) -> dict[str, dict[str, object]]:
+        """By parameter, what `to_json` has of it beside value, error bar and unit; null: not known."""
+        names = self.estimator.names
+        if self.model_spread is None or self.interval_95 is None:
+            return {name: {} for name in names}
+        return {
+            name: {
+                "model_spread": float(spread) if np.isfinite(spread) else None,
+                "interval_95": interval.tolist() if np.all(np.isfinite(interval)) else None,
+            }
+            for name, spread, interval in zip(names, self.model_spread, self.interval_95, strict=True)
+        }
 
     def to_json(self) -> dict[str, object]:
         """The object that `--json` prints."""
         estimator = self.estimator
         rows = zip(estimator.names, estimator.units, self.theta, self.theta_std, strict=True)
+        further = self._beyond_noise()
         return {
             "model": estimator.model.kind,
             "method": estimator.method,
             "samples": self.samples,
             "dt": estimator.dt,
             "parameters": {
-                name: {"value": float(value), "std": float(std), "unit": unit} for name, unit, value, std in rows
+                name: {"value": float(value), "std": float(std), "unit": unit, **further[name]}
+                for name, unit, value, std in rows
             },
             **self.particulars(),
             "status": list(self.status),

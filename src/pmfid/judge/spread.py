@@ -1,0 +1,124 @@
+"""How far what the model lacks may move an estimate: a second error bar beside the one for noise.
+
+Three views of the same, of which the largest counts:
+
+- forces that machines have and this model has not (`estimators/lacks.py`), each by what the record says of its size: a
+  spike at zero and a Gaussian slab of what is plausible (George and McCulloch 1993), so that a force that the counts
+  rule out adds nothing, one that they cannot show adds what is plausible, and one that they ask for what they ask for;
+- another method that weighs the same record differently: each against the motion that fits best, and where the counts
+  contradict the model that one against instrumental variables;
+- where the counts contradict the model, parts of the record against each other: halves, slow and fast, forward and
+  backward. They are seen through instrumental variables, too, and so are no matter of the methods that fit the motion
+  within the counts: through a coarse encoder the parts would differ by the encoder's error, which these do not have.
+
+Of differences counts only what is beyond their noise (the moment estimate of DerSimonian and Laird 1986).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.adequacy import NEARLY, Adequacy, filtered, force_moves
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.configuration import like
+from pmfid.estimators.iv import IV, LASTING
+from pmfid.estimators.least_squares import solve_with_instruments
+from pmfid.estimators.output_error import Following
+from pmfid.estimators.results import Columns
+from pmfid.estimators.scatter import scatter
+from pmfid.types import Floats
+
+#: Before a record is seen, a machine has each of the plausible forces by so many to one: no machine has none of them.
+ODDS = 10.0
+#: exp of more is beyond use.
+MOST_EVIDENCE = 500.0
+
+
+def model_spread(
+    estimator: Estimator, u: Floats, counts: NDArray[np.int64], theta: Floats, std: Floats, found: Adequacy
+) -> Floats:
+    """(p,) root mean square by which what the model lacks may move an estimate theta (p,) with standard deviations std
+    (p,) from u, counts: (n,); NaN for what is no parameter of the equation.
+
+    found: what the counts of the same u say on the model. Where they contradict it, the forces that they ask for count
+    at the size that they ask for.
+    """
+    spread = np.full(theta.size, np.nan)
+    equation = slice(0, len(estimator.equation.names))
+    twin = like(IV, estimator, prefilter_zeros=None)
+    best = found.q[equation] * found.difference.scale[equation]
+    columns = twin.columns_at(best, u, counts)
+    with np.errstate(over="ignore", invalid="ignore"):  # of an estimate beyond numbers, which is refused as such
+        views = list(_views(estimator, twin, columns, theta[equation], std[equation], best, found))
+        spread[equation] = np.sqrt(np.max(views, axis=0))
+    return spread
+
+
+def _views(
+    estimator: Estimator, twin: IV, columns: Columns, theta: Floats, std: Floats, best: Floats, found: Adequacy
+) -> Iterator[Floats]:
+    """Mean squares (p,), one for each way to look at it."""
+    squares, follows = believed_squares(found), isinstance(estimator, Following)
+    yield (found.moves**2 @ squares)[: theta.size]
+    yield np.maximum((theta - best) ** 2 - std**2, 0.0)
+    if not follows:
+        with suppress(NotIdentifiableError):
+            yield (force_moves(found, twin, columns) ** 2 @ squares)[: theta.size]
+    if found.adequate or (follows and found.follows):
+        return
+    whole = _solved(twin, columns, np.ones(columns.z.size, dtype=bool))
+    if whole is None:
+        return
+    if follows:
+        yield np.maximum((whole[0] - theta) ** 2 - whole[1] - std**2, 0.0)
+    for part in _parts(twin, columns, found):
+        first, second = _solved(twin, columns, part), _solved(twin, columns, ~part)
+        if first is not None and second is not None:
+            yield np.maximum((first[0] - second[0]) ** 2 - first[1] - second[1], 0.0) / 4
+
+
+def believed_squares(found: Adequacy) -> Floats:
+    """(k,) mean squares of the coefficients of the forces, as the record and what is plausible in machines say.
+
+    Where the model is contradicted, a force counts by its part of what the clearest one explains; one that is tested
+    for, but not supposed, only where it is nearly as clear as that.
+    """
+    prior, variance = np.array([lack.plausible for lack in found.lacks]) ** 2, found.size_std**2
+    share = prior / (prior + variance)
+    evidence = (np.log(variance / (prior + variance)) + share * (found.size / found.size_std) ** 2) / 2
+    weight = 1 / (1 + np.exp(-np.clip(evidence, -MOST_EVIDENCE, MOST_EVIDENCE)) / ODDS)
+    squares = weight * (share * variance + (share * found.size) ** 2)
+    if not found.missed:
+        return np.where(prior > 0, squares, 0.0)
+    clear = np.abs(found.z) / np.abs(found.z[found.missed[0]])
+    asked = np.where(clear > NEARLY, found.size**2, 0.0)
+    return np.where(prior > 0, squares * clear**2, asked)
+
+
+def _parts(twin: IV, columns: Columns, found: Adequacy) -> Iterator[NDArray[np.bool_]]:
+    """Which of the samples in use are in one of the two parts: the first half, fast, forward."""
+    n = columns.z.size
+    yield np.arange(n) < n // 2
+    velocity = filtered(found.difference.motion(found.q)[1], twin, columns.used.size)[columns.used]
+    speed = np.abs(velocity)
+    yield speed > np.median(speed)
+    yield velocity > 0
+
+
+def _solved(twin: IV, columns: Columns, part: NDArray[np.bool_]) -> tuple[Floats, Floats] | None:
+    """Estimate (p,) from a part of the samples in use, and its variances (p,); None where that identifies nothing."""
+    own = replace(columns, phi=columns.phi[part], z=columns.z[part], zeta=columns.zeta[part])
+    if not (np.all(np.any(own.zeta != 0, axis=0)) and np.all(np.any(own.phi != 0, axis=0))):
+        return None
+    try:
+        theta, gain = solve_with_instruments(own)
+    except NotIdentifiableError:
+        return None
+    scores = columns.zeta * (part * (columns.z - columns.phi @ theta))[:, None]
+    return theta, np.diagonal(scatter(scores @ gain.T, LASTING * twin.settle_samples))

@@ -1,0 +1,34 @@
+"""The table of a result's parameters, for the report and for the terminal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pmfid.session.result import Result
+
+UNKNOWN = "–"
+#: Columns with spaces, which may take several lines.
+FOLDED = ("model spread", "95 %")
+
+
+def parameter_header(result: Result) -> tuple[str, ...]:
+    """Of the columns of `parameter_rows`."""
+    beyond = () if result.model_spread is None else FOLDED
+    return ("parameter", "value", "std", *beyond, "unit")
+
+
+def parameter_rows(result: Result) -> list[list[str]]:
+    """One row of text for each parameter; of a machine also by how much what its model lacks may move it, and between
+    which values it is then."""
+    names, units = result.estimator.names, result.estimator.units
+    found = zip(names, result.theta, result.theta_std, _beyond(result), units, strict=True)
+    return [[name, f"{value:.6g}", f"{std:.2g}", *beyond, unit] for name, value, std, beyond, unit in found]
+
+
+def _beyond(result: Result) -> list[list[str]]:
+    if result.model_spread is None or result.interval_95 is None:
+        return [[]] * len(result.estimator.names)
+    return [
+        [f"{spread:.2g}", f"{low:.5g} to {high:.5g}"] if np.isfinite(spread) else [UNKNOWN, UNKNOWN]
+        for spread, (low, high) in zip(result.model_spread, result.interval_95, strict=True)
+    ]
