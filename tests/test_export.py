@@ -92,6 +92,8 @@ VARIANTS = {
     "offset": {"drive": pmfid.Drive(2.0, offset=True)},
     "spring": {"drive": pmfid.Drive(2.0, spring=True)},
     "friction": {"drive": pmfid.Drive(2.0, friction="directional")},
+    "shapes": {"drive": pmfid.Drive(2.0, stribeck=0.05, quadratic=True, cogging=0.01)},
+    "places": {"drive": pmfid.Drive(2.0, gravity=True)},
     "order": {"order": 4},
 }
 

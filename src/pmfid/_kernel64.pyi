@@ -61,4 +61,5 @@ def simulate(
     u: NDArray[np.float64],
     velocity: float = 0.0,
     position: float = 0.0,
+    shapes: bytes = b"",
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]: ...

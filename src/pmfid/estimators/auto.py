@@ -71,6 +71,8 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
     for cls, reason in _CANDIDATES:
         if issubclass(cls, Simulating) and configured.equation.without_simulation:
             continue
+        if cls is IV and configured.equation.further:  # it is linear
+            continue
         candidate = _candidate(cls, configured, u, counts)
         try:
             fit = candidate.fit(u, counts)

@@ -50,6 +50,8 @@ class Shape:
     max_noise: int
     max_columns: int
     max_order: int
+    max_shapes: int
+    max_knots: int
     window_blocks: int
     with_auxiliary: int
     with_linear: int
