@@ -57,6 +57,7 @@ MAY_IMPORT: dict[str, set[str]] = {
 }
 
 PUBLIC = [
+    "Along",
     "BCLS",
     "BCRLS",
     "Drive",
@@ -81,12 +82,15 @@ PUBLIC = [
     "RSRIVC",
     "Result",
     "SRIVC",
+    "Square",
     "Status",
+    "Stribeck",
     "Term",
     "Track",
     "Tracks",
     "TransferFunction",
     "UsageError",
+    "Wave",
     "export_firmware",
     "identify",
     "quantize",
