@@ -79,9 +79,10 @@ enum {
     PMF_COULOMB_BACKWARD,
     PMF_OFFSET,
     PMF_STIFFNESS,
-    PMF_DELAY /* [s], of the input */
+    PMF_DELAY, /* [s], of the input */
+    PMF_BODY_ROLES /* behind them a coefficient for each shape */
 };
-#define PMF_ROLES (7 + PMF_WITH_DEAD_TIME)
+#define PMF_ROLES (7 + (PMF_WITH_DEAD_TIME + PMF_MAX_SHAPES > 0) + PMF_MAX_SHAPES)
 #define PMF_NO_PARAMETER 0xffU
 
 /* Status bits of a step. The Python enumeration `Status` has the same values and the advice. */
@@ -224,7 +225,8 @@ typedef struct {
     scalar_t outgrown; /* information in that column, over its squares at the looks of late, from which on it is from
                           larger motions */
 #if PMF_WITH_AUXILIARY
-    uint32_t growing; /* 1: the first samples, gathered with a model that was still wrong, count the less */
+    uint32_t growing; /* the first samples, gathered with a model that was still wrong, count the less, by this power of
+                         their number; beyond 1 with shapes alone */
 #endif
 #if PMF_WITH_NOISE
     scalar_t unexplained; /* mean square innovation over what the noise explains, beyond which the model is wrong; 0: no
@@ -293,6 +295,34 @@ typedef struct {
 #endif
 } pmf_recursion_state_t;
 
+#if PMF_MAX_SHAPES > 0
+/* What a force of a given form depends on. */
+enum {
+    PMF_OF_SPEED = 0,
+    PMF_OF_SQUARE = 1, /* of the speed; it has no table */
+    PMF_OF_PLACE = 2
+};
+
+/* Straight lines between evenly spaced knots; beyond them the last one goes on. */
+typedef struct {
+    uint32_t of;
+    uint32_t resists; /* 1: it acts against the motion, and holds at rest */
+    uint32_t positive; /* 1: its coefficient is never negative */
+    uint32_t periodic;
+    uint32_t first, intervals; /* of its knots */
+    uint32_t node; /* that its mean over an interval, with its direction, is given to: a stage that leaves it there */
+    uint32_t measured; /* the same at the place of the counts, for the direct estimate; 0: none */
+    scalar_t start, knots_per_unit; /* of the speed or the position */
+} pmf_shape_t;
+
+typedef struct {
+    uint32_t n;
+    pmf_shape_t shape[PMF_MAX_SHAPES];
+    scalar_t knot[PMF_MAX_KNOTS];
+    scalar_t sum[PMF_MAX_KNOTS]; /* of a speed: the integral from its first knot on, in steps */
+} pmf_shapes_config_t;
+#endif
+
 /* A body with friction, simulated from the input alone with a slow copy of the estimate. */
 typedef struct {
     uint32_t enabled;
@@ -316,6 +346,9 @@ typedef struct {
     scalar_t noise_power; /* of the filtered measured velocity */
     scalar_t lag_memory; /* forgetting of the comparison that shows a model ahead of the plant, per sample */
     scalar_t lag_samples; /* that are worth one in it: the filters make neighbours alike */
+#if PMF_MAX_SHAPES > 0
+    pmf_shapes_config_t shapes;
+#endif
 } pmf_auxiliary_config_t;
 
 /* What the model's velocity lacks of the measured one: products of that, the model's acceleration and its velocity. */

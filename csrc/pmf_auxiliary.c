@@ -137,6 +137,8 @@ static real_t left_behind_stop(const body_t *body, truth_t forward)
     return PMF_IF((behind > PMF_R(0.0)) & (before > PMF_R(0.0)), behind / before, PMF_R(0.0));
 }
 
+#include "pmf_shapes.h"
+
 /* m w' + d w = -signal for the deviation w of the velocity by each parameter, and at a stop the rest of m w is lost, as
  * if by a blow. The sum of friction and input in the equation changes by the same blow: that is its derivative. Behind
  * the filters of the equation, as two stages of their delay, it is what regressors and target lack. */
@@ -161,18 +163,50 @@ static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary
     }
 }
 
-/* Moves for the part of the interval that is left, under a constant force. */
-static void advance(const body_t *body, scalar_t dt, phase_t *phase)
+#if PMF_SHAPED
+void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *signal)
+{
+    uint32_t i;
+    for (i = 0; i < config->n; ++i) {
+        const pmf_shape_t *shape = &config->shape[i];
+        if (shape->measured != 0U) {
+            signal[shape->measured] = shape_value(config, shape, signal[PMF_LATE_POSITION]) *
+                                      signal[shape->resists != 0U ? PMF_DIRECTION : PMF_MOVING];
+        }
+    }
+}
+#endif
+
+/* Moves for the part of the interval that is left, under a constant force and what the shapes make of the motion. */
+static void advance(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state, body_t *body,
+                    phase_t *phase, real_t *signal)
 {
     uint32_t turn;
+#if PMF_SHAPED
+    const body_t plain = *body;
+#else
+    (void)state;
+    (void)signal;
+#endif
     phase->distance[0] = phase->distance[1] = phase->moving[0] = phase->moving[1] = PMF_R(0.0);
     for (turn = 0; turn < 2U; ++turn) {
+#if PMF_SHAPED
+        if (config->shapes.n != 0U && phase->velocity == PMF_R(0.0)) {
+            *body = body_at_rest(config, state, &plain, phase);
+        }
+#endif
         /* from rest it may break away, or stick */
         truth_t rests = phase->velocity == PMF_R(0.0), left = phase->left > PMF_R(0.0);
         truth_t forward = (rests & (body->force > body->coulomb[0])) | (phase->velocity > PMF_R(0.0));
         truth_t backward = PMF_NOT(forward) & (PMF_NOT(rests) | (-body->force > body->coulomb[1]));
         if (PMF_ANY((forward | backward) & left)) {
-            move(body, dt, forward & left, backward & left, phase);
+#if PMF_SHAPED
+            if (config->shapes.n != 0U) {
+                move_shaped(config, state, &plain, forward & left, backward & left, phase, signal);
+                continue;
+            }
+#endif
+            move(body, config->dt, forward & left, backward & left, phase);
         }
     }
 }
@@ -193,6 +227,9 @@ static void conclude(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t
         signal[PMF_ACCELERATION] = PMF_IF(absurd, PMF_R(0.0), signal[PMF_ACCELERATION]);
         middle = PMF_IF(absurd, signal[PMF_LATE_POSITION], middle);
         state->position = PMF_IF(absurd, middle, state->position);
+#if PMF_SHAPED
+        clear_shapes(&config->shapes, signal);
+#endif
     }
     emit_motion(phase, middle, signal);
     if (config->sensitivities != 0U) {
@@ -211,7 +248,10 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
     phase_t phase;
     phase.velocity = state->velocity;
     phase.left = PMF_R(1.0);
-    advance(&body, config->dt, &phase);
+#if PMF_SHAPED
+    clear_shapes(&config->shapes, signal);
+#endif
+    advance(config, state, &body, &phase, signal);
     conclude(config, state, &body, &phase, middle, signal);
 }
 
@@ -220,16 +260,22 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
 void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                              const pmf_late_state_t *late, real_t *signal)
 {
-    real_t middle = state->position + PMF_R(0.5) * config->dt * state->velocity, pushed;
+    real_t middle = state->position + PMF_R(0.5) * config->dt * state->velocity, pushed, moved;
     body_t body = body_of(config, state->parameter, late->older, middle);
     body_t second = body_of(config, state->parameter, late->newer, middle);
     phase_t phase, rest;
     phase.velocity = state->velocity;
     phase.left = late->part;
-    advance(&body, config->dt, &phase);
+#if PMF_SHAPED
+    clear_shapes(&config->shapes, signal);
+#endif
+    advance(config, state, &body, &phase, signal);
     rest.velocity = phase.velocity;
     rest.left = PMF_R(1.0) - late->part;
-    advance(&second, config->dt, &rest);
+    moved = config->dt * (phase.distance[0] + phase.distance[1]);
+    state->position += moved; /* where the shapes of the second part begin */
+    advance(config, state, &second, &rest, signal);
+    state->position -= moved;
     pushed = late->older * (phase.moving[0] + phase.moving[1]) + late->newer * (rest.moving[0] + rest.moving[1]);
     rest.distance[0] += phase.distance[0];
     rest.distance[1] += phase.distance[1];
@@ -379,6 +425,14 @@ PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxi
     }
     for (i = 0; i < PMF_ROLES; ++i) {
         real_t target = index[i] == PMF_NO_PARAMETER ? PMF_R(0.0) : theta[index[i]], moved;
+#if PMF_SHAPED
+        if (i >= PMF_BODY_ROLES + config->shapes.n) {
+            break;
+        }
+        if (i >= PMF_BODY_ROLES && config->shapes.shape[i - PMF_BODY_ROLES].positive != 0U) {
+            target = target < PMF_R(0.0) ? PMF_R(0.0) : target;
+        }
+#endif
         if (IS_KNOWN(i, index[i])) {
             continue;
         }

@@ -118,7 +118,12 @@ PMF_INLINE real_t memory_of(const pmf_recursion_config_t *config, const pmf_recu
 {
 #if PMF_WITH_AUXILIARY
     if (config->growing != 0U) {
-        real_t updates = PMF_TO_REAL(state->updates), part = updates / (updates + PMF_R(1.0));
+#if PMF_SHAPED
+        real_t power = (real_t)config->growing;
+#else
+        real_t power = PMF_R(1.0);
+#endif
+        real_t updates = PMF_TO_REAL(state->updates), part = updates / (updates + power);
         weight = PMF_IF(part < weight, part, weight);
     }
 #else

@@ -30,7 +30,9 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #endif
 #ifdef PMF_LANES
 #define PMF_LINEAR 0 /* its matrices would pay in lanes only where all axes compute them at once */
+#define PMF_SHAPED 0 /* nor do tables that each axis reads elsewhere */
 #else
+#define PMF_SHAPED (PMF_MAX_SHAPES > 0)
 #define PMF_LINEAR PMF_WITH_LINEAR
 #endif
 #ifdef PMF_LANES
@@ -89,6 +91,10 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
 /* The same where the input changes inside the interval. */
 void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                              const pmf_late_state_t *late, real_t *signal);
+#endif
+#if PMF_SHAPED
+/* Forces of a place at that of the counts; needs the encoder's signals of the same step. */
+void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *signal);
 #endif
 /* The equation holds exactly for the model; what its columns leave is the error of the discretisation, and the same
  * for the plant. It is taken from the target. Regressors and target then know that the model's stops and reversals move

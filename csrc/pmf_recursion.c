@@ -237,7 +237,15 @@ PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_s
     return PMF_IF(finite_state(state, p, instrumental), status, PMF_W(PMF_RESET | PMF_STARTING));
 }
 
-#if !defined(PMF_PARAMETERS)
+/* An export with shapes has recursions of two sizes, which go through loops: code for every size would be twice the
+ * rest of it. */
+#if defined(PMF_PARAMETERS) || (PMF_MAX_SHAPES > 0 && PMF_LAYOUT != 0U)
+#define EVERY_SIZE 0
+#else
+#define EVERY_SIZE 1
+#endif
+
+#if EVERY_SIZE
 /* The same code with the number of parameters as a constant: loops unroll, the bits stay. In functions of their own,
  * for the time that a compiler takes grows faster than what it compiles. */
 #define FIXED(p, instrumental)                                                                                         \
@@ -262,7 +270,7 @@ FIXED(8, 0)
 
 static whole_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
 {
-#ifdef PMF_PARAMETERS
+#if !EVERY_SIZE
     return checked(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
 #else
     switch (config->n_parameters * 2U + config->instrumental) {

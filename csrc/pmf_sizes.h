@@ -11,6 +11,8 @@
 #define PMF_MAX_COLUMNS (5 * PMF_MAX_PARAMETERS + 4)
 #define PMF_MAX_ORDER 6 /* of the linear process that is simulated */
 #define PMF_MAX_LATE 22 /* inputs that are kept for a dead time: one more than its whole samples, and one */
+#define PMF_MAX_SHAPES 6 /* of forces that the auxiliary model has beside the body's; 0 leaves them out */
+#define PMF_MAX_KNOTS 520 /* in the tables of all of them */
 #define PMF_WINDOW_BLOCKS 8 /* of a sliding window; 0 saves their memory where no window is used */
 
 /* 0 leaves a part out, its code and its memory. */

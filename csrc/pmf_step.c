@@ -82,6 +82,9 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     }
 #endif
 #if PMF_WITH_AUXILIARY
+#if PMF_SHAPED
+    pmf_shapes_measured(&config->auxiliary.shapes, state->network.node);
+#endif
     if (config->auxiliary.enabled != 0U) {
 #if PMF_LATE
         if (config->late.room != 0U && state->auxiliary.running != 0U) {
@@ -146,6 +149,14 @@ static void borrow_estimate(const pmf_config_t *config, pmf_state_t *state)
             borrowed->inflation[auxiliary->index[i]] = state->direct.estimate.inflation[auxiliary->direct_index[i]];
         }
     }
+#if PMF_SHAPED
+    for (i = 0; i < auxiliary->shapes.n; ++i) { /* of some the direct estimate knows nothing */
+        uint32_t own = auxiliary->index[PMF_BODY_ROLES + i];
+        if (own != PMF_NO_PARAMETER && auxiliary->direct_index[PMF_BODY_ROLES + i] == PMF_NO_PARAMETER) {
+            borrowed->variance_factor[own] = PMF_UNKNOWN;
+        }
+    }
+#endif
     borrowed->innovation = state->direct.estimate.innovation;
     borrowed->innovation_variance = state->direct.estimate.innovation_variance;
 }
@@ -157,7 +168,12 @@ static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;
     uint32_t mass = config->auxiliary.index[PMF_MASS], direct_mass = config->auxiliary.direct_index[PMF_MASS];
     real_t small = SHORT_BAR * own->theta[mass];
-    truth_t enough = TAKE_OVER * state->instrument.sums.weight > state->direct.sums.weight;
+#if PMF_SHAPED /* what counts by the power of its number weighs the less */
+    real_t gathered = PMF_R(0.5) * (PMF_R(1.0) + (real_t)config->instrument.growing) * state->instrument.sums.weight;
+#else
+    real_t gathered = state->instrument.sums.weight;
+#endif
+    truth_t enough = TAKE_OVER * gathered > state->direct.sums.weight;
     enough = enough & ((own->variance_factor[mass] < TAKE_OVER * direct->variance_factor[direct_mass]) |
                        (own->variance_factor[mass] * own->inflation[mass] * own->innovation_variance < small * small));
     return (state->instrument.started > 0U) & ((state->direct.started == 0U) | enough);

@@ -92,6 +92,8 @@ VARIANTS = {
     "offset": {"drive": pmfid.Drive(2.0, offset=True)},
     "spring": {"drive": pmfid.Drive(2.0, spring=True)},
     "friction": {"drive": pmfid.Drive(2.0, friction="directional")},
+    "shapes": {"drive": pmfid.Drive(2.0, stribeck=0.05, quadratic=True, cogging=0.01)},
+    "places": {"drive": pmfid.Drive(2.0, gravity=True)},
     "order": {"order": 4},
 }
 
@@ -105,6 +107,13 @@ def test_every_configuration_is_exported(variant: str, cls: type[RecursiveEstima
     except pmfid.UsageError:
         pytest.skip("this method does not have it")
     assert difference(exported(estimator, tmp_path, *hostile()), GCC, "-O1", *WARNINGS) is None
+
+
+@pytest.mark.parametrize("target", [pytest.param(t, marks=needs(t), id=t.name) for t in (CLANG, M4F, M7)])
+def test_shapes_have_the_bits_of_python_everywhere(target: Target, tmp_path: Path) -> None:
+    """Its two recursions have different sizes: no compiler may find code for a third one."""
+    estimator = make(pmfid.RIV, "float32", **VARIANTS["shapes"])
+    assert difference(exported(estimator, tmp_path, *hostile()), target, "-O3", *WARNINGS) is None
 
 
 PROCESS = pmfid.TransferFunction(2, 1, delay=2, offset=True)

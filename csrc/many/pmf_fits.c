@@ -61,6 +61,26 @@ static uint32_t is_parameter(uint32_t index)
     return index < PMF_MAX_PARAMETERS || index == PMF_NO_PARAMETER ? 1U : 0U;
 }
 
+/* A node that a signal is written to: none, or one behind the encoder's and the body's. */
+static uint32_t may_be_written(uint32_t node)
+{
+    return node == 0U || (node >= PMF_SIGNALS && node < NODES) ? 1U : 0U;
+}
+
+uint32_t pmf_shapes_fit(const pmf_shapes_config_t *shapes)
+{
+    uint32_t i, fits = shapes->n <= PMF_MAX_SHAPES ? 1U : 0U;
+    for (i = 0; i < shapes->n && fits != 0U; ++i) {
+        const pmf_shape_t *shape = &shapes->shape[i];
+        fits &= shape->of <= PMF_OF_PLACE && shape->intervals >= 1U && shape->intervals < PMF_MAX_KNOTS &&
+                        shape->first < PMF_MAX_KNOTS - shape->intervals
+                    ? 1U
+                    : 0U;
+        fits &= may_be_written(shape->node) & may_be_written(shape->measured);
+    }
+    return fits;
+}
+
 static uint32_t auxiliary_fits(const pmf_auxiliary_config_t *model)
 {
     uint32_t role, i,
@@ -72,7 +92,10 @@ static uint32_t auxiliary_fits(const pmf_auxiliary_config_t *model)
         fits &= is_parameter(model->index[role]) & is_parameter(model->direct_index[role]);
     }
     for (i = 0; i < model->sensitivities && fits != 0U; ++i) {
-        fits &= model->cause[i] < PMF_SIGNALS && model->role[i] < PMF_ROLES ? 1U : 0U;
+        fits &= model->cause[i] < NODES && model->role[i] < PMF_ROLES ? 1U : 0U;
+    }
+    for (i = 0; i < model->shapes.n && i < PMF_MAX_SHAPES; ++i) {
+        fits &= model->shapes.shape[i].node != 0U ? 1U : 0U;
     }
     return fits;
 }
@@ -99,6 +122,7 @@ uint32_t pmf_fits(const pmf_config_t *config)
 {
     return (config->late.room < PMF_MAX_LATE - 1U ? 1U : 0U) & network_fits(&config->network) &
            recursion_fits(&config->direct) & recursion_fits(&config->instrument) &
+           pmf_shapes_fit(&config->auxiliary.shapes) &
            (config->auxiliary.enabled == 0U ? 1U : auxiliary_fits(&config->auxiliary)) &
            (config->linear.enabled == 0U ? 1U : linear_fits(&config->linear) & one_level(config));
 }

@@ -90,7 +90,12 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
         leave_out(unused, IN_STATE(instrument), END_IN_STATE(instrument));
     }
     if (config->auxiliary.enabled != 0U) {
+        uint32_t roles = PMF_BODY_ROLES + config->auxiliary.shapes.n;
         leave_estimate(unused, IN_STATE(borrowed), config->instrument.n_parameters);
+        leave_out(unused, IN_STATE(auxiliary.parameter) + roles * (uint32_t)sizeof(scalar_t),
+                  END_IN_STATE(auxiliary.parameter));
+        leave_out(unused, IN_STATE(auxiliary.jump) + roles * (uint32_t)sizeof(pmf_jump_t),
+                  END_IN_STATE(auxiliary.jump));
     } else {
         leave_out(unused, IN_STATE(borrowed), END_IN_STATE(borrowed));
         leave_out(unused, IN_STATE(auxiliary), END_IN_STATE(auxiliary));
@@ -162,7 +167,7 @@ uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, p
     add_words(layout, &unused, is_whole, 1U);
     layout->packed_size = (layout->packed_size + 7U) / 8U * 8U;
     if (config->direct.scheme == PMF_WINDOW || config->instrument.scheme == PMF_WINDOW ||
-        config->linear.enabled != 0U || config->late.room != 0U) {
+        config->linear.enabled != 0U || config->late.room != 0U || config->auxiliary.shapes.n != 0U) {
         layout->lane_words = 0U;
     }
     return layout->words < PMF_MAX_WORDS && unused.ranges < MAX_RANGES ? 1U : 0U;

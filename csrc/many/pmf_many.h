@@ -59,6 +59,7 @@ extern const pmf_lanes_t pmf_lanes_16, pmf_lanes_32, pmf_lanes_64;
 #ifndef PMF_LANES
 /* 1: these can be the numbers of a configuration of this build, 0: they would lead beyond its memory. */
 uint32_t pmf_fits(const pmf_config_t *config);
+uint32_t pmf_shapes_fit(const pmf_shapes_config_t *shapes);
 /* is_whole: for every four bytes of a pmf_state_t 1 where they are a whole number, else 0. Returns 0 where the words
  * are more than a layout holds. */
 uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, pmf_layout_t *layout);

@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     from pmfid.models.drive import EquationModel as EquationModel
     from pmfid.models.equation import Equation as Equation
     from pmfid.models.equation import Term as Term
+    from pmfid.models.shapes import Along as Along
+    from pmfid.models.shapes import Square as Square
+    from pmfid.models.shapes import Stribeck as Stribeck
+    from pmfid.models.shapes import Wave as Wave
     from pmfid.models.transfer_function import TransferFunction as TransferFunction
     from pmfid.session.arrays import identify as identify
     from pmfid.session.result import Result as Result
@@ -49,6 +53,10 @@ _PUBLIC = {
     "Equation": "pmfid.models.equation",
     "EquationModel": "pmfid.models.drive",
     "Term": "pmfid.models.equation",
+    "Along": "pmfid.models.shapes",
+    "Square": "pmfid.models.shapes",
+    "Stribeck": "pmfid.models.shapes",
+    "Wave": "pmfid.models.shapes",
     "Estimate": "pmfid._estimate",
     "Fit": "pmfid.estimators.results",
     "Fleet": "pmfid.estimators.fleet",

@@ -19,6 +19,8 @@ cdef extern from "pmf_internal.h":
     enum:
         PMF_MAX_PARAMETERS
         PMF_MAX_COLUMNS
+        PMF_BODY_ROLES
+        PMF_MAX_SHAPES
         PMF_ROLES
         PMF_NO_PARAMETER
         PMF_SIGNALS
@@ -33,8 +35,14 @@ cdef extern from "pmf_internal.h":
         uint32_t n_columns
     ctypedef struct pmf_network_state_t:
         real_t column[PMF_MAX_COLUMNS]
+    ctypedef struct pmf_shape_t:
+        uint32_t node
+    ctypedef struct pmf_shapes_config_t:
+        uint32_t n
+        pmf_shape_t shape[PMF_MAX_SHAPES]
     ctypedef struct pmf_auxiliary_config_t:
         real_t dt, input_gain
+        pmf_shapes_config_t shapes
     ctypedef struct pmf_auxiliary_state_t:
         real_t parameter[PMF_ROLES]
         real_t velocity, position
@@ -83,6 +91,7 @@ cdef extern from "many/pmf_many.h":
     ctypedef struct pmf_layout_t:
         uint32_t packed_size, lane_words
     uint32_t pmf_fits(const pmf_config_t *) nogil
+    uint32_t pmf_shapes_fit(const pmf_shapes_config_t *) nogil
     uint32_t pmf_layout(const pmf_config_t *, const unsigned char *, pmf_layout_t *) nogil
     void pmf_pack(const pmf_layout_t *, const pmf_state_t *, unsigned char *) nogil
     void pmf_unpack(const pmf_layout_t *, const unsigned char *, pmf_state_t *) nogil
@@ -328,17 +337,20 @@ cdef class ManyKernel:
             pmf_many_run(&self.config, &self.layout, &many, first, end, states)
 
 
-def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, double velocity=0.0, double position=0.0, double before=0.0):
+def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, double velocity=0.0, double position=0.0,
+             bytes shapes=b"", double before=0.0):
     """The auxiliary model alone: a body with friction under a held input.
 
-    parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness, dead time [s] >= 0), those left out 0; u: (n,),
-    u[k] holds from the interval k on, the dead time later; before: input before the first; velocity, position: at the start; a spring is slack at position 0. Returns (n,) mean velocity, signed moving fraction and moving fraction of
-    every interval, and the velocity at the end.
+    parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness, dead time [s] >= 0), and the
+    coefficients of the shapes; those left out are 0; u: (n,), u[k] holds from the interval k on, the dead time later; before: input before the first;
+    velocity, position: at the start; a spring is slack at position 0. shapes: the bytes of a `pmf_shapes_config_t`
+    (`pmfid.kernel.shapes` makes them), whose nodes are PMF_SIGNALS and the next. Returns (n,) mean velocity, signed moving fraction and
+    moving fraction of every interval, and the velocity at the end. Raises ValueError for too many parameters and impossible shapes.
     """
     cdef pmf_auxiliary_config_t config
     cdef pmf_auxiliary_state_t state
     cdef pmf_late_state_t late
-    cdef real_t signal[PMF_SIGNALS]
+    cdef real_t signal[PMF_SIGNALS + PMF_MAX_SHAPES]
     cdef Py_ssize_t n = u.shape[0], k, whole
     cdef double samples
     cdef cnp.ndarray[double, mode="c"] mean = np.empty(n)
@@ -348,8 +360,16 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
     pmf_clear(&state, sizeof(state))
     pmf_clear(signal, sizeof(signal))
     config.dt, config.input_gain = dt, input_gain
-    if len(parameters) > PMF_ROLES:
-        raise ValueError(f"there are {PMF_ROLES} roles, got {len(parameters)} parameters")
+    if len(shapes):
+        if len(shapes) != sizeof(pmf_shapes_config_t):
+            raise ValueError(f"shapes have {sizeof(pmf_shapes_config_t)} bytes, got {len(shapes)}")
+        memcpy(&config.shapes, <const char *> shapes, sizeof(pmf_shapes_config_t))
+        if pmf_shapes_fit(&config.shapes) == 0 or any(
+            not PMF_SIGNALS <= config.shapes.shape[i].node < PMF_SIGNALS + PMF_MAX_SHAPES for i in range(config.shapes.n)
+        ):
+            raise ValueError("these numbers are no shapes: one of them would lead beyond the kernel's memory")
+    if len(parameters) > PMF_BODY_ROLES + config.shapes.n:
+        raise ValueError(f"the model takes {PMF_BODY_ROLES + config.shapes.n} parameters, got {len(parameters)}")
     for role in range(len(parameters)):
         state.parameter[role] = parameters[role]
     state.velocity, state.position = velocity, position

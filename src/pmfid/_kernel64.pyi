@@ -61,5 +61,6 @@ def simulate(
     u: NDArray[np.float64],
     velocity: float = 0.0,
     position: float = 0.0,
+    shapes: bytes = b"",
     before: float = 0.0,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]: ...

@@ -154,7 +154,7 @@ def mean_information(noise: float) -> float:
 def _tested(best: Best, information: float, slope: Floats) -> Adequacy:
     """The score tests; information: of a sample, slope (n,): of the negative log-likelihood by the difference."""
     difference, q, noise = best.difference, best.q, best.noise
-    p = len(difference.equation.names)
+    p = difference.parameters
     sensitivity = -difference.jacobian(q)
     own = without_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:])
     candidates = lacks(difference, q)

@@ -74,6 +74,8 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
             continue
         if not issubclass(cls, Simulating) and configured.equation.dead_time == ESTIMATE:
             continue  # it would be wrong by as much as the dead time makes it
+        if cls is IV and configured.equation.further:  # it is linear
+            continue
         candidate = _candidate(cls, configured, u, counts)
         try:
             fit = candidate.fit(u, counts)

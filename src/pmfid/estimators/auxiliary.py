@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from scipy.signal import lfilter
 
-from pmfid.estimators.base import Estimator
+from pmfid.estimators.base import Estimator, shapes_of
 from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.configuration import like
 from pmfid.estimators.encoder_noise import impulse_products
@@ -18,7 +18,7 @@ from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
 from pmfid.kernel.configuration import new_kernel
 from pmfid.kernel.structures import constants_of
-from pmfid.models.equation import ESTIMATE, STIFFNESS, Equation
+from pmfid.models.equation import ESTIMATE, ROLES, Equation
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
@@ -34,6 +34,8 @@ FOLLOWED = constants_of(None)["PMF_FOLLOWED"]
 MISMATCH_LIMIT = 0.2
 #: Signal of a term, the output as its velocity -> its place in the auxiliary model's block of signals.
 BLOCK = {**HELD, **SPLIT, "output": VELOCITY}
+#: With shapes; with 3 the first samples still showed after 4000, with 7 the error bars were longer.
+GROWING_WITH_SHAPES = 5
 #: Memory of that comparison, in filter time constants.
 CHECK_TIME_CONSTANTS = 30.0
 #: The same of the comparison that shows a model ahead of the plant; samples within so many are taken for one there.
@@ -100,7 +102,7 @@ def make_auxiliary_kernel(
     network, columns, first, check = auxiliary_columns(estimator)
     p = len(estimator.names)
     direct = _kept(estimator, direct_estimator)
-    causes = _causes(estimator.equation) if adapt else []
+    causes = _causes(estimator.equation, network) if adapt else []
     auxiliary = {
         "enabled": 1,
         "adapt": int(adapt),
@@ -111,20 +113,21 @@ def make_auxiliary_kernel(
         "trial_samples": 2 * estimator.settle_samples,
         "dt": estimator.dt,
         "input_gain": estimator.equation.input_gain,
-        "position_gain": min(1.0, estimator.cutoff * estimator.dt / COPY_TIME_CONSTANTS),
+        "position_gain": _position_gain(estimator),
         "smoothing": min(1.0, FOLLOWED * estimator.cutoff * estimator.dt / COPY_TIME_CONSTANTS),
         "memory": math.exp(-estimator.cutoff * estimator.dt / CHECK_TIME_CONSTANTS),
         "mismatch_limit": MISMATCH_LIMIT,
         "noise_power": _kept(estimator, _noise_power),
         "lag_memory": math.exp(-estimator.cutoff * estimator.dt / LAG_TIME_CONSTANTS),
         "lag_samples": max(1.0, ALIKE_TIME_CONSTANTS / (estimator.cutoff * estimator.dt)),
-        "direct_index": _indices(direct.equation.roles),
+        "direct_index": _indices(_alike(direct.equation, estimator.equation)),
         "index": _indices(estimator.equation.roles),
         "initial": estimator.equation.role_values(initial),
         "jump_gain": 1 - math.exp(-2 / estimator.order * estimator.cutoff * estimator.dt),
         "sensitivities": len(causes),
         "cause": causes,
         "role": [estimator.equation.roles.index(i) for i in range(len(causes))],
+        "shapes": shapes_of(estimator.equation, network),
     }
     kernel = new_kernel(
         estimator.precision,
@@ -134,7 +137,7 @@ def make_auxiliary_kernel(
         direct=direct.recursion_config(len(direct.names), True, forgetting),
         settle_samples=2 * estimator.settle_samples,  # half-way the model is set to the measured velocity
         instrument=_with_check(estimator, estimator.recursion_config(p, True, forgetting, first))
-        | {"growing": int(adapt)},
+        | {"growing": _growing(estimator) if adapt else 0},
         auxiliary=auxiliary,
         late=estimator.late_config,
     )
@@ -159,17 +162,43 @@ def _check_of_model(estimator: Estimator) -> dict[str, object]:
     }
 
 
-def _causes(equation: Equation) -> list[int]:
-    """The auxiliary model's signal that each parameter multiplies; none with a spring, which would bring a deviation of
-    the velocity back: the kernel does not follow that, and the stops count as known."""
-    if equation.roles[STIFFNESS] is not None:
+def _growing(estimator: Estimator) -> int:
+    """The power of their number by which samples count. The direct estimate, from which the model starts, takes
+    friction of a shape for another one: the copy has far to go, and what was gathered on the way must go sooner."""
+    return GROWING_WITH_SHAPES if estimator.equation.shaped else 1
+
+
+def _position_gain(estimator: Estimator) -> float:
+    """By how much the model's position is set to the counts in every sample: a force of the place asks for it as soon
+    as the filters show it, and is all but blind to a step of the encoder; a spring, which is not, as slowly as the copy
+    moves."""
+    waits = 1.0 if any(term.shape and not term.shape.of_speed for term in estimator.equation.shaped) else None
+    return min(1.0, estimator.cutoff * estimator.dt / (waits or COPY_TIME_CONSTANTS))
+
+
+def _alike(direct: Equation, equation: Equation) -> list[int | None]:
+    """For each role in an equation the parameter of the direct one, which knows but some of the shapes."""
+    places = {term.place: i for i, term in enumerate(direct.unknown)}
+    return [*direct.roles[: len(ROLES)], *(places.get(term.place) for term in equation.shaped)]
+
+
+def _causes(equation: Equation, network: Network) -> list[int]:
+    """The auxiliary model's signal that each parameter multiplies; none with a spring or another force of the
+    place, which would bring a deviation of the velocity back: the kernel does not follow that, and the stops count as
+    known."""
+    if equation.place_matters:
         return []
-    terms = [term for term in equation.unknown if term.signal != "input"]  # the dead time comes last
-    return [ACCELERATION if t.derivative == 2 else AUXILIARY + BLOCK[t.signal] for t in terms]
+    return [
+        network.slots.get((False, *t.place)) or (ACCELERATION if t.derivative == 2 else AUXILIARY + BLOCK[t.signal])
+        for t in equation.unknown
+        if t.signal != "input"  # the dead time comes last
+    ]
 
 
 def _indices(roles: Sequence[int | None]) -> list[int]:
-    return [constants_of(None)["PMF_NO_PARAMETER"] if index is None else index for index in roles]
+    none = constants_of(None)["PMF_NO_PARAMETER"]
+    known = [none if index is None else index for index in roles]
+    return known + [none] * (constants_of(None)["PMF_ROLES"] - len(known))
 
 
 def _noise_power(estimator: Estimator) -> float:

@@ -19,6 +19,7 @@ from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
 from pmfid.filters.network import Network, Taps, scaled
 from pmfid.kernel.configuration import new_kernel
+from pmfid.kernel.shapes import shape_values, too_many
 from pmfid.kernel.structures import constants_of
 from pmfid.models.drive import Model
 from pmfid.models.equation import ESTIMATE, MOST_LATE, Equation
@@ -68,6 +69,8 @@ class Estimator:
     method: ClassVar[str] = ""
     #: its kernel has columns of instruments beside the regressors
     instrumental: ClassVar[bool] = False
+    #: it takes friction that depends on the speed from a simulated motion
+    knows_shapes: ClassVar[bool] = False
     #: filters of the held signals that it takes
     discretizations: ClassVar[tuple[str, ...]] = tuple(sorted(HOLD_FILTERS))
 
@@ -116,6 +119,14 @@ class Estimator:
             return (
                 f'{cls.method} does not simulate the motion, as it must where dead_time = "estimate"; use iv, riv, '
                 "output-error or interval, or give the dead time in s"
+            )
+        if refused := too_many([table for table, _ in equation.known_at([1.0] * len(equation.further)).shapes]):
+            return refused
+        of_speed = ", ".join(str(term.name) for term in equation.shaped if term.shape and term.shape.of_speed)
+        if of_speed and not cls.knows_shapes:
+            return (
+                f"{cls.method} takes everything from the counts, which do not tell {of_speed} the speed closely "
+                "enough; use iv, riv, output-error or interval, or leave it out of the model"
             )
         if not equation.only_simulated:
             return ""
@@ -220,6 +231,7 @@ class Estimator:
                 settle_samples=self.settle_samples,
                 first_samples=self.first_samples,
                 late=self.late_config,
+                shapes=shapes_of(self.equation, network),
             )
         except ValueError as error:  # more than it holds
             raise UsageError(str(error)) from None
@@ -298,6 +310,14 @@ class Estimator:
             "unexplained": 0.0,
             "check_samples": 0.0,
         }
+
+
+def shapes_of(equation: Equation, network: Network) -> dict[str, object]:
+    """The shapes of an equation, with their places in its network."""
+    nodes, measured = (
+        [network.slots.get((by_counts, *term.place), 0) for term in equation.shaped] for by_counts in (False, True)
+    )
+    return shape_values(equation.shapes, nodes, measured)
 
 
 def memory_of(forgetting: float, dt: float) -> float:

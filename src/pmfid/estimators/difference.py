@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.least_squares import parts_of_their_own
+from pmfid.estimators.motion import mean_velocity, parts_for
 from pmfid.models.equation import LATE, Equation
 from pmfid.types import Floats
 
@@ -26,12 +27,16 @@ ROUGH_TOLERANCE = 1e-7
 ENCODER_ALONE = 0.5
 #: Accuracy of the simulated position, as a part of the travel.
 SIMULATION_ERROR = 1e-5
+#: Error of the simulated position that shapes may add [counts].
+PARTS_ERROR = 0.005
 #: Counts within a filter time constant by which the start velocity may be off.
 START_COUNTS = 3.0
 #: Square root of the information [1/counts] of a sample with a white encoder error.
 WHITE = math.sqrt(12.0)
 #: Least mass, as a part of that of the start: without any the motion has no equation.
 LEAST_MASS = 1e-3
+#: The same of a parameter that the equation is not linear in.
+LEAST_SHAPE = 1e-2
 #: Part of a sensitivity that must not follow from the others.
 APART = 1e-3
 
@@ -41,7 +46,7 @@ class Difference:
     """Position of the counts minus simulated position, in counts, as a function of q = (theta, x0, v0) / scale.
 
     equation: its roles say what the simulation takes of theta; u, y: (n,), dt [s]; resolution; scale: (q,);
-    pole: of the high-pass on the difference [rad/s], 0: none.
+    pole: of the high-pass on the difference [rad/s], 0: none; parts: of a sample, in which shapes are simulated.
     """
 
     equation: Equation
@@ -51,6 +56,7 @@ class Difference:
     resolution: float
     scale: Floats
     pole: float
+    parts: int = 1
 
     def __call__(self, q: Floats) -> Floats:
         return self.filtered(self.y - self.motion(q)[0]) / self.resolution
@@ -61,27 +67,42 @@ class Difference:
         force (n,), or (k n,) for the k equal parts of every sample: on top of that of the input [unit of the
         equation].
         """
-        from pmfid import _kernel64
-
-        *theta, x0, v0 = q * self.scale
-        gain, parts, u = self.equation.input_gain, 1, self.u
+        values = q * self.scale
+        theta, (x0, v0) = values[:-2], values[-2:]
+        split, u = 1, self.u
         if force is not None:
-            parts = force.size // u.size
-            u = np.repeat(u, parts) + self._early(force, theta[: len(self.equation.names)], parts) / gain
-        start = float(v0), float(x0 - self.y[0])  # a spring's length counts from the first count
-        roles = self.equation.role_values(theta)
-        velocity = _kernel64.simulate(roles, gain, self.dt / parts, u, *start, self.before)[0]
-        return x0 + np.r_[0.0, np.cumsum(velocity[:-1])][::parts] * (self.dt / parts), velocity
+            split = force.size // u.size
+            u = np.repeat(u, split) + self._early(force, theta[: len(self.equation.names)], split) / self.gain
+        # a spring's length counts from the first count
+        start = float(v0), float(x0 - self.y[0])
+        parts = max(1, -(-self.parts // split))
+        velocity = mean_velocity(self.equation, theta, self.dt / split, u, *start, parts, self.before)
+        return x0 + np.r_[0.0, np.cumsum(velocity[:-1])][::split] * (self.dt / split), velocity
 
-    def _early(self, force: Floats, theta: Sequence[float], parts: int) -> Floats:
+    def _early(self, force: Floats, theta: Floats, parts: int) -> Floats:
         """A force as it must stand in an input that acts late, to act in time."""
         late = round(self.equation.role_values(theta)[LATE] * parts / self.dt)
         return np.r_[force[late:], np.full(min(late, force.size), force[-1])] if late > 0 else force
 
     @property
+    def gain(self) -> float:
+        """Force per unit of the input."""
+        return self.equation.input_gain
+
+    @property
     def before(self) -> float:
         """The input before the first, of which only a dead time knows: none where the axis rests until that acts."""
         return 0.0 if np.all(self.y[:2] == self.y[0]) else float(self.u[0])
+
+    def fine_at(self, theta: Floats) -> Difference:
+        """With as many parts of a sample as the counts ask for at theta (p,), and no fewer than now."""
+        asked = parts_for(self.equation, theta, self.dt, self.u, PARTS_ERROR * self.resolution)
+        return replace(self, parts=max(self.parts, asked))
+
+    @property
+    def parameters(self) -> int:
+        """Of the equation, with those in which it is not linear."""
+        return self.scale.size - 2
 
     def filtered(self, signal: Floats) -> Floats:
         """The high-pass, from rest: white noise on top of a random walk leaves it white."""
@@ -114,10 +135,11 @@ class Difference:
 
     @property
     def lower(self) -> Floats:
-        """Bounds of q: a mass above zero, frictions of at least zero."""
+        """Bounds of q: a mass and shape parameters above zero, frictions of at least zero."""
         lower = np.full(self.scale.size, -np.inf)
         lower[: len(self.equation.names)][np.array(self.equation.positive)] = 0.0
         lower[self.equation.leading] = LEAST_MASS
+        lower[len(self.equation.names) : -2] = LEAST_SHAPE
         return lower
 
 
@@ -135,11 +157,12 @@ def rms(signal: Floats) -> float:
     return float(np.sqrt(np.mean(signal**2)))
 
 
-def least(difference: Difference, q: Floats) -> Floats:
-    """Least squares from q (q,). Raises NotIdentifiableError where the iteration does not settle."""
+def least(difference: Difference, q: Floats, tolerances: Sequence[float] = (TOLERANCE, ROUGH_TOLERANCE)) -> Floats:
+    """Least squares from q (q,), with these relative tolerances one after the other. Raises NotIdentifiableError
+    where the iteration does not settle."""
     from scipy.optimize import least_squares  # slow to import, and only this needs it
 
-    for tolerance in (TOLERANCE, ROUGH_TOLERANCE):
+    for tolerance in tolerances:
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
                 found = least_squares(

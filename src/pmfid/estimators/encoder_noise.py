@@ -48,6 +48,9 @@ def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps
             nodes[SPLIT_FORWARD][1:3] = nodes[VELOCITY][:2]
             nodes[LATE_POSITION][1:3] = 0.5
         for k, (source, a, b0, b1) in enumerate(network.stages):
+            if source == len(nodes):  # of the simulated motion, which an encoder's error does not reach
+                nodes.append(np.zeros_like(nodes[0]))
+                continue
             response, memories[k] = lfilter([b0, b1], [1.0, -a], nodes[source], zi=memories[k])
             nodes.append(response)
         yield np.array([sum(weight * nodes[node] for node, weight in taps) for taps in columns])
@@ -60,7 +63,7 @@ def shown(estimator: Estimator) -> float:
     this: what is beyond is a motion.
     """
     builder = ColumnBuilder(estimator.equation, estimator.spec)
-    column = builder.regressors()[estimator.equation.leading]
+    column = builder.coefficient(estimator.equation.unknown[estimator.equation.leading], "measured")
     gain = np.max(np.abs(frequency_response(estimator, builder.network, column)))
     return float(max(estimator.encoder.resolution / 2 * gain, LEAST) ** -2)  # float32 holds that, too
 

@@ -23,16 +23,7 @@ from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.srivc import ProcessSolver, fixed_filters
-from pmfid.models.equation import (
-    COULOMB_BACKWARD,
-    COULOMB_FORWARD,
-    ESTIMATE,
-    LATE,
-    MASS,
-    OFFSET,
-    STIFFNESS,
-    Equation,
-)
+from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, ESTIMATE, LATE, MASS, OFFSET, ROLES, Equation
 from pmfid.status import Status
 from pmfid.transfer.solve import ProcessProblem, Solution
 
@@ -78,7 +69,8 @@ class IV(ProcessSolver, Simulating):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.equation.further:
-            raise UsageError("iv is linear in what it estimates, and dead_time is not; use srivc or output-error")
+            names, others = ", ".join(dict(self.equation.further)), "" if self.plant.rests else "srivc or "
+            raise UsageError(f"iv is linear in what it estimates, and {names} is not; use {others}output-error")
 
     def solved(self, problem: ProcessProblem) -> Solution:
         return fixed_filters(problem)
@@ -148,7 +140,11 @@ class IV(ProcessSolver, Simulating):
         if self.equation.dead_time == ESTIMATE:
             return self._start_late(u, counts)
         batch = like(BCLS, self, model=self.model.simple)
-        return spread(batch.equation.role_values(batch.fit(u, counts).theta), self.equation)
+        found = batch.fit(u, counts)
+        theta = spread(batch.equation.role_values(found.theta), self.equation)
+        for term in batch.equation.shaped:
+            theta[self.names.index(str(term.name))] = found.theta[batch.names.index(str(term.name))]
+        return theta
 
     def _start_late(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
         """The same with the dead time at which the simulated velocity is nearest to the measured one."""
@@ -217,7 +213,7 @@ class IV(ProcessSolver, Simulating):
         )
         index = self.equation.roles[OFFSET]
         force = self.equation.input_gain * u[begin] - (0.0 if index is None else theta[index])
-        return bool(np.all(np.abs(force) <= friction)) and self.equation.roles[STIFFNESS] is None
+        return bool(np.all(np.abs(force) <= friction)) and not self.equation.place_matters
 
     def noise(self) -> NDArray[np.float64]:
         """(p, p) covariance that a white encoder error of the step's variance has in the regressors of one sample."""
@@ -249,7 +245,7 @@ def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
         values[COULOMB_FORWARD] += values[OFFSET]
         values[COULOMB_BACKWARD] -= values[OFFSET]
     theta = np.zeros(len(equation.names))
-    for value, index in zip(values, equation.roles, strict=True):
+    for value, index in zip(values[: len(ROLES)], equation.roles[: len(ROLES)], strict=True):
         if index is not None:
             theta[index] = value
     if not values[MASS] > 0:
@@ -273,6 +269,14 @@ class RIV(Simulating, RecursiveEstimator):
     instrumental: ClassVar[bool] = True
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)
+
+    @classmethod
+    def refuses(cls, equation: Equation) -> str:
+        refused = super().refuses(equation)
+        if refused or not equation.further:
+            return refused
+        names = ", ".join(dict(equation.further))
+        return f"riv is linear in what it estimates, and {names} is not; find it with output-error, and give it"
 
     def make_kernel(self, forgetting: float = 1.0) -> Kernel:
         initial = None if self.initial is None else list(initial_vector(self.initial, self.names))

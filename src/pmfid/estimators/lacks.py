@@ -22,6 +22,7 @@ from pmfid.models.equation import (
     VISCOUS_BACKWARD,
     VISCOUS_FORWARD,
 )
+from pmfid.models.shapes import Square, Stribeck
 from pmfid.types import Floats
 
 #: Coulomb friction of a machine is taken for at least this part of the motor's force.
@@ -70,10 +71,13 @@ def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[Lack]:
         LEAST_FRICTION * abs(difference.equation.input_gain) * rms(difference.u),
     )
     viscous = (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2 * usual
-    for part in STRIBECK_SPEEDS:
-        says = "friction that is larger at low speed (Stribeck)"
-        yield Lack("stribeck", says, "", _stribeck(difference, q, v, part * usual), STRIBECK * coulomb)
-    yield Lack("curved", "friction that is not linear at high speed", "", v * speed / usual**2, CURVED * viscous)
+    known = [term.shape for term in difference.equation.shaped if term.signal == "friction"]
+    for part in () if any(isinstance(shape, Stribeck) for shape in known) else STRIBECK_SPEEDS:
+        says, cure = "friction that is larger at low speed (Stribeck)", 'set stribeck = "estimate" in [model]'
+        yield Lack("stribeck", says, cure, _stribeck(difference, q, v, part * usual), STRIBECK * coulomb)
+    if not any(isinstance(shape, Square) for shape in known):
+        cure = "set quadratic = true in [model]"
+        yield Lack("curved", "friction that is not linear at high speed", cure, v * speed / usual**2, CURVED * viscous)
     yield Lack("drifting", "friction that changes over the record", "", side * np.linspace(-1, 1, v.size), 0.0)
     roles = difference.equation.roles
     if roles[COULOMB_FORWARD] == roles[COULOMB_BACKWARD]:
@@ -107,8 +111,10 @@ def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator
         cure = 'set dead_time = "estimate" in [model]'
         yield Lack("dead_time", "a dead time, or a lag, of the input", cure, late, LATE_BY * difference.dt)
     place = (x - np.mean(x)) / max(float(np.ptp(x)), np.finfo(float).tiny)
-    yield Lack("uneven_way", "friction that differs along the travel", "", np.sign(v) * place, 0.0)
-    if roles[STIFFNESS] is None:
+    along = {term.signal for term in difference.equation.shaped if term.shape and not term.shape.of_speed}
+    if "friction" not in along:
+        yield Lack("uneven_way", "friction that differs along the travel", "", np.sign(v) * place, 0.0)
+    if "place" not in along and roles[STIFFNESS] is None:
         yield Lack("spring", "a force that grows with the position", "set spring = true in [model]", place, 0.0)
     yield Lack("bent_input", "an input that does not act in proportion", "", -gain * u * np.abs(u) / rms(u), 0.0)
     if difference.equation.roles[MASS] is not None:

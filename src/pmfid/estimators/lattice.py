@@ -16,6 +16,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.arguments import held
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.difference import first_speed
+from pmfid.estimators.motion import mean_velocity
 from pmfid.estimators.results import Columns
 from pmfid.types import Floats
 
@@ -44,12 +45,9 @@ def lattice_scatter(
 
 def _simulated(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.int64]) -> Floats:
     """The simulated position (n,) [counts], with the start velocity of the counts."""
-    from pmfid import _kernel64
-
     start = first_speed(counts, estimator.dt, estimator.cutoff, 1.0)
-    step, gain = estimator.encoder.resolution, estimator.equation.input_gain
-    roles = estimator.equation.role_values(theta)
-    velocity = _kernel64.simulate(roles, gain, estimator.dt, held(u), start * step, 0.0)[0]
+    step = estimator.encoder.resolution
+    velocity = mean_velocity(estimator.equation, theta, estimator.dt, held(u), start * step)
     place = np.asarray(np.r_[0.0, np.cumsum(velocity[:-1])] * estimator.dt / step)
     if not np.max(np.abs(place)) < MOST_COUNTS:
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))

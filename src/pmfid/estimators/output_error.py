@@ -27,12 +27,14 @@ from pmfid.estimators.difference import (
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.iv import IV
 from pmfid.estimators.likelihood import Best, best_of
+from pmfid.estimators.motion import mean_velocity
 from pmfid.estimators.phases import phase_scatter
 from pmfid.estimators.results import Fit
 from pmfid.estimators.rough import on_every_width
 from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.srivc import ProcessSolver, by_descent
+from pmfid.models.drive import EquationModel
 from pmfid.transfer.solve import ProcessProblem, Solution
 from pmfid.types import Floats
 
@@ -44,6 +46,10 @@ WORST_FIT = 0.5
 HOPELESS = 2.5
 #: A difference so many times what the encoder explains is no matter of local minima.
 FAR = 10.0
+#: Stribeck speeds to start from, as parts of the usual one.
+STRIBECK_SPEEDS = (0.03, 0.1, 0.3)
+#: Relative tolerance of that.
+ROUGHLY = 1e-3
 #: High-passes on the way to none, as parts of the first.
 SLOWER = (1 / 4, 1 / 16, 1 / 64, 0.0)
 
@@ -74,9 +80,10 @@ class Following(Simulating, BatchEstimator):
         start: parameters (p,) to start from, None: those of `IV`.
         """
         u, counts = check_arrays(u, counts)
-        theta, status = self._start(u, counts) if start is None else (start, 0)
+        theta, status = self._first(u, counts) if start is None else (start, 0)
         difference, q = self._prepared(theta, held(u), self.position(counts))
         q = least(difference, q)
+        difference = difference.fine_at(q[:-2] * difference.scale[:-2])
         if self.drift_cutoff:
             return difference, q, status
         direct = replace(difference, pole=0.0)
@@ -141,6 +148,34 @@ class Following(Simulating, BatchEstimator):
         jump = np.abs(change) > self.encoder.max_speed * self.dt + self.encoder.resolution
         return np.asarray(y[0] + np.r_[0.0, np.cumsum(np.where(jump, 0.0, change))])
 
+    def _first(self, u: Floats, counts: NDArray[np.int64]) -> tuple[Floats, int]:
+        """theta (p,) to start from, and the status bits of the record. A Stribeck speed is tried at parts of the usual
+        one: with each, what is left is a sum of squares of its own."""
+        if not self.equation.further:
+            return self._start(u, counts)
+        found: list[tuple[float, Floats, int]] = []
+        usual, y = self._usual_speed(u, counts), self.position(counts)
+        for speed in usual * np.array(STRIBECK_SPEEDS):
+            known = like(OE, self, model=EquationModel(self.equation.known_at([speed])))
+            try:
+                theta, status = known._start(u, counts)
+                difference, q = known._prepared(theta, held(u), y)
+                q = least(difference, q, [ROUGHLY])
+            except NotIdentifiableError as error:
+                refused = error
+                continue
+            found.append((rms(difference(q)), np.r_[(q * difference.scale)[:-2], speed], status))
+        if not found:
+            raise refused
+        return min(found, key=lambda one: one[0])[1:]
+
+    def _usual_speed(self, u: Floats, counts: NDArray[np.int64]) -> float:
+        """Root mean square of the motion that the model without shapes makes, or the counts where it makes none."""
+        plain = like(IV, self, model=self.model.symmetric, initial=None)
+        velocity = mean_velocity(plain.equation, plain.start(u, counts), self.dt, held(u))
+        moving = velocity[velocity != 0]
+        return rms(moving) if moving.size else rms(np.diff(self.position(counts))) / self.dt
+
     def _start(self, u: Floats, counts: NDArray[np.int64]) -> tuple[Floats, int]:
         """theta (p,) of `IV`, or what that starts from, if it does not settle; and the status bits of the record.
 
@@ -161,15 +196,21 @@ class Following(Simulating, BatchEstimator):
         force, mass = abs(self.equation.input_gain) * rms(u), abs(theta[self.equation.leading])
         drag = force * y.size * dt / travel
         inertia = max(mass, drag * dt)  # less of it shows within a sample only
-        natural = np.array([inertia, drag, drag, force, force, force, force / travel])
+        natural = np.r_[[inertia, drag, drag, force, force, force, force / travel], self._sizes(theta, force, y)]
         size = np.abs(theta)
         for index, smallest in zip(self.equation.roles, np.r_[0.01 * natural, dt], strict=True):
             if index is not None:
                 size[index] = max(size[index], smallest)
         scale, pole = np.r_[size, travel, travel * self.cutoff], self.drift_cutoff or self.cutoff
-        difference = Difference(self.equation, dt, u, y, self.encoder.resolution, scale, pole)
+        difference = Difference(self.equation, dt, u, y, self.encoder.resolution, scale, pole).fine_at(theta)
         v0 = first_speed(y, dt, self.cutoff, self.encoder.resolution)
         return difference, np.maximum(np.r_[theta, y[0], v0] / scale, difference.lower)
+
+    def _sizes(self, theta: Floats, force: float, y: Floats) -> list[float]:
+        """Coefficients of the shapes with which they are as large as the force, at the speed of y (n,)."""
+        shaped = self.equation.known_at(theta[len(self.equation.names) :]).shaped
+        speed = rms(np.diff(y)) / self.dt
+        return [force / term.shape.size(speed) for term in shaped if term.shape is not None]
 
     def result(self, difference: Difference, q: Floats, q_cov: Floats, status: int) -> Fit:
         """The `Fit` at q with the scaled covariance (p, p). Raises NotIdentifiableError where it is no fit, or one

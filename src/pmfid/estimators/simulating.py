@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from pmfid.estimators.base import Estimator
 from pmfid.models.equation import ESTIMATE, Equation
@@ -12,6 +13,8 @@ from pmfid.models.equation import ESTIMATE, Equation
 class Simulating(Estimator):
     """An `Estimator` that simulates the motion from the input alone, so that it must know what stands in the equation;
     of a pre-filter it has no unknowns."""
+
+    knows_shapes: ClassVar[bool] = True
 
     @classmethod
     def refuses(cls, equation: Equation) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import tanh
 
+from pmfid.errors import UsageError
 from pmfid.filters.chain import (
     HOLD_FILTERS,
     chain,
@@ -117,6 +118,10 @@ class ColumnBuilder:
         """The filtered derivative that the term stands for, one sample late."""
         if term.facts.of_process:
             return self.process(term)
+        if term.shape is not None:
+            if source == "measured" and term.shape.of_speed:
+                raise UsageError(f"the counts alone do not tell {term.name} its speed; use iv or riv")
+            return self._hold(self.network.slot((source == "measured", *term.place)))
         block = 0 if source == "measured" else AUXILIARY
         if term.signal in HELD and term.derivative == 1:
             return self._rate(HELD[term.signal] + block)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 
 from pmfid.kernel.structures import constants_of
@@ -35,6 +36,7 @@ class Network:
     stages: list[tuple[int, float, float, float]] = field(default_factory=list)
     #: node of the first stage
     first: int = SIGNALS
+    slots: dict[Hashable, int] = field(default_factory=dict)
 
     def stage(self, source: int, a: float, b0: float, b1: float) -> int:
         """Appends a stage, or finds the one that does the same; returns its node."""
@@ -42,6 +44,14 @@ class Network:
         if entry not in self.stages:
             self.stages.append(entry)
         return self.first + self.stages.index(entry)
+
+    def slot(self, key: Hashable) -> int:
+        """A node that the auxiliary model writes to, the same one for the same key: a stage that leaves there what it
+        finds."""
+        if key not in self.slots:
+            self.slots[key] = self.first + len(self.stages)
+            self.stages.append((self.slots[key], 0.0, 1.0, 0.0))
+        return self.slots[key]
 
     def delay(self, source: int) -> int:
         """One sample later."""

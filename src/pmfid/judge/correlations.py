@@ -11,6 +11,7 @@ from pmfid.estimators.arguments import held
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV
+from pmfid.estimators.motion import mean_velocity
 from pmfid.estimators.output_error import OE
 from pmfid.judge.balance import FEWEST_BINS, Balance, encoder_response, low_pass
 from pmfid.judge.drive import recent
@@ -51,10 +52,7 @@ def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: A
 
 def simulated_velocity(estimator: IV, theta: Floats, u: Floats) -> Floats:
     """Mean velocity (n,) [m/s] of every interval, from rest, under the input u (n,) alone."""
-    from pmfid import _kernel64
-
-    roles = estimator.equation.role_values(theta)
-    return np.asarray(_kernel64.simulate(roles, estimator.equation.input_gain, estimator.dt, u)[0])
+    return mean_velocity(estimator.equation, theta, estimator.dt, u)
 
 
 @dataclass(frozen=True)

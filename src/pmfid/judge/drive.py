@@ -240,13 +240,14 @@ def _hidden(
 ) -> Iterator[Finding]:
     """An adequate model: does the estimate agree with it, and what could it lack without showing?"""
     at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
+    own_spread = found.spread()[: theta.size]  # beside shape parameters, which are known here
     if isinstance(estimator, Following):
-        spread = found.spread()
+        spread = own_spread
     else:
         twin = like(IV, estimator, prefilter_zeros=None)
         spread = found.spread(force_moves(found, twin, twin.columns_at(at, *record)))
     best = found.q[: theta.size] * found.difference.scale[: theta.size]
-    apart = np.abs(theta - best) / np.maximum(np.sqrt(std**2 + found.spread() ** 2), TINY)
+    apart = np.abs(theta - best) / np.maximum(np.sqrt(std**2 + own_spread**2), TINY)
     worst = int(np.argmax(apart))
     if isinstance(estimator, Simulating) and apart[worst] > CONTRADICTED:
         yield (

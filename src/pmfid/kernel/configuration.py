@@ -32,14 +32,15 @@ def new_kernel(
     auxiliary: Values | None = None,
     linear: Values | None = None,
     late: Values | None = None,
+    shapes: Values | None = None,
 ) -> Kernel:
     """A kernel in its initial state.
 
     stages: rows (source, a, b0, b1); columns: per column a list of (node, weight); encoder, direct, instrument,
     auxiliary, linear, late: the fields of the C structures by name; without auxiliary and linear there is no model that
-    is simulated, and no `instrument`; without late the input acts at once. first_samples: settle_samples where not
-    given. Raises ValueError where a size is exceeded, a field is missing or unknown, or the kernel finds the numbers
-    impossible.
+    is simulated, and no `instrument`; without late the input acts at once; shapes: the field of this name of
+    `auxiliary`, where there is none. first_samples: settle_samples where not given. Raises ValueError where a size is
+    exceeded, a field is missing or unknown, or the kernel finds the numbers impossible.
     """
     from pmfid import _kernel32, _kernel64
 
@@ -57,6 +58,8 @@ def new_kernel(
         "instrument": instrument,
     }
     fill(config, values)
+    if shapes is not None and auxiliary is None:
+        fill(config["auxiliary"]["shapes"], shapes)
     module = _kernel32 if precision == "float32" else _kernel64  # typed alike
     return cast("Kernel", module.Kernel(config.tobytes()))
 

@@ -27,7 +27,7 @@ def configuration(kernel: Kernel, precision: str) -> Structured:
 def shape_of(config: Structured) -> Shape:
     """The sizes and parts that a configuration needs."""
     constants, network = constants_of(None), config["network"]
-    linear = config["linear"]
+    linear, shapes = config["linear"], config["auxiliary"]["shapes"]
     recursions = recursions_of(config)
     columns = columns_of(config)
     parameters = max(int(recursion["n_parameters"]) for recursion in recursions)
@@ -42,18 +42,36 @@ def shape_of(config: Structured) -> Shape:
         max_noise=parameters if noise else 1,
         max_columns=columns,
         max_order=int(linear["n"]) if linear["enabled"] else 1,
+        max_shapes=int(shapes["n"]),
+        max_knots=knots_of(shapes),
         window_blocks=constants["PMF_WINDOW_BLOCKS"] if constants["PMF_WINDOW"] in schemes else 0,
         max_late=int(config["late"]["room"]) + 2 if config["late"]["room"] else 1,
         with_dead_time=int(config["late"]["room"] > 0),
-        with_auxiliary=int(config["auxiliary"]["enabled"]),
+        with_auxiliary=int(config["auxiliary"]["enabled"] or shapes["n"] > 0),
         with_linear=int(linear["enabled"]),
         with_process=int(process),
         with_guard=int(config["encoder"]["guard"] > 0),
         with_separate=int(constants["PMF_SEPARATE"] in schemes),
         with_endless=int(any(long_memory(recursion) for recursion in recursions)),
-        with_split=int(bool(process) or config["late"]["room"] > 0 or any(node in split_signals() for node in nodes)),
+        with_split=int(
+            bool(process)
+            or config["late"]["room"] > 0
+            or place_matters(shapes)
+            or any(node in split_signals() for node in nodes)
+        ),
         with_noise=int(noise),
     )
+
+
+def place_matters(shapes: Structured) -> bool:
+    """Does one of them depend on the position?"""
+    return constants_of(None)["PMF_OF_PLACE"] in shapes["shape"]["of"][: int(shapes["n"])]
+
+
+def knots_of(shapes: Structured) -> int:
+    """Knots in the tables of a `pmf_shapes_config_t`."""
+    used = shapes["shape"][: int(shapes["n"])]
+    return int(max(used["first"] + used["intervals"] + 1, default=0))
 
 
 def recursions_of(config: Structured) -> list[Structured]:

@@ -50,6 +50,8 @@ class Shape:
     max_noise: int
     max_columns: int
     max_order: int
+    max_shapes: int
+    max_knots: int
     window_blocks: int
     max_late: int
     with_dead_time: int

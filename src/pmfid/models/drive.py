@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
@@ -9,6 +10,8 @@ from typing import ClassVar, Literal, Protocol
 
 from pmfid.errors import UsageError
 from pmfid.models.equation import ESTIMATE, Equation, Term, check_dead_time
+from pmfid.models.shapes import Square, Stribeck, Wave
+from pmfid.models.signals import Signal
 
 FRICTIONS = ("symmetric", "directional")
 
@@ -70,14 +73,22 @@ class Drive:
     friction: "symmetric", or "directional": viscous and Coulomb friction differ between forward and backward.
     spring: the load hangs on a spring [N/m]; x counts from the first sample, where the spring's force is the offset,
     which comes with it.
+    stribeck: friction at rest beyond Coulomb's falls with exp(-(v / stribeck)^2), stribeck > 0 [m/s]; or "estimate" to
+    find that speed as well, with output-error and interval.
+    quadratic: friction grows with v |v| as well.
+    gravity: a load out of balance on a rotary axis, forces with sin and cos of the angle: True where it is in rad, or a
+    turn in the unit of y. cogging: the pitch of a cogging force [m], which has sin and cos as well. friction_period:
+    the period of friction that changes along the travel [m].
     Parameters: mass [kg], viscous_friction [N s/m], coulomb_friction [N] [, offset [N]] [, stiffness [N/m]];
     directional: mass, viscous_friction_forward, viscous_friction_backward, coulomb_friction_forward,
     coulomb_friction_backward [, stiffness]. With directional friction the offset cannot be told from the two Coulomb
-    frictions and must stay out.
+    frictions and must stay out. Behind them [, stribeck_friction [N]] [, quadratic_friction [N s2/m2]] [, gravity_sin,
+    gravity_cos [N]] [, cogging_sin, cogging_cos [N]] [, friction_sin, friction_cos [N]] [, dead_time [s]]
+    [, stribeck_speed [m/s]]. Forces and friction of a place count it from the first sample on.
     dead_time: by which u acts late, or the counts are [s], any part of a sample; "estimate": a parameter, too, up to 20
     samples, for the methods that simulate (iv, riv, output-error, interval).
-    Friction that falls with speed near standstill (Stribeck) is not in the model: the status says `unmodelled`.
-    Raises UsageError for an input gain that is 0 or not finite, an unknown friction, or both of the last.
+    Raises UsageError for an input gain that is 0 or not finite, an unknown friction, offset with directional friction,
+    and a dead time, speed or period that is none.
     """
 
     kind: ClassVar[str] = "drive"
@@ -87,6 +98,11 @@ class Drive:
     friction: str = "symmetric"
     spring: bool = False
     dead_time: float | Literal["estimate"] = 0.0
+    stribeck: float | str | None = None
+    quadratic: bool = False
+    gravity: bool | float = False
+    cogging: float | None = None
+    friction_period: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.input_gain, Real) or not 1e-30 < abs(self.input_gain) < 1e30:
@@ -102,6 +118,9 @@ class Drive:
                 "offset and directional friction cannot be told apart; leave the offset out: "
                 "it is half the difference of the two Coulomb frictions"
             )
+        if isinstance(self.stribeck, str) and self.stribeck != ESTIMATE:
+            raise UsageError(f'stribeck must be a speed in unit of y per s, or "{ESTIMATE}", got {self.stribeck!r}')
+        _ = self.equation  # its shapes are checked where they are made
 
     @cached_property
     def equation(self) -> Equation:
@@ -110,15 +129,30 @@ class Drive:
             unknown.append(Term("moving", 0, "offset", "N"))
         if self.spring:
             unknown.append(Term("output", 0, "stiffness", "N/m"))
+        unknown += self._shaped()
         known = (Term("input", 0, coefficient=self.input_gain),)
         return Equation(tuple(unknown), known, dead_time=self.dead_time)
 
+    def _shaped(self) -> list[Term]:
+        terms = []
+        if self.stribeck is not None:
+            terms.append(Term("friction", 0, "stribeck_friction", "N", shape=Stribeck(self.stribeck)))
+        if self.quadratic:
+            terms.append(Term("friction", 0, "quadratic_friction", "N s2/m2", shape=Square()))
+        if self.gravity is not False:
+            terms += _waves("place", "gravity", 2 * math.pi if self.gravity is True else self.gravity)
+        if self.cogging is not None:
+            terms += _waves("place", "cogging", self.cogging)
+        if self.friction_period is not None:
+            terms += _waves("friction", "friction", self.friction_period)
+        return terms
+
     @property
     def symmetric(self) -> Drive:
-        """The drive that can be identified before the directions are told apart."""
-        if self.friction == "symmetric":
-            return self
-        return replace(self, friction="symmetric", offset=True)
+        """The drive that can be identified before a motion is simulated, which tells the directions apart."""
+        both = self.friction == "symmetric"
+        plain = replace(self, friction="symmetric", offset=self.offset or not both, stribeck=None, quadratic=False)
+        return self if self == plain else plain
 
     @property
     def simple(self) -> Drive:
@@ -126,6 +160,10 @@ class Drive:
 
     def at_dead_time(self, seconds: float) -> Drive:
         return replace(self, dead_time=seconds)
+
+
+def _waves(signal: Signal, name: str, period: float) -> list[Term]:
+    return [Term(signal, 0, f"{name}_{part}", "N", shape=Wave(period, part == "cos")) for part in ("sin", "cos")]
 
 
 _FRICTION_TERMS = {

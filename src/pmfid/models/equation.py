@@ -10,6 +10,8 @@ from numbers import Real
 from typing import Literal
 
 from pmfid.errors import UsageError, did_you_mean
+from pmfid.kernel.shapes import Table
+from pmfid.models.shapes import Shape, Stribeck
 from pmfid.models.signals import PROCESS_SIGNALS, SIGNALS, Signal, SignalFacts
 from pmfid.types import Floats
 
@@ -42,7 +44,8 @@ class Term:
     `input` for a dead time, see `Equation`. The output itself counts from its first sample on. Of a process: 0 to 6 of
     the output, less than that of the input.
     name, unit: of an unknown coefficient; None, if it is known. coefficient: the known value; for an unknown one a
-    factor, as -1 for the other side. Raises UsageError for another signal, derivative or value.
+    factor, as -1 for the other side. shape: of a friction or a force at a place, which is unknown in its size alone.
+    Raises UsageError for another signal, derivative or value.
     """
 
     signal: Signal
@@ -50,6 +53,7 @@ class Term:
     name: str | None = None
     unit: str = ""
     coefficient: float = 1.0
+    shape: Shape | None = None
 
     def __post_init__(self) -> None:
         known = list(SIGNALS)
@@ -65,6 +69,19 @@ class Term:
             raise UsageError(f"name of a term must be a plain word as 'inertia', got {self.name!r}")
         if not 1e-30 < abs(self.coefficient) < 1e30 or not math.isfinite(self.coefficient):
             raise UsageError(f"coefficient of a term must be finite and not 0, got {self.coefficient}")
+        self._check_shape()
+
+    def _check_shape(self) -> None:
+        if not self.facts.shaped:
+            if self.shape is not None:
+                raise UsageError(f"a term of {self.signal} has no shape; friction and place have one")
+            return
+        if not isinstance(self.shape, Shape):
+            raise UsageError(f"a term of {self.signal} needs a shape, as Stribeck(0.02), got {self.shape!r}")
+        if self.signal == "place" and self.shape.of_speed:
+            raise UsageError(f"{self.shape.reads} depends on the speed: its signal is friction, not place")
+        if self.name is None or self.coefficient != 1.0:
+            raise UsageError(f"a term of {self.signal} is unknown, with the coefficient 1; give it a name")
 
     @property
     def facts(self) -> SignalFacts:
@@ -79,7 +96,13 @@ class Term:
     @property
     def reads(self) -> str:
         """The signal and its derivative, for people."""
-        return f"{self.facts.reads}{chr(39) * self.derivative}"
+        read = f"{self.facts.reads}{chr(39) * self.derivative}"
+        return read if self.shape is None else f"{self.shape.reads} {read}"
+
+    @property
+    def place(self) -> tuple[object, ...]:
+        """What tells it apart from other terms."""
+        return (self.signal, self.derivative) if self.shape is None else (self.signal, self.derivative, self.shape)
 
 
 @dataclass(frozen=True)
@@ -88,7 +111,7 @@ class Equation:
 
     The order is the highest derivative of the output. delay: of the input, in whole samples; of a process only.
     only_simulated: of a process, why only methods that simulate it can estimate it; empty if others can.
-    further: names and units of unknowns in which it is not linear, for such methods.
+    further: names and units of unknowns in which it is not linear, for such methods; those of shapes are added.
     dead_time: by which the input of a machine acts late [s], any part of a sample; "estimate": it is unknown, too, and
     the equation has a further unknown term, dead_time times the derivative of the input: what it is to first order,
     around the dead time of the model that is simulated. Late counts are the same as a late input.
@@ -122,7 +145,9 @@ class Equation:
             raise UsageError("one known term must be the input: without it nothing gives the unknown ones their scale")
         if not any(term.noisy for term in self.unknown) and not self.only_simulated:
             raise UsageError("one unknown term must be a derivative of the output, as of a mass or a viscous friction")
-        places = [(term.signal, term.derivative) for term in (*self.unknown, *self.known)]
+        free = tuple((f"{term.name}_speed".replace("_friction", ""), "unit of y per s") for term in self._free)
+        object.__setattr__(self, "further", tuple(dict.fromkeys((*self.further, *free))))
+        places = [term.place for term in (*self.unknown, *self.known)]
         if len(set(places)) < len(places):
             raise UsageError("a signal's derivative stands in two terms of the equation, which cannot be told apart")
 
@@ -213,14 +238,47 @@ class Equation:
     @cached_property
     def roles(self) -> tuple[int | None, ...]:
         """For each role of the auxiliary model the index of its parameter, or None."""
-        places = {(term.signal, term.derivative): i for i, term in enumerate(self.unknown)}
-        return tuple(next((places[place] for place in role if place in places), None) for role in ROLES)
+        places = {term.place: i for i, term in enumerate(self.unknown)}
+        body = tuple(next((places[place] for place in role if place in places), None) for role in ROLES)
+        return (*body, *(i for i, term in enumerate(self.unknown) if term.shape is not None))
+
+    @property
+    def _free(self) -> list[Term]:
+        return [term for term in self.unknown if term.shape is not None and term.shape.free]
+
+    @cached_property
+    def shaped(self) -> tuple[Term, ...]:
+        """Terms with a shape, in the order of their roles behind those of the body."""
+        return tuple(term for term in self.unknown if term.shape is not None)
+
+    @cached_property
+    def shapes(self) -> tuple[tuple[Table, bool], ...]:
+        """Their tables, and whether each acts against the motion. Raises UsageError where one is not known."""
+        return tuple((term.shape.table(), term.signal == "friction") for term in self.shaped if term.shape is not None)
+
+    @property
+    def place_matters(self) -> bool:
+        """Does a force depend on the position?"""
+        return self.roles[STIFFNESS] is not None or any(not term.shape.of_speed for term in self.shaped if term.shape)
+
+    def known_at(self, further: Sequence[float] | Floats) -> Equation:
+        """With the shape parameters, the last of `further` (f,), known, and nothing but linear unknowns."""
+        if not self._free:
+            return self
+        values = iter(further[len(further) - len(self._free) :])
+        unknown = tuple(
+            replace(term, shape=Stribeck(float(next(values)))) if term.shape is not None and term.shape.free else term
+            for term in self.unknown
+        )
+        return replace(self, unknown=unknown, further=())
 
     @cached_property
     def positive(self) -> tuple[bool, ...]:
         """Which unknowns are never negative in a machine: inertia and friction."""
         chosen = {self.roles[role] for role in POSITIVE_ROLES}
-        return tuple(i in chosen for i in range(len(self.unknown)))
+        return tuple(
+            i in chosen or (term.shape is not None and term.shape.positive) for i, term in enumerate(self.unknown)
+        )
 
     @property
     def input_gain(self) -> float:
@@ -229,14 +287,18 @@ class Equation:
 
     @property
     def symmetric(self) -> Equation:
-        """With friction that is the same in both directions, and a constant load that takes up what differs."""
+        """What the counts alone can tell: with friction that is the same in both directions, a constant load that
+        takes up what differs, and shapes of the place alone."""
         split = [term.facts.one_way for term in self.unknown]
-        if not any(split):
+        fast = [term.shape is not None and term.shape.of_speed for term in self.unknown]
+        if not any(split) and not any(fast):
             return self
-        kept = [term for term, apart in zip(self.unknown, split, strict=True) if not apart]
+        kept = [term for term, *out in zip(self.unknown, split, fast, strict=True) if not any(out)]
+        if not any(split):
+            return replace(self, unknown=tuple(kept), further=())
         there = {(term.signal, term.derivative) for term in kept}
         merged = [term for term in SYMMETRIC if (term.signal, term.derivative) not in there]
-        return replace(self, unknown=(*kept, *merged))
+        return replace(self, unknown=(*kept, *merged), further=())
 
     @property
     def text(self) -> str:

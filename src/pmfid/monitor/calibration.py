@@ -18,6 +18,7 @@ import numpy as np
 from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.motion import mean_velocity
 from pmfid.monitor.detectors import EDGE, ChiSquare, Detector, make_detectors, statistics
 from pmfid.monitor.reference import noisier, resampled
 from pmfid.monitor.scores import Blocks, Scale, block_samples, make_scale, scores, start_blocks
@@ -164,9 +165,7 @@ def replays(
 
 def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: float) -> Counts:
     """Counts (n,) of the model at theta (p,) under u (n,); phase: of the start on the lattice, in counts."""
-    from pmfid._kernel64 import simulate
-
-    mean = simulate(estimator.equation.role_values(theta), estimator.equation.input_gain, estimator.dt, u)[0]
+    mean = mean_velocity(estimator.equation, theta, estimator.dt, u)
     position = np.concatenate([[0.0], np.cumsum(mean[:-1] * estimator.dt)])
     if not np.max(np.abs(position)) < MOST_COUNTS * estimator.encoder.resolution:
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))

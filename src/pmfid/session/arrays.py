@@ -15,7 +15,7 @@ from pmfid.estimators.arguments import check_arrays
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.session.config import NO_ENCODER, Axis, keys_of
+from pmfid.session.config import NO_ENCODER, SHAPES, Axis, keys_of
 from pmfid.session.identify import identify as run
 from pmfid.session.records import record_of
 from pmfid.session.result import Result
@@ -92,10 +92,13 @@ def _model(model: Model) -> dict[str, object]:
     late = equation.dead_time
     if equation != Equation(equation.unknown, equation.known, dead_time=late):
         raise UsageError("an equation with delay, only_simulated or further is that of a TransferFunction: give one")
-    own = equation.at_dead_time(0.0).unknown  # without the term that the dead time brings along
-    unknown, known = ([asdict(term) for term in side] for side in (own, equation.known))
-    for term in known:  # its coefficient is a number, of no name and no unit
-        del term["name"], term["unit"]
+    free = equation.at_dead_time(0.0).unknown  # without the term that the dead time brings along
+    unknown, known = ([asdict(term) for term in side] for side in (free, equation.known))
+    for term in known:  # its coefficient is a number, of no name, no unit and no form
+        del term["name"], term["unit"], term["shape"]
+    for term, own in zip(unknown, free, strict=True):
+        if own.shape is not None:
+            term["shape"]["form"] = next(form for form, made in SHAPES.items() if made is type(own.shape))
     return {"kind": model.kind, "unknown": unknown, "known": known, "dead_time": late}
 
 

@@ -5,7 +5,7 @@ The description of a field ends the error message about it: it must read well af
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -16,6 +16,7 @@ from pmfid.errors import UsageError
 from pmfid.estimators import Method
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation, Term
+from pmfid.models.shapes import Along, Shape, Square, Stribeck, Wave
 from pmfid.models.signals import Signal
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.monitor.names import DetectorName
@@ -47,6 +48,8 @@ def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
 MODELS: dict[str, type[Drive | TransferFunction]] = {cls.kind: cls for cls in (Drive, TransferFunction)}
 #: Fields of a model that no file sets: the starts of experiments are always part of the fit.
 NOT_IN_FILES = ("initial_conditions",)
+#: The forms of forces, by their names in files.
+SHAPES: dict[str, Callable[..., Shape]] = {"stribeck": Stribeck, "square": Square, "wave": Wave, "along": Along}
 #: Resolution of an output that is a number and no count: finer than any.
 NO_ENCODER = 1e-29
 
@@ -102,6 +105,31 @@ class EncoderConfig(FileSection):
     guard: bool = Field(True, description="true, or false to let samples in that no motion explains")
 
 
+FORMS = '"stribeck" with speed, "square", "wave" with period, or "along" with start, step and values'
+
+
+class ShapeConfig(FileSection):
+    """The form of a friction or a force at a place, for a term of the user's own equation."""
+
+    form: Literal["stribeck", "square", "wave", "along"] = Field(description=FORMS)
+    speed: Positive | Literal["estimate"] | None = Field(
+        None, description='the speed of "stribeck" in unit of y per s, or "estimate" to find it'
+    )
+    period: Positive | None = Field(None, description='the period of "wave" in the unit of y')
+    cosine: bool | None = Field(None, description='true if "wave" is a cosine, false for a sine')
+    start: float | None = Field(None, description='the first place of "along" in the unit of y')
+    step: Positive | None = Field(None, description='the distance of the places of "along" in the unit of y')
+    values: tuple[float, ...] | None = Field(None, strict=False, description='the form at the places of "along"')
+
+    def make(self) -> Shape:
+        """Raises UsageError for a form with other keys than its own."""
+        given = {key: value for key, value in dict(self).items() if key != "form" and value is not None}
+        try:
+            return SHAPES[self.form](**given)
+        except TypeError:
+            raise UsageError(f"a shape has the form {FORMS}; got {self.form} with {list(given)}") from None
+
+
 class UnknownTerm(FileSection):
     """A term of the user's own equation, whose coefficient is to be found."""
 
@@ -110,6 +138,7 @@ class UnknownTerm(FileSection):
     coefficient: float = 1.0
     name: Name
     unit: str = ""
+    shape: ShapeConfig | None = None
 
 
 class KnownTerm(FileSection):
@@ -145,6 +174,17 @@ class ModelConfig(FileSection):
     )
     offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
     spring: bool = Field(False, description="true if the load hangs on a spring, false if there is none")
+    stribeck: Positive | Literal["estimate"] | None = Field(
+        None, description='the speed over which friction at rest falls, in unit of y per s, or "estimate" to find it'
+    )
+    quadratic: bool = Field(False, description="true if friction grows with the square of the speed as well")
+    gravity: bool | Positive = Field(
+        False, description="true if gravity turns a rotary axis and y is in rad, or the turn in the unit of y"
+    )
+    cogging: Positive | None = Field(None, description="the pitch of a cogging force in the unit of y")
+    friction_period: Positive | None = Field(
+        None, description="the period in the unit of y of friction that changes along the travel"
+    )
     unknown: tuple[UnknownTerm, ...] = Field(
         (), strict=False, description='terms as { signal = "output", derivative = 2, name = "inertia", unit = "kg m2" }'
     )
@@ -186,7 +226,11 @@ class ModelConfig(FileSection):
     def make(self) -> Model:
         """The model that the section describes. Raises UsageError where the terms make no equation."""
         if self.kind == "equation":
-            unknown, known = (tuple(Term(**dict(term)) for term in side) for side in (self.unknown, self.known))
+            unknown = tuple(
+                Term(**(dict(term) | {"shape": None if term.shape is None else term.shape.make()}))
+                for term in self.unknown
+            )
+            known = tuple(Term(**dict(term)) for term in self.known)
             return EquationModel(Equation(unknown, known, dead_time=self.dead_time))
         cls = MODELS[self.kind]
         return cls(**{key: getattr(self, key) for key in keys_of(cls)})

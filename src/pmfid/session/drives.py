@@ -18,7 +18,7 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.configuration import like, made
 from pmfid.estimators.identifiable import check_identifiable
-from pmfid.estimators.iv import RIV
+from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.ls import LS
 from pmfid.estimators.plants import plant_of
 from pmfid.estimators.recursive import RecursiveEstimator
@@ -28,6 +28,7 @@ from pmfid.estimators.track import Track
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.judge.drive import examined, judge, recent
 from pmfid.judge.spread import model_spread
+from pmfid.models.drive import EquationModel
 from pmfid.models.equation import LATE
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction, diagnose
@@ -36,7 +37,7 @@ from pmfid.session.outliers import Believed, believed
 from pmfid.session.records import Record, read_record
 from pmfid.session.result import DriveResult
 from pmfid.status import Status, status_names
-from pmfid.types import Floats
+from pmfid.types import Counts, Floats
 
 CHUNK = 100_000
 
@@ -89,7 +90,8 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
     """The estimator that a configuration asks for, at the record's sample period and resolution."""
     check_sampling(axis, record.dt)
     model = axis.model.make()
-    cls = ESTIMATORS[method_of(axis, "bcls" if model.equation.without_simulation else "iv")]
+    first = "bcls" if model.equation.without_simulation else "output-error" if model.equation.further else "iv"
+    cls = ESTIMATORS[method_of(axis, first)]
     known = axis.encoder
     encoder = Encoder(
         record.resolution, standstill_time=known.standstill_time, max_speed=known.max_speed, guard=known.guard
@@ -126,13 +128,16 @@ def _estimate(
     estimator: Estimator, record: Record, axis: Axis, progress: Progress | None, choice: Choice | None
 ) -> DriveResult:
     batch = _batch_twin(estimator)
-    columns = batch.columns(record.u, record.counts)
-    check_identifiable(columns, batch.names, batch.least_part)
+    seen = like(LS, batch, model=batch.model.symmetric, prefilter_zeros=None) if _by_motion(estimator) else batch
+    columns = seen.columns(record.u, record.counts)
+    check_identifiable(columns, seen.names, seen.least_part)
     if isinstance(estimator, RecursiveEstimator):
         return _recursive(estimator, record, columns, progress)
     fit = choice.fit if choice else batch.fit(record.u, record.counts)
-    known, spread = _spread(estimator, record, fit.theta, fit.theta_std, choice.adequacy if choice else None)
-    flags, notes = judge(estimator, record.u, record.counts, fit.theta, fit.theta_std, known)
+    asked = _all_known(estimator, record, fit.theta, fit.theta_std)
+    known, spread = _spread(asked[0], record, asked[3], asked[4], choice.adequacy if choice else None)
+    spread = np.r_[spread, np.full(fit.theta.size - spread.size, np.nan)]  # of parameters it is not linear in
+    flags, notes = judge(*asked, known)
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
         notes = (*notes, f"{estimator.method} is an off-line method: forgetting is not used")
     notes = (*record.notes, *notes, *Status(fit.status).advice)
@@ -157,11 +162,30 @@ def _spread(
     return found, model_spread(estimator, record.u[part], record.counts[part], theta, std, found)
 
 
+def _all_known(
+    estimator: Estimator, record: Record, theta: Floats, std: Floats
+) -> tuple[Estimator, Floats, Counts, Floats, Floats]:
+    """What `judge` asks, with the parameters that the equation is not linear in known as they were found."""
+    equation = estimator.equation
+    p = len(equation.names)
+    if not equation.further:
+        return estimator, record.u, record.counts, theta, std
+    found = like(type(estimator), estimator, model=EquationModel(equation.known_at(theta[p:])))
+    return found, record.u, record.counts, theta[:p], std[:p]
+
+
+def _by_motion(estimator: Estimator) -> bool:
+    """Are there regressors that only a simulated motion gives?"""
+    return any(term.shape is not None and term.shape.of_speed for term in estimator.equation.shaped)
+
+
 def _batch_twin(estimator: Estimator) -> BatchEstimator:
     """The off-line method on the same columns."""
     if isinstance(estimator, BatchEstimator):
         return estimator
     if isinstance(estimator, RIV):
+        if _by_motion(estimator):
+            return like(IV, estimator, prefilter_zeros=None)
         model = estimator.model.at_dead_time(0.0) if late_of(estimator) is not None else estimator.model
         return like(LS, estimator, model=model, prefilter_zeros=None)
     twin = like(ESTIMATORS["bcls" if estimator.instrumental else "ls"], estimator)
@@ -186,7 +210,10 @@ def _recursive(
         )
     theta, std = track.theta[-1], track.theta_std[-1]
     late, free = late_of(estimator), track.theta
-    if late is not None:  # the equation at the dead time that was found, which has no unknown for it
+    if _by_motion(estimator):
+        simulating = like(IV, estimator, prefilter_zeros=None, precision="float64")
+        columns = simulating.columns_at(theta, record.u, record.counts)
+    elif late is not None:  # the equation at the dead time that was found, which has no unknown for it
         known = estimator.model.at_dead_time(max(0.0, float(theta[late])))
         columns = like(LS, estimator, model=known, prefilter_zeros=None).columns(record.u, record.counts)
         free = np.delete(free, late, axis=1)

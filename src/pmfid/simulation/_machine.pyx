@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """A drive whose friction is not Coulomb and viscous, by Runge-Kutta of fourth order with fixed steps.
 
-    m v' = input_gain u(t - dead_time) + noise - offset - stiffness x - sign(v) friction(|v|, sign(v))
+    m v' = input_gain u(t - dead_time) + noise - offset - held(x) - sign(v) friction(|v|, sign(v), x)
 
 The values are checked by machine.py, the lengths here. A step on whose way the velocity changes its sign is cut where
 a straight line through both velocities is zero, and goes on from rest.
@@ -10,7 +10,7 @@ a straight line through both velocities is zero, and goes on from rest.
 import numpy as np
 
 cimport numpy as cnp
-from libc.math cimport exp, fabs, floor
+from libc.math cimport M_PI, exp, fabs, floor, sin
 from libc.stdint cimport int64_t
 
 cnp.import_array()
@@ -19,23 +19,36 @@ cnp.import_array()
 cdef struct Body:
     double mass, viscous, coulomb, gain, offset
     double stribeck, stribeck_speed, quadratic, asymmetry, stiffness
+    double gravity, gravity_angle, cogging, cogging_pitch, cogging_phase, uneven, uneven_period
 
 
 cdef struct State:
     double x, v
 
 
-cdef inline double friction(const Body *body, double speed, double side) noexcept nogil:
-    """Friction [N] at a speed >= 0 in the direction `side`."""
+cdef inline double held(const Body *body, double x) noexcept nogil:
+    """Force [N] against which the input holds the body at a place."""
+    cdef double total = body.stiffness * x
+    if body.gravity != 0.0:
+        total += body.gravity * sin(x + body.gravity_angle)
+    if body.cogging != 0.0:
+        total += body.cogging * sin(2.0 * M_PI * x / body.cogging_pitch + body.cogging_phase)
+    return total
+
+
+cdef inline double friction(const Body *body, double speed, double side, double x) noexcept nogil:
+    """Friction [N] at a speed >= 0 in the direction `side`, at a place."""
     cdef double total = body.coulomb + (body.viscous + body.quadratic * speed) * speed
     if body.stribeck != 0.0:
         total += body.stribeck * exp(-(speed / body.stribeck_speed) ** 2)
+    if body.uneven != 0.0:
+        total += body.uneven * sin(2.0 * M_PI * x / body.uneven_period)
     return total * (1.0 + side * body.asymmetry)
 
 
 cdef inline double acceleration(const Body *body, double force, double x, double v, double side) noexcept nogil:
     cdef double speed = side * v
-    return (force - body.stiffness * x - side * friction(body, speed if speed > 0.0 else 0.0, side)) / body.mass
+    return (force - held(body, x) - side * friction(body, speed if speed > 0.0 else 0.0, side, x)) / body.mass
 
 
 cdef void step(const Body *body, State *state, double force, double h) noexcept nogil:
@@ -44,9 +57,9 @@ cdef void step(const Body *body, State *state, double force, double h) noexcept 
     cdef int turn
     for turn in range(2):
         x, v = state.x, state.v
-        drive = force - body.stiffness * x
+        drive = force - held(body, x)
         side = 1.0 if v > 0.0 or (v == 0.0 and drive > 0.0) else -1.0
-        if v == 0.0 and fabs(drive) <= friction(body, 0.0, side):
+        if v == 0.0 and fabs(drive) <= friction(body, 0.0, side, x):
             return
         a1 = acceleration(body, force, x, v, side)
         a2 = acceleration(body, force, x + 0.5 * h * v, v + 0.5 * h * a1, side)

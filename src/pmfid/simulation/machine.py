@@ -14,7 +14,8 @@ from pmfid.types import Counts, Floats
 STEPS = 10
 #: What the integration knows of a machine as constants.
 _BODY = ("mass", "viscous", "coulomb", "gain", "offset", "stribeck", "stribeck_speed", "quadratic", "asymmetry",
-         "stiffness")  # fmt: skip
+         "stiffness", "gravity", "gravity_angle", "cogging", "cogging_pitch", "cogging_phase", "uneven",
+         "uneven_period")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -24,8 +25,11 @@ class Machine:
     drive: what the model has. stribeck: friction [N] at rest beyond Coulomb's, which falls with
     exp(-(v / stribeck_speed)^2), stribeck_speed [m/s] > 0; quadratic: [N s^2/m^2], v |v|; asymmetry: friction is
     1 + asymmetry times as large forward and 1 - asymmetry backward, within (-1, 1); stiffness: of a spring at rest at
-    x = 0 [N/m]; dead_time: of the input [s] >= 0, any part of a sample; force_noise: standard deviation [N] >= 0 of a
-    force that is drawn anew every sample. A rotary axis: rad, kg m2, N m. Raises ValueError for a value out of range.
+    x = 0 [N/m]; gravity: [N], times sin(x + gravity_angle), of a rotary axis; cogging: [N], times sin(2 pi x /
+    cogging_pitch + cogging_phase); uneven: friction beyond Coulomb's [N], times sin(2 pi x / uneven_period), and no
+    larger than that; dead_time: of the input [s] >= 0, any part of a sample; force_noise: standard deviation [N] >= 0
+    of a force that is drawn anew every sample. A rotary axis: rad, kg m2, N m. Raises ValueError for a value out of
+    range.
     """
 
     drive: DriveParameters
@@ -34,15 +38,28 @@ class Machine:
     quadratic: float = 0.0
     asymmetry: float = 0.0
     stiffness: float = 0.0
+    gravity: float = 0.0
+    gravity_angle: float = 0.0
+    cogging: float = 0.0
+    cogging_pitch: float = 0.01
+    cogging_phase: float = 0.0
+    uneven: float = 0.0
+    uneven_period: float = 0.1
     dead_time: float = 0.0
     force_noise: float = 0.0
 
     def __post_init__(self) -> None:
         check_number("stribeck_speed", self.stribeck_speed, above=0.0, remedy="give the speed in m/s")
-        for name in ("stribeck", "quadratic", "stiffness", "dead_time", "force_noise"):
+        for name in ("cogging_pitch", "uneven_period"):
+            check_number(name, getattr(self, name), above=0.0, remedy="give the length in m")
+        for name in ("gravity_angle", "cogging_phase"):
+            check_number(name, getattr(self, name), remedy="give the angle in rad")
+        for name in ("stribeck", "quadratic", "stiffness", "gravity", "cogging", "uneven", "dead_time", "force_noise"):
             value = getattr(self, name)
             if not 0.0 <= value < np.inf:
                 raise ValueError(f"{name} must be finite and >= 0, got {value}; 0 is none")
+        if self.uneven > self.drive.coulomb_friction:
+            raise ValueError(f"uneven must be at most Coulomb friction, got {self.uneven}; friction never drives")
         if not -1.0 < self.asymmetry < 1.0:
             raise ValueError(f"asymmetry must be in (-1, 1), got {self.asymmetry}; 0 is none")
 

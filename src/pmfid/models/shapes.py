@@ -1,0 +1,165 @@
+"""Forces of a given form and an unknown size: friction at a speed or along the travel, and forces at a place.
+
+Each is a table that is made once; the kernel reads it on straight lines between evenly spaced knots
+(csrc/pmf_shapes.h), so that a new form is one class here. A force of the form s and the coefficient c is
+c s(|v|) sign(v), as friction, or c s(x); x counts from the first sample on.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid.errors import UsageError
+from pmfid.kernel.shapes import Table
+from pmfid.types import Floats
+
+#: Straight pieces of a smooth form.
+PIECES = 64
+#: Stribeck speeds beyond which nothing is left of that friction: exp(-16).
+FADED = 4.0
+#: What a shape parameter is to be found instead of given.
+ESTIMATE = "estimate"
+#: Knots of a table of the user's own.
+MOST_KNOTS = 200
+SMALLEST, LARGEST = 1e-12, 1e12
+
+
+class Shape(ABC):
+    """A form. `of_speed`: it depends on the speed, else on the place. `free`: it has a parameter that is to be found.
+    `positive`: no machine has a negative coefficient."""
+
+    of_speed: bool = False
+    free: bool = False
+    positive: bool = False
+
+    @abstractmethod
+    def table(self) -> Table:
+        """The form as the kernel reads it. Raises UsageError where a parameter of it is not known yet."""
+
+    @property
+    @abstractmethod
+    def reads(self) -> str:
+        """The form, for people."""
+
+    def size(self, speed: float) -> float:
+        """The largest value of the form at speeds up to this one."""
+        table = self.table()
+        return speed**2 if table.of == "square" else float(np.max(np.abs(table.knots)))
+
+    def at(self, place: ArrayLike) -> Floats:
+        """The form (n,) at speeds or places (n,), as the kernel reads it."""
+        table, at = self.table(), np.asarray(place, np.float64)
+        if table.of == "square":
+            return np.asarray(at**2)
+        x = (at - table.start) / table.step
+        last = len(table.knots) - 1
+        return np.interp(x % last if table.periodic else x, np.arange(last + 1), table.knots)
+
+
+@dataclass(frozen=True)
+class Stribeck(Shape):
+    """exp(-(v / speed)^2): friction at rest beyond Coulomb's, which falls with the speed; speed > 0 [unit of y per s],
+    or "estimate"."""
+
+    speed: float | str
+
+    of_speed = True
+    positive = True
+
+    def __post_init__(self) -> None:
+        if self.speed != ESTIMATE:
+            object.__setattr__(self, "speed", _length("the Stribeck speed", self.speed, "unit of y per s"))
+
+    @property
+    def free(self) -> bool:  # type: ignore[override]
+        return self.speed == ESTIMATE
+
+    def table(self) -> Table:
+        if isinstance(self.speed, str):
+            raise UsageError("the Stribeck speed is not known yet: output-error and interval find it; or give it")
+        step = FADED / PIECES
+        speeds = step * np.arange(PIECES + 1)
+        # the mean over every piece is that of the form: straight lines between its own values lie on one side of it
+        bend = (4 * speeds**2 - 2) * step**2 / 12
+        knots = np.exp(-(speeds**2)) * (1 - bend)
+        return Table("speed", tuple(knots.tolist()), step=step * self.speed, positive=self.positive)
+
+    @property
+    def reads(self) -> str:
+        speed = self.speed if isinstance(self.speed, str) else f"{self.speed:.9g}"
+        return f"exp(-(x'/{speed})^2)"
+
+
+@dataclass(frozen=True)
+class Square(Shape):
+    """v^2: friction that grows more than linearly, as that of air or oil."""
+
+    of_speed = True
+    positive = True
+
+    def table(self) -> Table:
+        return Table("square", positive=self.positive)
+
+    @property
+    def reads(self) -> str:
+        return "x'^2"
+
+
+@dataclass(frozen=True)
+class Wave(Shape):
+    """sin or cos of 2 pi x / period: gravity on a rotary axis (period: a turn), cogging (its pitch), or a harmonic of
+    the travel; period > 0 [unit of y]."""
+
+    period: float
+    cosine: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "period", _length("the period", self.period, "unit of y"))
+
+    def table(self) -> Table:
+        """Its first harmonic is the wave itself: straight lines alone would be smaller by a part of 0.0008."""
+        angle = 2 * math.pi / PIECES * np.arange(PIECES + 1)
+        larger = 1 / np.sinc(1 / PIECES) ** 2
+        knots = larger * (np.cos(angle) if self.cosine else np.sin(angle))
+        return Table("place", tuple(knots.tolist()), step=self.period / PIECES, periodic=True)
+
+    @property
+    def reads(self) -> str:
+        return f"{'cos' if self.cosine else 'sin'}({2 * math.pi / self.period:.9g} x)"
+
+
+@dataclass(frozen=True)
+class Along(Shape):
+    """A form along the travel, known but for its size: `values` (k,), 2 to 200, at places from `start` on, `step` apart
+    [unit of y]; the first and last hold beyond."""
+
+    start: float
+    step: float
+    values: Sequence[float]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", tuple(float(value) for value in self.values))
+        _length("the step of a table", self.step, "unit of y")
+        if not 2 <= len(self.values) <= MOST_KNOTS or not np.all(np.isfinite([self.start, *self.values])):
+            raise UsageError(f"a table has 2 to {MOST_KNOTS} finite values, got {len(self.values)} from {self.start}")
+        if not any(self.values):
+            raise UsageError("a table of zeros is no form: give the force at each place, in any unit")
+
+    def table(self) -> Table:
+        return Table("place", tuple(self.values), self.start, self.step)
+
+    @property
+    def reads(self) -> str:
+        return f"(table of {len(self.values)} places)"
+
+
+def _length(name: str, value: object, unit: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not SMALLEST <= value <= LARGEST:
+        raise UsageError(f"{name} must be a number above 0, got {value!r}; give it in {unit}")
+    return float(value)

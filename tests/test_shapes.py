@@ -1,0 +1,194 @@
+"""Forces of a given form: their tables, the motion they make, and what the methods find of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid.estimators.iv import IV
+from pmfid.estimators.motion import mean_velocity
+from pmfid.models.shapes import Along, Shape, Square, Stribeck, Wave
+from pmfid.simulation.drive import DriveParameters
+from pmfid.simulation.machine import Machine, MachineRun, drive_machine
+
+
+@dataclass(frozen=True)
+class Case:
+    """A machine and how it is measured; hold: samples of a step of its input."""
+
+    drive: DriveParameters
+    dt: float
+    cutoff: float
+    resolution: float
+    hold: int
+
+
+CASES = {
+    "cart": Case(DriveParameters(1.07, 12.8, 0.8, 12.5), 0.01, 20.0, 91e-6, 8),
+    "wheel": Case(DriveParameters(1e-5, 2e-5, 1e-3, 0.01), 5e-4, 60.0, 2 * math.pi / 4096, 40),
+    "gantry": Case(DriveParameters(500.0, 900.0, 120.0, 300.0), 0.02, 6.0, 1e-3, 12),
+    "stage": Case(DriveParameters(12.0, 60.0, 8.0, 40.0), 0.002, 30.0, 1e-5, 25),
+    "spindle": Case(DriveParameters(2e-3, 4e-3, 0.05, 0.4), 1e-3, 40.0, 2 * math.pi / 2048, 40),
+}
+
+
+def made(name: str, seed: int = 0, samples: int = 3000, **parts: float) -> tuple[MachineRun, Machine, Case]:
+    """A run with frictions as parts of Coulomb friction, that of a Stribeck speed of a tenth of the usual one."""
+    case, rng = CASES[name], np.random.default_rng(seed)
+    levels = rng.choice([-1.0, -0.6, -0.35, 0.0, 0.35, 0.6, 1.0], samples // case.hold + 1)
+    u = levels.repeat(case.hold)[:samples] * 4 * case.drive.coulomb_friction / case.drive.input_gain
+    usual = float(np.std(drive_machine(Machine(case.drive), u, case.dt, case.resolution).v))
+    coulomb = case.drive.coulomb_friction
+    machine = Machine(
+        case.drive,
+        stribeck=coulomb * parts.get("stribeck", 0.0),
+        stribeck_speed=0.1 * usual,
+        quadratic=coulomb * parts.get("quadratic", 0.0) / usual**2,
+    )
+    return drive_machine(machine, u, case.dt, case.resolution, phase=0.4 * case.resolution, steps=40), machine, case
+
+
+def truth(machine: Machine, names: tuple[str, ...]) -> np.ndarray:
+    values = {
+        "mass": machine.drive.mass,
+        "viscous_friction": machine.drive.viscous_friction,
+        "coulomb_friction": machine.drive.coulomb_friction,
+        "stribeck_friction": machine.stribeck,
+        "quadratic_friction": machine.quadratic,
+        "stribeck_speed": machine.stribeck_speed,
+    }
+    return np.array([values[name] for name in names])
+
+
+def model(machine: Machine, **own: object) -> pmfid.Drive:
+    return pmfid.Drive(machine.drive.input_gain, **own)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("shape", "form"),
+    [
+        (Stribeck(0.03), lambda v: np.exp(-((v / 0.03) ** 2))),
+        (Square(), lambda v: v**2),
+        (Wave(0.4), lambda x: np.sin(2 * math.pi * x / 0.4)),
+        (Wave(0.4, cosine=True), lambda x: np.cos(2 * math.pi * x / 0.4)),
+    ],
+)
+def test_a_table_is_the_form(shape: Shape, form: object) -> None:
+    at = np.linspace(0.0, 0.5, 20_001)
+    wanted, got = form(at), shape.at(at)  # type: ignore[operator]
+    assert np.max(np.abs(got - wanted)) < 2e-3
+    assert abs(np.mean(got - wanted)) < 2e-5  # and in the mean much closer
+
+
+def test_a_table_of_places_holds_at_its_ends() -> None:
+    along = Along(-1.0, 0.5, [2.0, 4.0, 3.0])
+    np.testing.assert_allclose(along.at([-9.0, -1.0, -0.75, 0.0, 7.0]), [2.0, 2.0, 3.0, 3.0, 3.0])
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("parts", [{"stribeck": 0.5}, {"quadratic": 0.3}, {"stribeck": 0.2, "quadratic": 0.2}])
+def test_the_motion_is_that_of_the_machine(name: str, parts: dict[str, float]) -> None:
+    """Against the Runge-Kutta integration, and better with the square of the number of parts."""
+    run, machine, case = made(name, samples=1500, **parts)
+    equation = model(machine, stribeck=machine.stribeck_speed, quadratic=True).equation
+    theta, errors = truth(machine, equation.names), []
+    for count in (1, 4):
+        velocity = mean_velocity(equation, theta, case.dt, run.u, parts=count)
+        x = np.r_[0.0, np.cumsum(velocity[:-1])] * case.dt
+        errors.append(float(np.max(np.abs(x - run.x))) / float(np.ptp(run.x)))
+    assert errors[0] < 5e-4
+    assert errors[1] < max(errors[0] / 4, 3e-6)
+
+
+@pytest.mark.parametrize("name", ["cart", "gantry"])
+def test_output_error_finds_stribeck_and_quadratic_friction(name: str) -> None:
+    run, machine, case = made(name, 3, stribeck=0.3, quadratic=0.2)
+    own = model(machine, stribeck=machine.stribeck_speed, quadratic=True)
+    fit = pmfid.OE(own, pmfid.Encoder(case.resolution), case.dt, case.cutoff).fit(run.u, run.counts)
+    wanted = truth(machine, fit.names)
+    assert np.all(np.abs(fit.theta - wanted) < 4 * fit.theta_std)
+    assert np.all(fit.theta_std < 0.03 * wanted)
+
+
+def test_instruments_find_stribeck_friction() -> None:
+    run, machine, case = made("cart", 5, 6000, stribeck=0.5)
+    own = model(machine, stribeck=machine.stribeck_speed)
+    fit = pmfid.IV(own, pmfid.Encoder(case.resolution), case.dt, case.cutoff).fit(run.u, run.counts)
+    wanted = truth(machine, fit.names)
+    assert np.all(np.abs(fit.theta - wanted) < 4 * fit.theta_std)
+    assert np.all(fit.theta_std < 0.05 * wanted)
+    plain = pmfid.IV(model(machine), pmfid.Encoder(case.resolution), case.dt, case.cutoff).fit(run.u, run.counts)
+    assert abs(plain.theta[2] - wanted[2]) > 5 * abs(fit.theta[2] - wanted[2])  # which has it in Coulomb friction
+
+
+@pytest.mark.parametrize("name", ["cart", "stage"])
+def test_riv_finds_quadratic_friction_and_its_bars_hold(name: str) -> None:
+    """The direct estimate that it starts from takes it for viscous friction; that must not stay in the sums."""
+    run, machine, case = made(name, 7, 4000, quadratic=0.2)
+    own = model(machine, quadratic=True)
+    track = pmfid.RIV(own, pmfid.Encoder(case.resolution), case.dt, case.cutoff).run(run.u, run.counts)
+    wanted = truth(machine, track.names)
+    assert np.all(np.abs(track.theta[-1] - wanted) < 3 * track.theta_std[-1])
+    assert np.all(track.theta_std[-1] < 0.1 * wanted)
+
+
+def test_output_error_finds_the_stribeck_speed() -> None:
+    run, machine, case = made("spindle", 2, stribeck=0.5)
+    estimator = pmfid.OE(model(machine, stribeck="estimate"), pmfid.Encoder(case.resolution), case.dt, case.cutoff)
+    fit = estimator.fit(run.u, run.counts)
+    assert fit.names[-1] == "stribeck_speed"
+    wanted = truth(machine, fit.names)
+    assert np.all(np.abs(fit.theta - wanted) < 4 * fit.theta_std)
+    assert fit.theta_std[-1] < 0.1 * wanted[-1]
+
+
+def test_the_equation_holds_for_the_simulated_motion() -> None:
+    """What regressors and target leave at the parameters that the model is simulated with, of its own motion."""
+    run, machine, case = made("cart", stribeck=0.5, quadratic=0.3)
+    own = model(machine, stribeck=machine.stribeck_speed, quadratic=True)
+    estimator = IV(own, pmfid.Encoder(1e-7), case.dt, case.cutoff)
+    theta = truth(machine, estimator.names)
+    velocity = mean_velocity(estimator.equation, theta, case.dt, run.u, parts=1)
+    counts = np.floor(np.r_[0.0, np.cumsum(velocity[:-1])] * case.dt / 1e-7).astype(np.int64)
+    columns = estimator.columns_at(theta, run.u, counts)
+    assert np.std(columns.z - columns.phi @ theta) < 1e-3 * np.std(columns.z)
+
+
+@pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, pmfid.RLS, pmfid.BCRLS, pmfid.KnownStep])
+def test_methods_without_a_simulated_motion_refuse_with_a_remedy(method: type[pmfid.LS]) -> None:
+    with pytest.raises(pmfid.UsageError, match=r"stribeck_friction.*use iv, riv, output-error"):
+        method(pmfid.Drive(1.7, stribeck=0.02), pmfid.Encoder(3e-5), 2e-3, 31.0)
+
+
+@pytest.mark.parametrize("method", [pmfid.IV, pmfid.RIV])
+def test_an_unknown_stribeck_speed_is_for_output_error(method: type[pmfid.IV]) -> None:
+    with pytest.raises(pmfid.UsageError, match=r"stribeck_speed is not.*output-error"):
+        method(pmfid.Drive(1.7, stribeck="estimate"), pmfid.Encoder(3e-5), 2e-3, 31.0)
+
+
+@pytest.mark.parametrize("speed", [0.0, -0.1, math.nan, math.inf, True, "estimated"])
+def test_a_speed_that_is_none_is_refused(speed: object) -> None:
+    with pytest.raises(pmfid.UsageError, match="peed"):
+        pmfid.Drive(1.7, stribeck=speed)  # type: ignore[arg-type]
+
+
+def test_terms_of_the_users_own_have_shapes() -> None:
+    terms = (
+        pmfid.Term("output", 2, "inertia", "kg m2"),
+        pmfid.Term("direction", 0, "coulomb_friction", "N m"),
+        pmfid.Term("friction", 0, "low", "N m", shape=Stribeck(0.5)),
+        pmfid.Term("friction", 0, "lower", "N m", shape=Stribeck(0.1)),
+    )
+    equation = pmfid.Equation(terms, (pmfid.Term("input"),))
+    assert equation.roles[-2:] == (2, 3)
+    assert "exp(-(x'/0.5)^2) sign(x')" in equation.text
+    with pytest.raises(pmfid.UsageError, match="stands in two terms"):
+        pmfid.Equation((*terms, pmfid.Term("friction", 0, "again", shape=Stribeck(0.1))), (pmfid.Term("input"),))
+    with pytest.raises(pmfid.UsageError, match="depends on the speed"):
+        pmfid.Term("place", 0, "load", shape=Square())
+    with pytest.raises(pmfid.UsageError, match="needs a shape"):
+        pmfid.Term("friction", 0, "load")
