@@ -72,8 +72,10 @@ def check_positive(name: str, value: float | None) -> None:
 
 
 def check_parameters(problem: Posed) -> None:
-    if problem.drive.spring:
-        raise UsageError("a design for a load on a spring is not there yet; leave spring out")
+    shaped = [str(term.name) for term in problem.drive.equation.shaped]
+    if problem.drive.spring or shaped:
+        others = "a load on a spring" if problem.drive.spring else ", ".join(shaped)
+        raise UsageError(f"a design for {others} is not there yet; leave {'spring' if not shaped else 'that'} out")
     known = problem.drive.equation.names
     for name in (*problem.names, *problem.nominal, *(name for case in problem.scenarios for name in case)):
         if name not in known:
