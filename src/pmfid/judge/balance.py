@@ -131,7 +131,11 @@ class Balance:
         """Friction [N] that the model has at a velocity (n,) [m/s]."""
         _, *friction = self.estimator.equation.role_values(self.theta)
         forward = friction[0] * velocity + friction[2]
-        return np.where(velocity > 0, forward, friction[1] * velocity - friction[3])
+        body = np.where(velocity > 0, forward, friction[1] * velocity - friction[3])
+        sizes = dict(zip(self.estimator.names, self.theta, strict=False))
+        shapes = [(sizes[str(term.name)], term.shape) for term in self.estimator.equation.shaped if term.shape]
+        of_speed = sum(size * shape.at(np.abs(velocity)) for size, shape in shapes if shape.of_speed)
+        return np.asarray(body + np.where(velocity > 0, 1.0, -1.0) * of_speed)
 
     @cached_property
     def by_velocity(self) -> Binned:

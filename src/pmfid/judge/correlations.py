@@ -15,6 +15,7 @@ from pmfid.estimators.motion import mean_velocity
 from pmfid.estimators.output_error import OE
 from pmfid.judge.balance import FEWEST_BINS, Balance, encoder_response, low_pass
 from pmfid.judge.drive import recent
+from pmfid.models.drive import EquationModel
 from pmfid.types import Floats
 
 #: Filter time constants over which correlations are shown.
@@ -27,7 +28,9 @@ def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: A
     Raises PmfidError as `IV` does."""
     if estimator.equation.without_simulation:
         return None
-    twin = like(IV, estimator, prefilter_zeros=None, precision="float64")
+    equation, p = estimator.equation, len(estimator.equation.names)
+    known = {"model": EquationModel(equation.known_at(np.asarray(theta, float)[p:]))} if equation.further else {}
+    twin = like(IV, estimator, prefilter_zeros=None, precision="float64", **known)
     at = np.asarray(theta, float)[: len(twin.names)]
     if not (np.all(np.isfinite(at)) and at[twin.equation.leading] > 0):
         return None

@@ -75,7 +75,8 @@ def _plant(setting: Setting, seed: int) -> Plant:
     model, rng = setting.model, np.random.default_rng(seed)
     if isinstance(model, TransferFunction):
         return _process(setting, model, rng)
-    missing = model.equation.without_simulation
+    # at which speeds and places a form bends is its own matter: a made-up motion may not come there
+    missing = model.equation.without_simulation or ("its forces of a given form" if model.equation.shaped else "")
     if missing:
         raise UsageError(f"no record can be simulated: {missing}; give check_estimator a record (u, counts)")
     return _drive(setting, rng)

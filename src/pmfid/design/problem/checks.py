@@ -79,6 +79,9 @@ def check_drive(drive: Drive) -> None:
     for key, what in NOT_YET.items():
         if getattr(drive, key):
             raise UsageError(f"a design for {what} is not there yet; leave {key} out")
+    shaped = ", ".join(str(term.name) for term in drive.equation.shaped)
+    if shaped:
+        raise UsageError(f"a design for {shaped} is not there yet; leave that out")
 
 
 def check_parameters(problem: Posed) -> None:
