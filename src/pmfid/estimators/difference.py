@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ class Difference:
     """Position of the counts minus simulated position, in counts, as a function of q = (theta, x0, v0) / scale.
 
     equation: its roles say what the simulation takes of theta; u, y: (n,), dt [s]; resolution; scale: (q,);
-    pole: of the high-pass on the difference [rad/s], 0: none.
+    pole: of the high-pass on the difference [rad/s], 0: none; zero: where a spring is slack, None: at the first count.
     """
 
     equation: Equation
@@ -51,6 +51,7 @@ class Difference:
     resolution: float
     scale: Floats
     pole: float
+    zero: float | None = None
 
     def __call__(self, q: Floats) -> Floats:
         return self.filtered(self.y - self.motion(q)[0]) / self.resolution
@@ -63,9 +64,18 @@ class Difference:
         *theta, x0, v0 = q * self.scale
         gain = self.equation.input_gain
         u = self.u if force is None else self.u + force / gain
-        start = float(v0), float(x0 - self.y[0])  # a spring's length counts from the first count
+        start = float(v0), float(x0 - self.slack)
         velocity = _kernel64.simulate(self.roles_of(theta), gain, self.dt, u, *start)[0]
         return x0 + np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt, velocity
+
+    @property
+    def slack(self) -> float:
+        """Position from which a spring's length counts."""
+        return float(self.y[0]) if self.zero is None else self.zero
+
+    def part(self, first: int, last: int) -> Difference:
+        """The same for samples first to last - 1, with a start of their own."""
+        return replace(self, u=self.u[first:last], y=self.y[first:last], zero=self.slack)
 
     def roles_of(self, theta: Sequence[float]) -> list[float]:
         """The parameters (p,) as the simulation takes them, 0 for what the equation lacks."""
@@ -77,13 +87,27 @@ class Difference:
             return signal
         return np.asarray(lfilter([1.0, -1.0], [1.0, -math.exp(-self.pole * self.dt)], signal))
 
-    def jacobian(self, q: Floats, width: float = STEP) -> Floats:
-        """Derivatives by q, (n, q), as central differences that stay above the bounds."""
+    def summed(self, values: Floats) -> Floats:
+        """What stands at the samples of the difference, (n, ...), at those of the record."""
+        return values
+
+    @property
+    def size_of_motion(self) -> float:
+        """Root mean square [counts] of the position about its mean, as the difference sees it."""
+        return rms(self.filtered(self.y - np.mean(self.y)) / self.resolution)
+
+    def jacobian(self, q: Floats, width: float = STEP, first: int = 0) -> Floats:
+        """Derivatives by q[first:], a column each, as central differences that stay above the bounds."""
         columns = []
-        for step in width * np.eye(q.size):
+        for step in width * np.eye(q.size)[first:]:
             low = np.maximum(q - step, self.lower)
             columns.append((self(q + step) - self(low)) / np.sum(q + step - low))
         return np.column_stack(columns)
+
+    def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = STEP) -> Floats:
+        """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
+        jacobian, p = self.jacobian(q, width), len(self.equation.names)
+        return without_nuisance(self, jacobian[:, :p], jacobian[:, p:], root)
 
     @property
     def start_velocity_std(self) -> float:

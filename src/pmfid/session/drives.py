@@ -18,6 +18,7 @@ from pmfid.estimators.configuration import like, made
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.ls import LS
+from pmfid.estimators.output_error import OE
 from pmfid.estimators.plants import plant_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
@@ -128,9 +129,11 @@ def _estimate(
     fit = choice.fit if choice else batch.fit(record.u, record.counts)
     known = choice.adequacy if choice else None
     flags, notes = judge(estimator, record.u, record.counts, fit.theta, fit.theta_std, known)
+    if axis.estimator.window is not None and not isinstance(estimator, OE):
+        notes = (*notes, f'{estimator.method} simulates no windows: window is not used; set method = "output-error"')
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
         notes = (*notes, f"{estimator.method} is an off-line method: forgetting is not used")
-    notes = (*record.notes, *notes, *Status(fit.status).advice)
+    notes = (*record.notes, *fit.notes, *notes, *Status(fit.status).advice)
     status = tuple(dict.fromkeys((*status_names(fit.status), *flags)))  # both may tell of a jump
     return DriveResult(estimator, fit.theta, fit.theta_std, status, notes, record, fit.relative_error, fit=fit)
 

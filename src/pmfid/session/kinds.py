@@ -9,6 +9,7 @@ from typing import ClassVar, Generic, TypeVar
 
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.output_error import OE
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.session.config import Axis
 from pmfid.session.records import Record
@@ -59,6 +60,8 @@ def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:
     config = axis.estimator
     options: dict[str, object] = {"order": config.order, "discretization": config.discretization}
     options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
+    if issubclass(cls, OE):
+        options |= {"window": config.window}
     if issubclass(cls, RecursiveEstimator):
         options |= {"forgetting": config.forgetting, "forgetting_scheme": config.forgetting_scheme}
     return options
