@@ -87,9 +87,11 @@ PUBLIC = [
     "Tracks",
     "TransferFunction",
     "UsageError",
+    "Validation",
     "export_firmware",
     "identify",
     "quantize",
+    "validate",
 ]
 
 SLOW_TO_IMPORT = {"numpy", "scipy", "pydantic", "polars", "matplotlib", "rich"}

@@ -175,6 +175,11 @@ class Following(Simulating, BatchEstimator):
         v0 = first_speed(y, dt, self.cutoff, self.encoder.resolution)
         return difference, np.maximum(np.r_[theta, y[0], v0] / scale, difference.lower)
 
+    def at(self, theta: Floats, u: Floats, y: Floats) -> Difference:
+        """The difference of a record, input u and position y (n,), without a high-pass; theta (p,): sizes of the
+        parameters."""
+        return replace(self._prepared(theta, u, y)[0], pole=0.0)
+
     def result(self, difference: Difference, q: Floats, q_cov: Floats, status: int) -> Fit:
         """The `Fit` at q with the scaled covariance (p, p). Raises NotIdentifiableError where it is no fit, or one
         without a mass: what the bound leaves of it is no estimate."""
@@ -243,8 +248,8 @@ class OE(ProcessSolver, Following):
     def _over_windows(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         u, counts = check_arrays(u, counts)
         theta, status = self._start(u, counts)
-        difference, q = self._prepared(theta, held(u), self.position(counts))
-        direct, theta = replace(difference, pole=0.0), q[: theta.size]
+        direct = self.at(theta, held(u), self.position(counts))
+        theta = np.maximum(theta / direct.scale[:-2], direct.lower[:-2])
         choice = choose_window(direct, theta, self.cutoff) if isinstance(self.window, str) else None
         samples = choice.samples if choice else round(min(u.size, float(self.window or 0.0) / self.dt))
         windows = Windows.over(direct, [(0, u.size)], samples)

@@ -48,6 +48,8 @@ def started(difference: Difference, q: Floats) -> Floats:
     speed, left = q[-1], _left(difference, q, q[-1])
     for _ in range(PASSES):
         slope = np.r_[WHITE * difference.jacobian(q, first=q.size - 2), prior[None]]
+        if not (np.all(np.isfinite(slope)) and np.all(np.isfinite(left))):
+            break  # parameters that nothing can be simulated with
         step = np.r_[np.zeros(q.size - 2), np.linalg.lstsq(slope, -left)[0]]
         before = float(left @ left)
         for part in (1.0, SHORTER):

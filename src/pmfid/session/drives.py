@@ -26,13 +26,16 @@ from pmfid.estimators.results import Columns
 from pmfid.estimators.track import Track
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.judge.drive import judge
+from pmfid.judge.free_run import FreeRun, drive_run
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction, diagnose
-from pmfid.session.kinds import Kind, Progress, method_of, settings
+from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.session.outliers import Believed, believed
 from pmfid.session.records import Record, read_record
 from pmfid.session.result import DriveResult
+from pmfid.session.stored import Stored
 from pmfid.status import Status, status_names
+from pmfid.types import Floats
 
 CHUNK = 100_000
 
@@ -64,6 +67,18 @@ class Drives(Kind[Record]):
         result = self._estimate(known.record, axis, progress)
         status = tuple(dict.fromkeys((*known.status, *result.status)))
         return replace(result, status=status, notes=tuple(filter(None, (known.told, *result.notes))))
+
+    def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
+        known = _believed(data, axis)
+        method = simulator(axis, data.dt, data.resolution)
+        run = drive_run(method, theta, known.record.u, known.record.counts, data.name)
+        return [replace(run, notes=(*filter(None, (known.told,)), *run.notes))]
+
+    def check_known(self, stored: Stored, data: Record, axis: Axis) -> None:
+        stored.check_known("input_gain", axis.model.make().equation.input_gain)
+
+    def unit_of_output(self, axis: Axis) -> str:
+        return "m" if axis.model.kind == "drive" else ""
 
     def _estimate(self, data: Record, axis: Axis, progress: Progress | None) -> DriveResult:
         estimator, reason, choice = make_estimator(axis, data), "", None
