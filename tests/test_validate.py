@@ -16,7 +16,9 @@ from pmfid.judge.free_process import process_run
 from pmfid.judge.free_run import drive_run, firsts_of
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.simulation.process import simulate_process
-from tests.conftest import Run
+from studies.predicted import free_run
+from studies.prediction_emps import MODELS, PUBLISHED, measured
+from tests.conftest import Run, needs_emps
 
 #: An axis of this file's own.
 AXIS = DriveParameters(mass=0.45, viscous_friction=3.1, coulomb_friction=0.6, input_gain=1.5)
@@ -304,3 +306,14 @@ def test_arguments_in_python_that_do_not_fit() -> None:
         pmfid.validate(result, run.u)
     with pytest.raises(pmfid.UsageError, match="same length"):
         pmfid.validate(result, run.u, run.counts[1:])
+
+
+@needs_emps
+def test_the_published_parameters_predict_the_measured_drive() -> None:
+    """Their authors' own last third; friction that tells the directions apart predicts better, as they say."""
+    whole = measured(5e-8)
+    last = whole.part(whole.u.size * 2 // 3, whole.u.size)
+    runs = {model: free_run(MODELS[model], theta, 50.0, last) for model, theta in PUBLISHED.items()}
+    assert runs["symmetric, offset"].rmse == pytest.approx(7.3e-3, rel=0.05)
+    assert runs["directional"].rmse == pytest.approx(3.5e-3, rel=0.05)
+    assert [horizon.seconds for horizon in runs["directional"].horizons] == [1.0, 2.0, 5.0]

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 def validate(records: tuple[Path, ...], config: Path, stored: Path, out: Path | None, as_json: bool) -> None:
     """Simulate each RECORD from its input alone, with the parameters of RESULT.json, beside what was measured.
 
-    The start is read from the first samples, over 5 time constants of the filters; nothing else of the output is used.
+    Its start is fitted to the first samples, over 5 time constants of the filters; nothing else of the output is used.
 
     Exit code 0: a prediction, good or bad; 2: wrong usage, unreadable input, parameters of another model.
     """

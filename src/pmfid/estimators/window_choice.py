@@ -17,6 +17,9 @@ from pmfid.types import Floats
 
 #: Parts of the record, each predicted from the others by a free run.
 FOLDS = 3
+#: A part is also run in so many pieces, each begun anew: one long run is a matter of chance, many short ones say little
+#: on drift. A piece is so many times longer than what its start is read from.
+PIECES, WORTH = (1, 2, 4, 8), 4
 #: The shortest window, in time constants of the filters and in samples: shorter ones say little but where they start.
 SHORTEST, FEWEST = 20.0, 40
 #: A longer window is taken where it predicts as well but for this part: it knows more.
@@ -26,7 +29,8 @@ AS_WELL = 0.05
 @dataclass(frozen=True)
 class Choice:
     """samples: of a window; seconds; errors: for each length that was tried [s], infinite for the whole record, the
-    root mean square error of free runs over parts that were not fitted to [unit of the resolution]."""
+    error of free runs over parts that were not fitted to, in one piece and in several [unit of the resolution]: the
+    geometric mean of the root mean squares."""
 
     samples: int
     seconds: float
@@ -42,8 +46,8 @@ class Choice:
         other = min(best, key=lambda length: best[length])
         named = "one over all" if math.isinf(other) else f"{other:.3g} s"
         return (
-            f"{chosen}, chosen on this record: free runs over each third of it with what the others give are off by "
-            f"{self.errors[self.seconds]:.3g} (root mean square); next best {best[other]:.3g} with {named}"
+            f"{chosen}, chosen on this record: free runs over each third of it with what the others give, also begun "
+            f"anew within it, are off by {self.errors[self.seconds]:.3g}; next best {best[other]:.3g} with {named}"
         )
 
 
@@ -69,8 +73,8 @@ def _halves(length: int, shortest: int) -> Iterator[int]:
 
 
 def _predicted(difference: Difference, theta: Floats, cutoff: float, length: int) -> float:
-    """Error of free runs over parts of the record [unit of the resolution], geometric mean: each part counts alike,
-    also where one of them is hard to predict. Infinite where there is no estimate."""
+    """Error of free runs over parts of the record [unit of the resolution], geometric mean: each part and each length
+    of the runs counts alike, also where one of them is hard to predict. Infinite where there is no estimate."""
     n, logs = difference.y.size, []
     edges = np.linspace(0, n, FOLDS + 1).round().astype(int).tolist()
     for first, last in pairwise(edges):
@@ -80,9 +84,22 @@ def _predicted(difference: Difference, theta: Floats, cutoff: float, length: int
             found = descend(windows, windows.at(theta, cutoff), ROUGHLY)[: theta.size]
         except (NotIdentifiableError, np.linalg.LinAlgError):
             return math.inf
-        left = rms(free_run(difference.part(first, last), found, cutoff))
-        logs.append(math.log(max(left, ENCODER_ALONE)) if left < math.inf else math.inf)
+        part = difference.part(first, last)
+        logs += [_log_error(part, found, cutoff, pieces) for pieces in _pieces(part, cutoff)]
     return math.exp(float(np.mean(logs))) * difference.resolution
+
+
+def _pieces(part: Difference, cutoff: float) -> list[int]:
+    least = WORTH * start_samples(part.dt, cutoff)
+    return [count for count in PIECES if count == 1 or part.y.size // count >= least]
+
+
+def _log_error(part: Difference, theta: Floats, cutoff: float, pieces: int) -> float:
+    """Logarithm of the root mean square error [counts] of runs over so many pieces of a part."""
+    edges = np.linspace(0, part.y.size, pieces + 1).round().astype(int).tolist()
+    runs = [free_run(part.part(first, last), theta, cutoff) for first, last in pairwise(edges)]
+    left = rms(np.concatenate(runs))
+    return math.log(max(left, ENCODER_ALONE)) if left < math.inf else math.inf
 
 
 def free_run(part: Difference, theta: Floats, cutoff: float) -> Floats:

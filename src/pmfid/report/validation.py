@@ -27,7 +27,7 @@ def write_validation(out: Path, found: Validation) -> None:
         Section("Free run", _text(found), run_rows(found)),
     ]
     if any(run.horizons for run in found.runs):
-        text = "The run begins anew every so many seconds, each time with a start read from its first samples."
+        text = "The run begins anew every so many seconds, each time with a start fitted to its first samples."
         sections.append(Section("Begun anew", text, horizon_rows(found), svg(horizon_figure(found))))
     sections += [
         Section(f"Measured and simulated: {run.name}", svg=svg(run_figure(run, found.unit)))
@@ -39,7 +39,7 @@ def write_validation(out: Path, found: Validation) -> None:
 def _text(found: Validation) -> str:
     read = ", ".join(dict.fromkeys(f"{run.read:.3g} s" for run in found.runs))
     text = (
-        f"Simulated from the input alone. The start is read from the first {read}, nothing else of the output is used. "
+        f"Simulated from the input alone. The start is fitted to the first {read}, nothing else of the output is used. "
         "Errors are root mean squares; fit is 100 (1 - |y - simulated| / |y - mean y|); relative is |y - simulated| "
         "over |y|, and depends on where zero is; encoder: what rounding to its step would leave; mean, standstill: a "
         "model that knows the mean of the record, or stays where it begins."
@@ -99,7 +99,7 @@ def run_figure(run: FreeRun, unit: str) -> Figure:
         lower.plot(run.t[i], run.error[i], color=COLOURS[2])
         lower.axvspan(run.t[0], run.t[0] + run.read, color=GREY, alpha=0.3, lw=0)
         lower.set_ylabel(_with_unit("measured\nless simulated", unit))
-        lower.set_xlabel("time [s] (shaded: what the start is read from)")
+        lower.set_xlabel("time [s] (shaded: what the start is fitted to)")
         lower.margins(x=0)
     return figure
 
