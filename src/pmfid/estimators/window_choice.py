@@ -44,10 +44,10 @@ class Choice:
             return f"{chosen}: it is too short to choose their length on it"
         best = {length: error for length, error in self.errors.items() if length != self.seconds}
         other = min(best, key=lambda length: best[length])
-        named = "one over all" if math.isinf(other) else f"{other:.3g} s"
+        named = "one window" if math.isinf(other) else f"windows of {other:.3g} s"
         return (
             f"{chosen}, chosen on this record: free runs over each third of it with what the others give, also begun "
-            f"anew within it, are off by {self.errors[self.seconds]:.3g}; next best {best[other]:.3g} with {named}"
+            f"anew within it, are off by {self.errors[self.seconds]:.3g}, and by {best[other]:.3g} with {named}"
         )
 
 
