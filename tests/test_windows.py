@@ -165,6 +165,16 @@ def test_the_choice_says_what_it_found() -> None:
     )
 
 
+def test_windows_so_long_that_the_motion_is_lost_are_not_chosen() -> None:
+    """With friction that differs by direction a symmetric model drifts away: over the whole record it is no fit."""
+    run = moved(11, machine=Machine(AXIS, asymmetry=0.2), samples=1500)
+    with pytest.raises(pmfid.NotIdentifiableError, match="does not follow"):
+        method(run, window=1e3).fit(run.u, run.counts)
+    fit = method(run, window="auto").fit(run.u, run.counts)
+    assert fit.notes[0].startswith("windows of")
+    assert fit.relative_error < 0.5
+
+
 def test_too_short_a_record_has_one_window() -> None:
     run = moved(10, samples=150)
     fit = method(run, window="auto").fit(run.u, run.counts)

@@ -30,6 +30,8 @@ SIMULATION_ERROR = 1e-5
 START_COUNTS = 3.0
 #: Square root of the information [1/counts] of a sample with a white encoder error.
 WHITE = math.sqrt(12.0)
+#: A larger part of the motion left unexplained is no fit.
+WORST_FIT = 0.5
 #: Least mass, as a part of that of the start: without any the motion has no equation.
 LEAST_MASS = 1e-3
 #: Part of a sensitivity that must not follow from the others.

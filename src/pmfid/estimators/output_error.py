@@ -19,6 +19,7 @@ from pmfid.estimators.configuration import like
 from pmfid.estimators.difference import (
     LEAST_MASS,
     STEP,
+    WORST_FIT,
     Difference,
     first_speed,
     inverted,
@@ -41,8 +42,6 @@ from pmfid.types import Floats
 
 #: A mass of less than so many of the least that the fit may have is one that the fit would rather not have.
 AT_BOUND = 3.0
-#: A larger part of the motion left unexplained is no fit.
-WORST_FIT = 0.5
 #: The high-pass lets white noise grow by less than this: where more is left behind it, the counts are not explained.
 HOPELESS = 2.5
 #: A difference so many times what the encoder explains is no matter of local minima.

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.difference import ENCODER_ALONE, Difference, rms
+from pmfid.estimators.difference import ENCODER_ALONE, WORST_FIT, Difference, rms
 from pmfid.estimators.starts import begun, start_samples, started
 from pmfid.estimators.windows import ROUGHLY, Windows, descend
 from pmfid.types import Floats
@@ -45,9 +45,10 @@ class Choice:
         best = {length: error for length, error in self.errors.items() if length != self.seconds}
         other = min(best, key=lambda length: best[length])
         named = "one window" if math.isinf(other) else f"windows of {other:.3g} s"
+        beside = f"by {best[other]:.3g} with {named}" if best[other] < math.inf else "other windows give no estimate"
         return (
             f"{chosen}, chosen on this record: free runs over each third of it with what the others give, also begun "
-            f"anew within it, are off by {self.errors[self.seconds]:.3g}, and by {best[other]:.3g} with {named}"
+            f"anew within it, are off by {self.errors[self.seconds]:.3g}, {beside}"
         )
 
 
@@ -74,17 +75,20 @@ def _halves(length: int, shortest: int) -> Iterator[int]:
 
 def _predicted(difference: Difference, theta: Floats, cutoff: float, length: int) -> float:
     """Error of free runs over parts of the record [unit of the resolution], geometric mean: each part and each length
-    of the runs counts alike, also where one of them is hard to predict. Infinite where there is no estimate."""
+    of the runs counts alike, also where one of them is hard to predict. Infinite where there is no estimate, or half
+    the motion is left."""
     n, logs = difference.y.size, []
     edges = np.linspace(0, n, FOLDS + 1).round().astype(int).tolist()
     for first, last in pairwise(edges):
         rest = [(a, b) for a, b in ((0, first), (last, n)) if b - a >= FEWEST]
         try:
             windows = Windows.over(difference, rest, length)
-            found = descend(windows, windows.at(theta, cutoff), ROUGHLY)[: theta.size]
+            q = descend(windows, windows.at(theta, cutoff), ROUGHLY)
         except (NotIdentifiableError, np.linalg.LinAlgError):
             return math.inf
-        part = difference.part(first, last)
+        if not rms(windows(q)) < max(WORST_FIT * windows.size_of_motion, windows.explained):
+            return math.inf
+        part, found = difference.part(first, last), q[: theta.size]
         logs += [_log_error(part, found, cutoff, pieces) for pieces in _pieces(part, cutoff)]
     return math.exp(float(np.mean(logs))) * difference.resolution
 
