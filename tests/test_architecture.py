@@ -90,10 +90,12 @@ PUBLIC = [
     "Tracks",
     "TransferFunction",
     "UsageError",
+    "Validation",
     "Wave",
     "export_firmware",
     "identify",
     "quantize",
+    "validate",
 ]
 
 SLOW_TO_IMPORT = {"numpy", "scipy", "pydantic", "polars", "matplotlib", "rich"}

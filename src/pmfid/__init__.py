@@ -39,7 +39,9 @@ if TYPE_CHECKING:
     from pmfid.models.shapes import Wave as Wave
     from pmfid.models.transfer_function import TransferFunction as TransferFunction
     from pmfid.session.arrays import identify as identify
+    from pmfid.session.arrays import validate as validate
     from pmfid.session.result import Result as Result
+    from pmfid.session.validation import Validation as Validation
     from pmfid.status import Status as Status
     from pmfid.transfer.experiment import Experiment as Experiment
     from pmfid.transfer.process import Process as Process
@@ -83,6 +85,8 @@ _PUBLIC = {
     "export_firmware": "pmfid.export.firmware",
     "identify": "pmfid.session.arrays",
     "quantize": "pmfid.encoder",
+    "validate": "pmfid.session.arrays",
+    "Validation": "pmfid.session.validation",
 }
 
 __version__ = "0.1.0"

@@ -338,11 +338,11 @@ cdef class ManyKernel:
 
 
 def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, double velocity=0.0, double position=0.0,
-             bytes shapes=b"", double before=0.0):
+             bytes shapes=b"", before=(0.0,)):
     """The auxiliary model alone: a body with friction under a held input.
 
     parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness, dead time [s] >= 0), and the
-    coefficients of the shapes; those left out are 0; u: (n,), u[k] holds from the interval k on, the dead time later; before: input before the first;
+    coefficients of the shapes; those left out are 0; u: (n,), u[k] holds from the interval k on, the dead time later; before: inputs before the first (m,), m >= 1, the oldest of which has been there for ever;
     velocity, position: at the start; a spring is slack at position 0. shapes: the bytes of a `pmf_shapes_config_t`
     (`pmfid.kernel.shapes` makes them), whose nodes are PMF_SIGNALS and the next. Returns (n,) mean velocity, signed moving fraction and
     moving fraction of every interval, and the velocity at the end. Raises ValueError for too many parameters and impossible shapes.
@@ -353,6 +353,8 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
     cdef real_t signal[PMF_SIGNALS + PMF_MAX_SHAPES]
     cdef Py_ssize_t n = u.shape[0], k, whole
     cdef double samples
+    cdef cnp.ndarray[double, mode="c"] past = np.ascontiguousarray(before, np.float64)
+    cdef Py_ssize_t m = past.shape[0], at
     cdef cnp.ndarray[double, mode="c"] mean = np.empty(n)
     cdef cnp.ndarray[double, mode="c"] direction = np.empty(n)
     cdef cnp.ndarray[double, mode="c"] moving = np.empty(n)
@@ -373,6 +375,8 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
     for role in range(len(parameters)):
         state.parameter[role] = parameters[role]
     state.velocity, state.position = velocity, position
+    if m == 0:
+        raise ValueError("before has no input; give at least one")
     samples = min(max(state.parameter[PMF_DELAY] / dt, 0.0), <double> n)
     whole = <Py_ssize_t> samples
     late.part = samples - whole
@@ -382,8 +386,10 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
                 signal[PMF_LATE_INPUT] = u[k]
                 pmf_auxiliary_step(&config, &state, signal)
             else:
-                late.newer = u[k - whole] if k >= whole else before
-                late.older = u[k - whole - 1] if k > whole else before
+                at = k - whole
+                late.newer = u[at] if at >= 0 else past[max(m + at, 0)]
+                at -= 1
+                late.older = u[at] if at >= 0 else past[max(m + at, 0)]
                 signal[PMF_LATE_INPUT] = late.newer + late.part * (late.older - late.newer)
                 pmf_auxiliary_late_step(&config, &state, &late, signal)
             mean[k] = signal[PMF_AUXILIARY + PMF_VELOCITY]

@@ -62,5 +62,5 @@ def simulate(
     velocity: float = 0.0,
     position: float = 0.0,
     shapes: bytes = b"",
-    before: float = 0.0,
+    before: NDArray[np.float64] | Sequence[float] = (0.0,),
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]: ...

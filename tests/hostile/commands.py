@@ -112,6 +112,26 @@ def _compare(rng: Rng, folder: Path) -> Case:
     return Case(("compare", name, "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files)
 
 
+#: Parameters of the models that are drawn, each with its unit.
+KNOWN = {"mass": "kg", "viscous_friction": "N s/m", "coulomb_friction": "N", "offset": "N", "a0": "s^-1", "b0": "s^-1"}
+
+
+def _validate(rng: Rng, folder: Path) -> Case:
+    files, name = _recorded(rng, folder)
+    values = ["1.0", "0.3", "1e-3", "0", "-1", "1e300", "1e-300", "NaN", '"1"', "null", "[]"]
+    chances = np.r_[0.5, 0.2, 0.1, np.full(len(values) - 3, 0.2 / (len(values) - 3))]
+    own = list(KNOWN)[: int(rng.choice([3, 4, 6], p=[0.7, 0.2, 0.1]))]
+    entries = [f'"{key}": {{"value": {rng.choice(values, p=chances)}, "unit": "{KNOWN[key]}"}}' for key in own]
+    kind = rng.choice(["drive", "equation", "transfer_function", ""], p=[0.7, 0.1, 0.15, 0.05])
+    text = f'{{"model": "{kind}", "parameters": {{{", ".join(entries)}}}}}'
+    if rng.random() < 0.1:
+        text = text[: int(rng.integers(len(text)))]
+    place = str(rng.choice(["result.json", "nowhere.json", ".", "axis.toml"], p=[0.9, 0.04, 0.03, 0.03]))
+    files["result.json"] = text.encode()
+    chosen = [*_out(rng, 0.05), *_flags(rng, 0.6, "--json"), *_more(rng, name)]
+    return Case(("validate", name, "--config", "axis.toml", "--model", place, *chosen), files)
+
+
 def _order(rng: Rng, folder: Path) -> Case:
     files, name = _recorded(rng, folder)
     chosen = options(rng, 0.1, cutoff=["10"]) + _out(rng, 0.03)
@@ -243,7 +263,8 @@ def _none(rng: Rng, folder: Path) -> Case:
 
 #: Command -> how its calls are drawn, and its part of all calls: what takes long is seldom.
 COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
-    "identify": (_identify, 0.32),
+    "identify": (_identify, 0.27),
+    "validate": (_validate, 0.05),
     "monitor": (_monitor, 0.2),
     "simulate": (_simulate, 0.13),
     "export": (_export, 0.15),

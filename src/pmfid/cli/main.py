@@ -16,6 +16,7 @@ from pmfid.cli.output import print_json
 from pmfid.cli.progress import progress
 from pmfid.cli.reproduce import reproduce
 from pmfid.cli.simulate import simulate
+from pmfid.cli.validate import validate
 from pmfid.errors import PmfidError, printable
 from pmfid.estimators import METHODS
 from pmfid.session.formats import SPOKEN
@@ -247,5 +248,6 @@ main.add_command(design)
 main.add_command(commission)
 main.add_command(monitor)
 main.add_command(simulate)
+main.add_command(validate)
 main.add_command(reproduce)
 main.add_command(export)

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.estimators.motion import mean_velocity, parts_for
-from pmfid.models.equation import LATE, Equation
+from pmfid.models.equation import LATE, MOST_LATE, Equation
 from pmfid.types import Floats
 
 #: Step of the difference quotients as a part of a parameter: far above the kinks that stops and reversals leave in
@@ -33,6 +33,8 @@ PARTS_ERROR = 0.005
 START_COUNTS = 3.0
 #: Square root of the information [1/counts] of a sample with a white encoder error.
 WHITE = math.sqrt(12.0)
+#: A larger part of the motion left unexplained is no fit.
+WORST_FIT = 0.5
 #: Least mass, as a part of that of the start: without any the motion has no equation.
 LEAST_MASS = 1e-3
 #: The same of a parameter that the equation is not linear in.
@@ -46,7 +48,8 @@ class Difference:
     """Position of the counts minus simulated position, in counts, as a function of q = (theta, x0, v0) / scale.
 
     equation: its roles say what the simulation takes of theta; u, y: (n,), dt [s]; resolution; scale: (q,);
-    pole: of the high-pass on the difference [rad/s], 0: none; parts: of a sample, in which shapes are simulated.
+    pole: of the high-pass on the difference [rad/s], 0: none; parts: of a sample, in which shapes are simulated; zero:
+    where a spring is slack, None: at the first count; past: (m,) inputs before the first, None: not known.
     """
 
     equation: Equation
@@ -57,6 +60,8 @@ class Difference:
     scale: Floats
     pole: float
     parts: int = 1
+    zero: float | None = None
+    past: Floats | None = None
 
     def __call__(self, q: Floats) -> Floats:
         return self.filtered(self.y - self.motion(q)[0]) / self.resolution
@@ -74,9 +79,9 @@ class Difference:
             split = force.size // u.size
             u = np.repeat(u, split) + self._early(force, theta[: len(self.equation.names)], split) / self.gain
         # a spring's length counts from the first count
-        start = float(v0), float(x0 - self.y[0])
+        start = float(v0), float(x0 - self.slack)
         parts = max(1, -(-self.parts // split))
-        velocity = mean_velocity(self.equation, theta, self.dt / split, u, *start, parts, self.before)
+        velocity = mean_velocity(self.equation, theta, self.dt / split, u, *start, parts, np.repeat(self.before, split))
         return x0 + np.r_[0.0, np.cumsum(velocity[:-1])][::split] * (self.dt / split), velocity
 
     def _early(self, force: Floats, theta: Floats, parts: int) -> Floats:
@@ -90,9 +95,12 @@ class Difference:
         return self.equation.input_gain
 
     @property
-    def before(self) -> float:
-        """The input before the first, of which only a dead time knows: none where the axis rests until that acts."""
-        return 0.0 if np.all(self.y[:2] == self.y[0]) else float(self.u[0])
+    def before(self) -> Floats:
+        """(m,) inputs before the first, of which only a dead time knows: where nobody knows them none where the axis
+        rests until they act, and else as the first."""
+        if self.past is not None:
+            return self.past
+        return np.array([0.0 if np.all(self.y[:2] == self.y[0]) else float(self.u[0])])
 
     def fine_at(self, theta: Floats) -> Difference:
         """With as many parts of a sample as the counts ask for at theta (p,), and no fewer than now."""
@@ -104,19 +112,43 @@ class Difference:
         """Of the equation, with those in which it is not linear."""
         return self.scale.size - 2
 
+    @property
+    def slack(self) -> float:
+        """Position from which a spring's length counts."""
+        return float(self.y[0]) if self.zero is None else self.zero
+
+    def part(self, first: int, last: int) -> Difference:
+        """The same for samples first to last - 1, with a start of their own."""
+        past = np.r_[self.before, self.u[:first]][-MOST_LATE - 2 :]
+        return replace(self, u=self.u[first:last], y=self.y[first:last], zero=self.slack, past=past)
+
     def filtered(self, signal: Floats) -> Floats:
         """The high-pass, from rest: white noise on top of a random walk leaves it white."""
         if self.pole == 0:
             return signal
         return np.asarray(lfilter([1.0, -1.0], [1.0, -math.exp(-self.pole * self.dt)], signal))
 
-    def jacobian(self, q: Floats, width: float = STEP) -> Floats:
-        """Derivatives by q, (n, q), as central differences that stay above the bounds."""
+    def summed(self, values: Floats) -> Floats:
+        """What stands at the samples of the difference, (n, ...), at those of the record."""
+        return values
+
+    @property
+    def size_of_motion(self) -> float:
+        """Root mean square [counts] of the position about its mean, as the difference sees it."""
+        return rms(self.filtered(self.y - np.mean(self.y)) / self.resolution)
+
+    def jacobian(self, q: Floats, width: float = STEP, first: int = 0) -> Floats:
+        """Derivatives by q[first:], a column each, as central differences that stay above the bounds."""
         columns = []
-        for step in width * np.eye(q.size):
+        for step in width * np.eye(q.size)[first:]:
             low = np.maximum(q - step, self.lower)
             columns.append((self(q + step) - self(low)) / np.sum(q + step - low))
         return np.column_stack(columns)
+
+    def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = STEP) -> Floats:
+        """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
+        jacobian, p = self.jacobian(q, width), len(self.equation.names)
+        return without_nuisance(self, jacobian[:, :p], jacobian[:, p:], root)
 
     @property
     def start_velocity_std(self) -> float:

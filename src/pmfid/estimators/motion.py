@@ -22,21 +22,24 @@ def mean_velocity(
     velocity: float = 0.0,
     position: float = 0.0,
     parts: int = PARTS,
-    before: float = 0.0,
+    before: Floats | None = None,
 ) -> Floats:
     """(n,) of every interval at theta (p,), shape parameters included, under u (n,), held; velocity, position: at the
     start, the position as the equation counts it. parts: of a sample, of an equation with shapes; without them the
-    motion is exact. before: the input before the first, of which a dead time knows."""
+    motion is exact. before: inputs before the first (m,), of which a dead time knows; None: zero."""
     from pmfid import _kernel64
 
+    past = np.zeros(1) if before is None else before
     known = equation.known_at(np.asarray(theta)[len(equation.names) :])
     roles, shapes = known.role_values(theta), shape_bytes(known.shapes)
     if not shapes:
-        return np.asarray(_kernel64.simulate(roles, known.input_gain, dt, u, velocity, position, b"", before)[0])
+        return np.asarray(_kernel64.simulate(roles, known.input_gain, dt, u, velocity, position, b"", past)[0])
     for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # as little in all parts as in one step
         roles[viscous] = max(roles[viscous] - (parts - 1) * LITTLE_DAMPING * roles[MASS] / dt, 0.0)
     inputs = np.repeat(u, parts)
-    mean = _kernel64.simulate(roles, known.input_gain, dt / parts, inputs, velocity, position, shapes, before)[0]
+    mean = _kernel64.simulate(
+        roles, known.input_gain, dt / parts, inputs, velocity, position, shapes, np.repeat(past, parts)
+    )[0]
     return np.asarray(mean.reshape(-1, parts).mean(axis=1))
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from typing import ClassVar
 
 import numpy as np
@@ -17,12 +19,12 @@ from pmfid.estimators.configuration import like
 from pmfid.estimators.difference import (
     LEAST_MASS,
     STEP,
+    WORST_FIT,
     Difference,
     first_speed,
     inverted,
     least,
     rms,
-    without_nuisance,
 )
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.iv import IV
@@ -34,14 +36,14 @@ from pmfid.estimators.rough import on_every_width
 from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.srivc import ProcessSolver, by_descent
+from pmfid.estimators.window_choice import FEWEST, choose_window
+from pmfid.estimators.windows import Windows, descend
 from pmfid.models.drive import EquationModel
 from pmfid.transfer.solve import ProcessProblem, Solution
 from pmfid.types import Floats
 
 #: A mass of less than so many of the least that the fit may have is one that the fit would rather not have.
 AT_BOUND = 3.0
-#: A larger part of the motion left unexplained is no fit.
-WORST_FIT = 0.5
 #: The high-pass lets white noise grow by less than this: where more is left behind it, the counts are not explained.
 HOPELESS = 2.5
 #: A difference so many times what the encoder explains is no matter of local minima.
@@ -50,6 +52,8 @@ FAR = 10.0
 STRIBECK_SPEEDS = (0.03, 0.1, 0.3)
 #: Relative tolerance of that.
 ROUGHLY = 1e-3
+#: The length of windows is chosen on the record.
+AUTO_WINDOW = "auto"
 #: High-passes on the way to none, as parts of the first.
 SLOWER = (1 / 4, 1 / 16, 1 / 64, 0.0)
 
@@ -121,7 +125,7 @@ class Following(Simulating, BatchEstimator):
         left scatters; width: of the difference quotients."""
         sensitivity = self.own_sensitivity(difference, q, width=width)
         moves = sensitivity @ inverted(sensitivity, self.names)
-        return moves, scatter(moves * difference(q)[:, None], difference.recovery)
+        return moves, scatter(difference.summed(moves * difference(q)[:, None]), difference.recovery)
 
     def with_drift(self, best: Best, covariance: Floats) -> Floats:
         """A covariance (p, p) with variances of at least those behind the high-pass, where there is more in the
@@ -136,8 +140,7 @@ class Following(Simulating, BatchEstimator):
         self, difference: Difference, q: Floats, root: Floats | None = None, width: float = STEP
     ) -> Floats:
         """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
-        jacobian, p = difference.jacobian(q, width), len(self.names)
-        return without_nuisance(difference, jacobian[:, :p], jacobian[:, p:], root)
+        return difference.own_sensitivity(q, root, width)
 
     def position(self, counts: NDArray[np.int64]) -> Floats:
         """Position of the counts (n,), unwrapped, less the jumps beyond max_speed."""
@@ -212,6 +215,11 @@ class Following(Simulating, BatchEstimator):
         speed = rms(np.diff(y)) / self.dt
         return [force / term.shape.size(speed) for term in shaped if term.shape is not None]
 
+    def at(self, theta: Floats, u: Floats, y: Floats) -> Difference:
+        """The difference of a record, input u and position y (n,), without a high-pass; theta (p,): sizes of the
+        parameters."""
+        return replace(self._prepared(theta, u, y)[0], pole=0.0)
+
     def result(self, difference: Difference, q: Floats, q_cov: Floats, status: int) -> Fit:
         """The `Fit` at q with the scaled covariance (p, p). Raises NotIdentifiableError where it is no fit, or one
         without a mass: what the bound leaves of it is no estimate."""
@@ -222,8 +230,7 @@ class Following(Simulating, BatchEstimator):
                 "late hides it; record stronger accelerations, and check the times of the columns against each other"
             )
         residual = difference(q)
-        motion = difference.filtered(difference.y - np.mean(difference.y)) / difference.resolution
-        relative = rms(residual) / rms(motion)
+        relative = rms(residual) / difference.size_of_motion
         if not (relative < WORST_FIT or rms(residual) <= difference.explained):
             raise NotIdentifiableError(
                 f"the simulated position does not follow the record, {relative:.0%} of the motion is left: check the "
@@ -231,7 +238,7 @@ class Following(Simulating, BatchEstimator):
             )
         scale = difference.scale[: len(self.names)]
         theta, cov = q[: scale.size] * scale, q_cov * np.outer(scale, scale)
-        residual = residual * difference.resolution
+        residual = difference.summed(residual) / difference.summed(np.ones(residual.size)) * difference.resolution
         return Fit(self.names, self.units, theta, cov, residual.size, residual, relative, status)
 
 
@@ -251,13 +258,58 @@ class OE(ProcessSolver, Following):
     lacks adds up in the position to a random walk, and this high-pass whitens a random walk with white noise on
     top. It costs information: on the cart with 128 increments and 20 rad/s the standard deviation of the mass
     becomes 2.4 times, that of the frictions 7 times as large. initial: parameters by name for `IV` to start from.
+
+    window: for long predictions by a model whose friction is not quite the machine's: least squares of the position
+    itself over windows of this length [s] that overlap by half, each from a start of its own, or "auto", the length
+    that predicts parts of the record best by a free run that were not fitted to (`windows`, `window_choice`). Then
+    residual (n,) is the mean over the windows, relative_error that of all windows. For machines, without drift_cutoff.
     """
 
     method: ClassVar[str] = "output-error"
+    window: float | str | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.window is None:
+            return
+        if self.drift_cutoff is not None or not self.plant.rests:
+            other = "a drift_cutoff" if self.plant.rests else "a transfer function"
+            raise UsageError(f"window goes without {other}, for the windows take its place; drop one of the two")
+        if self.window != AUTO_WINDOW:
+            _check_window(self.window, self.dt)
 
     def solved(self, problem: ProcessProblem) -> Solution:
         return by_descent(problem)
 
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Raises NotIdentifiableError also where the simulation does not follow."""
-        return self.by_squares(self.best(u, counts))
+        return self.by_squares(self.best(u, counts)) if self.window is None else self._over_windows(u, counts)
+
+    def _over_windows(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        u, counts = check_arrays(u, counts)
+        theta, status = self._start(u, counts)
+        direct = self.at(theta, held(u), self.position(counts))
+        theta = np.maximum(theta / direct.scale[:-2], direct.lower[:-2])
+        choice = choose_window(direct, theta, self.cutoff) if isinstance(self.window, str) else None
+        samples = choice.samples if choice else round(min(u.size, float(self.window or 0.0) / self.dt))
+        windows = Windows.over(direct, [(0, u.size)], samples)
+        q = descend(windows, windows.at(theta, self.cutoff))
+        fit = self.result(windows, q, self._window_covariance(windows, q), status)
+        return replace(fit, notes=(choice.says,)) if choice else fit
+
+    def _window_covariance(self, windows: Windows, q: Floats) -> Floats:
+        """Covariance (p, p) of scaled parameters."""
+        moves, covariance = self._scattered(windows, q)
+        covariance = on_every_width(covariance, lambda width: self._scattered(windows, q, width)[1])
+        if rms(windows(q)) <= windows.explained:
+            covariance = raised(covariance, phase_scatter(windows, q, moves, None))
+        samples = moves.shape[0]
+        return np.asarray(covariance * (samples / max(1, samples - q.size)))
+
+
+def _check_window(window: object, dt: float) -> None:
+    usable = isinstance(window, Real) and FEWEST * dt <= float(window) < math.inf
+    if isinstance(window, bool) or not usable:
+        raise UsageError(
+            f"window must be a time of at least {FEWEST} samples, {FEWEST * dt:g} s, or {AUTO_WINDOW!r}, got {window!r}"
+        )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,8 @@ class Fit:
 
     theta: (p,); theta_cov: (p, p), for coloured residuals (Newey and West 1987); names, units; samples: n;
     residual: (n,) z - phi^T theta;
-    relative_error: norm of the residual over norm of the target; status: all `Status` bits that occurred.
+    relative_error: norm of the residual over norm of the target; status: all `Status` bits that occurred; notes: what
+    the method chose by itself, for people.
     """
 
     names: tuple[str, ...]
@@ -27,6 +28,7 @@ class Fit:
     residual: NDArray[np.float64]
     relative_error: float
     status: int
+    notes: tuple[str, ...] = field(default=(), kw_only=True)
 
     @property
     def theta_std(self) -> NDArray[np.float64]:

@@ -12,10 +12,11 @@ from pmfid.estimators.adequacy import CONTRADICTED, Adequacy, examine, force_mov
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.configuration import like
+from pmfid.estimators.difference import WORST_FIT
 from pmfid.estimators.identifiable import BEYOND, TINY
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.ls import LS
-from pmfid.estimators.output_error import OE, WORST_FIT, Following
+from pmfid.estimators.output_error import OE, Following
 from pmfid.estimators.rls import RLS
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.zeros import choose_prefilter_zeros

@@ -17,9 +17,11 @@ from pmfid.models.equation import Equation
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import NO_ENCODER, SHAPES, Axis, keys_of
 from pmfid.session.identify import identify as run
-from pmfid.session.records import record_of
+from pmfid.session.kinds import Records, parameters_of
+from pmfid.session.records import Record, record_of
 from pmfid.session.result import Result
-from pmfid.session.toml_file import validated
+from pmfid.session.toml_file import validated as axis_from
+from pmfid.session.validation import Validation, validated
 from pmfid.transfer.experiment import Experiment
 
 #: Names of the two signals in messages.
@@ -51,15 +53,48 @@ def identify(
         return run(experiments, axis_of(model, encoder, experiments[0].period, {"cutoff": cutoff, **settings}))
     if y is None or dt is None or encoder is None or isinstance(u, Experiment):
         raise UsageError(f"a {model.kind} is identified from u and counts (n,) with dt and encoder; give all of them")
-    inputs, counts = check_arrays(cast(ArrayLike, u), y)
     axis = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
-    return run(record_of({INPUT: inputs, OUTPUT: counts.astype(np.float64)}, axis), axis)
+    return run(_record(cast(ArrayLike, u), y, axis), axis)
+
+
+def validate(
+    result: Result,
+    u: ArrayLike | Experiment | Sequence[Experiment],
+    y: ArrayLike | None = None,
+    *,
+    dt: float | None = None,
+    encoder: Encoder | None = None,
+) -> Validation:
+    """Free runs with a result over other records, as `pmfid validate` makes them from files.
+
+    u, y, dt, encoder: as for `identify`, of the other record; dt and encoder that are not given are those of the
+    result. Raises UsageError for arguments that do not fit each other, and where nothing can be simulated.
+    """
+    own, data = result.estimator, list[Records]()
+    values = dict(zip(own.names, result.theta.tolist(), strict=True))
+    if isinstance(own.model, TransferFunction):
+        period = own.dt if dt is None and y is not None else dt
+        experiments = _experiments(u, y, period)
+        axis = axis_of(own.model, encoder, experiments[0].period, {"cutoff": own.cutoff})
+        data = [[part] for part in experiments]
+    elif y is None:
+        raise UsageError(f"a {own.model.kind} is validated on u and counts (n,); give both")
+    else:
+        axis = axis_of(own.model, encoder or own.encoder, dt or own.dt, {"cutoff": own.cutoff})
+        data = [_record(cast(ArrayLike, u), y, axis)]
+    names = parameters_of(own.model)[0]
+    return validated(own.method, np.array([values[name] for name in names]), data, axis)
+
+
+def _record(u: ArrayLike, counts: ArrayLike, axis: Axis) -> Record:
+    inputs, whole = check_arrays(u, counts)
+    return record_of({INPUT: inputs, OUTPUT: whole.astype(np.float64)}, axis)
 
 
 def axis_of(model: Model, encoder: Encoder | None, dt: float, estimator: dict[str, object]) -> Axis:
     """The configuration that these objects would have as AXIS.toml. Raises UsageError for settings that do not fit."""
     kind = "counts" if encoder is not None else "position"
-    return validated(
+    return axis_from(
         Axis,
         {
             "record": {"input": INPUT, "output": OUTPUT, "output_kind": kind, "dt": float(dt)},

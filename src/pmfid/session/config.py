@@ -256,6 +256,9 @@ class EstimatorConfig(FileSection):
     forgetting_scheme: Literal["exponential", "directional", "constant-trace", "window"] = Field(
         "exponential", description="what becomes of old samples where forgetting < 1"
     )
+    window: Positive | Literal["auto"] | None = Field(
+        None, description='the length in s of the windows of output-error, for example 2.0, or "auto"'
+    )
     discretization: Literal["matched", "paper", "exact"] = Field(
         "matched", description="the discretisation of the filters"
     )
@@ -292,6 +295,7 @@ _KEYS_OF_ONE_KIND = (
     ("record", "reference", True),
     ("encoder", "standstill_time", False),
     ("encoder", "max_speed", False),
+    ("estimator", "window", False),
 )
 #: What serves the purpose instead.
 _CURE = {
@@ -312,7 +316,7 @@ class Axis(FileSection):
     @model_validator(mode="after")
     def _used(self) -> Self:
         """What is given must have an effect: a key that the model does not use is refused."""
-        kind, sections = self.model.kind, {"record": self.record, "encoder": self.encoder}
+        kind, sections = self.model.kind, {"record": self.record, "encoder": self.encoder, "estimator": self.estimator}
         for section, key, of_process in _KEYS_OF_ONE_KIND:
             part = sections[section]
             value = getattr(part, key)

@@ -20,6 +20,7 @@ from pmfid.estimators.configuration import like, made
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.ls import LS
+from pmfid.estimators.output_error import OE
 from pmfid.estimators.plants import plant_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
@@ -27,15 +28,17 @@ from pmfid.estimators.results import Columns
 from pmfid.estimators.track import Track
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.judge.drive import examined, judge, recent
+from pmfid.judge.free_run import FreeRun, drive_run
 from pmfid.judge.spread import model_spread
 from pmfid.models.drive import EquationModel
 from pmfid.models.equation import LATE
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction, diagnose
-from pmfid.session.kinds import Kind, Progress, method_of, settings
+from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.session.outliers import Believed, believed
 from pmfid.session.records import Record, read_record
 from pmfid.session.result import DriveResult
+from pmfid.session.stored import Stored
 from pmfid.status import Status, status_names
 from pmfid.types import Counts, Floats
 
@@ -69,6 +72,18 @@ class Drives(Kind[Record]):
         result = self._estimate(known.record, axis, progress)
         status = tuple(dict.fromkeys((*known.status, *result.status)))
         return replace(result, status=status, notes=tuple(filter(None, (known.told, *result.notes))))
+
+    def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
+        known = _believed(data, axis)
+        method = simulator(axis, data.dt, data.resolution)
+        run = drive_run(method, theta, known.record.u, known.record.counts, data.name)
+        return [replace(run, notes=(*filter(None, (known.told,)), *run.notes))]
+
+    def check_known(self, stored: Stored, data: Record, axis: Axis) -> None:
+        stored.check_known("input_gain", axis.model.make().equation.input_gain)
+
+    def unit_of_output(self, axis: Axis) -> str:
+        return "m" if axis.model.kind == "drive" else ""
 
     def _estimate(self, data: Record, axis: Axis, progress: Progress | None) -> DriveResult:
         estimator, reason, choice = make_estimator(axis, data), "", None
@@ -138,9 +153,11 @@ def _estimate(
     known, spread = _spread(asked[0], record, asked[3], asked[4], choice.adequacy if choice else None)
     spread = np.r_[spread, np.full(fit.theta.size - spread.size, np.nan)]  # of parameters it is not linear in
     flags, notes = judge(*asked, known)
+    if axis.estimator.window is not None and not isinstance(estimator, OE):
+        notes = (*notes, f'{estimator.method} simulates no windows: window is not used; set method = "output-error"')
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
         notes = (*notes, f"{estimator.method} is an off-line method: forgetting is not used")
-    notes = (*record.notes, *notes, *Status(fit.status).advice)
+    notes = (*record.notes, *fit.notes, *notes, *Status(fit.status).advice)
     status = tuple(dict.fromkeys((*status_names(fit.status), *flags)))  # both may tell of a jump
     found = fit.theta, fit.theta_std, status, notes
     return DriveResult(estimator, *found, record, fit.relative_error, fit=fit, model_spread=spread)

@@ -7,13 +7,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import ClassVar, Generic, TypeVar
 
+from pmfid.encoder import Encoder
+from pmfid.errors import UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.output_error import OE
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.session.config import Axis
+from pmfid.judge.free_run import FreeRun
+from pmfid.models.drive import Model
+from pmfid.session.config import Axis, check_sampling
 from pmfid.session.records import Record
 from pmfid.session.result import Result
+from pmfid.session.stored import Stored
 from pmfid.transfer.experiment import Experiment
+from pmfid.types import Floats
 
 #: Called with the part of the work that is done, 0 to 1.
 Progress = Callable[[float], None]
@@ -43,6 +50,19 @@ class Kind(ABC, Generic[Data]):
     def name_and_samples(self, data: Data) -> tuple[str, int]:
         """Of the record, or of all of them."""
 
+    @abstractmethod
+    def free_runs(self, data: Data, axis: Axis, theta: Floats) -> list[FreeRun]:
+        """The model with parameters theta (p,), in the order of `simulator`, simulated beside what was measured. Raises
+        UsageError where nothing can be simulated."""
+
+    @abstractmethod
+    def check_known(self, stored: Stored, data: Data, axis: Axis) -> None:
+        """Raises UsageError where other things were known when the parameters of a file were found."""
+
+    def unit_of_output(self, axis: Axis) -> str:
+        """Empty where it is the user's."""
+        return ""
+
     def check(self, data: Data, axis: Axis) -> None:
         """Raises UsageError for what makes every estimate wrong."""
 
@@ -54,11 +74,34 @@ class Kind(ABC, Generic[Data]):
         return ""
 
 
+def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of the parameters (p,) that a simulation of the model takes. Raises UsageError for an equation
+    that nothing simulates."""
+    equation = model.equation
+    if OE.refuses(equation):
+        reason = equation.without_simulation
+        raise UsageError(
+            f"a free run simulates the model, which cannot be for this equation: {reason}; write it without"
+        )
+    further = tuple(zip(*equation.further, strict=True)) or ((), ())
+    return equation.names + further[0], equation.units + further[1]
+
+
+def simulator(axis: Axis, dt: float, resolution: float) -> OE:
+    """The method that simulates the model of `axis`; dt [s], resolution [unit of the output]."""
+    model, known = axis.model.make(), axis.encoder
+    check_sampling(axis, dt)
+    encoder = Encoder(resolution, max_speed=known.max_speed, standstill_time=known.standstill_time)
+    return OE(model, encoder, dt, axis.estimator.cutoff, order=axis.estimator.order)
+
+
 def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:
     """The options of [estimator] that a method has, by name."""
     config = axis.estimator
     options: dict[str, object] = {"order": config.order, "discretization": config.discretization}
     options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
+    if issubclass(cls, OE):
+        options |= {"window": config.window}
     if issubclass(cls, RecursiveEstimator):
         options |= {"forgetting": config.forgetting, "forgetting_scheme": config.forgetting_scheme}
     return options

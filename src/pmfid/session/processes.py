@@ -26,14 +26,19 @@ from pmfid.estimators.srivc import (
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.judge.assess import assess
 from pmfid.judge.doubts import IGNORED, check_known, doubts, notes_on, search_notes
+from pmfid.judge.free_process import process_run
+from pmfid.judge.free_run import FreeRun
 from pmfid.judge.verdict import flags_on
+from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import NO_ENCODER, Axis, check_sampling
-from pmfid.session.kinds import Kind, Progress, method_of, settings
+from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.session.records import read_experiment
 from pmfid.session.result import ProcessResult, delay_of, expects_unstable
+from pmfid.session.stored import Stored
 from pmfid.status import Status, status_names
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.order import DELAYS, ORDERS, UNSTABLE, Candidate, Search, accepted_first, search_structure
+from pmfid.types import Floats
 
 AUTOMATIC = "srivc"
 #: Methods that take several records, gaps, missing samples and uneven spacing.
@@ -59,6 +64,16 @@ class Processes(Kind[Sequence[Experiment]]):
 
     def name_and_samples(self, data: Sequence[Experiment]) -> tuple[str, int]:
         return ", ".join(experiment.name for experiment in data), sum(part.u.size for part in data)
+
+    def free_runs(self, data: Sequence[Experiment], axis: Axis, theta: Floats) -> list[FreeRun]:
+        resolution = axis.encoder.resolution
+        encoder = None if resolution == NO_ENCODER else resolution / np.sqrt(12.0)
+        return [process_run(simulator(axis, part.period, resolution), theta, part, encoder) for part in data]
+
+    def check_known(self, stored: Stored, data: Sequence[Experiment], axis: Axis) -> None:
+        model = axis.model.make()
+        if isinstance(model, TransferFunction) and not isinstance(model.dead_time, str):
+            stored.check_known("dead_time", model.delay * data[0].period + model.dead_time)
 
     def estimate(self, data: Sequence[Experiment], axis: Axis, progress: Progress | None = None) -> ProcessResult:
         estimator = make_process_estimator(data, axis)

@@ -142,7 +142,11 @@ class DriveResult(Result):
         return int(self.record.u.size)
 
     def particulars(self) -> dict[str, object]:
-        return {"fit": {"relative_error": self.relative_error}, "prefilter_zeros": list(self.estimator.zeros)}
+        return {
+            "input_gain": self.estimator.equation.input_gain,
+            "fit": {"relative_error": self.relative_error},
+            "prefilter_zeros": list(self.estimator.zeros),
+        }
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,87 @@
+"""The command `pmfid validate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pmfid.cli.output import print_json
+from pmfid.errors import printable
+
+if TYPE_CHECKING:
+    from pmfid.session.validation import Validation
+
+
+@click.command(short_help="Predict other records with a result, by free-run simulation.")
+@click.argument("records", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RECORD...")
+@click.option(
+    "--config",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="AXIS.toml",
+    help="What the records hold, the encoder, the model; of [estimator] only the cutoff is used.",
+)
+@click.option(
+    "--model",
+    "stored",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="RESULT.json",
+    help="The parameters: what `pmfid identify --out` or --json has written.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Write validation.html and validation.json there.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+def validate(records: tuple[Path, ...], config: Path, stored: Path, out: Path | None, as_json: bool) -> None:
+    """Simulate each RECORD from its input alone, with the parameters of RESULT.json, beside what was measured.
+
+    Its start is fitted to the first samples, over 5 time constants of the filters; nothing else of the output is used.
+
+    Exit code 0: a prediction, good or bad; 2: wrong usage, unreadable input, parameters of another model.
+    """
+    from pmfid.session.config import load_axis
+    from pmfid.session.stored import read_stored
+    from pmfid.session.validation import read_records, validate_stored
+
+    axis = load_axis(config)
+    found = validate_stored(read_stored(stored), read_records(records, axis), axis)
+    if out is not None:
+        from pmfid.report.validation import write_validation
+
+        write_validation(out, found)
+    if as_json:
+        print_json(found.to_json())
+    else:
+        _print(found, out)
+
+
+def _print(found: Validation, out: Path | None) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from pmfid.report.validation import horizon_rows, run_rows
+
+    table = Table(title=f"free run, parameters by {escape(printable(found.method))}")
+    (header, runs), (names, horizons) = run_rows(found), horizon_rows(found)
+    for number, name in enumerate(("", *(row[0] for row in runs))):
+        table.add_column(escape(printable(name)), justify="right" if number else "left", no_wrap=True)
+    for column in range(1, len(header)):
+        table.add_row(escape(header[column]), *(row[column] for row in runs))
+    for every in dict.fromkeys(row[1] for row in horizons):
+        table.add_section()
+        for column in (3, 4):
+            cells = {row[0]: row[column] for row in horizons if row[1] == every}
+            text = f"{names[column]}, anew every {every} s"
+            table.add_row(escape(text), *(cells.get(row[0], "–") for row in runs))
+    console = Console()
+    # a number is never cut: what does not fit then runs over the edge
+    Console(width=max(console.width, Console(width=10_000).measure(table).maximum)).print(table)
+    for line in (*(f"note: {note}" for note in found.notes), *([f"report: {out / 'validation.html'}"] if out else [])):
+        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)

@@ -1,0 +1,128 @@
+"""The report of a validation: figures, tables, numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from pmfid.judge.free_run import FreeRun
+from pmfid.report.figures import COLOURS, GREY, WIDTH, decimation, figure_style, plain_ticks
+from pmfid.report.files import write_json
+from pmfid.report.html import Section, svg, write_report
+from pmfid.session.validation import Validation
+
+Rows = tuple[list[str], list[list[str]]]
+
+#: Records that have a figure of their own.
+MOST_FIGURES = 12
+
+
+def write_validation(out: Path, found: Validation) -> None:
+    """Writes validation.html and validation.json into the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "validation.json", found.to_json())
+    sections = [
+        Section("Parameters", f"Method: {found.method}.", _parameter_rows(found)),
+        Section("Free run", _text(found), run_rows(found)),
+    ]
+    if any(run.horizons for run in found.runs):
+        text = "The run begins anew every so many seconds, each time with a start fitted to its first samples."
+        sections.append(Section("Begun anew", text, horizon_rows(found), svg(horizon_figure(found))))
+    sections += [
+        Section(f"Measured and simulated: {run.name}", svg=svg(run_figure(run, found.unit)))
+        for run in found.runs[:MOST_FIGURES]
+    ]
+    write_report(out / "validation.html", f"{found.runs[0].name}: predicted", sections)
+
+
+def _text(found: Validation) -> str:
+    read = ", ".join(dict.fromkeys(f"{run.read:.3g} s" for run in found.runs))
+    text = (
+        f"Simulated from the input alone. The start is fitted to the first {read}, nothing else of the output is used. "
+        "Errors are root mean squares; fit is 100 (1 - |y - simulated| / |y - mean y|); relative is |y - simulated| "
+        "over |y|, and depends on where zero is; encoder: what rounding to its step would leave; mean, standstill: a "
+        "model that knows the mean of the record, or stays where it begins."
+    )
+    return "\n\n".join([text, *(f"Note: {note}." for note in found.notes)])
+
+
+def _parameter_rows(found: Validation) -> Rows:
+    rows = zip(found.names, found.theta, found.units, strict=True)
+    return ["parameter", "value", "unit"], [[name, f"{value:.6g}", unit] for name, value, unit in rows]
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name
+
+
+def run_rows(found: Validation) -> Rows:
+    """Header and a row of text for each record."""
+    header = ["record", *(_with_unit(name, found.unit) for name in ("error", "largest"))]
+    header += ["fit [%]", "relative [%]", *(_with_unit(n, found.unit) for n in ("encoder", "mean", "standstill"))]
+    return header, [
+        [
+            run.name,
+            *(_number(value) for value in (run.rmse, run.largest)),
+            *("–" if value is None else f"{value:.2f}" for value in (run.fit, run.relative)),
+            *(_number(value) for value in (run.encoder, run.mean, run.standstill)),
+        ]
+        for run in found.runs
+    ]
+
+
+def horizon_rows(found: Validation) -> Rows:
+    """Header and a row of text for each record and horizon."""
+    header = ["record", "every [s]", "runs", _with_unit("error", found.unit), _with_unit("standstill", found.unit)]
+    return header, [
+        [run.name, f"{part.seconds:g}", str(part.runs), _number(part.rmse), _number(part.standstill)]
+        for run in found.runs
+        for part in run.horizons
+    ]
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.4g}"
+
+
+def run_figure(run: FreeRun, unit: str) -> Figure:
+    """Measured and simulated output, and their difference, over time."""
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 4.4), layout="constrained")
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        for signal, label, style in ((run.measured, "measured", "-"), (run.simulated, "simulated", "--")):
+            i = decimation(signal)
+            upper.plot(run.t[i], signal[i], style, lw=0.9, label=label)
+        upper.set_ylabel(_with_unit("output", unit))
+        upper.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, borderaxespad=0.2)
+        i = decimation(run.error)
+        lower.plot(run.t[i], run.error[i], color=COLOURS[2])
+        lower.axvspan(run.t[0], run.t[0] + run.read, color=GREY, alpha=0.3, lw=0)
+        lower.set_ylabel(_with_unit("measured\nless simulated", unit))
+        lower.set_xlabel("time [s] (shaded: what the start is fitted to)")
+        lower.margins(x=0)
+    return figure
+
+
+def horizon_figure(found: Validation) -> Figure:
+    """Errors over the time after which a run begins anew; of the whole record at its right end."""
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
+        axes = figure.subplots()
+        for number, run in enumerate(found.runs):
+            colour, duration = COLOURS[number % len(COLOURS)], float(run.t[-1] - run.t[0])
+            seconds = [*(part.seconds for part in run.horizons), duration]
+            axes.plot(seconds, [*(p.rmse for p in run.horizons), run.rmse], "o-", color=colour, label=run.name)
+            still = [*(part.standstill for part in run.horizons), run.standstill]
+            axes.plot(seconds, still, ":", color=colour, lw=1)
+            if run.encoder is not None:
+                axes.axhline(run.encoder, color=colour, ls="--", lw=1)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        for axis in (axes.xaxis, axes.yaxis):
+            plain_ticks(axis)
+        axes.set_xticks(sorted({part.seconds for run in found.runs for part in run.horizons}))
+        axes.set_xlabel("begun anew every [s]; last point: never (dotted: standstill; dashed: encoder alone)")
+        axes.set_ylabel(_with_unit("root mean square error", found.unit))
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=4, borderaxespad=0.2)
+    return figure

@@ -1,0 +1,118 @@
+"""A result against records it was not fitted to: one way for every kind of plant, from files and from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pmfid.errors import UsageError
+from pmfid.judge.free_run import FreeRun, Horizon
+from pmfid.session.config import Axis
+from pmfid.session.identify import kind_of
+from pmfid.session.kinds import Records, parameters_of
+from pmfid.session.stored import Stored
+from pmfid.types import Floats
+
+__all__ = ["Validation", "read_records", "validate_stored", "validated"]
+
+#: A free run within so many times what the encoder leaves explains the counts.
+WITHIN = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """Free runs over one record or more. kind, method: of the model and of its estimate; names, units, theta: (p,) of
+    its parameters; unit: of the output, empty where it has none."""
+
+    kind: str
+    method: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    theta: Floats
+    unit: str
+    runs: tuple[FreeRun, ...]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to mind, for people."""
+        return tuple(dict.fromkeys(note for run in self.runs for note in (*run.notes, *_remarks(run))))
+
+    def to_json(self) -> dict[str, object]:
+        """The object that `--json` prints."""
+        rows = zip(self.names, self.units, self.theta.tolist(), strict=True)
+        return {
+            "model": self.kind,
+            "method": self.method,
+            "parameters": {name: {"value": value, "unit": unit} for name, unit, value in rows},
+            "unit": self.unit,
+            "records": [_as_json(run) for run in self.runs],
+            "notes": list(self.notes),
+        }
+
+
+def _as_json(run: FreeRun) -> dict[str, object]:
+    return {
+        "record": run.name,
+        "samples": int(run.t.size),
+        "start_read": run.read,
+        "rmse": run.rmse,
+        "largest": run.largest,
+        "fit": run.fit,
+        "relative_error": run.relative,
+        "encoder": run.encoder,
+        "mean": run.mean,
+        "standstill": run.standstill,
+        "horizons": [_horizon(horizon) for horizon in run.horizons],
+    }
+
+
+def _horizon(horizon: Horizon) -> dict[str, object]:
+    return {
+        "seconds": horizon.seconds,
+        "runs": horizon.runs,
+        "rmse": horizon.rmse,
+        "standstill": horizon.standstill,
+    }
+
+
+def _remarks(run: FreeRun) -> list[str]:
+    said = []
+    if run.encoder is not None and run.rmse <= WITHIN * run.encoder:
+        said.append(f"{run.name}: the free run explains every count, the error is that of the encoder")
+    if run.rmse >= min(run.mean, run.standstill):
+        better = [f for f in run.horizons if f.rmse < 0.5 * f.standstill]
+        over = f"; over {better[-1].seconds:g} s it does" if better else ""
+        said.append(f"{run.name}: the free run predicts no better than an axis that stands still or a constant{over}")
+    return said
+
+
+def read_records(paths: Sequence[Path], axis: Axis) -> list[Records]:
+    """The records at `paths`, each for itself. Raises UsageError as `identify` does."""
+    return [kind_of(axis).read([path], axis) for path in paths]
+
+
+def validate_stored(stored: Stored, data: Sequence[Records], axis: Axis) -> Validation:
+    """Free runs with the parameters of a file over what `read_records` gives. Raises UsageError where the parameters
+    are not of the model of `axis`, or nothing can be simulated with them."""
+    kind = kind_of(axis)
+    theta = stored.theta(axis.model.kind, *parameters_of(axis.model.make()))
+    for record in data:
+        kind.check_known(stored, record, axis)
+    return validated(stored.method, theta, data, axis)
+
+
+def validated(method: str, theta: Floats, data: Sequence[Records], axis: Axis) -> Validation:
+    """Free runs with parameters theta (p,) of the model of `axis`, found by `method`, over records. Raises as
+    `validate_stored`."""
+    kind, (names, units) = kind_of(axis), parameters_of(axis.model.make())
+    if not data:
+        raise UsageError("there is no record to validate on; give one")
+    if not np.all(np.isfinite(theta)):
+        raise UsageError("a parameter is not finite: identify it again")
+    for record in data:
+        kind.check(record, axis)
+    runs = tuple(run for record in data for run in kind.free_runs(record, axis, theta))
+    return Validation(axis.model.kind, method, names, units, theta, kind.unit_of_output(axis), runs)

@@ -1,0 +1,319 @@
+"""`pmfid validate` and `pmfid.validate`: free runs over other records, and results that are none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import pmfid
+from pmfid.cli.main import main
+from pmfid.estimators.output_error import OE
+from pmfid.judge.free_process import process_run
+from pmfid.judge.free_run import drive_run, firsts_of
+from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
+from pmfid.simulation.process import simulate_process
+from studies.predicted import free_run
+from studies.prediction_emps import MODELS, PUBLISHED, measured
+from tests.conftest import Run, needs_emps
+
+#: An axis of this file's own.
+AXIS = DriveParameters(mass=0.45, viscous_friction=3.1, coulomb_friction=0.6, input_gain=1.5)
+DT, STEP = 0.005, 5e-5
+TOML = """
+[record]
+input = "u"
+output = "counts"
+output_kind = "counts"
+dt = 0.005
+[encoder]
+resolution = 5e-5
+[model]
+input_gain = 1.5
+[estimator]
+cutoff = 60.0
+"""
+GOOD = {
+    "model": "drive",
+    "method": "iv",
+    "input_gain": 1.5,
+    "parameters": {
+        "mass": {"value": 0.45, "std": 0.01, "unit": "kg"},
+        "viscous_friction": {"value": 3.1, "std": 0.01, "unit": "N s/m"},
+        "coulomb_friction": {"value": 0.6, "std": None, "unit": "N"},
+    },
+}
+
+
+def run_of(seed: int, samples: int = 1200, v0: float = 0.0) -> Run:
+    rng = np.random.default_rng([seed, 77])
+    u = prbs(samples, clock=14, amplitude=3.0, rng=rng)
+    x = simulate_drive(AXIS, u, DT, v0=v0).x
+    return Run(u, quantize(x, STEP, STEP * rng.random()), pmfid.Encoder(STEP))
+
+
+def files(folder: Path, content: object = GOOD, toml: str = TOML, seeds: tuple[int, ...] = (1,)) -> list[str]:
+    """Arguments of the command; content: of RESULT.json, text as it is."""
+    folder.mkdir(exist_ok=True)
+    records = []
+    for seed in seeds:
+        run = run_of(seed)
+        records.append(str(folder / f"run{seed}.csv"))
+        np.savetxt(records[-1], np.column_stack([run.u, run.counts]), "%.17g", ",", header="u,counts", comments="")
+    (folder / "axis.toml").write_text(toml)
+    text = content if isinstance(content, str) else json.dumps(content)
+    (folder / "result.json").write_text(text, encoding="utf-8")
+    options = ["--config", str(folder / "axis.toml"), "--model", str(folder / "result.json")]
+    return ["validate", *records, *options]
+
+
+def called(arguments: list[str], *options: str) -> Result:
+    return CliRunner().invoke(main, [*arguments, *options])
+
+
+def test_the_truth_predicts_every_count_of_every_record(tmp_path: Path) -> None:
+    result = called(files(tmp_path, seeds=(1, 2)), "--json")
+    assert (result.exit_code, result.stderr) == (0, "")
+    found = json.loads(result.stdout)
+    assert [record["record"] for record in found["records"]] == ["run1.csv", "run2.csv"]
+    for record in found["records"]:
+        assert record["rmse"] < 1.5 * record["encoder"] < 1e-4
+        assert record["fit"] > 99.9
+        assert [horizon["seconds"] for horizon in record["horizons"]] == [1.0, 2.0, 5.0]
+        assert all(horizon["rmse"] < 0.01 * horizon["standstill"] for horizon in record["horizons"])
+    assert any("explains every count" in note for note in found["notes"])
+
+
+def test_what_identify_writes_is_what_validate_reads(tmp_path: Path) -> None:
+    arguments = files(tmp_path, seeds=(1, 2))
+    one, config = arguments[1], arguments[4]
+    assert called(["identify", one, "--config", config, "--out", str(tmp_path / "id"), "--method", "ls"]).exit_code == 0
+    arguments[-1] = str(tmp_path / "id" / "result.json")
+    result = called(arguments, "--out", str(tmp_path / "out"))
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "parameters by ls" in result.stdout
+    assert "run2.csv" in result.stdout
+    page = (tmp_path / "out" / "validation.html").read_text("utf-8")
+    assert page.count("<svg") == 3
+    stored = json.loads((tmp_path / "out" / "validation.json").read_text())
+    assert stored == json.loads(called(arguments, "--json").stdout)
+
+
+def test_python_gives_what_the_command_gives(tmp_path: Path) -> None:
+    train, other = run_of(3), run_of(1)
+    result = pmfid.identify(
+        train.u, train.counts, model=pmfid.Drive(1.5), encoder=train.encoder, dt=DT, cutoff=60.0, method="iv"
+    )
+    found = pmfid.validate(result, other.u, other.counts).to_json()
+    printed = json.loads(called(files(tmp_path, result.to_json()), "--json").stdout)
+    assert found["records"][0] | {"record": "run1.csv"} == printed["records"][0]
+    assert found["parameters"] == printed["parameters"]
+    finer = pmfid.validate(result, other.u, other.counts * 10, encoder=pmfid.Encoder(STEP / 10), dt=DT)
+    assert finer.runs[0].rmse == pytest.approx(found["records"][0]["rmse"], rel=0.5)
+
+
+def method(step: float = STEP) -> OE:
+    return OE(pmfid.Drive(1.5), pmfid.Encoder(step), DT, 60.0)
+
+
+def test_nothing_behind_the_start_is_used() -> None:
+    run, theta = run_of(4, v0=0.3), np.array([0.5, 2.9, 0.55])
+    whole = drive_run(method(), theta, run.u, run.counts, "whole")
+    read = round(whole.read / DT)
+    spoilt = np.r_[run.counts[:read], run.counts[read - 1] + np.arange(run.u.size - read) % 7]
+    after = drive_run(method(), theta, run.u, spoilt, "spoilt")
+    np.testing.assert_allclose(after.simulated, whole.simulated, atol=1e-9)
+    assert after.rmse > 2 * whole.rmse
+
+
+def test_figures_of_merit_are_what_they_are_called() -> None:
+    run = run_of(5)
+    found = drive_run(method(), np.array([0.6, 3.1, 0.6]), run.u, run.counts, "run")
+    y, error = found.measured, found.measured - found.simulated
+    assert found.rmse == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert found.largest == np.max(np.abs(error))
+    assert found.fit == pytest.approx(100 * (1 - np.linalg.norm(error) / np.linalg.norm(y - y.mean())))
+    assert found.relative == pytest.approx(100 * np.linalg.norm(error) / np.linalg.norm(y))
+    assert found.mean == pytest.approx(np.std(y))
+    assert found.standstill == pytest.approx(np.sqrt(np.mean((y - y[0]) ** 2)))
+    second = found.horizons[1]
+    assert (second.seconds, second.runs) == (2.0, 3)
+
+
+def test_runs_that_begin_anew_drift_less() -> None:
+    """A constant force that the model lacks moves the axis away."""
+    rng = np.random.default_rng(3)
+    u = prbs(2400, clock=14, amplitude=3.0, rng=rng)
+    counts = quantize(simulate_drive(AXIS, u + 0.1, DT).x, STEP)
+    found = drive_run(method(), np.array([0.45, 3.1, 0.6]), u, counts, "drifts")
+    errors = [horizon.rmse for horizon in found.horizons] + [found.rmse]
+    assert len(errors) == 5
+    assert errors[0] < errors[2] / 2 < errors[4] / 4
+
+
+def test_very_many_runs_are_thinned() -> None:
+    firsts = firsts_of(100_000, 10)
+    assert 100 <= len(firsts) <= 200
+    assert firsts[-1] + 10 <= 100_000
+    assert firsts_of(5, 10) == []
+
+
+def test_negative_friction_is_simulated_as_none_and_said() -> None:
+    run = run_of(6)
+    found = drive_run(method(), np.array([0.45, 3.1, -0.2]), run.u, run.counts, "run")
+    none = drive_run(method(), np.array([0.45, 3.1, 0.0]), run.u, run.counts, "run")
+    assert found.notes == ("coulomb_friction below zero, simulated as zero",)
+    assert found.rmse == pytest.approx(none.rmse, rel=1e-6)
+
+
+def process_record(seed: int, samples: int = 600, slower: float = 1.0) -> pmfid.Experiment:
+    rng = np.random.default_rng(seed)
+    u = rng.choice([-1.0, 1.0], samples // 6).repeat(6)
+    y = simulate_process(np.array([3.0]), np.array([1.0, 1.1, 2.0]), u, 0.1)
+    noisy = 5.0 + y + 0.02 * rng.standard_normal(samples)
+    return pmfid.Experiment(u, noisy, dt=0.1 * slower, name=f"p{seed}")
+
+
+def test_a_transfer_function_predicts_other_records_gaps_included(tmp_path: Path) -> None:
+    model = pmfid.TransferFunction(2, 0, offset=True)
+    result = pmfid.identify(process_record(1), model=model, cutoff=2.0)
+    other = process_record(2)
+    t = np.arange(600) * 0.1 + 30.0 * (np.arange(600) > 250)
+    y = other.y.copy()
+    y[100:120] = np.nan
+    with_gap = pmfid.Experiment(other.u, y, t=t, name="gap")
+    found = pmfid.validate(result, [other, with_gap])
+    assert [run.name for run in found.runs] == ["p2", "gap"]
+    assert [run.t.size for run in found.runs] == [600, 580]
+    for run in found.runs:
+        assert run.rmse == pytest.approx(0.02, rel=0.35)
+        assert run.fit is not None
+        assert run.fit > 95
+        assert run.encoder is None
+        assert run.horizons
+    found.to_json()
+
+
+def test_horizons_of_a_slow_process_are_longer() -> None:
+    method = OE(pmfid.TransferFunction(2, 0, offset=True), pmfid.Encoder(1e-29), 5.0, 0.04)
+    theta = np.array([2.0 / 50**2, 1.1 / 50, 3.0 / 50**2, 10.0 / 50**2])
+    run = process_run(method, theta, process_record(3, slower=50.0), None)
+    assert [horizon.seconds for horizon in run.horizons] == [1000.0, 2000.0]
+    assert run.rmse < 0.1
+
+
+def test_an_unstable_transfer_function_is_refused() -> None:
+    method = OE(pmfid.TransferFunction(1, 0), pmfid.Encoder(1e-29), 0.1, 2.0)
+    with pytest.raises(pmfid.UsageError, match="pole at"):
+        process_run(method, np.array([-0.5, 1.0]), process_record(3), None)
+
+
+def changed(**parts: object) -> dict[str, object]:
+    return {**GOOD, **parts}
+
+
+def parameter(**parts: object) -> dict[str, object]:
+    """The result with another mass."""
+    return changed(parameters=GOOD["parameters"] | {"mass": {"value": 0.45, "unit": "kg", **parts}})
+
+
+HOSTILE: dict[str, tuple[object, str]] = {
+    "empty": ("", "not a result in JSON"),
+    "not JSON": ("mass = 3", "not a result in JSON"),
+    "no object": ([1, 2], "the file: it should be"),
+    "a number": ("3", "the file"),
+    "deep": ("[" * 100_000, "not a result in JSON"),
+    "NaN": (json.dumps(parameter(value=float("nan"))), "NaN is no number"),
+    "infinite": (json.dumps(parameter(value=float("inf"))), "Infinity is no number"),
+    "overflow": (json.dumps(parameter(value=1)).replace('"value": 1,', '"value": 1e999,'), "finite"),
+    "huge": (json.dumps(parameter(value=1)).replace('"value": 1,', f'"value": 1{"0" * 400},'), "result.json"),
+    "text for a number": (parameter(value="0.45"), "parameters.mass.value: it should be a valid number"),
+    "truth for a number": (parameter(value=True), "parameters.mass.value"),
+    "no model": ({"parameters": GOOD["parameters"]}, "model is missing"),
+    "no parameters": ({"model": "drive"}, "parameters is missing"),
+    "none of them": (changed(parameters={}), "at least 1"),
+    "a list of them": (changed(parameters=[1]), "parameters: it should be a valid dict"),
+    "no value": (changed(parameters={"mass": {}}), "parameters.mass.value is missing"),
+    "wrong kind": (changed(model="transfer_function"), 'kind = "transfer_function"'),
+    "one lacks": (changed(parameters={"mass": {"value": 1.0}}), "lacks viscous_friction, coulomb_friction"),
+    "one too many": (changed(parameters=GOOD["parameters"] | {"offset": {"value": 1.0}}), "has offset"),
+    "other unit": (parameter(unit="g"), "mass is in 'g' there and in 'kg'"),
+    "other gain": (changed(input_gain=3.0), "input_gain = 3, and [model] has 1.5"),
+    "no mass": (parameter(value=0.0), "mass = 0"),
+    "negative mass": (parameter(value=-1.0), "mass = -1"),
+    "the error of compare": ({"record": "x", "methods": {}}, "model is missing"),
+}
+
+
+@pytest.mark.parametrize(("content", "said"), HOSTILE.values(), ids=list(HOSTILE))
+def test_what_is_no_result_is_told_in_one_line(tmp_path: Path, content: object, said: str) -> None:
+    result = called(files(tmp_path, content))
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith("pmfid: ")
+    assert result.stderr.count("\n") == 1
+    assert len(result.stderr) < 600
+    assert said in result.stderr
+    assert ";" in result.stderr
+
+
+def test_a_result_that_is_not_there(tmp_path: Path) -> None:
+    arguments = files(tmp_path)
+    for place in (tmp_path / "none.json", tmp_path):
+        result = called([*arguments[:-1], str(place)])
+        assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+        assert "cannot read the result" in result.stderr
+
+
+def test_parameters_of_prefilters_do_not_matter(tmp_path: Path) -> None:
+    more = changed(parameters=GOOD["parameters"] | {"prefilter_1": {"value": 1.0, "unit": "s^1"}})
+    assert called(files(tmp_path, more)).exit_code == 0
+
+
+def test_a_dead_time_that_was_known_is_the_same(tmp_path: Path) -> None:
+    toml = TOML.replace("input_gain = 1.5", 'kind = "transfer_function"\nn = 1\nm = 0\ndelay = 2')
+    values = {"a0": {"value": 1.0}, "b0": {"value": 2.0}}
+    content = {"model": "transfer_function", "parameters": values, "dead_time": 0.01}
+    toml = toml.replace("resolution = 5e-5", "resolution = 5e-5\n")
+    assert called(files(tmp_path, content, toml)).exit_code == 0
+    result = called(files(tmp_path, content | {"dead_time": 0.03}, toml))
+    assert result.exit_code == 2
+    assert "dead_time = 0.03, and [model] has 0.01" in result.stderr
+
+
+def test_an_equation_that_nothing_simulates(tmp_path: Path) -> None:
+    terms = '{ signal = "output", derivative = 1, name = "viscous_friction", unit = "N s/m" }'
+    toml = TOML.replace("input_gain = 1.5", f'kind = "equation"\nunknown = [{terms}]')
+    result = called(files(tmp_path, changed(model="equation"), toml))
+    assert result.exit_code == 2
+    assert "cannot be for this equation" in result.stderr
+
+
+@pytest.mark.parametrize("still", ["axis", "input"])
+def test_a_record_without_a_motion_is_told(still: str) -> None:
+    run = run_of(7)
+    u, counts = (run.u, 0 * run.counts) if still == "axis" else (0 * run.u, run.counts)
+    with pytest.raises(pmfid.UsageError, match=f"the {still}"):
+        drive_run(method(), np.array([0.45, 3.1, 0.6]), u, counts, "run")
+
+
+def test_arguments_in_python_that_do_not_fit() -> None:
+    run = run_of(8)
+    result = pmfid.identify(run.u, run.counts, model=pmfid.Drive(1.5), encoder=run.encoder, dt=DT, cutoff=60.0)
+    with pytest.raises(pmfid.UsageError, match="u and counts"):
+        pmfid.validate(result, run.u)
+    with pytest.raises(pmfid.UsageError, match="same length"):
+        pmfid.validate(result, run.u, run.counts[1:])
+
+
+@needs_emps
+def test_the_published_parameters_predict_the_measured_drive() -> None:
+    """Their authors' own last third; friction that tells the directions apart predicts better, as they say."""
+    whole = measured(5e-8)
+    last = whole.part(whole.u.size * 2 // 3, whole.u.size)
+    runs = {model: free_run(MODELS[model], theta, 50.0, last) for model, theta in PUBLISHED.items()}
+    assert runs["symmetric, offset"].rmse == pytest.approx(7.3e-3, rel=0.05)
+    assert runs["directional"].rmse == pytest.approx(3.5e-3, rel=0.05)
+    assert [horizon.seconds for horizon in runs["directional"].horizons] == [1.0, 2.0, 5.0]
