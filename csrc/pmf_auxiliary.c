@@ -7,7 +7,7 @@
  * of C libraries differ in their last bits. A constant force allows one stop in an interval at most, so the two
  * phases below are all there is, and the work is the same for every sample.
  */
-#include "pmf_internal.h"
+#include "pmf_shapes.h"
 
 #if PMF_WITH_AUXILIARY
 
@@ -32,16 +32,6 @@
 /* Squared correlation of what the controller makes of the encoder's error with what the equation makes of it: 0.14 to
  * 0.8 under position control, in open loop at most 0.04, however seldom the input changes. */
 #define FEEDBACK_PART PMF_R(0.09)
-
-typedef struct {
-    real_t mass, force; /* input force without the constant load */
-    real_t viscous[2], coulomb[2]; /* forward, backward */
-} body_t;
-
-typedef struct {
-    real_t velocity, left; /* left: of the interval, as a part */
-    real_t distance[2], moving[2]; /* forward, backward; in parts of the interval */
-} phase_t;
 
 /* A spring acts with its force in the middle of the interval. */
 static body_t body_of(const pmf_auxiliary_config_t *config, const real_t *parameter, real_t input, real_t middle)
@@ -136,8 +126,6 @@ static real_t left_behind_stop(const body_t *body, truth_t forward)
     real_t before = push + PMF_IF(forward, body->coulomb[0], body->coulomb[1]);
     return PMF_IF((behind > PMF_R(0.0)) & (before > PMF_R(0.0)), behind / before, PMF_R(0.0));
 }
-
-#include "pmf_shapes.h"
 
 /* m w' + d w = -signal for the deviation w of the velocity by each parameter, and at a stop the rest of m w is lost, as
  * if by a blow. The sum of friction and input in the equation changes by the same blow: that is its derivative. Behind

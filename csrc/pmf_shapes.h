@@ -10,7 +10,24 @@
 #ifndef PMF_SHAPES_H
 #define PMF_SHAPES_H
 
+#include "pmf_internal.h"
+
+#if PMF_WITH_AUXILIARY
+
+typedef struct {
+    real_t mass, force; /* input force without the constant load */
+    real_t viscous[2], coulomb[2]; /* forward, backward */
+} body_t;
+
+typedef struct {
+    real_t velocity, left; /* left: of the interval, as a part */
+    real_t distance[2], moving[2]; /* forward, backward; in parts of the interval */
+} phase_t;
+
 #if PMF_SHAPED
+
+/* In pmf_auxiliary.c. */
+static void move(const body_t *body, scalar_t dt, truth_t forward, truth_t backward, phase_t *phase);
 
 #define FORESIGHTS 2U /* of where an interval ends, each with the means along the one before */
 #define MOST_PERIODS PMF_R(1e9) /* beyond, a number says nothing of the place in a period */
@@ -173,4 +190,5 @@ static void clear_shapes(const pmf_shapes_config_t *config, real_t *signal)
 
 #endif
 
+#endif
 #endif

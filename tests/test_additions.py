@@ -99,8 +99,11 @@ class StoppedError(Exception):
 
 #: Other values than the default one of each field of a model; a new field needs a line.
 DRIVE = {"input_gain": 3.0, "offset": True, "friction": "directional", "spring": True, "dead_time": 0.003}
+DRIVE |= {"stribeck": 0.02, "quadratic": True, "gravity": True, "cogging": 0.01, "friction_period": 0.2}
 PROCESS = {"n": 3, "m": 2, "delay": 4, "offset": True, "integrators": 1, "unstable": True, "dead_time": 0.25}
 TERM = {"signal": "forward_output", "derivative": 1, "name": "d", "unit": "N s/m", "coefficient": 2.5}
+SHAPE = {"form": "stribeck", "speed": 0.02}
+SHAPED = pmfid.Term("friction", 0, "stribeck_friction", "N", shape=pmfid.Stribeck(0.02))
 #: What a model needs beside a field.
 PLAIN: dict[type, dict[str, object]] = {pmfid.Drive: {"input_gain": 2.0}, pmfid.TransferFunction: {"n": 2, "m": 0}}
 FIELDS = [(pmfid.Drive, {name: value}) for name, value in DRIVE.items()]
@@ -116,7 +119,7 @@ def model_of(cls: type, field: dict[str, object]) -> pmfid.Drive | pmfid.Transfe
 def equation_model(**known: object) -> pmfid.EquationModel:
     """One whose unknown terms differ from a plain one in every field."""
     own = pmfid.Term(**TERM)
-    unknown = (pmfid.Term("output", 2, "m", "kg", -1.0), own, pmfid.Term("direction", 0, "F"))
+    unknown = (pmfid.Term("output", 2, "m", "kg", -1.0), own, pmfid.Term("direction", 0, "F"), SHAPED)
     return pmfid.EquationModel(pmfid.Equation(unknown, (pmfid.Term("input", 0, **known),)))
 
 
@@ -155,8 +158,9 @@ def test_every_field_of_a_model_is_tried_here() -> None:
     """`initial_conditions` are refused in one sentence: the starts are always part of the fit there."""
     assert set(DRIVE) == {field.name for field in fields(pmfid.Drive)}
     assert {*PROCESS, "initial_conditions"} == {field.name for field in fields(pmfid.TransferFunction)}
-    assert set(TERM) == {field.name for field in fields(pmfid.Term)}
-    assert all(TERM[field.name] != field.default for field in fields(pmfid.Term))
+    tried = TERM | {"shape": SHAPED.shape}
+    assert set(tried) == {field.name for field in fields(pmfid.Term)}
+    assert all(tried[field.name] != field.default for field in fields(pmfid.Term))
 
 
 @pytest.mark.parametrize(("cls", "field"), FIELDS, ids=str)
@@ -173,7 +177,11 @@ def test_a_field_of_a_model_arrives_from_python_and_from_a_file(
 def test_terms_arrive_from_python_and_from_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     model = equation_model(coefficient=0.7)
     assert from_python(model, monkeypatch) == model
-    unknown = [{field.name: getattr(term, field.name) for field in fields(term)} for term in model.equation.unknown]
+    plain = [field.name for field in fields(pmfid.Term) if field.name != "shape"]
+    unknown = [
+        {name: getattr(term, name) for name in plain} | ({} if term.shape is None else {"shape": SHAPE})
+        for term in model.equation.unknown
+    ]
     keys = {"kind": "equation", "unknown": unknown, "known": [{"signal": "input", "coefficient": 0.7}]}
     assert from_toml(keys, tmp_path) == model
 
@@ -200,7 +208,10 @@ def test_every_signal_has_its_facts() -> None:
     assert tuple(SIGNALS) == get_args(Signal)
     for signal, facts in SIGNALS.items():
         for derivative in range(facts.derivatives[0], facts.derivatives[1] + 1):
-            assert pmfid.Term(signal, derivative).reads == facts.reads + "'" * derivative
+            form = {"name": "size", "shape": pmfid.Wave(0.1)} if facts.shaped else {}
+            read = facts.reads + "'" * derivative
+            assert pmfid.Term(signal, derivative, **form).reads.endswith(read)
+            assert form or pmfid.Term(signal, derivative).reads == read
 
 
 # --- a file format ----------------------------------------------------------------------------------------------------

@@ -145,6 +145,31 @@ def test_riv_under_position_control(late: float) -> None:
     assert track.flagged(WRONG_MODEL).any() == (late > 0)
 
 
+@pytest.mark.parametrize("method", [IV, OE])
+def test_beside_friction_of_a_given_form(method: type) -> None:
+    gain, mass, viscous, coulomb, dt, size, step, cutoff = WHEEL
+    rng = np.random.default_rng(5)
+    u = size * np.repeat(rng.choice([-1.0, 1.0], 400), 12)
+    machine = Machine(
+        DriveParameters(mass, viscous, coulomb, gain), stribeck=0.4 * coulomb, stribeck_speed=3.0, dead_time=1.7 * dt
+    )
+    run = drive_machine(machine, u, dt, step, phase=rng.uniform(0, step))
+    fit = method(Drive(gain, dead_time="estimate", stribeck=3.0), Encoder(step), dt, cutoff).fit(run.u, run.counts)
+    found = dict(zip(fit.names, fit.theta, strict=True))
+    assert found["dead_time"] / dt == pytest.approx(1.7, abs=0.02)
+    assert found["mass"] == pytest.approx(mass, rel=0.005)
+    bar = fit.theta_std[fit.names.index("stribeck_friction")]
+    assert abs(found["stribeck_friction"] - 0.4 * coulomb) < 3 * bar < coulomb
+
+
+def test_windows_know_the_inputs_before_them() -> None:
+    run = prbs("cart", 2.6)
+    method = OE(Drive(2.0, dead_time="estimate"), Encoder(CART[6]), 0.01, 20.0, window=2.0)
+    fit = method.fit(run.u, run.counts)
+    assert fit.theta[-1] / 0.01 == pytest.approx(2.6, abs=0.02)
+    np.testing.assert_allclose(fit.theta[:3] / truth("cart"), 1.0, atol=0.005)
+
+
 def test_from_arrays_to_json() -> None:
     run = prbs("cart", 0.7)
     result = pmfid.identify(
@@ -211,4 +236,4 @@ def test_roles_have_the_kernels_numbers() -> None:
     for name in (*names, "COULOMB_BACKWARD", "OFFSET", "STIFFNESS"):
         assert getattr(equation, name) == numbers[f"PMF_{name}"]
     assert numbers["PMF_DELAY"] == equation.LATE
-    assert numbers["PMF_ROLES"] == len(equation.ROLES)
+    assert numbers["PMF_BODY_ROLES"] == len(equation.ROLES)

@@ -94,6 +94,8 @@ VARIANTS = {
     "friction": {"drive": pmfid.Drive(2.0, friction="directional")},
     "shapes": {"drive": pmfid.Drive(2.0, stribeck=0.05, quadratic=True, cogging=0.01)},
     "places": {"drive": pmfid.Drive(2.0, gravity=True)},
+    "late": {"drive": pmfid.Drive(2.0, dead_time=0.017)},
+    "late by how much": {"drive": pmfid.Drive(2.0, dead_time="estimate", stribeck=0.05)},
     "order": {"order": 4},
 }
 
@@ -109,10 +111,11 @@ def test_every_configuration_is_exported(variant: str, cls: type[RecursiveEstima
     assert difference(exported(estimator, tmp_path, *hostile()), GCC, "-O1", *WARNINGS) is None
 
 
+@pytest.mark.parametrize("variant", ["shapes", "late by how much"])
 @pytest.mark.parametrize("target", [pytest.param(t, marks=needs(t), id=t.name) for t in (CLANG, M4F, M7)])
-def test_shapes_have_the_bits_of_python_everywhere(target: Target, tmp_path: Path) -> None:
+def test_shapes_and_dead_times_have_the_bits_of_python_everywhere(target: Target, variant: str, tmp_path: Path) -> None:
     """Its two recursions have different sizes: no compiler may find code for a third one."""
-    estimator = make(pmfid.RIV, "float32", **VARIANTS["shapes"])
+    estimator = make(pmfid.RIV, "float32", **VARIANTS[variant])
     assert difference(exported(estimator, tmp_path, *hostile()), target, "-O3", *WARNINGS) is None
 
 

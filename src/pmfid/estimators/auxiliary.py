@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 import numpy as np
 from scipy.signal import lfilter
@@ -48,7 +48,10 @@ MODEL_CHECK_TIME_CONSTANTS = 50.0
 
 @dataclass(frozen=True)
 class Direct(BCRLS):
-    """`BCRLS` beside an auxiliary model, which gives it the dead time that its equation is linearised at."""
+    """`BCRLS` beside an auxiliary model, which gives it the dead time that its equation is linearised at; no method by
+    itself."""
+
+    method: ClassVar[str] = ""
 
     @classmethod
     def refuses(cls, equation: Equation) -> str:

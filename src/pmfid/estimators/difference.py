@@ -147,7 +147,7 @@ class Difference:
 
     def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = STEP) -> Floats:
         """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
-        jacobian, p = self.jacobian(q, width), len(self.equation.names)
+        jacobian, p = self.jacobian(q, width), self.parameters
         return without_nuisance(self, jacobian[:, :p], jacobian[:, p:], root)
 
     @property

@@ -145,7 +145,7 @@ class Equation:
             raise UsageError("one known term must be the input: without it nothing gives the unknown ones their scale")
         if not any(term.noisy for term in self.unknown) and not self.only_simulated:
             raise UsageError("one unknown term must be a derivative of the output, as of a mass or a viscous friction")
-        free = tuple((f"{term.name}_speed".replace("_friction", ""), "unit of y per s") for term in self._free)
+        free = tuple((f"{term.name}_speed".replace("_friction", ""), "m/s") for term in self._free)
         object.__setattr__(self, "further", tuple(dict.fromkeys((*self.further, *free))))
         places = [term.place for term in (*self.unknown, *self.known)]
         if len(set(places)) < len(places):

@@ -143,7 +143,7 @@ def _estimate(
     estimator: Estimator, record: Record, axis: Axis, progress: Progress | None, choice: Choice | None
 ) -> DriveResult:
     batch = _batch_twin(estimator)
-    seen = like(LS, batch, model=batch.model.symmetric, prefilter_zeros=None) if _by_motion(estimator) else batch
+    seen = like(LS, batch, model=batch.model.simple, prefilter_zeros=None) if _by_motion(estimator) else batch
     columns = seen.columns(record.u, record.counts)
     check_identifiable(columns, seen.names, seen.least_part)
     if isinstance(estimator, RecursiveEstimator):
