@@ -15,10 +15,11 @@ import pmfid
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.firmware import export_firmware
 from pmfid.kernel.saved import configuration, shape_of, tight_state
-from pmfid.kernel.structures import resized, source_folder, structures, whole_words
+from pmfid.kernel.structures import resized, structures, whole_words
 from tests.firmware.build import REQUIRED
 from tests.test_many import PROCESS, PROCESSES, VARIANTS, fleet_record, make, process_record
 
+SOURCES = Path(__file__).parents[2] / "csrc"
 PROGRAM = Path(__file__).with_suffix(".c")
 SANITIZE = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 #: Where the kernel comes from, and what runs it.
@@ -86,7 +87,7 @@ def program(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
     if place == "export":
         export_firmware(estimator, sources)
     else:
-        shutil.copytree(source_folder(), sources, dirs_exist_ok=True)
+        shutil.copytree(SOURCES, sources, dirs_exist_ok=True)  # an installation has those of firmware alone
     files = [str(PROGRAM), *sorted(map(str, sources.glob("pmf_*.c")))]
     options = ["-O0"]
     if place != "export" and estimator.precision == "float32":
