@@ -156,7 +156,9 @@ def page(names: Sequence[str], motions: Sequence[str], increments: Sequence[int]
     lines = [
         "# A dead time of the input",
         "",
-        "Written by `make study` (`python -m studies.dead_time`).",
+        "Written by",
+        "",
+        f"    python -m studies.dead_time --out docs/dead_time.md --seeds {seeds} --axes {' '.join(names)}",
         "",
         f'True dead times {taken} samples, {seeds} seeds each; the model has dead_time = "estimate". The largest',
         f"error of all runs; `riv` after {ON_THE_WAY} samples, from a dead time of 0 on. Bar over known: the standard",
