@@ -36,7 +36,7 @@ static void delay_input(const pmf_config_t *config, pmf_state_t *state)
     state->late.at = state->late.at == 0U ? kept - 1U : state->late.at - 1U;
     past[state->late.at] = signal[PMF_LATE_INPUT];
     samples = samples > PMF_R(0.0) ? samples : PMF_R(0.0);
-    samples = samples < PMF_R(1.0) * (real_t)late->room ? samples : (real_t)late->room;
+    samples = samples < (real_t)late->room ? samples : (real_t)late->room;
     whole = (uint32_t)samples;
     state->late.part = samples - (real_t)whole;
     state->late.older = past[(state->late.at + whole + 1U) % kept];

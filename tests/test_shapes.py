@@ -192,3 +192,16 @@ def test_terms_of_the_users_own_have_shapes() -> None:
         pmfid.Term("place", 0, "load", shape=Square())
     with pytest.raises(pmfid.UsageError, match="needs a shape"):
         pmfid.Term("friction", 0, "load")
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_a_fleet_keeps_what_it_knows_of_them_from_call_to_call(precision: str) -> None:
+    run, _, case = made("cart", stribeck=0.5)
+    model = pmfid.Drive(case.drive.input_gain, stribeck=0.05)
+    estimator = pmfid.RIV(model, pmfid.Encoder(case.resolution), case.dt, case.cutoff, precision=precision)
+    fleet = pmfid.Fleet(estimator, 2)
+    alone = estimator.run(run.u, run.counts)
+    assert not alone.status[-1] & pmfid.Status.FALLBACK
+    for part in np.array_split(np.arange(run.u.size), 4):
+        tracks = fleet.run(np.tile(run.u[part], (2, 1)), np.tile(run.counts[part], (2, 1)))
+    np.testing.assert_array_equal(tracks.theta[1, -1], alone.theta[-1])

@@ -14,6 +14,7 @@ from pmfid.cli.main import main
 from pmfid.estimators.output_error import OE
 from pmfid.judge.free_process import process_run
 from pmfid.judge.free_run import drive_run, firsts_of
+from pmfid.session.config import load_axis
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.simulation.process import simulate_process
 from studies.predicted import free_run
@@ -242,6 +243,8 @@ HOSTILE: dict[str, tuple[object, str]] = {
     "one too many": (changed(parameters=GOOD["parameters"] | {"offset": {"value": 1.0}}), "has offset"),
     "other unit": (parameter(unit="g"), "mass is in 'g' there and in 'kg'"),
     "other gain": (changed(input_gain=3.0), "input_gain = 3, and [model] has 1.5"),
+    "no text": (changed(equation=3), "equation: it should be a valid string"),
+    "a page for an equation": (changed(equation="\x1b[31m x \n" * 9999), "and [model] says mass x''"),
     "no mass": (parameter(value=0.0), "mass = 0"),
     "negative mass": (parameter(value=-1.0), "mass = -1"),
     "the error of compare": ({"record": "x", "methods": {}}, "model is missing"),
@@ -257,6 +260,21 @@ def test_what_is_no_result_is_told_in_one_line(tmp_path: Path, content: object, 
     assert len(result.stderr) < 600
     assert said in result.stderr
     assert ";" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("then", "now"), [("dead_time = 0.004", ""), ("", "dead_time = 0.004"), ("stribeck = 0.02", "stribeck = 0.03")]
+)
+def test_what_no_name_of_a_parameter_tells_must_be_the_same(tmp_path: Path, then: str, now: str) -> None:
+    """Else a machine whose input acts late was predicted as if it acted at once, without a word."""
+    before, after = (TOML.replace("input_gain = 1.5", f"input_gain = 1.5\n{key}") for key in (then, now))
+    more = GOOD["parameters"] | ({"stribeck_friction": {"value": 0.1, "unit": "N"}} if "stribeck" in then else {})
+    (tmp_path / "then.toml").write_text(before)
+    found = changed(parameters=more, equation=load_axis(tmp_path / "then.toml").model.make().equation.text)
+    assert called(files(tmp_path / "same", found, before)).exit_code == 0
+    result = called(files(tmp_path / "other", found, after))
+    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+    assert "and [model] says" in result.stderr
 
 
 def test_a_result_that_is_not_there(tmp_path: Path) -> None:

@@ -94,7 +94,7 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
         leave_estimate(unused, IN_STATE(borrowed), config->instrument.n_parameters);
         leave_out(unused, IN_STATE(auxiliary.parameter) + roles * (uint32_t)sizeof(scalar_t),
                   END_IN_STATE(auxiliary.parameter));
-        leave_out(unused, IN_STATE(auxiliary.jump) + roles * (uint32_t)sizeof(pmf_jump_t),
+        leave_out(unused, IN_STATE(auxiliary.jump) + config->auxiliary.sensitivities * (uint32_t)sizeof(pmf_jump_t),
                   END_IN_STATE(auxiliary.jump));
     } else {
         leave_out(unused, IN_STATE(borrowed), END_IN_STATE(borrowed));
@@ -102,8 +102,7 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
     }
     if (config->late.room == 0U) {
         leave_out(unused, IN_STATE(late), END_IN_STATE(late));
-        leave_out(unused, IN_STATE(auxiliary.parameter[PMF_DELAY]), END_IN_STATE(auxiliary.parameter));
-        leave_out(unused, IN_STATE(auxiliary.jump[PMF_DELAY]), END_IN_STATE(auxiliary.jump));
+        leave_out(unused, IN_STATE(auxiliary.parameter[PMF_DELAY]), END_IN_STATE(auxiliary.parameter[PMF_DELAY]));
     }
     if (config->linear.enabled == 0U) {
         leave_out(unused, IN_STATE(linear), END_IN_STATE(linear));

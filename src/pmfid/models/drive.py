@@ -98,7 +98,7 @@ class Drive:
     friction: str = "symmetric"
     spring: bool = False
     dead_time: float | Literal["estimate"] = 0.0
-    stribeck: float | str | None = None
+    stribeck: float | Literal["estimate"] | None = None
     quadratic: bool = False
     gravity: bool | float = False
     cogging: float | None = None

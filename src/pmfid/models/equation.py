@@ -11,6 +11,7 @@ from typing import Literal
 
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.kernel.shapes import Table
+from pmfid.models.shapes import ESTIMATE as ESTIMATE
 from pmfid.models.shapes import Shape, Stribeck
 from pmfid.models.signals import PROCESS_SIGNALS, SIGNALS, Signal, SignalFacts
 from pmfid.types import Floats
@@ -30,8 +31,6 @@ MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, OFFS
 #: Roles that are never negative: inertia, friction and dead time.
 POSITIVE_ROLES = (MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, LATE)
 DEAD_TIME = "dead_time"
-#: In place of a dead time that is to be found.
-ESTIMATE: Literal["estimate"] = "estimate"
 #: Longest dead time, in samples.
 MOST_LATE = 20
 

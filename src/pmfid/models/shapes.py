@@ -11,6 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,8 +24,8 @@ from pmfid.types import Floats
 PIECES = 64
 #: Stribeck speeds beyond which nothing is left of that friction: exp(-16).
 FADED = 4.0
-#: What a shape parameter is to be found instead of given.
-ESTIMATE = "estimate"
+#: In place of a number that is to be found.
+ESTIMATE: Literal["estimate"] = "estimate"
 #: Knots of a table of the user's own.
 MOST_KNOTS = 200
 SMALLEST, LARGEST = 1e-12, 1e12
@@ -67,7 +68,7 @@ class Stribeck(Shape):
     """exp(-(v / speed)^2): friction at rest beyond Coulomb's, which falls with the speed; speed > 0 [unit of y per s],
     or "estimate"."""
 
-    speed: float | str
+    speed: float | Literal["estimate"]
 
     of_speed = True
     positive = True

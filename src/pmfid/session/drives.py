@@ -80,7 +80,9 @@ class Drives(Kind[Record]):
         return [replace(run, notes=(*filter(None, (known.told,)), *run.notes))]
 
     def check_known(self, stored: Stored, data: Record, axis: Axis) -> None:
-        stored.check_known("input_gain", axis.model.make().equation.input_gain)
+        equation = axis.model.make().equation
+        stored.check_known("input_gain", equation.input_gain)
+        stored.check_equation(equation.text)
 
     def unit_of_output(self, axis: Axis) -> str:
         return "m" if axis.model.kind == "drive" else ""

@@ -143,6 +143,7 @@ class DriveResult(Result):
 
     def particulars(self) -> dict[str, object]:
         return {
+            "equation": self.estimator.equation.text,
             "input_gain": self.estimator.equation.input_gain,
             "fit": {"relative_error": self.relative_error},
             "prefilter_zeros": list(self.estimator.zeros),

@@ -14,7 +14,7 @@ from typing import NoReturn
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from pmfid.errors import UsageError
+from pmfid.errors import UsageError, printable
 from pmfid.types import Floats
 
 __all__ = ["Stored", "read_stored"]
@@ -23,6 +23,8 @@ __all__ = ["Stored", "read_stored"]
 LARGEST = 10_000_000
 REMEDY = "give the result.json that `pmfid identify --out` writes, or what --json prints"
 SAME_AXIS = "give the AXIS.toml that it was identified with"
+#: Of a text in the file so much is repeated.
+LONGEST = 150
 #: Numbers of one quantity that are printed and read again agree to this part.
 SAME = 1e-6
 #: Names of unknowns of a pre-filter, which no motion depends on.
@@ -45,12 +47,14 @@ class _File(_Section):
     method: str = "given"
     input_gain: float | None = None
     dead_time: float | None = None
+    equation: str | None = None
 
 
 @dataclass(frozen=True)
 class Stored:
     """Parameters as a file has them, with the units it gives; kind: of the model; method: that they come from;
-    input_gain, dead_time [s]: what was known with them, None where the file does not say; source: name of the file."""
+    input_gain, dead_time [s], equation: what was known with them, None where the file does not say; source: name of
+    the file."""
 
     kind: str
     method: str
@@ -58,6 +62,7 @@ class Stored:
     units: Mapping[str, str]
     input_gain: float | None
     dead_time: float | None
+    equation: str | None
     source: str
 
     def theta(self, kind: str, names: Sequence[str], units: Sequence[str]) -> Floats:
@@ -82,6 +87,13 @@ class Stored:
         if then is not None and not abs(then - value) <= SAME * max(abs(then), abs(value)):
             self._refuse(f"it was identified with {what} = {then:.9g}, and [model] has {value:.9g}; {SAME_AXIS}")
 
+    def check_equation(self, text: str) -> None:
+        """Raises UsageError where the parameters were found in another equation: the names do not tell a known dead
+        time, the speed of a friction or the pitch of a force."""
+        if self.equation is not None and self.equation != text:
+            said = printable(" ".join(self.equation.split()))[:LONGEST]
+            self._refuse(f"it was identified with {said}, and [model] says {text}; {SAME_AXIS}")
+
     def _refuse(self, text: str) -> NoReturn:
         raise UsageError(f"{self.source}: {text}")
 
@@ -101,7 +113,8 @@ def read_stored(path: Path) -> Stored:
         raise UsageError(f"{path}: not a result in JSON: {' '.join(str(error).split())}; {REMEDY}") from None
     values = {name: entry.value for name, entry in found.parameters.items()}
     units = {name: entry.unit for name, entry in found.parameters.items() if entry.unit is not None}
-    return Stored(found.model, found.method, values, units, found.input_gain, found.dead_time, str(path))
+    known = found.input_gain, found.dead_time, found.equation
+    return Stored(found.model, found.method, values, units, *known, str(path))
 
 
 def _no_number(text: str) -> NoReturn:
