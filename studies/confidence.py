@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -37,14 +38,7 @@ FEWEST = 8
 
 
 def tasks(seeds: int) -> list[Task]:
-    return [
-        (axis, wrong, motion, increments, seed)
-        for axis in AXES
-        for wrong in WRONG
-        for motion in MOTIONS
-        for increments in INCREMENTS
-        for seed in range(seeds)
-    ]
+    return list(product(AXES, WRONG, MOTIONS, INCREMENTS, range(seeds)))
 
 
 def work(name: str, wrong: str, motion: str, increments: int, seed: int) -> dict[str, Any]:

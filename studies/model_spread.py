@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -47,14 +48,7 @@ def right_tasks(seeds: int) -> list[Task]:
 
 
 def _tasks(frictions: Iterable[str], seeds: int) -> list[Task]:
-    return [
-        (bench, friction, motion, increments, FIRST_SEED + seed)
-        for bench in BENCHES
-        for friction in frictions
-        for motion in MOTIONS
-        for increments in INCREMENTS
-        for seed in range(seeds)
-    ]
+    return list(product(BENCHES, frictions, MOTIONS, INCREMENTS, range(FIRST_SEED, FIRST_SEED + seeds)))
 
 
 def work(bench: str, friction: str, motion: str, increments: int, seed: int) -> dict[str, Any]:

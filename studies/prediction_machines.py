@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -25,14 +26,7 @@ OTHER = 500
 
 
 def tasks(seeds: int) -> list[Task]:
-    return [
-        (axis, wrong, motion, increments, seed)
-        for axis in MACHINES
-        for wrong in LACKING
-        for motion in MOTIONS
-        for increments in INCREMENTS
-        for seed in range(seeds)
-    ]
+    return list(product(MACHINES, LACKING, MOTIONS, INCREMENTS, range(seeds)))
 
 
 def work(name: str, wrong: str, motion: str, increments: int, seed: int) -> dict[str, tuple[float, float]]:

@@ -13,7 +13,7 @@ from pmfid.estimators.adequacy import weigh
 from pmfid.estimators.likelihood import best_of
 from pmfid.models.shapes import Along, Square, Stribeck, Wave
 from pmfid.session.arrays import axis_of
-from pmfid.session.config import ModelConfig
+from pmfid.session.model_config import ModelConfig
 from pmfid.simulation.drive import DriveParameters
 from pmfid.simulation.machine import Machine, MachineRun, drive_machine
 

@@ -18,6 +18,7 @@
 #define PMF_WINDOW_BLOCKS 0 /* seldom used, but most of the memory */
 
 #include "../pmf_auxiliary.c"
+#include "../pmf_verdicts.c"
 #include "../pmf_encoder.c"
 #include "pmf_many.h"
 #include "../pmf_network.c"

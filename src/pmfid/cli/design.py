@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 import click
 
+from pmfid.cli.options import JSON
 from pmfid.cli.output import print_json
 from pmfid.errors import PmfidError, UsageError
 
@@ -27,7 +28,6 @@ OUT = click.option(
     metavar="DIR",
     help="Write report.html, design.json, and t, u, x, v as design.csv there.",
 )
-JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 #: Option -> key of SPEC.toml.
 KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": "search.seed"}
 

@@ -12,6 +12,7 @@ from pmfid import __version__
 from pmfid.cli.design import commission, design
 from pmfid.cli.export import export
 from pmfid.cli.monitor import monitor
+from pmfid.cli.options import CUTOFF, JSON, RECORDS, config_option, folder_option
 from pmfid.cli.output import print_json
 from pmfid.cli.progress import progress
 from pmfid.cli.reproduce import reproduce
@@ -26,19 +27,6 @@ EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 #: Runs over fewer samples are over before anybody asks how far they are.
 PROGRESS_FROM = 1_000_000
-
-
-RECORDS = click.argument("records", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RECORD...")
-CONFIG = click.option(
-    "--config",
-    required=True,
-    type=click.Path(path_type=Path),
-    metavar="AXIS.toml",
-    help="What the record holds, the encoder, the model, the estimator.",
-)
-CUTOFF = click.option(
-    "--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; its inverse is their time constant."
-)
 
 
 class Group(click.Group):
@@ -89,7 +77,7 @@ def _open_closed_streams() -> None:
     """,
 )
 @RECORDS
-@CONFIG
+@config_option()
 @click.option(
     "--method",
     type=click.Choice(METHODS),
@@ -106,16 +94,11 @@ def _open_closed_streams() -> None:
     metavar="STEP",
     help="Floor the position to this coarser step first: what if the encoder were cheaper?",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    help="Write report.html and result.json there, and track.parquet of a recursive method on a drive.",
-)
+@folder_option("Write report.html and result.json there, and track.parquet of a recursive method on a drive.")
 @click.option("--n", type=int, help="Poles of a transfer function.")
 @click.option("--m", type=int, help="Zeros of a transfer function.")
 @click.option("--delay", type=int, help="Dead time of a transfer function in samples.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+@JSON
 def identify(
     records: tuple[Path, ...], config: Path, quantize: float | None, out: Path | None, as_json: bool, **options: object
 ) -> None:
@@ -145,10 +128,10 @@ def identify(
 
 @main.command(short_help="Search the structure of a transfer function.")
 @RECORDS
-@CONFIG
+@config_option()
 @CUTOFF
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write order.html there.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+@folder_option("Write order.html there.")
+@JSON
 def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Path | None, as_json: bool) -> None:
     """Search the poles, zeros and dead time of a transfer function that explains RECORD.
 
@@ -176,13 +159,13 @@ def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Pa
 
 @main.command(short_help="Identify a record by every method, side by side.")
 @RECORDS
-@CONFIG
+@config_option()
 @CUTOFF
 @click.option("--quantize", type=float, metavar="STEP", help="Floor the position to this coarser step first.")
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write compare.html there."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+@JSON
 def compare(
     records: tuple[Path, ...],
     config: Path,

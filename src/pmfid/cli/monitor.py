@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pmfid.cli.options import config_option
 from pmfid.monitor.names import DETECTORS
 
 if TYPE_CHECKING:
@@ -23,13 +24,7 @@ if TYPE_CHECKING:
 
 @click.command(short_help="Watch a record or a pipe and tell what changes.")
 @click.argument("record", type=click.Path(path_type=Path, allow_dash=True))
-@click.option(
-    "--config",
-    required=True,
-    type=click.Path(path_type=Path),
-    metavar="AXIS.toml",
-    help="With a section [monitor] that names a record of normal work.",
-)
+@config_option("With a section [monitor] that names a record of normal work.")
 @click.option("--mtbf-hours", type=float, metavar="H", help="Mean time between false alarms.")
 @click.option("--detector", type=click.Choice(DETECTORS), help="What looks for a change.")
 @click.option("--tolerance", type=float, metavar="PART", help="Relative deviation that is no change.")

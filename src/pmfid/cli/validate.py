@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pmfid.cli.options import JSON, RECORDS, config_option, folder_option
 from pmfid.cli.output import print_json
 from pmfid.errors import printable
 
@@ -15,14 +16,8 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="Predict other records with a result, by free-run simulation.")
-@click.argument("records", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RECORD...")
-@click.option(
-    "--config",
-    required=True,
-    type=click.Path(path_type=Path),
-    metavar="AXIS.toml",
-    help="What the records hold, the encoder, the model; of [estimator] only the cutoff is used.",
-)
+@RECORDS
+@config_option("What the records hold, the encoder, the model; of [estimator] only the cutoff is used.")
 @click.option(
     "--model",
     "stored",
@@ -31,13 +26,8 @@ if TYPE_CHECKING:
     metavar="RESULT.json",
     help="The parameters: what `pmfid identify --out` or --json has written.",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    help="Write validation.html and validation.json there.",
-)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+@folder_option("Write validation.html and validation.json there.")
+@JSON
 def validate(records: tuple[Path, ...], config: Path, stored: Path, out: Path | None, as_json: bool) -> None:
     """Simulate each RECORD from its input alone, with the parameters of RESULT.json, beside what was measured.
 

@@ -77,7 +77,8 @@ class Difference:
         split, u = 1, self.u
         if force is not None:
             split = force.size // u.size
-            u = np.repeat(u, split) + self._early(force, theta[: len(self.equation.names)], split) / self.gain
+            early = self._early(force, theta[: len(self.equation.names)], split)
+            u = np.repeat(u, split) + early / self.equation.input_gain
         # a spring's length counts from the first count
         start = float(v0), float(x0 - self.slack)
         parts = max(1, -(-self.parts // split))
@@ -88,11 +89,6 @@ class Difference:
         """A force as it must stand in an input that acts late, to act in time."""
         late = round(self.equation.role_values(theta)[LATE] * parts / self.dt)
         return np.r_[force[late:], np.full(min(late, force.size), force[-1])] if late > 0 else force
-
-    @property
-    def gain(self) -> float:
-        """Force per unit of the input."""
-        return self.equation.input_gain
 
     @property
     def before(self) -> Floats:

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 
 from pmfid.judge.balance import Balance, Binned
 from pmfid.judge.correlations import correlations
-from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, decimation, figure_style
+from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, figure_style
+from pmfid.report.followed import followed_figure
 from pmfid.types import Floats
 
 MAX_DOTS = 1200
@@ -16,20 +17,9 @@ MAX_DOTS = 1200
 
 def simulation_figure(balance: Balance) -> Figure:
     """Filtered velocity measured and simulated, and the position measured less simulated, over time."""
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 4.4), layout="constrained")
-        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        for signal, label, style in ((balance.measured, "measured", "-"), (balance.simulated, "simulated", "--")):
-            i = decimation(signal)
-            upper.plot(balance.t[i], signal[i], style, lw=0.9, label=label)
-        upper.set_ylabel("filtered velocity [m/s]")
-        upper.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, borderaxespad=0.2)
-        i = decimation(balance.drift)
-        lower.plot(balance.t[i], balance.drift[i], color=COLOURS[2])
-        lower.set_ylabel("position, measured\nless simulated [m]")
-        lower.set_xlabel("time [s]")
-        lower.margins(x=0)
-    return figure
+    followed = balance.measured, balance.simulated
+    left = "position, measured\nless simulated [m]"
+    return followed_figure(balance.t, followed, "filtered velocity [m/s]", balance.drift, left)
 
 
 def residual_figure(balance: Balance) -> Figure:

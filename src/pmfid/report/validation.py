@@ -7,8 +7,9 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from pmfid.judge.free_run import FreeRun
-from pmfid.report.figures import COLOURS, GREY, WIDTH, decimation, figure_style, plain_ticks
+from pmfid.report.figures import COLOURS, WIDTH, figure_style, plain_ticks
 from pmfid.report.files import write_json
+from pmfid.report.followed import followed_figure
 from pmfid.report.html import Section, svg, write_report
 from pmfid.session.validation import Validation
 
@@ -87,21 +88,8 @@ def _number(value: float | None) -> str:
 
 def run_figure(run: FreeRun, unit: str) -> Figure:
     """Measured and simulated output, and their difference, over time."""
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 4.4), layout="constrained")
-        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        for signal, label, style in ((run.measured, "measured", "-"), (run.simulated, "simulated", "--")):
-            i = decimation(signal)
-            upper.plot(run.t[i], signal[i], style, lw=0.9, label=label)
-        upper.set_ylabel(_with_unit("output", unit))
-        upper.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, borderaxespad=0.2)
-        i = decimation(run.error)
-        lower.plot(run.t[i], run.error[i], color=COLOURS[2])
-        lower.axvspan(run.t[0], run.t[0] + run.read, color=GREY, alpha=0.3, lw=0)
-        lower.set_ylabel(_with_unit("measured\nless simulated", unit))
-        lower.set_xlabel("time [s] (shaded: what the start is fitted to)")
-        lower.margins(x=0)
-    return figure
+    labels = _with_unit("output", unit), _with_unit("measured\nless simulated", unit)
+    return followed_figure(run.t, (run.measured, run.simulated), labels[0], run.error, labels[1], run.read)
 
 
 def horizon_figure(found: Validation) -> Figure:

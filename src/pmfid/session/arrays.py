@@ -15,9 +15,10 @@ from pmfid.estimators.arguments import check_arrays
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.session.config import NO_ENCODER, SHAPES, Axis, keys_of
+from pmfid.session.config import NO_ENCODER, Axis
 from pmfid.session.identify import identify as run
 from pmfid.session.kinds import Records, parameters_of
+from pmfid.session.model_config import SHAPES, keys_of
 from pmfid.session.records import Record, record_of
 from pmfid.session.result import Result
 from pmfid.session.toml_file import validated as axis_from

@@ -5,8 +5,7 @@ The description of a field ends the error message about it: it must read well af
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import fields
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -14,12 +13,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from pmfid.errors import UsageError
 from pmfid.estimators import Method
-from pmfid.models.drive import Drive, EquationModel, Model
-from pmfid.models.equation import Equation, Term
-from pmfid.models.shapes import Along, Shape, Square, Stribeck, Wave
-from pmfid.models.signals import Signal
-from pmfid.models.transfer_function import TransferFunction
 from pmfid.monitor.names import DetectorName
+from pmfid.session.model_config import ModelConfig, Name, Positive
 from pmfid.session.toml_file import FileSection, load_sections
 
 __all__ = ["Axis", "check_sampling", "load_axis"]
@@ -31,31 +26,16 @@ def _usable_scale(value: float | str) -> float | str:
     return value
 
 
-def _usable_gain(value: float) -> float:
-    try:
-        return Drive(value).input_gain  # one rule for Python and TOML
-    except UsageError as error:
-        raise ValueError(str(error).partition(";")[0]) from None
-
-
 def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
     if value is not None and value[0] == value[1]:
         raise ValueError("the two zeros must differ")
     return value
 
 
-#: What makes the model of a kind, beside the user's own terms.
-MODELS: dict[str, type[Drive | TransferFunction]] = {cls.kind: cls for cls in (Drive, TransferFunction)}
-#: Fields of a model that no file sets: the starts of experiments are always part of the fit.
-NOT_IN_FILES = ("initial_conditions",)
-#: The forms of forces, by their names in files.
-SHAPES: dict[str, Callable[..., Shape]] = {"stribeck": Stribeck, "square": Square, "wave": Wave, "along": Along}
 #: Resolution of an output that is a number and no count: finer than any.
 NO_ENCODER = 1e-29
 
-Positive = Annotated[float, Field(gt=0)]
 Negative = Annotated[float, Field(lt=0)]
-Name = Annotated[str, Field(min_length=1)]
 
 
 class RecordConfig(FileSection):
@@ -103,142 +83,6 @@ class EncoderConfig(FileSection):
     standstill_time: Positive = Field(0.2, description="the time in s without a new count that means standstill")
     max_speed: Positive | None = Field(None, description="the highest possible speed in unit of y per s")
     guard: bool = Field(True, description="true, or false to let samples in that no motion explains")
-
-
-FORMS = '"stribeck" with speed, "square", "wave" with period, or "along" with start, step and values'
-
-
-class ShapeConfig(FileSection):
-    """The form of a friction or a force at a place, for a term of the user's own equation."""
-
-    form: Literal["stribeck", "square", "wave", "along"] = Field(description=FORMS)
-    speed: Positive | Literal["estimate"] | None = Field(
-        None, description='the speed of "stribeck" in unit of y per s, or "estimate" to find it'
-    )
-    period: Positive | None = Field(None, description='the period of "wave" in the unit of y')
-    cosine: bool | None = Field(None, description='true if "wave" is a cosine, false for a sine')
-    start: float | None = Field(None, description='the first place of "along" in the unit of y')
-    step: Positive | None = Field(None, description='the distance of the places of "along" in the unit of y')
-    values: tuple[float, ...] | None = Field(None, strict=False, description='the form at the places of "along"')
-
-    def make(self) -> Shape:
-        """Raises UsageError for a form with other keys than its own."""
-        given = {key: value for key, value in dict(self).items() if key != "form" and value is not None}
-        try:
-            return SHAPES[self.form](**given)
-        except TypeError:
-            raise UsageError(f"a shape has the form {FORMS}; got {self.form} with {list(given)}") from None
-
-
-class UnknownTerm(FileSection):
-    """A term of the user's own equation, whose coefficient is to be found."""
-
-    signal: Signal
-    derivative: int = 0
-    coefficient: float = 1.0
-    name: Name
-    unit: str = ""
-    shape: ShapeConfig | None = None
-
-
-class KnownTerm(FileSection):
-    """A term of the user's own equation with a known coefficient."""
-
-    signal: Signal = "input"
-    derivative: int = 0
-    coefficient: float = 1.0
-
-
-class ModelConfig(FileSection):
-    """[model]: the equation, mass x'' + viscous_friction x' + coulomb_friction sign(x') [+ ...] = input_gain u, or one
-    of the user's own terms: kind = "equation"."""
-
-    kind: Literal["drive", "equation", "transfer_function"] = Field(
-        "drive", description='"drive", "transfer_function", or "equation" for the terms in unknown and known'
-    )
-    n: int | None = Field(None, description="the number of poles, 1 to 6, of a transfer function")
-    m: int | None = Field(None, description="the number of zeros, 0 to n, of a transfer function")
-    delay: int = Field(0, description="the dead time in whole samples, 0 to 20, of a transfer function")
-    dead_time: float | Literal["estimate"] = Field(
-        0.0, description='the time in s by which the input acts late, any part of a sample, or "estimate" to find it'
-    )
-    integrators: int = Field(0, description="how many of the n poles of a transfer function are known to be at 0")
-    unstable: bool = Field(
-        False, description="true if a controller holds a transfer function with poles in the right half-plane"
-    )
-    input_gain: Annotated[float, AfterValidator(_usable_gain)] | None = Field(
-        None, description="the force in N per unit of u, for example 2.0, negative where they point apart"
-    )
-    friction: Literal["symmetric", "directional"] = Field(
-        "symmetric", description="whether friction differs between forward and backward"
-    )
-    offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
-    spring: bool = Field(False, description="true if the load hangs on a spring, false if there is none")
-    stribeck: Positive | Literal["estimate"] | None = Field(
-        None, description='the speed over which friction at rest falls, in unit of y per s, or "estimate" to find it'
-    )
-    quadratic: bool = Field(False, description="true if friction grows with the square of the speed as well")
-    gravity: bool | Positive = Field(
-        False, description="true if gravity turns a rotary axis and y is in rad, or the turn in the unit of y"
-    )
-    cogging: Positive | None = Field(None, description="the pitch of a cogging force in the unit of y")
-    friction_period: Positive | None = Field(
-        None, description="the period in the unit of y of friction that changes along the travel"
-    )
-    unknown: tuple[UnknownTerm, ...] = Field(
-        (), strict=False, description='terms as { signal = "output", derivative = 2, name = "inertia", unit = "kg m2" }'
-    )
-    known: tuple[KnownTerm, ...] = Field(
-        (KnownTerm(),), strict=False, description='terms as { signal = "input", coefficient = 0.35 }'
-    )
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> Self:
-        if self.kind == "drive" and self.input_gain is None:
-            raise ValueError("input_gain is missing; give the force in N per unit of u, for example 2.0")
-        if self.kind != "equation" and (self.unknown or "known" in self.model_fields_set):
-            raise ValueError('unknown and known are for kind = "equation"; add that, or drop them')
-        own = set(keys_of(Drive)) - {"dead_time"} & self.model_fields_set
-        if self.kind == "equation" and own:
-            raise ValueError(f'{", ".join(sorted(own))} is for kind = "drive"; write it as a term of unknown or known')
-        self._check_transfer_function()
-        try:
-            self.make()
-        except UsageError as error:
-            raise ValueError(str(error)) from None
-        return self
-
-    def _check_transfer_function(self) -> None:
-        wanted, of_drive, of_process = (
-            self.kind == "transfer_function",
-            set(keys_of(Drive)),
-            set(keys_of(TransferFunction)),
-        )
-        own = (of_process - of_drive) & self.model_fields_set
-        if wanted and (self.n is None or self.m is None):
-            raise ValueError("n or m is missing; give the numbers of poles and zeros, or search: pmfid order RECORD")
-        if own and not wanted:
-            raise ValueError(f'{", ".join(sorted(own))} is for kind = "transfer_function"; add that, or drop it')
-        foreign = ({*of_drive, "unknown", "known"} - of_process) & self.model_fields_set
-        if wanted and foreign:
-            raise ValueError(f"{', '.join(sorted(foreign))} is not for a transfer function; drop it")
-
-    def make(self) -> Model:
-        """The model that the section describes. Raises UsageError where the terms make no equation."""
-        if self.kind == "equation":
-            unknown = tuple(
-                Term(**(dict(term) | {"shape": None if term.shape is None else term.shape.make()}))
-                for term in self.unknown
-            )
-            known = tuple(Term(**dict(term)) for term in self.known)
-            return EquationModel(Equation(unknown, known, dead_time=self.dead_time))
-        cls = MODELS[self.kind]
-        return cls(**{key: getattr(self, key) for key in keys_of(cls)})
-
-
-def keys_of(model: type[Drive | TransferFunction]) -> tuple[str, ...]:
-    """The keys of [model] that make such a model: the names of its fields."""
-    return tuple(field.name for field in fields(model) if field.name not in NOT_IN_FILES)
 
 
 class EstimatorConfig(FileSection):

@@ -1,0 +1,79 @@
+/* What the auxiliary model's misses say of the plant: that its input follows them, or that it is late.
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * Both are correlations of what is known already, sample by sample, and no more than a bit of the status.
+ */
+#include "pmf_internal.h"
+
+#if PMF_WITH_AUXILIARY
+
+#define FEEDBACK_MEMORY PMF_R(0.999)
+/* Part of what the model's velocity lacks, squared correlation, that its acceleration explains where it is ahead of the
+ * plant, and by how much of a sample at least: 0.06 and 0.03 for half a sample of dead time under position control, 0.2
+ * in open loop, while chance and a right model stay below one of both. And how sure that must be, in samples alike. */
+#define LATE_PART PMF_R(0.04)
+#define LATE_BY PMF_R(0.02)
+#define LATE_SURE PMF_R(9.0)
+#define FEEDBACK_STARTS \
+    250U /* innovations of a young estimate are large and say nothing; as many more make a verdict */
+#define FEEDBACK_TURNS 16U /* so many updates in turn are looked at, and not: that costs half */
+/* Squared correlation of what the controller makes of the encoder's error with what the equation makes of it: 0.14 to
+ * 0.8 under position control, in open loop at most 0.04, however seldom the input changes. */
+#define FEEDBACK_PART PMF_R(0.09)
+
+PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const pmf_recursion_state_t *recursion,
+                                       truth_t where, real_t change)
+{
+    real_t innovation = recursion->estimate.innovation, limit;
+    truth_t follows;
+    where = where & (recursion->started > FEEDBACK_STARTS) & ((recursion->updates & FEEDBACK_TURNS) != 0U);
+    if (!PMF_ANY(where)) {
+        return state->feedback;
+    }
+    state->cross = PMF_IF(where, FEEDBACK_MEMORY * state->cross + innovation * change, state->cross);
+    state->innovations =
+        PMF_IF(where, FEEDBACK_MEMORY * state->innovations + innovation * innovation, state->innovations);
+    state->changes = PMF_IF(where, FEEDBACK_MEMORY * state->changes + change * change, state->changes);
+    limit = FEEDBACK_PART * state->innovations * state->changes;
+    follows = (recursion->started > 2U * FEEDBACK_STARTS) & (state->cross * state->cross > limit);
+    state->feedback = PMF_IF(where, PMF_BIT(follows, PMF_FEEDBACK), state->feedback);
+    return state->feedback;
+}
+
+static void note_lag(pmf_lag_t *lag, scalar_t memory, real_t lack, real_t acceleration, real_t velocity)
+{
+    lag->weight = memory * lag->weight + PMF_R(1.0);
+    lag->lack_lack = memory * lag->lack_lack + lack * lack;
+    lag->lack_acceleration = memory * lag->lack_acceleration + lack * acceleration;
+    lag->lack_velocity = memory * lag->lack_velocity + lack * velocity;
+    lag->acceleration = memory * lag->acceleration + acceleration * acceleration;
+    lag->cross = memory * lag->cross + acceleration * velocity;
+    lag->velocity = memory * lag->velocity + velocity * velocity;
+}
+
+/* Of what is lacking, beside what a wrong size of the velocity explains: the acceleration's part in it. */
+static truth_t is_behind(const pmf_auxiliary_config_t *config, const pmf_lag_t *lag)
+{
+    real_t lack = lag->lack_velocity / lag->velocity, alike = lag->cross / lag->velocity;
+    real_t lacks = lag->lack_lack - lag->lack_velocity * lack, both, acceleration, part;
+    both = lag->lack_acceleration - lag->lack_velocity * alike;
+    acceleration = lag->acceleration - lag->cross * alike;
+    part = (both / acceleration) * (both / lacks);
+    return (lacks > PMF_R(0.0)) & (acceleration > PMF_R(0.0)) & (part > LATE_PART) &
+           (part * lag->weight > LATE_SURE * config->lag_samples) & (-both > LATE_BY * config->dt * acceleration);
+}
+
+PMF_API whole_t pmf_auxiliary_late(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
+                                   const real_t *column, truth_t where)
+{
+    real_t modelled = column[config->check_column + 1U], acceleration = column[config->check_column + 2U];
+    real_t lack = column[config->check_column] - modelled;
+    truth_t looks = where & ((state->turn & (PMF_FOLLOWED - 1U)) == 0U);
+    PMF_WHERE(where, &state->lag, note_lag(&state->lag, config->lag_memory, lack, acceleration, modelled));
+    if (PMF_ANY(looks)) {
+        state->late = PMF_IF(looks, PMF_BIT(is_behind(config, &state->lag), PMF_DEAD_TIME), state->late);
+    }
+    return state->late;
+}
+
+#endif
