@@ -86,8 +86,8 @@ def _views(
 def believed_squares(found: Adequacy) -> Floats:
     """(k,) mean squares of the coefficients of the forces, as the record and what is plausible in machines say.
 
-    Where the model is contradicted, a force counts by its part of what the clearest one explains; one that is tested
-    for, but not supposed, only where it is nearly as clear as that.
+    Where the model is contradicted, a force counts by its part of what the one explains that explains most; one that
+    is tested for, but not supposed, only where it explains nearly as much as that.
     """
     prior, variance = np.array([lack.plausible for lack in found.lacks]) ** 2, found.size_std**2
     share = prior / (prior + variance)
@@ -96,9 +96,9 @@ def believed_squares(found: Adequacy) -> Floats:
     squares = weight * (share * variance + (share * found.size) ** 2)
     if not found.missed:
         return np.where(prior > 0, squares, 0.0)
-    clear = np.abs(found.z) / np.abs(found.z[found.missed[0]])
-    asked = np.where(clear > NEARLY, found.size**2, 0.0)
-    return np.where(prior > 0, squares * clear**2, asked)
+    explained = np.minimum(found.gain / found.gain[found.missed[0]], 1.0)
+    asked = np.where(explained > NEARLY, found.size**2, 0.0)
+    return np.where(prior > 0, squares * explained, asked)
 
 
 def _parts(twin: IV, columns: Columns, found: Adequacy) -> Iterator[NDArray[np.bool_]]:
