@@ -162,7 +162,8 @@ def with_sizes(found: Adequacy, size: float, std: float) -> Adequacy:
     plausible = np.array([lack.plausible for lack in found.lacks])
     other = np.where(plausible > 0, plausible, 1.0)
     there = np.where(plausible > 0, size, 0.0)
-    return replace(found, size=there * other, size_std=std * other, z=there / std)
+    bars = std * other
+    return replace(found, size=there * other, size_std=bars, z=there / std, expected=1 / bars**2)
 
 
 @pytest.mark.parametrize(

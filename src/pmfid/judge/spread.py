@@ -80,7 +80,8 @@ def _views(
     for part in _parts(twin, columns, found):
         first, second = _solved(twin, columns, part), _solved(twin, columns, ~part)
         if first is not None and second is not None:
-            yield np.maximum((first[0] - second[0]) ** 2 - first[1] - second[1], 0.0) / 4
+            share = _share(columns, part)
+            yield np.maximum((first[0] - second[0]) ** 2 - first[1] - second[1], 0.0) * share * (1 - share)
 
 
 def believed_squares(found: Adequacy) -> Floats:
@@ -109,6 +110,14 @@ def _parts(twin: IV, columns: Columns, found: Adequacy) -> Iterator[NDArray[np.b
     speed = np.abs(velocity)
     yield speed > np.median(speed)
     yield velocity > 0
+
+
+def _share(columns: Columns, part: NDArray[np.bool_]) -> Floats:
+    """(p,) of the information on each parameter that both parts have the part that the first one has: as many of two
+    different values are in the estimate from both, which so scatter by share (1 - share) of the square between them."""
+    scaled = columns.phi / np.linalg.norm(columns.phi, axis=0)
+    inside, outside = (1 / np.diagonal(np.linalg.pinv(phi.T @ phi)) for phi in (scaled[part], scaled[~part]))
+    return np.asarray(inside / (inside + outside))
 
 
 def _solved(twin: IV, columns: Columns, part: NDArray[np.bool_]) -> tuple[Floats, Floats] | None:
