@@ -86,10 +86,21 @@ def test_overrides_go_before_the_file_and_none_is_ignored(tmp_path: Path) -> Non
     assert axis.model.offset is True
 
 
-def test_override_can_supply_a_whole_missing_section(tmp_path: Path) -> None:
+def test_the_estimator_has_a_default_and_overrides_can_supply_a_whole_section(tmp_path: Path) -> None:
     path = write(tmp_path, MINIMAL.replace("[estimator]\ncutoff = 50.0\n", ""))
+    assert load_axis(path).estimator.cutoff is None
     assert load_axis(path, {"estimator.cutoff": 30.0}).estimator.cutoff == 30.0
-    assert "[estimator] is missing; give a section with at least the cutoff" in message(path)
+    assert "[encoder] is missing; give a section with at least the resolution" in message(
+        write(tmp_path, MINIMAL.replace("[encoder]\nresolution = 1e-3\n", ""))
+    )
+
+
+def test_a_transfer_function_needs_the_pole_of_its_filters(tmp_path: Path) -> None:
+    process = MINIMAL.replace("input_gain = 2", 'kind = "transfer_function"\nn = 1\nm = 0')
+    assert load_axis(write(tmp_path, process)).estimator.pole == 50.0
+    text = message(write(tmp_path, process.replace("cutoff = 50.0", "")))
+    assert text.startswith("[estimator] cutoff is missing")
+    assert "near those of the process" in text
 
 
 def test_bad_override_is_named_as_option(tmp_path: Path) -> None:
@@ -114,7 +125,7 @@ def test_prefilter_zeros_from_a_toml_list(tmp_path: Path) -> None:
         ("cutoff = 50.0", "cutoff = 0", ("[estimator] cutoff = 0:", "greater than 0", "rad/s")),
         ("cutoff = 50.0", "cutoff = nan", ("[estimator] cutoff = nan:", "finite")),
         ("cutoff = 50.0", 'cutoff = "50"', ("[estimator] cutoff = '50':", "valid number")),
-        ("cutoff = 50.0", "", ("[estimator] cutoff is missing; give the pole",)),
+        ("resolution = 1e-3", "", ("[encoder] resolution is missing; give the unit of y per count",)),
         ("cutoff = 50.0", "cutof = 50.0", ("[estimator] cutof is an unknown key", "did you mean 'cutoff'?")),
         (
             "[estimator]\n",
@@ -186,9 +197,9 @@ def test_several_problems_come_in_one_error_in_the_order_of_the_sections(tmp_pat
 
 
 def test_a_misspelt_key_comes_before_the_missing_one(tmp_path: Path) -> None:
-    first, second = changed(tmp_path, "cutoff = 50.0", "cutof = 50.0").split("\n  ")
-    assert first.endswith("prefilter_zeros, precision; did you mean 'cutoff'?")
-    assert second.startswith("[estimator] cutoff is missing")
+    first, second = changed(tmp_path, "resolution = 1e-3", "resolutio = 1e-3").split("\n  ")
+    assert first.endswith("max_speed, guard; did you mean 'resolution'?")
+    assert second.startswith("[encoder] resolution is missing")
 
 
 def test_a_wrong_input_scale_gives_one_line(tmp_path: Path) -> None:
@@ -207,7 +218,7 @@ def test_unreadable_configurations(tmp_path: Path) -> None:
     assert "not UTF-8 text" in message(binary)
     empty = message(write(tmp_path, ""))
     required = [section for section, field in Axis.model_fields.items() if field.is_required()]
-    assert len(required) == 4
+    assert len(required) == 3
     assert all(f"[{section}] is missing" in empty for section in required)
 
 

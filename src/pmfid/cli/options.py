@@ -12,7 +12,7 @@ F = TypeVar("F", bound=Callable[..., object])
 
 RECORDS = click.argument("records", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RECORD...")
 CUTOFF = click.option(
-    "--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; its inverse is their time constant."
+    "--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; of a machine, default: chosen by the record."
 )
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 

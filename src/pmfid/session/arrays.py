@@ -35,7 +35,7 @@ def identify(
     *,
     model: Model,
     dt: float | None = None,
-    cutoff: float,
+    cutoff: float | None = None,
     encoder: Encoder | None = None,
     **settings: object,
 ) -> Result:
@@ -43,9 +43,9 @@ def identify(
 
     u: input (n,). y: of a machine the counts of its encoder (n,), integers (see `quantize`); of a transfer function the
     output (n,), any numbers; or in place of both one `Experiment` or several, with time, gaps and a reference.
-    model: `Drive`, `EquationModel` or `TransferFunction`. dt: sample period [s]. cutoff: pole of the filters [rad/s].
-    encoder: of a machine. settings: those of [estimator] in AXIS.toml: method ("auto"), order, forgetting,
-    forgetting_scheme, discretization, prefilter_zeros, precision.
+    model: `Drive`, `EquationModel` or `TransferFunction`. dt: sample period [s]. cutoff: pole of the filters [rad/s];
+    None, of a machine: that behind which the record says most. encoder: of a machine. settings: those of [estimator] in
+    AXIS.toml: method ("auto"), order, forgetting, forgetting_scheme, discretization, prefilter_zeros, precision.
     Raises UsageError for arguments that do not fit each other and NotIdentifiableError where the data cannot identify
     every parameter, with the mistake that explains it, where one is found.
     """

@@ -33,6 +33,7 @@ def compare(data: Records, axis: Axis, done: Progress | None = None) -> Comparis
     """Runs every method with the settings of `axis` on what `kind_of(axis).read` gives; `done` is called with the part
     that has run. Raises UsageError as `identify` does, and what the first method raised where none has an answer."""
     kind, methods = kind_of(axis), methods_for(axis.model.make())
+    axis = kind.prepared(data, axis)
     results: dict[str, Result] = {}
     refused: dict[str, PmfidError] = {}
     kind.check(data, axis)

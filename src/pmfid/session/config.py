@@ -89,7 +89,9 @@ class EstimatorConfig(FileSection):
     """[estimator]: method, filter chain (`cutoff` in rad/s, `order` stages) and memory."""
 
     method: Method = Field("auto", description="the estimation method")
-    cutoff: Positive = Field(description="the pole of the filter chain in rad/s, for example 50.0")
+    cutoff: Positive | None = Field(
+        None, description="the pole of the filter chain in rad/s, for example 50.0, or leave it out: from the record"
+    )
     order: int = Field(2, ge=2, le=6, description="the number of filter stages, 2 to 6")
     forgetting: float = Field(
         1.0,
@@ -111,6 +113,16 @@ class EstimatorConfig(FileSection):
         None, strict=False, description="two different negative numbers in 1/s, for example [-30.0, -60.0]"
     )
     precision: Literal["float64", "float32"] = Field("float64", description="the arithmetic of the kernel")
+
+    @property
+    def pole(self) -> float:
+        """The cutoff [rad/s]. Raises UsageError where it is not known yet."""
+        if self.cutoff is None:
+            raise UsageError(
+                "[estimator] cutoff is missing; give the pole of the filter chain in rad/s: pmfid identify on a record "
+                "of the axis chooses one"
+            )
+        return self.cutoff
 
 
 class MonitorConfig(FileSection):
@@ -154,7 +166,7 @@ class Axis(FileSection):
     record: RecordConfig = Field(description="a section that names the columns input, output and time")
     encoder: EncoderConfig = Field(description="a section with at least the resolution")
     model: ModelConfig = Field(description="a section with at least the input_gain")
-    estimator: EstimatorConfig = Field(description="a section with at least the cutoff")
+    estimator: EstimatorConfig = Field(EstimatorConfig(), description="a section with method, cutoff and memory")
     monitor: MonitorConfig = Field(MonitorConfig(), description="a section that names the reference")
 
     @model_validator(mode="after")
@@ -167,6 +179,10 @@ class Axis(FileSection):
             if value != type(part).model_fields[key].default and of_process != (kind == "transfer_function"):
                 cure = f"drop it{_CURE.get(key, '')}"
                 raise UsageError(f'[{section}] {key} = {value!r} is not used with kind = "{kind}"; {cure}')
+        if kind == "transfer_function" and self.estimator.cutoff is None:
+            raise UsageError(
+                "[estimator] cutoff is missing; give the pole of the filters in rad/s, near those of the process"
+            )
         return self
 
 
@@ -189,7 +205,7 @@ def _without_encoder(raw: dict[str, object]) -> None:
 
 def check_sampling(axis: Axis, dt: float) -> None:
     """Raise UsageError if the filter pole lies past the Nyquist limit, `cutoff * dt > 2` (dt in s)."""
-    cutoff = axis.estimator.cutoff
+    cutoff = axis.estimator.pole
     if cutoff * dt > 2:
         raise UsageError(
             f"[estimator] cutoff = {cutoff:g} rad/s is too high for dt = {dt:g} s: the filter pole would be "

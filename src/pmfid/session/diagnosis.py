@@ -68,7 +68,7 @@ def diagnose(record: Record, axis: Axis) -> str:
     if model.equation.without_simulation or not np.any(np.diff(record.counts)):
         return ""
     encoder = Encoder(record.resolution, standstill_time=axis.encoder.standstill_time)
-    estimator = IV(model, encoder, record.dt, config.cutoff, order=config.order)
+    estimator = IV(model, encoder, record.dt, config.pole, order=config.order)
     u, counts = _liveliest(record.u, record.counts)
     as_it_stands = Reading(u, counts, encoder, "", "")
     least = _unexplained(estimator, as_it_stands)
@@ -105,8 +105,8 @@ def check_direction(record: Record, axis: Axis) -> str:
     encoder = Encoder(record.resolution, standstill_time=axis.encoder.standstill_time)
     finer, position = fine_counts(integrated(encoder.position(counts), record.dt))
     try:
-        plain = LS(model, encoder, record.dt, config.cutoff, order=config.order).fit(u, counts).relative_error
-        risen = IV(EquationModel(above), finer, record.dt, config.cutoff, order=config.order).fit(u, position)
+        plain = LS(model, encoder, record.dt, config.pole, order=config.order).fit(u, counts).relative_error
+        risen = IV(EquationModel(above), finer, record.dt, config.pole, order=config.order).fit(u, position)
     except (NotIdentifiableError, UsageError):
         return ""
     if not risen.relative_error < BETTER * plain:

@@ -17,6 +17,7 @@ from pmfid.estimators.auto import AUTO, Choice, choose, first_choice
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.configuration import like, made
+from pmfid.estimators.cutoff import choose_cutoff
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.ls import LS
@@ -57,6 +58,13 @@ class Drives(Kind[Record]):
 
     def name_and_samples(self, data: Record) -> tuple[str, int]:
         return data.name, int(data.u.size)
+
+    def prepared(self, data: Record, axis: Axis) -> Axis:
+        if axis.estimator.cutoff is not None or data.counts.size == 0:
+            return axis
+        known = _believed(data, axis).record
+        cutoff = choose_cutoff(axis.model.make(), _encoder(axis, data), data.dt, known.u, known.counts)
+        return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
 
     def check(self, data: Record, axis: Axis) -> None:
         mistake = check_direction(_believed(data, axis).record, axis)
@@ -109,15 +117,18 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
     model = axis.model.make()
     first = "bcls" if model.equation.without_simulation else "output-error" if model.equation.further else "iv"
     cls = ESTIMATORS[method_of(axis, first)]
-    known = axis.encoder
-    encoder = Encoder(
-        record.resolution, standstill_time=known.standstill_time, max_speed=known.max_speed, guard=known.guard
-    )
-    own = {"model": model, "encoder": encoder, "dt": record.dt, "cutoff": axis.estimator.cutoff}
+    own = {"model": model, "encoder": _encoder(axis, record), "dt": record.dt, "cutoff": axis.estimator.pole}
     estimator = made(cls, own | settings(axis, cls))
     if cls.instrumental and axis.estimator.prefilter_zeros is None:
         return replace(estimator, prefilter_zeros=choose_prefilter_zeros(estimator, record.u, record.counts))
     return estimator
+
+
+def _encoder(axis: Axis, record: Record) -> Encoder:
+    known = axis.encoder
+    return Encoder(
+        record.resolution, standstill_time=known.standstill_time, max_speed=known.max_speed, guard=known.guard
+    )
 
 
 def _check_known(result: DriveResult) -> None:

@@ -25,12 +25,14 @@ def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None =
     [record] dt does, and the zeros are the method's default. Raises UsageError for an off-line method or without a
     sample period.
     """
+    if record is not None:
+        axis = kind_of(axis).prepared(record, axis)
     config, model = check_exportable(axis), axis.model.make()
     if record is None:
         record = _no_record(axis, dt)
         if ESTIMATORS[config.method].instrumental and config.prefilter_zeros is None:
             needed, memory = len(model.equation.symmetric.noisy), memory_of(config.forgetting, record.dt)
-            zeros = plant_of(model.equation).zeros_without_record(config.cutoff, memory, needed)
+            zeros = plant_of(model.equation).zeros_without_record(config.pole, memory, needed)
             config = config.model_copy(update={"prefilter_zeros": zeros})
     estimator = make_estimator(axis.model_copy(update={"estimator": config}), record)
     encoder = replace(estimator.encoder, bits=axis.encoder.bits or 32)

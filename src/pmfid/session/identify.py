@@ -34,14 +34,24 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     Raises UsageError for a configuration that does not fit the data and NotIdentifiableError where they cannot identify
     every parameter, with the mistake that explains it, where one is found, in front.
     """
-    kind = kind_of(axis)
+    kind, given = kind_of(axis), axis
+    axis = kind.prepared(data, given)
     kind.check(data, axis)
     try:
         result = kind.estimate(data, axis, progress)
     except NotIdentifiableError as error:
         raise explained(error, kind.mistake(data, axis)) from None
     mistake = kind.mistake(data, axis) if SUSPICIOUS & set(result.status) else ""
-    return replace(result, notes=tuple(dict.fromkeys((mistake, *result.notes)))) if mistake else result
+    notes = tuple(dict.fromkeys(filter(None, (mistake, *result.notes, *chosen(given, axis)))))
+    return replace(result, notes=notes)
+
+
+def chosen(given: Axis, prepared: Axis) -> tuple[str, ...]:
+    """What was chosen by the record in a configuration, for people."""
+    if given.estimator.cutoff == prepared.estimator.cutoff:
+        return ()
+    cutoff = f"cutoff = {prepared.estimator.pole:.6g}"
+    return (f"{cutoff} rad/s was chosen by this record; write it into [estimator] to keep it for others",)
 
 
 def explained(error: NotIdentifiableError, mistake: str) -> NotIdentifiableError:

@@ -41,6 +41,10 @@ class Kind(ABC, Generic[Data]):
     def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Data:
         """The records at `paths`. Raises UsageError for what is no such record, or too many of them."""
 
+    def prepared(self, data: Data, axis: Axis) -> Axis:
+        """The configuration with what it leaves to the record; the same where it leaves nothing."""
+        return axis
+
     @abstractmethod
     def estimate(self, data: Data, axis: Axis, progress: Progress | None = None) -> Result:
         """The result of the method that is configured. Raises UsageError for a method that cannot take the model or the
@@ -92,7 +96,7 @@ def simulator(axis: Axis, dt: float, resolution: float) -> OE:
     model, known = axis.model.make(), axis.encoder
     check_sampling(axis, dt)
     encoder = Encoder(resolution, max_speed=known.max_speed, standstill_time=known.standstill_time)
-    return OE(model, encoder, dt, axis.estimator.cutoff, order=axis.estimator.order)
+    return OE(model, encoder, dt, axis.estimator.pole, order=axis.estimator.order)
 
 
 def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:

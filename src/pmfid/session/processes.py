@@ -112,7 +112,7 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
         if axis.encoder.resolution == NO_ENCODER:
             raise UsageError(f"{method} needs the step of the encoder or converter; give [encoder] resolution")
         options["noise_std"] = axis.encoder.resolution / np.sqrt(12.0)
-    own = {"model": model, "encoder": Encoder(axis.encoder.resolution), "dt": dt, "cutoff": config.cutoff}
+    own = {"model": model, "encoder": Encoder(axis.encoder.resolution), "dt": dt, "cutoff": config.pole}
     estimator = made(cls, own | options)
     if cls.instrumental and config.prefilter_zeros is None:
         encoder, counts = fine_counts(_plain(experiments, method).y)
@@ -152,7 +152,7 @@ def _from_counts(estimator: Estimator, experiments: Sequence[Experiment]) -> tup
 
 def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[float], None] | None = None) -> Search:
     """The structures with 1 to 5 poles, any number of zeros and dead times up to 5 samples, best first."""
-    cutoff, offset = axis.estimator.cutoff, axis.model.offset
+    cutoff, offset = axis.estimator.pole, axis.model.offset
     check_sampling(axis, experiments[0].period)
     found = search_structure(experiments, cutoff, orders=ORDERS, delays=DELAYS, offset=offset, done=done)
     return accepted_first(found, lambda candidate: refusal(experiments, axis, candidate))

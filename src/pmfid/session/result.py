@@ -113,6 +113,7 @@ class Result(ABC):
             "method": estimator.method,
             "samples": self.samples,
             "dt": estimator.dt,
+            "cutoff": estimator.cutoff,
             "parameters": {
                 name: {"value": float(value), "std": float(std), "unit": unit, **further[name]}
                 for name, unit, value, std in rows

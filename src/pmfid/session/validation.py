@@ -110,6 +110,7 @@ def validated(method: str, theta: Floats, data: Sequence[Records], axis: Axis) -
     kind, (names, units) = kind_of(axis), parameters_of(axis.model.make())
     if not data:
         raise UsageError("there is no record to validate on; give one")
+    axis = kind.prepared(data[0], axis)
     if not np.all(np.isfinite(theta)):
         raise UsageError("a parameter is not finite: identify it again")
     for record in data:

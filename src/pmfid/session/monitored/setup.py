@@ -19,6 +19,7 @@ from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.session.config import Axis
 from pmfid.session.drives import make_estimator
+from pmfid.session.identify import kind_of
 from pmfid.session.monitored.cache import cached_calibration
 from pmfid.session.records import Record, read_record
 from pmfid.types import Floats
@@ -61,7 +62,7 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
         raise UsageError(
             f"the record has dt = {record.dt:g} s, the reference {normal.dt:g} s; take a reference with the same"
         )
-    estimator = _estimator(axis, source, wraps=record is None)
+    estimator = _estimator(kind_of(axis).prepared(source, axis), source, wraps=record is None)
     nominal = _nominal(estimator, config.nominal, source)
     if isinstance(estimator, RIV):
         estimator = replace(estimator, initial=dict(zip(estimator.names, nominal.tolist(), strict=True)))

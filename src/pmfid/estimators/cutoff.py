@@ -1,0 +1,79 @@
+"""Choice of the pole of the filters from a record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.encoder import Encoder
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.bcls import BCLS
+from pmfid.estimators.configuration import like
+from pmfid.estimators.iv import IV, LASTING
+from pmfid.estimators.least_squares import solve_with_instruments
+from pmfid.estimators.results import Columns
+from pmfid.estimators.scatter import scatter
+from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.models.drive import Model
+from pmfid.types import Floats
+
+#: Time constants of the filters that are tried [samples]: by more the encoder's error is averaged, by less what the
+#: motion says of the mass is kept. The first with an estimate gives the motion that all are judged along.
+TRIED = (10, 30, 3, 100, 300)
+#: A record has at least so many of them.
+LEAST = 30
+
+
+def choose_cutoff(model: Model, encoder: Encoder, dt: float, u: Floats, counts: NDArray[np.int64]) -> float:
+    """The pole [rad/s] of the filters behind which the record u, counts: (n,) says most on the parameters.
+
+    Smallest determinant of the covariance of instrumental variables along one motion; of bias-compensated least squares
+    where nothing simulates the equation. It is flat: a factor of three from the best costs little. Where no pole gives
+    an estimate it is that of ten samples, and the estimator says what is wrong with the record.
+    """
+    poles = [1 / (samples * dt) for samples in TRIED if samples * LEAST <= counts.size] or [1 / (TRIED[0] * dt)]
+    linear = model.simple if model.equation.further else model
+    if IV.refuses(linear.equation):
+        columns = _compensated([BCLS(linear, encoder, dt, pole) for pole in poles], u, counts)
+    else:
+        columns = _along_a_motion([IV(linear, encoder, dt, pole) for pole in poles], u, counts)
+    sizes = {pole: _uncertainty(*found) for pole, found in columns}
+    return min(sizes, key=lambda pole: sizes[pole], default=poles[0])
+
+
+def _along_a_motion(
+    methods: Sequence[IV], u: Floats, counts: NDArray[np.int64]
+) -> Iterator[tuple[float, tuple[Columns, int]]]:
+    """Pole, columns with the instruments of one motion, and the samples that the filters take to settle."""
+    for first in methods:
+        with suppress(NotIdentifiableError):
+            theta = first.settled(u, counts)[1]
+            for method in methods:
+                yield method.cutoff, (method.columns_at(theta, u, counts), method.settle_samples)
+            return
+
+
+def _compensated(
+    methods: Sequence[BCLS], u: Floats, counts: NDArray[np.int64]
+) -> Iterator[tuple[float, tuple[Columns, int]]]:
+    for method in methods:
+        with suppress(NotIdentifiableError):
+            zeros = choose_prefilter_zeros(method, u, counts)
+            columns = like(BCLS, method, prefilter_zeros=zeros).columns(u, counts)
+            yield method.cutoff, (columns, method.settle_samples)
+
+
+def _uncertainty(columns: Columns, settle_samples: int) -> float:
+    """Logarithm of the determinant of the covariance; infinite where there is no estimate."""
+    if columns.z.size <= columns.phi.shape[1] or not np.all(np.any(columns.zeta != 0, axis=0)):
+        return np.inf
+    try:
+        theta, gain = solve_with_instruments(columns)
+    except NotIdentifiableError:
+        return np.inf
+    scores = columns.zeta * (columns.z - columns.phi @ theta)[:, None]
+    sign, size = np.linalg.slogdet(scatter(scores @ gain.T, LASTING * settle_samples))
+    return float(size) if sign > 0 and np.isfinite(size) else np.inf

@@ -1,0 +1,111 @@
+"""The pole of the filters, chosen by the record."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import pmfid
+from pmfid.cli.main import main
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.cutoff import TRIED, choose_cutoff
+from pmfid.session.result import Result
+from pmfid.simulation import Machine
+from pmfid.types import Floats
+from studies.machines import Axis, record_of, truth
+from studies.real_axes import REAL
+
+TOML = """\
+[record]
+input = "u"
+output = "counts"
+output_kind = "counts"
+dt = {dt}
+[encoder]
+resolution = {resolution}
+[model]
+input_gain = {gain}
+"""
+
+
+def identified(axis: Axis, motion: str, cutoff: float | None = None, **settings: object) -> tuple[Floats, Result]:
+    """Errors in parts of the truth (3,), and the result."""
+    record = record_of(axis, Machine(axis.drive), motion, 4096, 11)
+    encoder, model = pmfid.Encoder(record.resolution), pmfid.Drive(axis.drive.input_gain)
+    result = pmfid.identify(
+        record.u, record.counts, model=model, encoder=encoder, dt=axis.dt, cutoff=cutoff, **settings
+    )
+    return result.theta / truth(axis) - 1, result
+
+
+@pytest.mark.parametrize("name", ["wheel", "plotter", "crane"])
+def test_no_setting_of_the_estimator_is_needed(name: str) -> None:
+    """From 2.6e-5 kg m2 every millisecond to 500 kg every 20."""
+    error, result = identified(REAL[name], "prbs", method="iv")
+    assert abs(error[0]) < 5e-3
+    assert any("was chosen by this record" in note for note in result.notes)
+    assert 1 / (result.estimator.cutoff * result.estimator.dt) == pytest.approx(
+        min(TRIED, key=lambda k: abs(k * result.estimator.cutoff * result.estimator.dt - 1))
+    )
+
+
+def test_filters_far_too_fast_for_the_encoder_are_not_chosen() -> None:
+    """With three samples the mass of the mirror is 26 % off behind its encoder."""
+    axis = REAL["mirror"]
+    record = record_of(axis, Machine(axis.drive), "stop-and-go", 4096, 11)
+    model, encoder = pmfid.Drive(axis.drive.input_gain), pmfid.Encoder(record.resolution)
+    fast = pmfid.IV(model, encoder, axis.dt, 1 / (3 * axis.dt))
+    own = pmfid.IV(model, encoder, axis.dt, choose_cutoff(model, encoder, axis.dt, record.u, record.counts))
+    mass = [method.settled(record.u, record.counts)[1][0] / axis.drive.mass for method in (fast, own)]
+    assert abs(mass[0] - 1) > 0.05
+    assert abs(mass[1] - 1) < 0.01
+
+
+def test_a_cutoff_that_is_given_is_taken() -> None:
+    error, result = identified(REAL["plotter"], "prbs", 40.0, method="iv")
+    assert result.estimator.cutoff == 40.0
+    assert not any("chosen" in note and "cutoff" in note for note in result.notes)
+    assert abs(error[0]) < 5e-3
+
+
+def test_without_motion_it_is_the_record_that_is_refused() -> None:
+    rng, still = np.random.default_rng(0), np.zeros(900, dtype=np.int64)
+    encoder, model = pmfid.Encoder(1e-3), pmfid.Drive(2.0)
+    with pytest.raises(NotIdentifiableError, match="does not move"):
+        pmfid.identify(rng.normal(size=900), still, model=model, encoder=encoder, dt=0.01)
+    assert 0 < choose_cutoff(model, encoder, 0.01, rng.normal(size=900), still) < 200
+
+
+def test_an_equation_that_nothing_simulates_has_a_cutoff_too() -> None:
+    """Its direction is that of the counts, and least squares with compensation chooses."""
+    axis = REAL["plotter"]
+    record = record_of(axis, Machine(axis.drive), "prbs", 4096, 3)
+    terms = (
+        pmfid.Term("output", 2, "mass", "kg"),
+        pmfid.Term("output", 1, "viscous_friction", "N s/m"),
+        pmfid.Term("forward", 0, "coulomb_friction", "N"),
+    )
+    model = pmfid.EquationModel(pmfid.Equation(terms, (pmfid.Term("input", 0, coefficient=3.5),)))
+    assert model.equation.without_simulation
+    cutoff = choose_cutoff(model, pmfid.Encoder(record.resolution), axis.dt, record.u, record.counts)
+    assert 1 / (300 * axis.dt) <= cutoff <= 1 / (3 * axis.dt)
+
+
+def test_the_command_needs_none_and_export_asks_for_one_or_a_record(tmp_path: Path) -> None:
+    axis = REAL["plotter"]
+    record = record_of(axis, Machine(axis.drive), "prbs", 1024, 3)
+    table = np.column_stack([record.u, record.counts])
+    np.savetxt(tmp_path / "r.csv", table, delimiter=",", header="u,counts", comments="", fmt=("%.9g", "%d"))
+    toml = tmp_path / "axis.toml"
+    toml.write_text(TOML.format(dt=axis.dt, resolution=record.resolution, gain=axis.drive.input_gain))
+    paths = [str(tmp_path / "r.csv"), "--config", str(toml)]
+    found = CliRunner().invoke(main, ["identify", *paths, "--json"])
+    assert json.loads(found.stdout)["cutoff"] > 0
+    export = ["export", str(toml), "--out", str(tmp_path / "c")]
+    refused = CliRunner().invoke(main, export)
+    assert "cutoff is missing" in refused.output
+    assert CliRunner().invoke(main, [*export, "--record", paths[0]]).exit_code == 0
