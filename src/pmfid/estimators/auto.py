@@ -59,8 +59,8 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
     """The best off-line method that a record carries; u, counts: (n,). best: the motion that fits, where it is known.
 
     The interval likelihood where the model explains every count, and what it may lack without showing stays within
-    the error bars; else instrumental variables, which ask less of the model, or where they do not settle output
-    error, bias-compensated, or plain least squares.
+    the error bars, or within those of instrumental variables; else these, which ask less of the model, or where they
+    do not settle output error, bias-compensated, or plain least squares.
     Raises NotIdentifiableError where none of them can identify every parameter.
     """
     refused: list[str] = []
@@ -82,8 +82,8 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
         except NotIdentifiableError as error:
             refused.append(f"{cls.method}: {error}")
             continue
-        if sharp and sharp.adequate and (cls is not IV or contradicted(fit, sharp.fit, sharp.adequacy.spread())):
-            return sharp.chosen(f"the model explains every count, and {cls.method} contradicts it")
+        if sharp and sharp.adequate and (better := sharp.better_than(fit, cls)):
+            return sharp.chosen(f"the model explains every count, and {better}")
         if fit.theta[candidate.equation.leading] > 0:
             return Choice(candidate, f"{cls.method}: {reason}{doubt}", fit, adequacy)
     if not refused:
@@ -104,6 +104,19 @@ class _Sharp:
     @property
     def adequate(self) -> bool:
         return self.adequacy.adequate and not self.fit.status & Status.FALLBACK
+
+    def better_than(self, other: Fit, cls: type[BatchEstimator]) -> str:
+        """Why it is to be believed before another estimate, by `cls`; empty where it is not.
+
+        It is where the other contradicts it, and where it is less uncertain, with what the model may lack without
+        showing it, in the geometric mean of the parameters.
+        """
+        spread = self.adequacy.spread()
+        if cls is not IV or contradicted(other, self.fit, spread):
+            return f"{cls.method} contradicts it"
+        total = np.hypot(self.fit.theta_std, spread)
+        less = np.sum(np.log(total)) < np.sum(np.log(other.theta_std))
+        return f"{cls.method} knows less, whatever the model may lack" if less else ""
 
     def chosen(self, reason: str) -> Choice:
         return Choice(self.method, f"{self.method.method}: {reason}", self.fit, self.adequacy)
