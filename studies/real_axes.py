@@ -15,7 +15,7 @@ STIFF, DAMPED, REACH = 4.0, 0.8, 4.0
 #: Force of the open loop over what the mean speed needs, and clock over the time constant that counts.
 PUSH, CLOCK = 2.0, 0.3
 #: Length of a record in moves and rests.
-MOVES = 20
+MOVES = 16
 
 
 def axis(
