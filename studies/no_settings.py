@@ -56,10 +56,10 @@ def work(name: str, motion: str, coarser: int, seed: int) -> dict[str, Any]:
 def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     lines = [
         f"{len(REAL)} axes, {len(MOTIONS)} motions, the encoder of the axis and one {COARSER[1]} times coarser, "
-        f"{seeds} seeds. Error: root mean square over the runs with an estimate, and its median, of mass, viscous and Coulomb "
-        "friction in percent. Covered: runs whose 95 % interval contains the parameter, in brackets with the standard "
-        f"deviation alone. Wrong: a parameter further off than {WRONG:g} of both bars together, and by more than "
-        f"{100 * SMALL:g} %; without a word: of these with an empty status.",
+        f"{seeds} seeds. Error: root mean square over the runs with an estimate, and its median, of mass, viscous and "
+        "Coulomb friction in percent. Covered: runs whose 95 % interval contains the parameter, in brackets with the "
+        f"standard deviation alone. Wrong: a parameter further off than {WRONG:g} of both bars together, and by more "
+        f"than {100 * SMALL:g} %; without a word: of these with an empty status.",
         "",
     ]
     for coarser in COARSER:
@@ -112,8 +112,8 @@ def _worst(results: Mapping[Task, Any]) -> list[str]:
 
 INTRODUCTION = """\
 Nothing but the encoder's resolution, the sample period and the input's gain is given: `pmfid.identify` without
-`cutoff`, method by method. The axes are in `studies/real_axes.py`, from a mirror of 1e-5 kg m2 every 0.1 ms to a crane of 500 kg
-every 20 ms.
+`cutoff`, method by method. The axes are in `studies/real_axes.py`, from a mirror of 1e-5 kg m2 every 0.1 ms to a crane
+of 500 kg every 20 ms.
 """
 PAGE = Page("no_settings", "Axes without settings", INTRODUCTION, by_name(Study("axes", tasks, work, write)), SEEDS)
 

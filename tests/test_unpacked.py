@@ -89,7 +89,18 @@ def test_a_bomb_is_refused_before_it_goes_off(tmp_path: Path, name: str) -> None
     assert size < 350e6
 
 
-@pytest.mark.parametrize("pack", [gzip.compress, zlib.compress, bz2.compress], ids=["gzip", "zlib", "bz2"])
+def test_a_packed_csv_is_read_and_no_bomb_of_it(tmp_path: Path) -> None:
+    (tmp_path / "run.csv.gz").write_bytes(gzip.compress(b"u,y\n") + gzip.compress(b"0.5,3\n" * 1000))
+    assert taken(tmp_path / "run.csv.gz", "u")[1] == ""
+    (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(b"u,y\n") + 1000 * gzip.compress(b"0,0\n" * 100_000))
+    size, refusal = taken(tmp_path / "bomb.csv.gz", "u")
+    assert "decimate or cut the record" in refusal
+    assert size < 600e6
+    (tmp_path / "cut.csv.gz").write_bytes(gzip.compress(b"u,y\n" + b"0.5,3\n" * 1000)[:-9])
+    assert "truncated or corrupt" in taken(tmp_path / "cut.csv.gz", "u")[1]
+
+
+@pytest.mark.parametrize("pack", [zlib.compress, bz2.compress], ids=["zlib", "bz2"])
 def test_a_packed_file_is_no_csv(tmp_path: Path, pack: Callable[[bytes], bytes]) -> None:
     (tmp_path / "run.csv").write_bytes(pack(b"u,y\n") + 100 * pack(b"0,0\n" * 100_000))
     size, refusal = taken(tmp_path / "run.csv", "u")

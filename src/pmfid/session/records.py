@@ -17,7 +17,7 @@ from pmfid.errors import UsageError
 from pmfid.session.clock import named_unit, sample_period, time_factor
 from pmfid.session.config import NO_ENCODER
 from pmfid.session.formats.reading import read_table
-from pmfid.session.tables import Table, column, from_array, lookup
+from pmfid.session.tables import Table, column, from_array, lookup, notes_of, whole_name
 from pmfid.transfer.experiment import Experiment
 from pmfid.types import Counts, Floats
 
@@ -107,6 +107,12 @@ def record_of(table: Table, axis: Axis, name: str = "record") -> Record:
     return _build(table, axis, None, name)
 
 
+def _as_named(config: RecordConfig, table: Table) -> RecordConfig:
+    """With the names that the columns have in the file, units and all."""
+    names = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
+    return config.model_copy(update={key: whole_name(table, name) for key, name in names.items() if name is not None})
+
+
 def _stated_factor(config: RecordConfig) -> float:
     """Seconds per unit of the time column of a transfer function, which may be slow or fast: a unit in the column's
     name is no more than a hint that one must be given."""
@@ -119,7 +125,7 @@ def _stated_factor(config: RecordConfig) -> float:
 
 
 def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Record:
-    config = axis.record
+    config = _as_named(axis.record, table)
     keys = {"input": config.input, "output": config.output, "time": config.time}
     columns = {key: column(table, key, name) for key, name in keys.items() if name is not None}
     _check_lengths(columns, keys)
@@ -134,7 +140,7 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
         y = columns["output"] if config.output_kind == "position" else counts.astype(np.float64) * resolution
         counts, resolution = _floor_counts(y, quantize, 1e-9), quantize
         count_notes += (f"position quantised anew with a step of {quantize:g}",)
-    notes = scale_notes + time_notes + count_notes
+    notes = notes_of(table) + scale_notes + time_notes + count_notes
     return Record(_scaled(columns["input"], scale), counts, dt, resolution, notes, name)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, cast
 
@@ -14,10 +15,33 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["TWICE", "Table", "column", "from_array", "lookup"]
+__all__ = ["TWICE", "Columns", "Table", "column", "from_array", "lookup", "notes_of", "whole_name"]
 
 #: Column by name: an array or a polars series, whichever the reader of the file has.
 Table = Mapping[str, object]
+
+#: A unit in brackets at the end of a name.
+_UNIT = re.compile(r"\s*[\[(][^\])]*[\])]$")
+
+
+class Columns(dict[str, object]):
+    """A table, and how it was read, for people."""
+
+    def __init__(self, columns: Mapping[str, object], notes: tuple[str, ...]) -> None:
+        super().__init__(columns)
+        self.notes = notes
+
+
+def notes_of(table: Table) -> tuple[str, ...]:
+    """How a table was read, where that was not plain."""
+    return table.notes if isinstance(table, Columns) else ()
+
+
+def whole_name(table: Table, name: str) -> str:
+    """The name of the column that is called so, there maybe with a unit in brackets: "t [ms]" for "t"."""
+    found = [full for full in table if _UNIT.sub("", full) == name]
+    return found[0] if name not in table and len(found) == 1 else name
+
 
 #: Polars' end of the name of a column that is there already.
 TWICE = "_duplicated_0"

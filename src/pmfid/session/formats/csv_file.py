@@ -1,30 +1,103 @@
-"""CSV files."""
+"""CSV and its relatives: text with a line for each sample."""
 
 from __future__ import annotations
 
+import re
+import zlib
+
 from pmfid.errors import UsageError
-from pmfid.session.tables import TWICE, Table
+from pmfid.session.formats.layout import COMMENTS, LOOKED_AT, Layout, layout_of
+from pmfid.session.formats.safety import MOST_BYTES, MOST_TIMES, check_unpacked
+from pmfid.session.tables import TWICE, Columns
 
-#: How gzip, zlib, zstd and bzip2 begin.
-_PACKED = (b"\x1f\x8b", b"x\x01", b"x\x9c", b"x\xda", b"\x28\xb5\x2f\xfd", b"BZh9")
-_MISSING = ["", "NA", "N/A", "null", "NULL", "None"]
+GZIP = b"\x1f\x8b"
+#: How zlib, zstd, bzip2, xz and ZIP begin.
+_PACKED = (b"x\x01", b"x\x9c", b"x\xda", b"\x28\xb5\x2f\xfd", b"BZh9", b"\xfd7zXZ", b"PK\x03\x04")
+_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+_MISSING = ["", "NA", "N/A", "null", "NULL", "None", "-"]
+#: Of a text of two bytes for each character without a mark, so many in a hundred of the first bytes are zero.
+_WIDE, _FIRST = 30, 2000
 
 
-def parse_csv(data: bytes) -> Table:
-    """The columns as text. Raises UsageError for what is packed, no text, or separated by anything but commas."""
-    import polars as pl
+def parse_csv(data: bytes) -> Columns:
+    """The columns as text, numbers with a decimal point. Raises UsageError for what is packed other than by gzip, no
+    text, or no table."""
+    text = _text(_unpacked(data) if data.startswith(GZIP) else data)
+    head = text[: _end_of_line(text, LOOKED_AT)].decode("utf-8")
+    layout = layout_of(head.splitlines())
+    return Columns(_columns(text[_end_of_line(text, layout.first) :], layout), layout.notes)
 
+
+def _unpacked(data: bytes) -> bytes:
+    """What gzip has packed, in one member or more, and no more than a file may unpack to."""
+    most, unpacked = max(MOST_BYTES, MOST_TIMES * len(data)), bytearray()
+    rest = data
+    while rest.startswith(GZIP):
+        member = zlib.decompressobj(wbits=31)
+        unpacked += member.decompress(rest, most + 1 - len(unpacked))
+        check_unpacked(len(unpacked), len(data), "the text")
+        if not member.eof:
+            raise UsageError("not a readable .gz file, truncated or corrupt; export it again")
+        rest = member.unused_data
+    return bytes(unpacked)
+
+
+def _text(data: bytes) -> bytes:
+    """As UTF-8, lines ended by line feeds. Raises UsageError for what is no text."""
     if data.startswith(_PACKED):  # polars would unpack it, however large
         raise UsageError("a packed file; unpack it first, and mind how large it becomes")
+    coding = next((coding for mark, coding in _MARKS.items() if data.startswith(mark)), None) or _unmarked(data)
+    if coding is not None:
+        data = data.decode(coding).encode("utf-8")
     if b"\0" in data:
         raise UsageError("not a text file; use the ending that tells its type, or export it as UTF-8 CSV")
-    header = data.lstrip().splitlines()[0]
-    if b"," not in header and (b";" in header or b"\t" in header):
-        raise UsageError("the columns are not separated by commas; export with comma separators and decimal points")
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+
+
+def _unmarked(data: bytes) -> str | None:
+    """The coding of a text without a mark, None: UTF-8."""
+    first = data[:_FIRST]
+    for coding, zeros in (("utf-16-le", first[1::2]), ("utf-16-be", first[::2])):
+        if 100 * zeros.count(0) > _WIDE * max(1, len(zeros)) and first.count(0) == zeros.count(0):
+            return coding
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        return "cp1252"
+    return None
+
+
+def _end_of_line(text: bytes, lines: int) -> int:
+    """Where so many lines end."""
+    place = 0
+    for _ in range(lines):
+        found = text.find(b"\n", place)
+        if found < 0:
+            return len(text)
+        place = found + 1
+    return place
+
+
+def _columns(body: bytes, layout: Layout) -> dict[str, object]:
+    import polars as pl
+
+    separator = layout.separator
+    if not body.strip():
+        return {name: pl.Series(name, [], dtype=pl.String) for name in layout.names}
+    if separator == " ":
+        body = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", re.sub(rb"[ \t]+", b" ", body))
     # All as text first: a column is converted, and complained about, only if it is used.
-    frame = pl.read_csv(data, infer_schema=False, null_values=_MISSING)
+    frame = pl.read_csv(
+        body,
+        separator=separator,
+        has_header=False,
+        infer_schema=False,
+        null_values=_MISSING,
+        comment_prefix=next((mark for mark in COMMENTS if b"\n" + mark.encode() in body), None),
+    )
     table: dict[str, object] = {}
-    for column in frame.columns:
-        name = column.strip()
-        table[f"{name}{TWICE}" if name in table else name] = frame[column]
+    for name, column in zip(layout.names, frame.iter_columns(), strict=True):
+        if layout.decimal == ",":
+            column = column.str.replace(",", ".", literal=True)
+        table[f"{name}{TWICE}" if name in table else name] = column.alias(name)
     return table

@@ -15,6 +15,8 @@ from pmfid.session.tables import Table
 
 #: Suffix -> the columns in the bytes of a file; what a reader raises, `readable` turns into a UsageError.
 READERS: dict[str, Callable[[bytes], Table]] = {".csv": parse_csv, ".parquet": ParquetTable, ".mat": parse_mat}
+#: Other endings of text, of which the layout is found in the file.
+TEXT = (".txt", ".tsv", ".tab", ".dat", ".asc", ".log", ".gz")
 
 
 def read_table(path: Path) -> Table:
@@ -26,7 +28,7 @@ def read_table(path: Path) -> Table:
         data = path.read_bytes()
     except OSError as error:
         raise UsageError(f"cannot read the record: {error.strerror}; give the path of a data file") from None
-    parse = READERS.get(path.suffix.lower())
+    parse = READERS.get(".csv" if path.suffix.lower() in TEXT else path.suffix.lower())
     if parse is None:
         raise UsageError(f"file type {path.suffix!r} is not known; use one of {', '.join(SUFFIXES)}")
     if not data.strip():

@@ -1,0 +1,146 @@
+"""How a text file holds a table: separator, decimal sign, header, units, and what is in front of the data.
+
+Every file of numbers shows it itself: only one reading makes lines of equally many fields, most of them numbers.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+from pmfid.errors import UsageError
+
+#: Separators, the likeliest first; a space is any number of spaces and tabs.
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
+#: Lines that are looked at.
+LOOKED_AT = 400
+#: Of the fields of a line of data at least so many in a hundred are numbers, times or empty.
+NUMBERS = 50
+#: What begins a line that is no data.
+COMMENTS = ("#", "%", "//")
+_NUMBER = {
+    ".": re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?"),
+    ",": re.compile(r"[+-]?(\d+(,\d+)?|,\d+)([eE][+-]?\d+)?"),
+}
+_TIME = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d\d(:\d\d([.,]\d+)?)?(Z|[+-]\d\d:?\d\d)?|\d{4}-\d\d-\d\d")
+_WORDS = ("", "na", "n/a", "nan", "null", "none", "inf", "-inf", "+inf", "infinity", "true", "false")
+_UNIT = re.compile(
+    r"[\[(]?\s*(-|%|1|s|ms|[uµμ]s|ns|sec|m|mm|[uµμ]m|nm|cm|rad|mrad|deg|°|rev|turns?|inc|counts?|cts?|pulses?|m?[VAN]|"
+    r"N\s?m|Nm|kg|Hz|rpm|1/min|bool|°C|(m|mm|rad|deg|rev|°|cts|counts)(/s|/s2|/s\^2|\s?s-1))\s*[\])]?"
+)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """separator, decimal: as they are; names: of the columns, with a unit in brackets where a row of units has one;
+    first: the first line of data, from 0; named: had the file a header?"""
+
+    separator: str
+    decimal: str
+    names: tuple[str, ...]
+    first: int
+    named: bool
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was found beside commas, points and a header in the first line."""
+        said = []
+        if (self.separator, self.decimal) != (",", "."):
+            sign = "points" if self.decimal == "." else "commas"
+            said.append(f"the columns are separated by {SEPARATORS[self.separator]}, with decimal {sign}")
+        if not self.named:
+            said.append(f"the file has no header: its columns are {', '.join(self.names[:8])}")
+        return tuple(said)
+
+
+def layout_of(lines: Sequence[str]) -> Layout:
+    """The layout of the first lines of a file. Raises UsageError where they are no table."""
+    looked = lines[:LOOKED_AT]
+    found = {reading: rows for reading in _readings() if (rows := _data(looked, *reading))}
+    if not found and sum(bool(line.strip()) for line in looked) == 1:
+        return _empty(looked)
+    if not found:
+        raise UsageError(
+            "no lines of numbers in columns: write a header, then one line for each sample, with a comma, semicolon or "
+            "tab between the columns"
+        )
+    separator, decimal = max(
+        found, key=lambda reading: _worth([split(looked[k], reading[0]) for k in found[reading]], reading[1])
+    )
+    first = found[separator, decimal][0]
+    names, named = _names(looked[:first], separator, split(looked[first], separator))
+    return Layout(separator, decimal, names, first, named)
+
+
+def _empty(lines: Sequence[str]) -> Layout:
+    """Of a file that has a header and nothing else."""
+    header = next(line for line in lines if line.strip())
+    separator = max(SEPARATORS, key=lambda mark: (len(split(header, mark)), mark != " "))
+    return Layout(separator, ".", tuple(split(header.strip().lstrip("#%/ "), separator)), len(lines), True)
+
+
+def split(line: str, separator: str) -> list[str]:
+    """The fields of a line, without spaces and quotes around them."""
+    parts = line.split() if separator == " " else line.split(separator)
+    return [part.strip().strip('"').strip() for part in parts]
+
+
+def _readings() -> Iterator[tuple[str, str]]:
+    """Separator and decimal sign, the likeliest first."""
+    return (reading for reading in product(SEPARATORS, ".,") if reading[0] != reading[1])
+
+
+def _worth(rows: Sequence[Sequence[str]], decimal: str) -> tuple[bool, float, int]:
+    """Several columns before one, then how much of the fields are numbers, then the number of lines."""
+    fields = [field for row in rows for field in row]
+    known = sum(_known(field, decimal) for field in fields)
+    return len(rows[0]) > 1, known / len(fields), len(rows)
+
+
+def _data(lines: Sequence[str], separator: str, decimal: str) -> list[int]:
+    """The lines of data: those of as many fields as most of them, of which most are numbers."""
+    sized = [(k, len(fields)) for k, fields in _fields(lines, separator) if _numeric(fields, decimal)]
+    if not sized:
+        return []
+    usual = Counter(count for _, count in sized).most_common(1)[0][0]
+    return [k for k, count in sized if count == usual]
+
+
+def _fields(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[str]]]:
+    for k, line in enumerate(lines):
+        if line.strip() and not line.lstrip().startswith(COMMENTS):
+            yield k, split(line, separator)
+
+
+def _numeric(fields: Sequence[str], decimal: str) -> bool:
+    """Is this a line of data? One number at least, and few words."""
+    known = sum(_known(field, decimal) for field in fields)
+    return any(_NUMBER[decimal].fullmatch(field) for field in fields) and 100 * known >= NUMBERS * len(fields)
+
+
+def _known(field: str, decimal: str) -> bool:
+    return bool(_NUMBER[decimal].fullmatch(field) or _TIME.fullmatch(field)) or field.lower() in _WORDS
+
+
+def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple[tuple[str, ...], bool]:
+    """The names of the columns with these fields, from the nearest line above with as many, which may be a comment,
+    with the units of a row of nothing else; and whether there was one."""
+    lines = [split(line.strip().lstrip("#%/ "), separator) for line in above]
+    rows = [row for line in reversed(lines) if any(row := _as_long(line, fields))]
+    if not rows:
+        return tuple(f"column_{k}" for k in range(1, len(fields) + 1)), False
+    header, units = rows[0], [""] * len(fields)
+    if len(rows) > 1 and all(_UNIT.fullmatch(name) for name in header if name):
+        header, units = rows[1], [unit.strip("[]() ") for unit in header]
+    names = [name or f"column_{k}" for k, name in enumerate(header, 1)]
+    return tuple(f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)), True
+
+
+def _as_long(line: list[str], fields: Sequence[str]) -> list[str]:
+    """The line, if it has as many fields, or one less where those end with an empty one."""
+    if len(line) == len(fields) - 1 and not fields[-1]:
+        line = [*line, ""]
+    return line if len(line) == len(fields) else []
