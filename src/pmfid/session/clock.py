@@ -30,6 +30,14 @@ _NAMES = {
 }
 #: Sample periods of machine axes [s], from this up to, but not at, that: drives log every 10 us to 100 ms.
 _SHORTEST, _LONGEST = 1e-5, 0.1
+#: Seconds since 1970 at the beginning of 2000 and of 2100.
+EPOCHS = (946_684_800.0, 4_102_444_800.0)
+#: Neighbouring steps may differ by this part of their median and nothing is said.
+EVEN = 0.1
+#: A stamp further off its place on an even grid, in periods, is no chance.
+FURTHEST = 0.9
+#: So many stamps together tell a missing sample from chance, which is so many standard deviations at most.
+GROUP, MOST_BY_CHANCE = 50, 5.0
 #: A period and a time column agree within this part.
 _SAME = 0.01
 
@@ -60,18 +68,54 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
         return config.dt, ()
     steps = np.diff(time)
     median = float(np.median(steps))
-    _check_steps(time, steps, median)
-    factor, mean = time_factor(config), float((time[-1] - time[0]) / (len(time) - 1))
-    _check_unit(mean, factor, config)
+    mean, grid = even_grid(time)
+    if not grid:
+        _check_steps(time, steps, median)
+        mean = float((time[-1] - time[0]) / (len(time) - 1))
+    epoch = _epoch(float(time[0]), mean, config)
+    factor = UNITS[epoch] if epoch else time_factor(config)
+    _check_unit(mean, factor, config, epoch)
     jitter = float(np.max(np.abs(steps - median)) / median)
     notes = [f"time steps vary by up to {jitter:.1%} of their median"] if jitter > 1e-3 else []
+    if grid and jitter > EVEN:
+        notes.append(f"the stamps scatter around an even grid of {mean * factor:g} s, which is taken")
     if factor != 1:
         unit = next(unit for unit, length in UNITS.items() if length == factor)
         notes.append(f"the time column {config.time!r} is taken as {unit}: the sample period is {mean * factor:g} s")
     return mean * factor, tuple(notes)
 
 
-def _check_unit(step: float, factor: float, config: RecordConfig) -> None:
+def even_grid(time: Floats) -> tuple[float, bool]:
+    """The period of the line through the stamps (n,), in their unit, and whether they are late or early by chance
+    around an even grid, one sample for each of its points.
+
+    They are where no stamp is off by nearly a period, as a duplicate is, where the steps scatter by more than the
+    stamps do, which chance that adds up never does, and where no group of stamps is off by a quarter of a period, as
+    from a missing sample on.
+    """
+    n, k = time.size, np.arange(time.size)
+    if n < GROUP or not np.all(np.isfinite(time)):
+        return 0.0, False
+    period, start = np.polyfit(k, time - time[0], 1)
+    if not period > 0:
+        return 0.0, False
+    late = (time - time[0] - start) / period - k
+    together = np.abs(np.convolve(late, np.full(GROUP, 1 / GROUP), mode="valid"))
+    chance = MOST_BY_CHANCE * np.std(late) / np.sqrt(GROUP)
+    even = np.max(np.abs(late)) < FURTHEST and np.std(late) < np.std(np.diff(late)) and np.max(together) < 0.25 + chance
+    return float(period), bool(even)
+
+
+def _epoch(first: float, step: float, config: RecordConfig) -> str | None:
+    """The unit in which the first stamp is a date of this century and the step a period of an axis; None if there is
+    none, or the unit is known."""
+    if config.time_unit or config.dt is not None or named_unit(config.time or ""):
+        return None
+    dated = [unit for unit, length in UNITS.items() if EPOCHS[0] <= first * length < EPOCHS[1]]
+    return next((unit for unit in dated if _SHORTEST <= step * UNITS[unit] < _LONGEST), None)
+
+
+def _check_unit(step: float, factor: float, config: RecordConfig, epoch: str | None = None) -> None:
     """`step` is the mean step of the time column in its own unit."""
     if config.dt is not None:
         if abs(step * factor - config.dt) <= _SAME * config.dt:
@@ -81,7 +125,7 @@ def _check_unit(step: float, factor: float, config: RecordConfig) -> None:
         raise UsageError(
             f"[record] dt = {config.dt:g} s, but the time column {config.time!r} steps by {step:g}; {remedy}"
         )
-    if config.time_unit is not None or _SHORTEST <= step * factor < _LONGEST:
+    if epoch or config.time_unit is not None or _SHORTEST <= step * factor < _LONGEST:
         return
     taken = next(unit for unit, length in UNITS.items() if length == factor)
     others = [unit for unit, length in UNITS.items() if _SHORTEST <= step * length < _LONGEST]
@@ -113,7 +157,7 @@ def _check_steps(time: Floats, steps: Floats, median: float) -> None:
             f"first after row {k + 1}, t = {time[k]:.9g}; cut the record at the gap"
         )
     worst = float(np.max(np.abs(steps - median)) / median)
-    if worst > 0.1:
+    if worst > EVEN:
         raise UsageError(
             f"time steps differ by up to {worst:.1%} of the median {median:g} s, 10 % is allowed; "
             f"resample the record to a fixed rate"

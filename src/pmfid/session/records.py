@@ -17,7 +17,7 @@ from pmfid.errors import UsageError
 from pmfid.session.clock import named_unit, sample_period, time_factor
 from pmfid.session.config import NO_ENCODER
 from pmfid.session.formats.reading import read_table
-from pmfid.session.tables import Table, column, from_array, lookup, notes_of, whole_name
+from pmfid.session.tables import Table, column, from_array, lookup, notes_of, times, whole_name
 from pmfid.transfer.experiment import Experiment
 from pmfid.types import Counts, Floats
 
@@ -54,11 +54,10 @@ def read_experiment(path: Path, axis: Axis) -> Experiment:
 
     Of output_kind = "counts" in units of the encoder's resolution. Raises UsageError naming the file and the remedy.
     """
-    config = axis.record
     try:
         table = read_table(path)
+        config, columns = _columns(axis.record, table)
         keys = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
-        columns = {key: column(table, key, name) for key, name in keys.items() if name is not None}
         _check_lengths(columns, keys)
         scale, _ = _input_scale(table, config.input_scale)
         y, t = columns["output"], columns.get("time")
@@ -107,10 +106,21 @@ def record_of(table: Table, axis: Axis, name: str = "record") -> Record:
     return _build(table, axis, None, name)
 
 
-def _as_named(config: RecordConfig, table: Table) -> RecordConfig:
-    """With the names that the columns have in the file, units and all."""
+def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, dict[str, Floats]]:
+    """The columns that are named, and the configuration with the names that they have in the file, units and all, and
+    with the unit of a time that is written as a date or a time of day."""
     names = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
-    return config.model_copy(update={key: whole_name(table, name) for key, name in names.items() if name is not None})
+    found = {key: whole_name(table, name) for key, name in names.items() if name is not None}
+    columns = {key: column(table, key, name) for key, name in found.items() if key != "time"}
+    changed: dict[str, str] = dict(found)
+    if "time" in found:
+        columns["time"], written = times(table, found["time"])
+        if written and config.time_unit not in (None, "s"):
+            raise UsageError(
+                f"[record] time_unit = {config.time_unit!r}: the time column has dates or times of day; drop time_unit"
+            )
+        changed |= {"time_unit": "s"} if written else {}
+    return config.model_copy(update=changed), columns
 
 
 def _stated_factor(config: RecordConfig) -> float:
@@ -125,9 +135,8 @@ def _stated_factor(config: RecordConfig) -> float:
 
 
 def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Record:
-    config = _as_named(axis.record, table)
+    config, columns = _columns(axis.record, table)
     keys = {"input": config.input, "output": config.output, "time": config.time}
-    columns = {key: column(table, key, name) for key, name in keys.items() if name is not None}
     _check_lengths(columns, keys)
     for key, values in columns.items():
         _check_finite(f"{key} column {keys[key]!r}", values)

@@ -15,7 +15,7 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["TWICE", "Columns", "Table", "column", "from_array", "lookup", "notes_of", "whole_name"]
+__all__ = ["TWICE", "Columns", "Table", "column", "from_array", "lookup", "notes_of", "times", "whole_name"]
 
 #: Column by name: an array or a polars series, whichever the reader of the file has.
 Table = Mapping[str, object]
@@ -65,6 +65,51 @@ def column(table: Table, key: str, name: str) -> Floats:
     if isinstance(value, np.ndarray):
         return from_array(label, value).ravel()
     return _from_series(label, cast("pl.Series", value))
+
+
+def times(table: Table, name: str) -> tuple[Floats, bool]:
+    """The time column `name` as (n,) numbers, and whether they are s since its first row, as of dates and times of day.
+
+    Whole numbers count from the first row, too, in their own unit: an epoch in ns has more digits than a float.
+    Raises UsageError as `column`.
+    """
+    value, label = lookup(table, "time", name), f"time column {name!r}"
+    if isinstance(value, np.ndarray):
+        return from_array(label, value).ravel(), False
+    return _clocked(label, cast("pl.Series", value))
+
+
+def _clocked(label: str, series: pl.Series) -> tuple[Floats, bool]:
+    import polars as pl
+
+    if series.dtype == pl.String and not _has_number(series):
+        series = _parsed(series)
+    if series.dtype == pl.Time:
+        series = series.cast(pl.Duration("ns"))
+    if series.dtype.is_temporal() and series.dtype != pl.Date:
+        ns = series.dt.timestamp("ns") if series.dtype != pl.Duration else series.cast(pl.Duration("ns")).cast(pl.Int64)
+        since = ns - (ns.drop_nulls().first() or 0)
+        return np.asarray(since.cast(pl.Float64).fill_null(np.nan).to_numpy() * 1e-9), True
+    return _from_series(label, series), False
+
+
+def _has_number(series: pl.Series) -> bool:
+    import polars as pl
+
+    return not series.str.strip_chars().cast(pl.Float64, strict=False).is_null().all()
+
+
+def _parsed(series: pl.Series) -> pl.Series:
+    """Dates with times, or times of day, as ISO 8601 writes them; the text itself where it is neither."""
+    import polars as pl
+
+    plain = series.str.strip_chars().str.replace("T", " ", literal=True).str.replace(",", ".", literal=True)
+    plain = plain.str.replace(r"(Z|[+-]\d\d:?\d\d)$", "")
+    first = plain.drop_nulls().first()
+    form = "%H:%M:%S%.f" if re.fullmatch(r"\d{1,2}:\d\d:\d\d([.]\d+)?", str(first)) else "%Y-%m-%d %H:%M:%S%.f"
+    kind = pl.Time() if form.startswith("%H") else pl.Datetime("ns")
+    parsed = plain.str.strptime(kind, form, strict=False)
+    return parsed if not parsed.is_null().all() else series
 
 
 def from_array(label: str, array: NDArray[np.generic]) -> Floats:

@@ -81,7 +81,7 @@ def _end_of_line(text: bytes, lines: int) -> int:
 def _columns(body: bytes, layout: Layout) -> dict[str, object]:
     import polars as pl
 
-    separator = layout.separator
+    separator, body = layout.separator, body.rstrip(b"\n")
     if not body.strip():
         return {name: pl.Series(name, [], dtype=pl.String) for name in layout.names}
     if separator == " ":

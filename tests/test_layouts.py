@@ -1,0 +1,190 @@
+"""Logs as drives and spreadsheets write them: each holds the same record."""
+
+from __future__ import annotations
+
+import datetime
+import gzip
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from pmfid.errors import UsageError
+from pmfid.session.config import load_axis
+from pmfid.session.formats.layout import layout_of
+from pmfid.session.records import Record, read_record
+
+DT, N = 0.004, 300
+TOML = """\
+[record]
+input = "u"
+output = "y"
+time = "t"
+{more}
+[encoder]
+resolution = 0.25
+[model]
+input_gain = 2.0
+"""
+rng = np.random.default_rng(3)
+U = np.round(rng.normal(size=N), 3)
+Y = np.cumsum(np.round(rng.normal(size=N))) * 0.25
+
+
+def read(folder: Path, data: bytes | str, name: str = "run.csv", more: str = "") -> Record:
+    (folder / "axis.toml").write_text(TOML.format(more=more))
+    (folder / name).write_bytes(data if isinstance(data, bytes) else data.encode())
+    return read_record(folder / name, load_axis(folder / "axis.toml"))
+
+
+def same(record: Record) -> None:
+    np.testing.assert_allclose(record.u, U)
+    np.testing.assert_array_equal(record.counts, np.rint(Y / 0.25))
+    assert record.dt == pytest.approx(DT, rel=1e-6)
+
+
+def text(separator: str = ",", decimal: str = ".", header: str | None = None, time: list[str] | None = None) -> str:
+    stamps = time or [f"{k * DT:.6g}" for k in range(N)]
+    rows = [[stamps[k], f"{U[k]:.6g}", f"{Y[k]:.6g}"] for k in range(N)]
+    if decimal == ",":
+        rows = [[field.replace(".", ",") if field[2:3] != ":" else field for field in row] for row in rows]
+    head = separator.join(("t", "u", "y")) if header is None else header
+    return "\n".join([head, *(separator.join(row) for row in rows)]).lstrip("\n") + "\n"
+
+
+PREAMBLE = "Scope export\nVersion;4.2\nSamples;300\n\n"
+LAYOUTS: dict[str, bytes | str] = {
+    "commas": text(),
+    "german": text(";", ","),
+    "semicolons and points": text(";"),
+    "tabs": text("\t"),
+    "tabs and decimal commas": text("\t", ","),
+    "bars": text("|"),
+    "spaces": text(" "),
+    "aligned": text().replace(",", "    ").replace("\n", "\n   "),
+    "comma and space": text(", "),
+    "carriage returns": text().replace("\n", "\r\n"),
+    "old line ends": text().replace("\n", "\r"),
+    "byte order mark": b"\xef\xbb\xbf" + text(";", ",").encode(),
+    "utf-16": text(";", ",").encode("utf-16"),
+    "utf-16 without mark": text("\t").encode("utf-16-le"),
+    "latin-1": ("# Temperatur in °C\n" + text(";", ",")).encode("cp1252"),
+    "preamble": PREAMBLE + text(";", ","),
+    "header in a comment": "# saved by the drive\n# t,u,y\n" + text(header=""),
+    "matlab's comments": "% t u y\n" + text(" ", header=""),
+    "row of units": text(";", ",", header="t;u;y\n[s];[V];[m]"),
+    "bare units": text(header="t,u,y\ns,A,rad"),
+    "quoted": "\n".join(",".join(f'"{field}"' for field in line.split(",")) for line in text().splitlines()),
+    "trailing separator": text().replace("\n", ",\n"),
+    "comments between": text().replace("\n", "\n# beat\n", 40),
+    "blank lines at the end": text() + "\n\n",
+    "units in the header": text(header="t [s],u [V],y [m]"),
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_layout_holds_the_same_record(tmp_path: Path, layout: str) -> None:
+    same(read(tmp_path, LAYOUTS[layout]))
+
+
+@pytest.mark.parametrize("name", ["run.txt", "run.tsv", "run.dat", "run.log"])
+def test_other_endings_are_text_too(tmp_path: Path, name: str) -> None:
+    same(read(tmp_path, text("\t"), name))
+    same(read(tmp_path, gzip.compress(text(";", ",").encode()), "run.csv.gz"))
+
+
+def test_what_was_found_is_said(tmp_path: Path) -> None:
+    assert read(tmp_path, text()).notes == ()
+    assert read(tmp_path, text(";", ",")).notes == ("the columns are separated by semicolons, with decimal commas",)
+
+
+def test_without_a_header_columns_have_numbers(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="available are column_1, column_2, column_3"):
+        read(tmp_path, text(header=""))
+    own = 'time = "column_1"\ninput = "column_2"\noutput = "column_3"'
+    (tmp_path / "axis.toml").write_text(TOML.format(more="").replace('input = "u"\noutput = "y"\ntime = "t"', own))
+    record = read_record(tmp_path / "run.csv", load_axis(tmp_path / "axis.toml"))
+    np.testing.assert_allclose(record.u, U)
+    assert any("has no header" in note for note in record.notes)
+
+
+def test_thousands_are_refused_and_never_taken_for_decimals(tmp_path: Path) -> None:
+    """1.234,5 in a file with decimal commas is a thousand and more; without its comma it would be one."""
+    with pytest.raises(UsageError, match=r"not numeric: '1\.234\.5' in row 3|not numeric: '1\.234,5' in row 3"):
+        read(tmp_path, text(";", ",").replace("\n0,008;", "\n1.234,5;"))
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)], ids=["milliseconds", "microseconds", "nanoseconds"]
+)
+def test_the_unit_of_time_is_read_in_the_row_of_units(tmp_path: Path, unit: str, factor: float) -> None:
+    stamps = [f"{k * DT * factor:.9g}" for k in range(N)]
+    same(read(tmp_path, text(header=f"t,u,y\n[{unit}],[V],[m]", time=stamps)))
+
+
+def clocks() -> dict[str, list[str]]:
+    start = datetime.datetime(2026, 3, 4, 23, 59, 57)
+    moments = [start + datetime.timedelta(microseconds=4000 * k) for k in range(N)]
+    day = [datetime.datetime(2026, 3, 4, 9, 0, 0) + datetime.timedelta(microseconds=4000 * k) for k in range(N)]
+    return {
+        "iso": [f"{moment.isoformat(timespec='microseconds')}Z" for moment in moments],
+        "zone": [f"{moment.isoformat(timespec='milliseconds')}+01:00" for moment in moments],
+        "blank": [moment.isoformat(" ", "milliseconds") for moment in moments],
+        "time of day": [f"{moment:%H:%M:%S.%f}" for moment in day],
+        "epoch in s": [f"{start.timestamp() + 0.004 * k:.4f}" for k in range(N)],
+        "epoch in ms": [f"{1000 * int(start.timestamp()) + 4 * k}" for k in range(N)],
+        "epoch in us": [f"{10**6 * int(start.timestamp()) + 4000 * k}" for k in range(N)],
+    }
+
+
+@pytest.mark.parametrize("clock", clocks())
+def test_clocks(tmp_path: Path, clock: str) -> None:
+    same(read(tmp_path, text(time=clocks()[clock])))
+
+
+def test_a_column_of_moments(tmp_path: Path) -> None:
+    start = datetime.datetime(2026, 3, 4)
+    moments = [start + datetime.timedelta(microseconds=4000 * k) for k in range(N)]
+    (tmp_path / "axis.toml").write_text(TOML.format(more=""))
+    pl.DataFrame({"t": moments, "u": U, "y": Y}).write_parquet(tmp_path / "run.parquet")
+    same(read_record(tmp_path / "run.parquet", load_axis(tmp_path / "axis.toml")))
+
+
+def test_a_unit_for_dates_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="drop time_unit"):
+        read(tmp_path, text(time=clocks()["iso"]), more='time_unit = "ms"')
+
+
+@pytest.mark.parametrize("scatter", [0.15, 0.5])
+def test_stamps_that_scatter_around_an_even_grid(tmp_path: Path, scatter: float) -> None:
+    """Of a cyclic task they do: 2 ms late or early in 4 ms."""
+    late = np.random.default_rng(5).uniform(-scatter, scatter, N) * DT
+    stamps = [f"{k * DT + late[k]:.6f}" for k in range(N)]
+    record = read(tmp_path, text(time=stamps))
+    np.testing.assert_allclose(record.u, U)
+    assert record.dt == pytest.approx(DT, rel=2e-3)
+    assert any("around an even grid" in note for note in record.notes)
+
+
+def test_steps_that_are_uneven_by_themselves_are_no_grid(tmp_path: Path) -> None:
+    steps = DT * np.random.default_rng(6).uniform(0.6, 1.4, N)
+    stamps = [f"{t:.6f}" for t in np.cumsum(steps)]
+    with pytest.raises(UsageError, match="time steps differ"):
+        read(tmp_path, text(time=stamps))
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.2, 0.35])
+def test_a_missing_sample_is_no_scatter(tmp_path: Path, scatter: float) -> None:
+    late = np.random.default_rng(7).uniform(-scatter, scatter, N)
+    where = np.arange(N) + (np.arange(N) >= N // 2)
+    stamps = [f"{(k + x) * DT:.7f}" for k, x in zip(where, late, strict=True)]
+    with pytest.raises(UsageError, match=r"gap|time steps differ"):
+        read(tmp_path, text(time=stamps))
+
+
+def test_no_lines_make_the_program_wait() -> None:
+    """A line of anything is a few splits."""
+    assert layout_of(["a,b", "1,2"] + ["1,2"] * 300).names == ("a", "b")
+    with pytest.raises(UsageError, match="no lines of numbers"):
+        layout_of(["x" * 100_000] * 400)
