@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
@@ -16,6 +16,7 @@ from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.configuration import like
 from pmfid.estimators.encoder_noise import impulse_products
 from pmfid.estimators.identifiable import TINY, check_identifiable
+from pmfid.estimators.lagging import with_lag
 from pmfid.estimators.lattice import lattice_scatter
 from pmfid.estimators.least_squares import inverse_of, solve_with_instruments
 from pmfid.estimators.recursive import RecursiveEstimator
@@ -23,7 +24,18 @@ from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.srivc import ProcessSolver, fixed_filters
-from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, ESTIMATE, LATE, MASS, OFFSET, ROLES, Equation
+from pmfid.models.drive import Model
+from pmfid.models.equation import (
+    COULOMB_BACKWARD,
+    COULOMB_FORWARD,
+    DEAD_TIME,
+    ESTIMATE,
+    LAG,
+    MASS,
+    OFFSET,
+    ROLES,
+    Equation,
+)
 from pmfid.status import Status
 from pmfid.transfer.solve import ProcessProblem, Solution
 
@@ -46,6 +58,8 @@ REST_SAMPLES = 5
 JACOBIAN_STEP = 1e-3
 #: Dead times [samples] that are tried before one is estimated.
 TRIED = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0)
+#: Lags, likewise.
+TRIED_LAGS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
 #: Blocks that fade in and out hold the noise behind the filters apart from what lasts from so many times on that these
 #: take to settle.
 LASTING = 4
@@ -68,8 +82,8 @@ class IV(ProcessSolver, Simulating):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.equation.further:
-            names, others = ", ".join(dict(self.equation.further)), "" if self.plant.rests else "srivc or "
+        if self.equation.searched:
+            names, others = ", ".join(self.equation.searched), "" if self.plant.rests else "srivc or "
             raise UsageError(f"iv is linear in what it estimates, and {names} is not; use {others}output-error")
 
     def solved(self, problem: ProcessProblem) -> Solution:
@@ -122,8 +136,7 @@ class IV(ProcessSolver, Simulating):
         rests = self._rests(*check_arrays(u, counts), theta)
         jacobian = np.empty((theta.size, theta.size))
         size = np.maximum(np.abs(theta), 1e-3 * np.max(np.abs(theta)))
-        if (late := self.equation.roles[LATE]) is not None:
-            size[late] = self.dt
+        size[[name in (DEAD_TIME, LAG) for name in self.names]] = self.dt
         for i, step in enumerate(JACOBIAN_STEP * size):
             error = []
             for side in (step, -step):
@@ -137,8 +150,10 @@ class IV(ProcessSolver, Simulating):
         """Parameters to simulate with first: the given ones, or from the counts alone; (p,)."""
         if self.initial is not None:
             return initial_vector(self.initial, self.names)
+        if self.equation.lag == ESTIMATE:
+            return self._start_late(self.model.at_lag, TRIED_LAGS, u, counts)
         if self.equation.dead_time == ESTIMATE:
-            return self._start_late(u, counts)
+            return self._start_late(self.model.at_dead_time, TRIED, u, counts)
         batch = like(BCLS, self, model=self.model.simple)
         found = batch.fit(u, counts)
         theta = spread(batch.equation.role_values(found.theta), self.equation)
@@ -146,12 +161,15 @@ class IV(ProcessSolver, Simulating):
             theta[self.names.index(str(term.name))] = found.theta[batch.names.index(str(term.name))]
         return theta
 
-    def _start_late(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
-        """The same with the dead time at which the simulated velocity is nearest to the measured one."""
+    def _start_late(
+        self, at: Callable[[float], Model], tried: Sequence[float], u: ArrayLike, counts: ArrayLike
+    ) -> NDArray[np.float64]:
+        """The same with the dead time, or the lag, at which the simulated velocity is nearest to the measured one; at:
+        the model at one [s]; tried [samples]."""
         found: list[tuple[float, NDArray[np.float64]]] = []
         refused: NotIdentifiableError | None = None
-        for samples in TRIED:
-            known = like(IV, self, model=self.model.at_dead_time(samples * self.dt))
+        for samples in tried:
+            known = like(IV, self, model=at(samples * self.dt))
             try:
                 theta = known.start(u, counts)
             except NotIdentifiableError as error:
@@ -161,6 +179,9 @@ class IV(ProcessSolver, Simulating):
         if not found:
             raise refused or NotIdentifiableError("no start for the iteration")
         return min(found, key=lambda pair: pair[0])[1]
+
+    def _at_lag(self, seconds: float) -> IV:
+        return like(IV, self, model=self.model.at_lag(seconds))
 
     def mismatch(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> float:
         """Mean square of the filtered velocity that the model at theta (p,) lacks, over that of the measured one."""
@@ -177,6 +198,8 @@ class IV(ProcessSolver, Simulating):
         A record that begins at rest, which the model says as well, has been at rest before: its first motion counts.
         rests: does it? None: as the counts and theta say.
         """
+        if self.equation.lag == ESTIMATE:
+            return with_lag(lambda lag: self._at_lag(lag).columns_at(theta[:-1], u, counts, rests), theta, self.dt)
         columns, used, status = self._filtered(theta, *check_arrays(u, counts), rests)
         first, p = auxiliary_columns(self)[2], len(self.names)
         columns = columns[used, first:]
@@ -226,7 +249,8 @@ class IV(ProcessSolver, Simulating):
 
     def _plausible(self, theta: NDArray[np.float64], found: NDArray[np.float64]) -> NDArray[np.float64]:
         """What was found, but no further than half-way from theta to a mass or friction of zero."""
-        low = np.where(self.equation.positive, 0.5 * theta, -np.inf)
+        positive = np.r_[self.equation.positive, np.ones(len(self.equation.further), bool)]
+        low = np.where(positive, 0.5 * theta, -np.inf)
         return np.maximum(found, low)
 
 
@@ -273,6 +297,11 @@ class RIV(Simulating, RecursiveEstimator):
     @classmethod
     def refuses(cls, equation: Equation) -> str:
         refused = super().refuses(equation)
+        if not refused and equation.lag and ESTIMATE in (equation.lag, equation.dead_time):
+            return (
+                "riv takes a lag with a dead time, both known: find them with iv, output-error or interval, and give "
+                f'them; or set dead_time = "{ESTIMATE}" alone, which takes up the mean of both'
+            )
         if refused or not equation.further:
             return refused
         names = ", ".join(dict(equation.further))

@@ -39,6 +39,7 @@ from pmfid.estimators.srivc import ProcessSolver, by_descent
 from pmfid.estimators.window_choice import FEWEST, choose_window
 from pmfid.estimators.windows import Windows, descend
 from pmfid.models.drive import EquationModel
+from pmfid.models.equation import ESTIMATE
 from pmfid.transfer.solve import ProcessProblem, Solution
 from pmfid.types import Floats
 
@@ -154,12 +155,12 @@ class Following(Simulating, BatchEstimator):
     def _first(self, u: Floats, counts: NDArray[np.int64]) -> tuple[Floats, int]:
         """theta (p,) to start from, and the status bits of the record. A Stribeck speed is tried at parts of the usual
         one: with each, what is left is a sum of squares of its own."""
-        if not self.equation.further:
+        if not self.equation.searched:
             return self._start(u, counts)
         found: list[tuple[float, Floats, int]] = []
         usual, y = self._usual_speed(u, counts), self.position(counts)
         for speed in usual * np.array(STRIBECK_SPEEDS):
-            known = like(OE, self, model=EquationModel(self.equation.known_at([speed])))
+            known = like(OE, self, model=EquationModel(self.equation.at_shapes([speed])))
             try:
                 theta, status = known._start(u, counts)
                 difference, q = known._prepared(theta, held(u), y)
@@ -204,6 +205,8 @@ class Following(Simulating, BatchEstimator):
         for index, smallest in zip(self.equation.roles, np.r_[0.01 * natural, dt], strict=True):
             if index is not None:
                 size[index] = max(size[index], smallest)
+        if self.equation.lag == ESTIMATE:
+            size[len(self.equation.names)] = max(size[len(self.equation.names)], dt)
         scale, pole = np.r_[size, travel, travel * self.cutoff], self.drift_cutoff or self.cutoff
         difference = Difference(self.equation, dt, u, y, self.encoder.resolution, scale, pole).fine_at(theta)
         v0 = first_speed(y, dt, self.cutoff, self.encoder.resolution)
