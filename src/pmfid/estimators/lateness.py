@@ -23,11 +23,15 @@ OPTIONS = (DEAD_TIME, LAG)
 
 @dataclass(frozen=True)
 class Lateness:
-    """A way of being late that explains the counts better than a model. times: [s] by the names of the model's
-    options; gain: by how much the doubled log-likelihood is larger."""
+    """A way of being late that explains the counts better than a model.
+
+    times: [s] by the names of the model's options; gain: by how much the doubled log-likelihood is larger; follows:
+    does the motion then explain the counts?
+    """
 
     times: Mapping[str, float]
     gain: float
+    follows: bool
 
 
 def lateness(found: Adequacy) -> list[Lateness]:
@@ -72,7 +76,9 @@ def _fitted(found: Adequacy, equation: Equation) -> Lateness | None:
     values = dict(zip(_names(equation), q * difference.scale, strict=False))
     times = {name: float(values[name]) for name in OPTIONS if name in values}
     late = all(time > 0 for time in times.values())
-    return Lateness(times, _gain(found, rms(difference(q)), cost_there)) if late else None
+    size = rms(difference(q))
+    gain, follows = _gain(found, size, cost_there), size <= difference.explained
+    return Lateness(times, gain, follows) if late else None
 
 
 def _names(equation: Equation) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ from pmfid.estimators.difference import (
     rms,
 )
 from pmfid.estimators.identifiable import check_identifiable
-from pmfid.estimators.iv import IV
+from pmfid.estimators.instruments import Instruments
 from pmfid.estimators.likelihood import Best, best_of
 from pmfid.estimators.motion import mean_velocity
 from pmfid.estimators.phases import phase_scatter
@@ -175,7 +175,7 @@ class Following(Simulating, BatchEstimator):
 
     def _usual_speed(self, u: Floats, counts: NDArray[np.int64]) -> float:
         """Root mean square of the motion that the model without shapes makes, or the counts where it makes none."""
-        plain = like(IV, self, model=self.model.symmetric, initial=None)
+        plain = like(Instruments, self, model=self.model.symmetric, initial=None)
         velocity = mean_velocity(plain.equation, plain.start(u, counts), self.dt, held(u))
         moving = velocity[velocity != 0]
         return rms(moving) if moving.size else rms(np.diff(self.position(counts))) / self.dt
@@ -184,7 +184,7 @@ class Following(Simulating, BatchEstimator):
         """theta (p,) of `IV`, or what that starts from, if it does not settle; and the status bits of the record.
 
         Raises NotIdentifiableError where the counts alone show that nothing can be identified."""
-        first = like(IV, self)
+        first = like(Instruments, self)
         try:
             columns, theta = first.settled(u, counts)
         except NotIdentifiableError:

@@ -26,13 +26,11 @@ def _ways(found: Adequacy) -> list[Lateness]:
     """Where the scores do not name it, and the model has none, it must explain more than any force that they name."""
     equation = found.difference.equation
     if found.dead_time is not None:
-        return lateness(found) or [Lateness({DEAD_TIME: found.dead_time}, 0.0)]
+        return lateness(found) or [Lateness({DEAD_TIME: found.dead_time}, 0.0, False)]
     if equation.at_once != equation:
         return lateness(found)
-    if not found.follows:
-        return []
-    most = max(float(found.gain[k]) for k in found.missed)
-    return [way for way in lateness(found) if way.gain > most]
+    most = max((float(found.gain[k]) for k in found.missed), default=0.0)
+    return [way for way in lateness(found) if way.gain > most and (found.follows or way.follows)]
 
 
 def _compared(ways: list[Lateness], dt: float) -> str:
