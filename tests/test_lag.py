@@ -18,6 +18,8 @@ from pmfid.export.firmware import export_firmware
 from pmfid.judge.late import late
 from pmfid.simulation.drive import DriveParameters
 from pmfid.simulation.machine import Machine, MachineRun, drive_machine
+from studies.dead_time import late_record
+from studies.machines import AXES as AXES_OF_STUDIES
 from tests.test_dead_time import AXES, CART, truth
 
 THETA = np.array(CART[1:4])
@@ -85,6 +87,15 @@ def test_beside_a_dead_time() -> None:
     assert fit.names[-2:] == ("dead_time", "lag")
     np.testing.assert_allclose(fit.theta[-2:] / 0.01, [1.3, 0.8], atol=0.03)
     np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.003)
+
+
+def test_the_body_is_not_taken_for_its_lag() -> None:
+    """In the linear part of the motion the two poles may change places; the drive is the faster one."""
+    axis = AXES_OF_STUDIES["cart"]
+    run = late_record(axis, 1.7, "stop-and-go", 1024, 1, "lag")
+    fit = IV(Drive(2.0, lag="estimate"), Encoder(run.resolution), axis.dt, 20.0).fit(run.u, run.counts)
+    assert fit.theta[-1] / axis.dt == pytest.approx(1.7, abs=0.03)
+    assert fit.theta[0] == pytest.approx(1.07, rel=0.01)
 
 
 def test_where_there_is_none_none_is_found() -> None:

@@ -33,6 +33,7 @@ from pmfid.models.equation import (
     MASS,
     OFFSET,
     ROLES,
+    VISCOUS_FORWARD,
     Equation,
 )
 from pmfid.status import Status
@@ -164,7 +165,8 @@ class Instruments(ProcessSolver, Simulating):
             except NotIdentifiableError as error:
                 refused = refused or error
                 continue
-            found.append((known.mismatch(theta, u, counts), np.r_[theta, samples * self.dt]))
+            if not _poles_swapped(known.equation, theta):
+                found.append((known.mismatch(theta, u, counts), np.r_[theta, samples * self.dt]))
         if not found:
             raise refused or NotIdentifiableError("no start for the iteration")
         return min(found, key=lambda pair: pair[0])[1]
@@ -245,6 +247,12 @@ class Instruments(ProcessSolver, Simulating):
         """What was found, but no further than half-way from theta to a mass or friction of zero."""
         low = np.where(self.positive, 0.5 * theta, -np.inf)
         return np.maximum(found, low)
+
+
+def _poles_swapped(equation: Equation, theta: NDArray[np.float64]) -> bool:
+    """Is the body faster than a known lag of its input? The two poles would do nearly as well in each other's place."""
+    values = equation.role_values(theta)
+    return equation.lag != 0 and values[MASS] < float(equation.lag) * values[VISCOUS_FORWARD]
 
 
 def initial_vector(initial: Mapping[str, float], names: tuple[str, ...]) -> NDArray[np.float64]:
