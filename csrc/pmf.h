@@ -378,12 +378,23 @@ typedef struct {
     whole_t turn; /* of the samples between two steps of the copy */
 } pmf_auxiliary_state_t;
 
+#if PMF_WITH_LAG
+/* exp(-t / lag) over a part of a sample: its end, its integral, and that of t times it; t in samples. */
+typedef struct {
+    scalar_t rest, mean, moment;
+} pmf_decay_t;
+#endif
+
 #if PMF_WITH_DEAD_TIME
-/* An input that acts late, by any part of a sample. */
+/* An input that acts late, by any part of a sample, and perhaps behind a lag. */
 typedef struct {
     uint32_t room; /* whole samples at most; 0: it acts at once */
     scalar_t rate; /* samples per second */
     scalar_t dead_time; /* [s], where no auxiliary model has its own */
+#if PMF_WITH_LAG
+    uint32_t lags; /* is there a lag? Then the dead time is known */
+    pmf_decay_t decay[2]; /* over the older input's part of an interval and over the newer one's */
+#endif
 } pmf_late_config_t;
 
 typedef struct {
@@ -391,6 +402,9 @@ typedef struct {
         past[PMF_MAX_LATE]; /* inputs, from `at` on and round: that of the interval which the counts speak of first */
     real_t older, newer, part; /* what acts in that interval: `part` of it the older one */
     real_t gathered; /* dead time that what was gathered is for [s] */
+#if PMF_WITH_LAG
+    real_t lagged; /* the input behind the lag, at the end of that interval */
+#endif
     whole_t at;
 } pmf_late_state_t;
 #endif

@@ -7,7 +7,7 @@
 #ifndef PMF_DEAD_TIME_H
 #define PMF_DEAD_TIME_H
 
-#include "pmf_internal.h"
+#include "pmf_lag.h"
 
 #if PMF_LATE
 
@@ -41,6 +41,11 @@ static void delay_input(const pmf_config_t *config, pmf_state_t *state)
     state->late.part = samples - (real_t)whole;
     state->late.older = past[(state->late.at + whole + 1U) % kept];
     state->late.newer = past[(state->late.at + whole) % kept];
+#if PMF_WITH_LAG
+    if (late->lags != 0U) {
+        lag_input(late->decay, &state->late);
+    }
+#endif
     mean = state->late.newer + state->late.part * (state->late.older - state->late.newer);
     signal[PMF_LATE_INPUT] = mean;
     signal[PMF_INPUT] = signal[PMF_MOVING] * mean;

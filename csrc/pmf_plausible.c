@@ -194,6 +194,9 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
             finite(&state->late.newer, 1U) & within(&state->late.part, 1U, PMF_R(0.0), PMF_R(1.0)) &
             finite(&state->late.gathered, 1U) & at_most(state->late.at, config->late.room + 1U);
 #endif
+#if PMF_WITH_LAG
+    fine &= finite(&state->late.lagged, 1U);
+#endif
     fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->borrowed);
 #endif
 #if PMF_WITH_LINEAR

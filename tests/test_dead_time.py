@@ -12,6 +12,7 @@ import pytest
 import pmfid
 from pmfid import IV, OE, RIV, Drive, Encoder, IntervalML, Status, UsageError
 from pmfid.estimators.adequacy import examine
+from pmfid.estimators.instruments import Instruments
 from pmfid.kernel.structures import constants_of
 from pmfid.models import equation
 from pmfid.models.equation import Equation, Term
@@ -35,9 +36,9 @@ def prbs(axis: str, late: float, seed: int = 1, switches: int = 300) -> MachineR
 
 
 @cache
-def strokes(late: float, seed: int = 1) -> MachineRun:
+def strokes(late: float, seed: int = 1, step: float = CART[6]) -> MachineRun:
     """The cart under position control, from place to place."""
-    gain, mass, viscous, coulomb, dt, _, step, _ = CART
+    gain, mass, viscous, coulomb, dt, _, _, _ = CART
     rng = np.random.default_rng(seed)
     places = np.cumsum(rng.uniform(0.1, 0.3, 14) * np.resize([1.0, -1.0], 14))
     blend = np.linspace(0, 1, 80) ** 2 * (3 - 2 * np.linspace(0, 1, 80))
@@ -75,6 +76,17 @@ def test_methods_that_follow_the_whole_motion_find_it_under_control(method: type
     fit = made(method, "cart", "estimate").fit(run.u, run.counts)
     assert fit.theta[-1] / 0.01 == pytest.approx(late, abs=0.02)
     np.testing.assert_allclose(fit.theta[:3] / truth("cart"), 1.0, atol=0.005)
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_iv_takes_it_from_the_motion_that_explains_every_count(seed: int) -> None:
+    """Through a coarse encoder the input changes with the encoder's error, and by that alone it was a tenth off."""
+    run, model = strokes(0.7, seed, 7e-4), Drive(2.0, dead_time="estimate")
+    fit, alone = (method(model, Encoder(7e-4), 0.01, 20.0).fit(run.u, run.counts) for method in (IV, Instruments))
+    assert fit.theta[-1] / 0.01 == pytest.approx(0.7, abs=0.03)
+    assert abs(alone.theta[-1] / 0.01 - 0.7) > 0.08
+    assert np.all(np.abs(fit.theta - np.r_[truth("cart"), 0.007]) < 3 * fit.theta_std)
+    assert fit.theta_std[0] < 0.5 * alone.theta_std[0]
 
 
 @pytest.mark.parametrize("late", [0.0, 0.7, 3.2])

@@ -46,8 +46,10 @@ cdef extern from "pmf_internal.h":
     ctypedef struct pmf_auxiliary_state_t:
         real_t parameter[PMF_ROLES]
         real_t velocity, position
+    ctypedef struct pmf_decay_t:
+        real_t rest, mean, moment
     ctypedef struct pmf_late_state_t:
-        real_t older, newer, part
+        real_t older, newer, part, lagged
     ctypedef struct pmf_config_t:
         pmf_network_config_t network
     ctypedef struct pmf_state_t:
@@ -71,6 +73,9 @@ cdef extern from "pmf_internal.h":
     void pmf_auxiliary_step(const pmf_auxiliary_config_t *, pmf_auxiliary_state_t *, real_t *) nogil
     uint32_t pmf_parameters(const pmf_config_t *) nogil
     void pmf_covariance_factor(const pmf_config_t *, const pmf_state_t *, real_t *) nogil
+
+cdef extern from "pmf_lag.h":
+    void lag_input(const pmf_decay_t *, pmf_late_state_t *) nogil
 
 cdef extern from "many/pmf_many.h":
     ctypedef struct pmf_rows_t:
@@ -338,13 +343,14 @@ cdef class ManyKernel:
 
 
 def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, double velocity=0.0, double position=0.0,
-             bytes shapes=b"", before=(0.0,)):
+             bytes shapes=b"", before=(0.0,), decay=None, on_top=None):
     """The auxiliary model alone: a body with friction under a held input.
 
     parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness, dead time [s] >= 0), and the
     coefficients of the shapes; those left out are 0; u: (n,), u[k] holds from the interval k on, the dead time later; before: inputs before the first (m,), m >= 1, the oldest of which has been there for ever;
     velocity, position: at the start; a spring is slack at position 0. shapes: the bytes of a `pmf_shapes_config_t`
-    (`pmfid.kernel.shapes` makes them), whose nodes are PMF_SIGNALS and the next. Returns (n,) mean velocity, signed moving fraction and
+    (`pmfid.kernel.shapes` makes them), whose nodes are PMF_SIGNALS and the next. decay: (2, 3) of a lag behind the dead time, as
+    `pmfid.kernel.late` makes them; on_top: (n,) an input that acts at once. Returns (n,) mean velocity, signed moving fraction and
     moving fraction of every interval, and the velocity at the end. Raises ValueError for too many parameters and impossible shapes.
     """
     cdef pmf_auxiliary_config_t config
@@ -352,7 +358,7 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
     cdef pmf_late_state_t late
     cdef real_t signal[PMF_SIGNALS + PMF_MAX_SHAPES]
     cdef Py_ssize_t n = u.shape[0], k, whole
-    cdef double samples
+    cdef double samples, part
     cdef cnp.ndarray[double, mode="c"] past = np.ascontiguousarray(before, np.float64)
     cdef Py_ssize_t m = past.shape[0], at
     cdef cnp.ndarray[double, mode="c"] mean = np.empty(n)
@@ -379,10 +385,19 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
         raise ValueError("before has no input; give at least one")
     samples = min(max(state.parameter[PMF_DELAY] / dt, 0.0), <double> n)
     whole = <Py_ssize_t> samples
-    late.part = samples - whole
+    part = samples - whole
+    cdef pmf_decay_t[2] lag
+    cdef bint lags = decay is not None, at_once = samples == 0.0 and decay is None and on_top is None
+    cdef cnp.ndarray[double, mode="c"] extra = np.zeros(n) if on_top is None else np.ascontiguousarray(on_top, np.float64)
+    if extra.shape[0] != n:
+        raise ValueError(f"on_top must have the length of u, {n}, got {extra.shape[0]}")
+    if lags:
+        for place in range(2):
+            lag[place].rest, lag[place].mean, lag[place].moment = decay[place]
+    late.lagged = past[0]
     with nogil:
-        for k in range(n):
-            if samples == 0.0:
+        for k in range(-m if lags else 0, n):
+            if at_once:
                 signal[PMF_LATE_INPUT] = u[k]
                 pmf_auxiliary_step(&config, &state, signal)
             else:
@@ -390,6 +405,13 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
                 late.newer = u[at] if at >= 0 else past[max(m + at, 0)]
                 at -= 1
                 late.older = u[at] if at >= 0 else past[max(m + at, 0)]
+                late.part = part
+                if lags:
+                    lag_input(lag, &late)
+                if k < 0:
+                    continue
+                late.older += extra[k]
+                late.newer += extra[k]
                 signal[PMF_LATE_INPUT] = late.newer + late.part * (late.older - late.newer)
                 pmf_auxiliary_late_step(&config, &state, &late, signal)
             mean[k] = signal[PMF_AUXILIARY + PMF_VELOCITY]

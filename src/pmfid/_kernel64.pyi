@@ -63,4 +63,6 @@ def simulate(
     position: float = 0.0,
     shapes: bytes = b"",
     before: NDArray[np.float64] | Sequence[float] = (0.0,),
+    decay: Sequence[tuple[float, float, float]] | None = None,
+    on_top: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]: ...

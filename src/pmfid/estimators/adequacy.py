@@ -192,7 +192,7 @@ def force_moves(found: Adequacy, estimator: Estimator, columns: Columns) -> Floa
     """(p, k) by how much an estimate with instruments, at its columns, moves for a unit of each force; where these
     instruments say nothing on a parameter, by how much the best fit moves."""
     if not np.all(np.any(columns.zeta != 0, axis=0)):
-        return found.moves
+        return found.moves[: columns.zeta.shape[1]]
     n = columns.used.size
     forces = np.column_stack([filtered(lack.force, estimator, n) for lack in found.lacks] or [np.zeros((n, 0))])
     gain = solve_with_instruments(columns)[1]

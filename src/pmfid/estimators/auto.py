@@ -72,9 +72,9 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
     for cls, reason in _CANDIDATES:
         if issubclass(cls, Simulating) and configured.equation.without_simulation:
             continue
-        if not issubclass(cls, Simulating) and configured.equation.dead_time == ESTIMATE:
-            continue  # it would be wrong by as much as the dead time makes it
-        if cls is IV and configured.equation.further:  # it is linear
+        if not issubclass(cls, Simulating) and ESTIMATE in (configured.equation.dead_time, configured.equation.lag):
+            continue  # it would be wrong by as much as that makes it
+        if cls is IV and configured.equation.searched:  # it is linear
             continue
         candidate = _candidate(cls, configured, u, counts)
         try:

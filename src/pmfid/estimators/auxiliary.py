@@ -18,7 +18,7 @@ from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
 from pmfid.kernel.configuration import new_kernel
 from pmfid.kernel.structures import constants_of
-from pmfid.models.equation import ESTIMATE, ROLES, Equation
+from pmfid.models.equation import LATE, ROLES, Equation
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
@@ -55,7 +55,7 @@ class Direct(BCRLS):
 
     @classmethod
     def refuses(cls, equation: Equation) -> str:
-        return super().refuses(equation) if equation.dead_time != ESTIMATE else ""
+        return super().refuses(equation.at_once)
 
 
 def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
@@ -106,6 +106,7 @@ def make_auxiliary_kernel(
     p = len(estimator.names)
     direct = _kept(estimator, direct_estimator)
     causes = _causes(estimator.equation, network) if adapt else []
+    values = estimator.equation.role_values(initial)
     auxiliary = {
         "enabled": 1,
         "adapt": int(adapt),
@@ -125,7 +126,7 @@ def make_auxiliary_kernel(
         "lag_samples": max(1.0, ALIKE_TIME_CONSTANTS / (estimator.cutoff * estimator.dt)),
         "direct_index": _indices(_alike(direct.equation, estimator.equation)),
         "index": _indices(estimator.equation.roles),
-        "initial": estimator.equation.role_values(initial),
+        "initial": values,
         "jump_gain": 1 - math.exp(-2 / estimator.order * estimator.cutoff * estimator.dt),
         "sensitivities": len(causes),
         "cause": causes,
@@ -142,7 +143,7 @@ def make_auxiliary_kernel(
         instrument=_with_check(estimator, estimator.recursion_config(p, True, forgetting, first))
         | {"growing": _growing(estimator) if adapt else 0},
         auxiliary=auxiliary,
-        late=estimator.late_config,
+        late=estimator.late_config(float(values[LATE])),
     )
     return kernel, first
 

@@ -19,6 +19,7 @@ from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
 from pmfid.filters.network import Network, Taps, scaled
 from pmfid.kernel.configuration import new_kernel
+from pmfid.kernel.late import late_values
 from pmfid.kernel.shapes import shape_values, too_many
 from pmfid.kernel.structures import constants_of
 from pmfid.models.drive import Model
@@ -90,11 +91,7 @@ class Estimator:
                 f"cutoff * dt must be at most 2, got {self.cutoff * self.dt:g}: the filters' pole would lie beyond "
                 f"what samples every {self.dt:g} s can show; use a cutoff of at most {2 / self.dt:g} rad/s"
             )
-        if self.equation.dead_time not in (0, ESTIMATE) and not self.equation.dead_time <= MOST_LATE * self.dt:
-            raise UsageError(
-                f"dead_time is {self.equation.dead_time:g} s, more than {MOST_LATE} samples: shift the input column by "
-                "whole samples, and give the rest"
-            )
+        self._check_late()
         if self.settle_samples > MAX_SETTLE_SAMPLES:
             raise UsageError(
                 f"cutoff = {self.cutoff:g} rad/s is too low for dt = {self.dt:g} s: the filters would settle after "
@@ -120,6 +117,8 @@ class Estimator:
                 f'{cls.method} does not simulate the motion, as it must where dead_time = "estimate"; use iv, riv, '
                 "output-error or interval, or give the dead time in s"
             )
+        if equation.lag == ESTIMATE:
+            return f"{cls.method} cannot find a lag: use iv, output-error or interval, or give it in s"
         if refused := too_many([table for table, _ in equation.known_at([1.0] * len(equation.further)).shapes]):
             return refused
         of_speed = ", ".join(str(term.name) for term in equation.shaped if term.shape and term.shape.of_speed)
@@ -134,6 +133,18 @@ class Estimator:
             f"{cls.method} does not simulate the process, as it must where {equation.only_simulated}; use "
             "srivc, iv or output-error"
         )
+
+    def _check_late(self) -> None:
+        if self.equation.dead_time not in (0, ESTIMATE) and not self.equation.dead_time <= MOST_LATE * self.dt:
+            raise UsageError(
+                f"dead_time is {self.equation.dead_time:g} s, more than {MOST_LATE} samples: shift the input column by "
+                "whole samples, and give the rest"
+            )
+        if self.equation.lag not in (0, ESTIMATE) and not self.equation.lag <= MOST_LATE * self.dt:
+            raise UsageError(
+                f"lag is {self.equation.lag:g} s, more than {MOST_LATE} samples: that is a part of the plant, not of "
+                "its drive; check its unit, or find it as a pole of a transfer function"
+            )
 
     def _check_kinds(self) -> None:
         if not isinstance(getattr(self.model, "equation", None), Equation):
@@ -230,7 +241,7 @@ class Estimator:
                 direct=direct,
                 settle_samples=self.settle_samples,
                 first_samples=self.first_samples,
-                late=self.late_config,
+                late=self.late_config(),
                 shapes=shapes_of(self.equation, network),
             )
         except ValueError as error:  # more than it holds
@@ -247,15 +258,14 @@ class Estimator:
             config["spike"] = self.plant.spike
         return config
 
-    @property
-    def late_config(self) -> dict[str, float] | None:
-        """The part of the kernel configuration on an input that acts late; None: it acts at once."""
-        late = self.equation.dead_time
-        if not late:
+    def late_config(self, found: float = 0.0) -> dict[str, object] | None:
+        """The part of the kernel configuration on an input that acts late; None: it acts at once. found: the dead time
+        [s] of the model, where it is unknown."""
+        late, lag = self.equation.dead_time, self.equation.lag
+        known, room = (found, MOST_LATE) if late == ESTIMATE else (float(late), None)
+        if not (late or lag):
             return None
-        known = 0.0 if late == ESTIMATE else float(late)
-        room = MOST_LATE if late == ESTIMATE else math.ceil(known / self.dt)
-        return {"room": room, "rate": 1 / self.dt, "dead_time": known}
+        return late_values(self.dt, known, 0.0 if lag == ESTIMATE else lag, room, self.precision)
 
     @property
     def first_samples(self) -> int:

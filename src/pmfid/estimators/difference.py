@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.estimators.motion import mean_velocity, parts_for
-from pmfid.models.equation import LATE, MOST_LATE, Equation
+from pmfid.models.equation import ESTIMATE, MOST_LATE, Equation
 from pmfid.types import Floats
 
 #: Step of the difference quotients as a part of a parameter: far above the kinks that stops and reversals leave in
@@ -35,6 +35,8 @@ START_COUNTS = 3.0
 WHITE = math.sqrt(12.0)
 #: A larger part of the motion left unexplained is no fit.
 WORST_FIT = 0.5
+#: Of the longest lag so many times are as good as for ever.
+LAGGING = 16
 #: Least mass, as a part of that of the start: without any the motion has no equation.
 LEAST_MASS = 1e-3
 #: The same of a parameter that the equation is not linear in.
@@ -74,21 +76,16 @@ class Difference:
         """
         values = q * self.scale
         theta, (x0, v0) = values[:-2], values[-2:]
-        split, u = 1, self.u
+        split, u, on_top = 1, self.u, None
         if force is not None:
             split = force.size // u.size
-            early = self._early(force, theta[: len(self.equation.names)], split)
-            u = np.repeat(u, split) + early / self.equation.input_gain
+            u, on_top = np.repeat(u, split), force / self.equation.input_gain
         # a spring's length counts from the first count
         start = float(v0), float(x0 - self.slack)
         parts = max(1, -(-self.parts // split))
-        velocity = mean_velocity(self.equation, theta, self.dt / split, u, *start, parts, np.repeat(self.before, split))
+        past = np.repeat(self.before, split)
+        velocity = mean_velocity(self.equation, theta, self.dt / split, u, *start, parts, past, on_top)
         return x0 + np.r_[0.0, np.cumsum(velocity[:-1])][::split] * (self.dt / split), velocity
-
-    def _early(self, force: Floats, theta: Floats, parts: int) -> Floats:
-        """A force as it must stand in an input that acts late, to act in time."""
-        late = round(self.equation.role_values(theta)[LATE] * parts / self.dt)
-        return np.r_[force[late:], np.full(min(late, force.size), force[-1])] if late > 0 else force
 
     @property
     def before(self) -> Floats:
@@ -115,7 +112,7 @@ class Difference:
 
     def part(self, first: int, last: int) -> Difference:
         """The same for samples first to last - 1, with a start of their own."""
-        past = np.r_[self.before, self.u[:first]][-MOST_LATE - 2 :]
+        past = np.r_[self.before, self.u[:first]][-(LAGGING if self.equation.lag else 1) * MOST_LATE - 2 :]
         return replace(self, u=self.u[first:last], y=self.y[first:last], zero=self.slack, past=past)
 
     def filtered(self, signal: Floats) -> Floats:
@@ -168,6 +165,8 @@ class Difference:
         lower[: len(self.equation.names)][np.array(self.equation.positive)] = 0.0
         lower[self.equation.leading] = LEAST_MASS
         lower[len(self.equation.names) : -2] = LEAST_SHAPE
+        if self.equation.lag == ESTIMATE:
+            lower[len(self.equation.names)] = 0.0
         return lower
 
 

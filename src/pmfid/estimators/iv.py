@@ -1,58 +1,36 @@
-"""Instrumental variables with a friction-aware auxiliary model."""
+"""Instrumental variables with a friction-aware auxiliary model, off-line and recursive."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.arguments import check_arrays, check_size
-from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
-from pmfid.estimators.bcls import BCLS
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.adequacy import weigh
+from pmfid.estimators.arguments import check_arrays
+from pmfid.estimators.auxiliary import make_auxiliary_kernel
 from pmfid.estimators.configuration import like
-from pmfid.estimators.encoder_noise import impulse_products
-from pmfid.estimators.identifiable import TINY, check_identifiable
-from pmfid.estimators.lattice import lattice_scatter
-from pmfid.estimators.least_squares import inverse_of, solve_with_instruments
+from pmfid.estimators.instruments import Instruments, initial_vector
+from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.estimators.results import Columns, Fit
-from pmfid.estimators.scatter import raised, scatter
+from pmfid.estimators.results import Fit
 from pmfid.estimators.simulating import Simulating
-from pmfid.estimators.srivc import ProcessSolver, fixed_filters
-from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, ESTIMATE, LATE, MASS, OFFSET, ROLES, Equation
-from pmfid.status import Status
-from pmfid.transfer.solve import ProcessProblem, Solution
+from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation
+from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
 
-MAX_ITERATIONS = 40
-TOLERANCE = 1e-7
-#: A stop of the model that comes and goes with theta keeps the iteration in a small cycle: from here on half steps,
-DAMPED_FROM = 15
-#: and a cycle of this relative size is an answer.
-ACCEPTED = 2e-3
-#: A parameter whose term is less than this part of the target may be zero: its change is measured against that.
-SMALL = 1e-2
-#: The first part of a record, in which the model's velocity forgets that its start was not known.
-START_PART = 0.05
-#: A record whose first counts are the same for so many samples may begin at rest.
-REST_SAMPLES = 5
-#: Relative step of the differences for the covariance.
-JACOBIAN_STEP = 1e-3
-#: Dead times [samples] that are tried before one is estimated.
-TRIED = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0)
-#: Blocks that fade in and out hold the noise behind the filters apart from what lasts from so many times on that these
-#: take to settle.
-LASTING = 4
+#: A dead time known to this [samples] moves nothing; one that is known worse may be known better from the whole motion.
+SHARP = 0.005
 
 
 @dataclass(frozen=True)
-class IV(ProcessSolver, Simulating):
+class IV(Instruments):
     """Iterated instrumental variables, off-line (Young and Jakeman 1979; the friction in the model is ours).
 
     The plant is simulated from the input alone with the present estimate, stiction included; the simulated motion
@@ -60,200 +38,61 @@ class IV(ProcessSolver, Simulating):
     sum zeta z, until it no longer changes. initial: parameters by name to start from; None: bias-compensated least
     squares. A transfer function is simulated as such, with unknown initial conditions; its filter stays that of the
     cutoff (`SRIVC` lets it follow the estimate).
+
+    How late the input acts is taken from the motion that fits best (`interval`), where that explains every count, and
+    knows it better: its instrument is the change of the input, which under control is that of the encoder's error.
     """
-
-    method: ClassVar[str] = "iv"
-
-    initial: Mapping[str, float] | None = field(default=None, kw_only=True)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.equation.further:
-            names, others = ", ".join(dict(self.equation.further)), "" if self.plant.rests else "srivc or "
-            raise UsageError(f"iv is linear in what it estimates, and {names} is not; use {others}output-error")
-
-    def solved(self, problem: ProcessProblem) -> Solution:
-        return fixed_filters(problem)
 
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Raises NotIdentifiableError also where no iteration settles."""
         u, counts = check_arrays(u, counts)
-        columns, theta = self.settled(u, counts)
-        return self._result(columns, theta, self._bars(columns, theta, u, counts))
+        fit = super()._fit(u, counts)
+        late = [i for i, name in enumerate(self.names) if name in (DEAD_TIME, LAG)]
+        if not late or np.all(fit.theta_std[late] < SHARP * self.dt):
+            return fit
+        sharp = self._sharp(fit, u, counts)
+        if sharp is None or not np.all(sharp.theta_std[late] < fit.theta_std[late]):
+            return fit
+        return self._at(sharp.theta[late], sharp.theta_cov[np.ix_(late, late)], late, fit, u, counts)
 
-    def settled(self, u: ArrayLike, counts: ArrayLike) -> tuple[Columns, NDArray[np.float64]]:
-        """The columns of the last turn and theta (p,): `fit` without the covariance, and with its errors."""
-        theta = self.start(u, counts)
-        for turn in range(MAX_ITERATIONS):
-            columns = self.columns_at(theta, u, counts)
-            check_identifiable(columns, self.names, simulated=True)
-            before, theta = theta, self._plausible(theta, self._solve(columns)[0])
-            if turn >= DAMPED_FROM:
-                theta = (theta + before) / 2
-            small = SMALL * np.linalg.norm(columns.z) / np.maximum(np.linalg.norm(columns.phi, axis=0), TINY)
-            size = np.maximum(np.maximum(np.abs(theta), np.abs(before)), small)
-            change = np.max(np.abs(theta - before) / size)
-            if change <= TOLERANCE or (turn == MAX_ITERATIONS - 1 and change <= ACCEPTED):
-                return columns, theta
-        raise NotIdentifiableError(
-            f"the iteration does not settle (last {dict(zip(self.names, theta.round(4).tolist(), strict=True))}): the "
-            "simulated motion does not follow the measured one; check input_gain and the model, or in Python give "
-            "`initial`"
-        )
+    def _sharp(self, fit: Fit, u: Floats, counts: NDArray[np.int64]) -> Fit | None:
+        """The interval likelihood, where the model is enough for it."""
+        method = like(IntervalML, self, prefilter_zeros=None)
+        try:
+            best = method.best(u, counts, np.maximum(fit.theta, np.where(self.positive, 0.0, -np.inf)))
+            return method.fit_of(best) if best.noise is not None and weigh(best).adequate else None
+        except NotIdentifiableError:
+            return None
 
-    def _bars(
-        self, columns: Columns, theta: NDArray[np.float64], u: NDArray[np.float64], counts: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
-        """Covariance (p, p) of theta (p,): what its scores scatter in blocks on every scale beyond that of the filters,
-        behind which the encoder's error cancels, and friction that the model lacks does not; or what the encoder does
-        along this motion, where that is more."""
-        gain = self._gain(columns, theta, u, counts)
-        in_blocks = scatter(self._scores(columns, theta) @ gain.T, LASTING * self.settle_samples)
-        along = lattice_scatter(self, theta, u, counts, lambda read: self.columns_at(theta, u, read), gain)
-        return raised(in_blocks, along)
+    def _at(
+        self, late: Floats, late_cov: Floats, places: list[int], fit: Fit, u: Floats, counts: NDArray[np.int64]
+    ) -> Fit:
+        """The fit at a lateness (l,) [s] known to a covariance (l, l), at these places of theta."""
+        others = [i for i in range(fit.theta.size) if i not in places]
+        known = self._known(late, fit.theta[others])
+        columns, theta = known.settled(u, counts)
+        moves = np.empty((theta.size, late.size))
+        for j, bar in enumerate(np.sqrt(np.diagonal(late_cov))):
+            sides = [np.maximum(late + side * bar * np.eye(late.size)[j], 0.0) for side in (1.0, -1.0)]
+            ends = [self._known(side, theta).settled(u, counts)[1] for side in sides]
+            moves[:, j] = (ends[0] - ends[1]) / (sides[0][j] - sides[1][j])
+        own = known.bars(columns, theta, u, counts)
+        whole, cov = np.empty(fit.theta.size), np.empty_like(fit.theta_cov)
+        whole[others], whole[places] = theta, late
+        cov[np.ix_(others, others)] = own + moves @ late_cov @ moves.T
+        cov[np.ix_(places, places)] = late_cov
+        cov[np.ix_(others, places)] = moves @ late_cov
+        cov[np.ix_(places, others)] = cov[np.ix_(others, places)].T
+        return self._result(self.columns_at(whole, u, counts), whole, cov)
 
-    def _gain(
-        self, columns: Columns, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike
-    ) -> NDArray[np.float64]:
-        """(p, p): how a change of sum zeta z moves theta, with the reversals of the model moving, too.
-
-        sum zeta phi^T alone takes the direction for known, and makes the error bar of the mass a fifth too short.
-        """
-        rests = self._rests(*check_arrays(u, counts), theta)
-        jacobian = np.empty((theta.size, theta.size))
-        size = np.maximum(np.abs(theta), 1e-3 * np.max(np.abs(theta)))
-        if (late := self.equation.roles[LATE]) is not None:
-            size[late] = self.dt
-        for i, step in enumerate(JACOBIAN_STEP * size):
-            error = []
-            for side in (step, -step):
-                moved = theta + side * np.eye(theta.size)[i]
-                beside = self.columns_at(moved, u, counts, rests)
-                error.append(beside.z - beside.phi @ moved)
-            jacobian[:, i] = columns.zeta.T @ (error[1] - error[0]) / (2 * step)
-        return inverse_of(jacobian)
-
-    def start(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
-        """Parameters to simulate with first: the given ones, or from the counts alone; (p,)."""
-        if self.initial is not None:
-            return initial_vector(self.initial, self.names)
-        if self.equation.dead_time == ESTIMATE:
-            return self._start_late(u, counts)
-        batch = like(BCLS, self, model=self.model.simple)
-        found = batch.fit(u, counts)
-        theta = spread(batch.equation.role_values(found.theta), self.equation)
-        for term in batch.equation.shaped:
-            theta[self.names.index(str(term.name))] = found.theta[batch.names.index(str(term.name))]
-        return theta
-
-    def _start_late(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
-        """The same with the dead time at which the simulated velocity is nearest to the measured one."""
-        found: list[tuple[float, NDArray[np.float64]]] = []
-        refused: NotIdentifiableError | None = None
-        for samples in TRIED:
-            known = like(IV, self, model=self.model.at_dead_time(samples * self.dt))
-            try:
-                theta = known.start(u, counts)
-            except NotIdentifiableError as error:
-                refused = refused or error
-                continue
-            found.append((known.mismatch(theta, u, counts), np.r_[theta, samples * self.dt]))
-        if not found:
-            raise refused or NotIdentifiableError("no start for the iteration")
-        return min(found, key=lambda pair: pair[0])[1]
-
-    def mismatch(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> float:
-        """Mean square of the filtered velocity that the model at theta (p,) lacks, over that of the measured one."""
-        columns, used, _ = self._filtered(theta, *check_arrays(u, counts), None)
-        check = auxiliary_columns(self)[3]
-        measured, modelled = columns[used, check], columns[used, check + 1]
-        return float(np.sum((measured - modelled) ** 2) / max(float(np.sum(measured**2)), TINY))
-
-    def columns_at(
-        self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike, rests: bool | None = None
-    ) -> Columns:
-        """Regressors, target and instruments with the auxiliary model at theta (p,).
-
-        A record that begins at rest, which the model says as well, has been at rest before: its first motion counts.
-        rests: does it? None: as the counts and theta say.
-        """
-        columns, used, status = self._filtered(theta, *check_arrays(u, counts), rests)
-        first, p = auxiliary_columns(self)[2], len(self.names)
-        columns = columns[used, first:]
-        occurred = int(np.bitwise_or.reduce(status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP)
-        return Columns(columns[:, :p], columns[:, p], columns[:, p + 1 : 2 * p + 1], used, occurred)
-
-    def _filtered(
-        self,
-        theta: NDArray[np.float64],
-        u_array: NDArray[np.float64],
-        counts_array: NDArray[np.int64],
-        rests: bool | None,
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.uint32]]:
-        """All columns (n, c), which rows count (n,), and the status (n,)."""
-        check_size(u_array)
-        kernel, _ = make_auxiliary_kernel(self, 1.0, list(theta), adapt=False)
-        rests = self._rests(u_array, counts_array, theta) if rests is None else rests
-        before = 2 * self.settle_samples + 1 if rests else 0
-        rest = np.full(before, counts_array[:1])
-        columns, status = kernel.filter(np.r_[np.zeros(before), u_array], np.r_[rest, counts_array])
-        columns, status = columns[before:], status[before:]
-        used = (status & Status.SETTLING) == 0
-        used[: 0 if before else int(START_PART * used.size)] = False
-        return columns, used, status
-
-    def _rests(self, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]) -> bool:
-        """Does the axis rest at first, by the counts and by the friction of theta (p,)?"""
-        begin = slice(0, REST_SAMPLES)
-        if counts.size <= REST_SAMPLES or np.any(counts[begin] != counts[0]):
-            return False
-        friction = min(
-            (theta[i] for i in (self.equation.roles[r] for r in (COULOMB_FORWARD, COULOMB_BACKWARD)) if i is not None),
-            default=0.0,
-        )
-        index = self.equation.roles[OFFSET]
-        force = self.equation.input_gain * u[begin] - (0.0 if index is None else theta[index])
-        return bool(np.all(np.abs(force) <= friction)) and not self.equation.place_matters
-
-    def noise(self) -> NDArray[np.float64]:
-        """(p, p) covariance that a white encoder error of the step's variance has in the regressors of one sample."""
-        network, columns, first, _ = auxiliary_columns(self)
-        products = impulse_products(self, network, columns[first : first + len(self.names)])
-        return np.asarray(self.encoder.resolution**2 / 12 * products)
-
-    def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        return solve_with_instruments(columns)
-
-    def _plausible(self, theta: NDArray[np.float64], found: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What was found, but no further than half-way from theta to a mass or friction of zero."""
-        low = np.where(self.equation.positive, 0.5 * theta, -np.inf)
-        return np.maximum(found, low)
-
-
-def initial_vector(initial: Mapping[str, float], names: tuple[str, ...]) -> NDArray[np.float64]:
-    """The parameters of `initial` in the order of theta. Raises UsageError for a missing or unknown name."""
-    if set(initial) != set(names):
-        raise UsageError(f"initial must name {list(names)}, got {list(initial)}")
-    return np.array([float(initial[name]) for name in names])
-
-
-def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
-    """theta (p,) from the roles' values of the symmetric equation; a constant load that this one lacks becomes Coulomb
-    friction that differs with the direction. Frictions that came out negative start at zero."""
-    values = list(known)
-    if equation.roles[OFFSET] is None:
-        values[COULOMB_FORWARD] += values[OFFSET]
-        values[COULOMB_BACKWARD] -= values[OFFSET]
-    theta = np.zeros(len(equation.names))
-    for value, index in zip(values[: len(ROLES)], equation.roles[: len(ROLES)], strict=True):
-        if index is not None:
-            theta[index] = value
-    if not values[MASS] > 0:
-        raise NotIdentifiableError(
-            f"no start for the iteration: from the counts alone the mass comes out as {values[MASS]:.3g}; check the "
-            "signs of input and output, use a lower cutoff, record a livelier motion, or in Python give `initial`"
-        )
-    return np.where(equation.positive, np.maximum(theta, 0.0), theta)
+    def _known(self, late: Floats, start: Floats) -> Instruments:
+        """With a known lateness (l,) [s], from theta (p,) on."""
+        times = iter(late.tolist())
+        model, equation = self.model, self.equation
+        model = model.at_dead_time(next(times)) if equation.dead_time == ESTIMATE else model
+        model = model.at_lag(next(times)) if equation.lag == ESTIMATE else model
+        twin = like(Instruments, self, model=model)
+        return replace(twin, initial=dict(zip(twin.names, start.tolist(), strict=True)))
 
 
 @dataclass(frozen=True)
@@ -273,6 +112,11 @@ class RIV(Simulating, RecursiveEstimator):
     @classmethod
     def refuses(cls, equation: Equation) -> str:
         refused = super().refuses(equation)
+        if not refused and equation.lag and ESTIMATE in (equation.lag, equation.dead_time):
+            return (
+                "riv takes a lag with a dead time, both known: find them with iv, output-error or interval, and give "
+                f'them; or set dead_time = "{ESTIMATE}" alone, which takes up the mean of both'
+            )
         if refused or not equation.further:
             return refused
         names = ", ".join(dict(equation.further))

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 
+from pmfid.kernel.late import Decay, decays
 from pmfid.kernel.shapes import shape_bytes
-from pmfid.models.equation import MASS, VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
+from pmfid.models.equation import LATE, MASS, VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
 from pmfid.types import Floats
 
-#: Parts of a sample in which forces with a shape are simulated where nobody looks closer, and at most.
+#: Parts of a sample in which forces with a shape, and reversals behind a lag, are simulated where nobody looks closer,
+#: and at most.
 PARTS, MOST_PARTS = 4, 16
 #: Damping that the kernel gives a body in every step, so that it may divide by it.
 LITTLE_DAMPING = 1e-9
@@ -23,31 +28,45 @@ def mean_velocity(
     position: float = 0.0,
     parts: int = PARTS,
     before: Floats | None = None,
+    on_top: Floats | None = None,
 ) -> Floats:
     """(n,) of every interval at theta (p,), shape parameters included, under u (n,), held; velocity, position: at the
-    start, the position as the equation counts it. parts: of a sample, of an equation with shapes; without them the
-    motion is exact. before: inputs before the first (m,), of which a dead time knows; None: zero."""
+    start, the position as the equation counts it. parts: of a sample, of an equation with shapes or a lag; without them
+    the motion is exact. before: inputs before the first (m,), of which a dead time or a lag knows; None: zero. on_top:
+    (n,) what acts at once beside the input, in its unit."""
     from pmfid import _kernel64
 
     past = np.zeros(1) if before is None else before
     known = equation.known_at(np.asarray(theta)[len(equation.names) :])
     roles, shapes = known.role_values(theta), shape_bytes(known.shapes)
-    if not shapes:
-        return np.asarray(_kernel64.simulate(roles, known.input_gain, dt, u, velocity, position, b"", past)[0])
+    if not (shapes or known.lag):
+        return np.asarray(
+            _kernel64.simulate(roles, known.input_gain, dt, u, velocity, position, b"", past, None, on_top)[0]
+        )
     for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # as little in all parts as in one step
         roles[viscous] = max(roles[viscous] - (parts - 1) * LITTLE_DAMPING * roles[MASS] / dt, 0.0)
     inputs = np.repeat(u, parts)
+    extra = None if on_top is None else np.repeat(on_top, parts)
+    past, lagging = np.repeat(past, parts), _decays(known, roles, dt / parts)
     mean = _kernel64.simulate(
-        roles, known.input_gain, dt / parts, inputs, velocity, position, shapes, np.repeat(past, parts)
+        roles, known.input_gain, dt / parts, inputs, velocity, position, shapes, past, lagging, extra
     )[0]
     return np.asarray(mean.reshape(-1, parts).mean(axis=1))
+
+
+def _decays(equation: Equation, roles: Sequence[float], dt: float) -> list[Decay] | None:
+    """What the kernel needs for the lag of an equation, in steps of dt [s]; None: there is none."""
+    if not equation.lag:
+        return None
+    late = max(roles[LATE] / dt, 0.0)
+    return decays(late - math.floor(late), float(equation.lag) / dt)
 
 
 def parts_for(equation: Equation, theta: Floats, dt: float, u: Floats, allowed: float) -> int:
     """Parts of a sample with which the position is right to a root mean square of `allowed` [unit of y]; the error of
     such a scheme falls with their square."""
     parts = 1
-    if equation.shaped:
+    if equation.shaped or equation.lag:
         coarse = mean_velocity(equation, theta, dt, u, parts=parts)
         while parts < MOST_PARTS:
             fine = mean_velocity(equation, theta, dt, u, parts=2 * parts)

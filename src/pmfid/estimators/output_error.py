@@ -27,7 +27,7 @@ from pmfid.estimators.difference import (
     rms,
 )
 from pmfid.estimators.identifiable import check_identifiable
-from pmfid.estimators.iv import IV
+from pmfid.estimators.instruments import Instruments
 from pmfid.estimators.likelihood import Best, best_of
 from pmfid.estimators.motion import mean_velocity
 from pmfid.estimators.phases import phase_scatter
@@ -39,6 +39,7 @@ from pmfid.estimators.srivc import ProcessSolver, by_descent
 from pmfid.estimators.window_choice import FEWEST, choose_window
 from pmfid.estimators.windows import Windows, descend
 from pmfid.models.drive import EquationModel
+from pmfid.models.equation import ESTIMATE
 from pmfid.transfer.solve import ProcessProblem, Solution
 from pmfid.types import Floats
 
@@ -154,12 +155,12 @@ class Following(Simulating, BatchEstimator):
     def _first(self, u: Floats, counts: NDArray[np.int64]) -> tuple[Floats, int]:
         """theta (p,) to start from, and the status bits of the record. A Stribeck speed is tried at parts of the usual
         one: with each, what is left is a sum of squares of its own."""
-        if not self.equation.further:
+        if not self.equation.searched:
             return self._start(u, counts)
         found: list[tuple[float, Floats, int]] = []
         usual, y = self._usual_speed(u, counts), self.position(counts)
         for speed in usual * np.array(STRIBECK_SPEEDS):
-            known = like(OE, self, model=EquationModel(self.equation.known_at([speed])))
+            known = like(OE, self, model=EquationModel(self.equation.at_shapes([speed])))
             try:
                 theta, status = known._start(u, counts)
                 difference, q = known._prepared(theta, held(u), y)
@@ -174,7 +175,7 @@ class Following(Simulating, BatchEstimator):
 
     def _usual_speed(self, u: Floats, counts: NDArray[np.int64]) -> float:
         """Root mean square of the motion that the model without shapes makes, or the counts where it makes none."""
-        plain = like(IV, self, model=self.model.symmetric, initial=None)
+        plain = like(Instruments, self, model=self.model.symmetric, initial=None)
         velocity = mean_velocity(plain.equation, plain.start(u, counts), self.dt, held(u))
         moving = velocity[velocity != 0]
         return rms(moving) if moving.size else rms(np.diff(self.position(counts))) / self.dt
@@ -183,7 +184,7 @@ class Following(Simulating, BatchEstimator):
         """theta (p,) of `IV`, or what that starts from, if it does not settle; and the status bits of the record.
 
         Raises NotIdentifiableError where the counts alone show that nothing can be identified."""
-        first = like(IV, self)
+        first = like(Instruments, self)
         try:
             columns, theta = first.settled(u, counts)
         except NotIdentifiableError:
@@ -204,6 +205,8 @@ class Following(Simulating, BatchEstimator):
         for index, smallest in zip(self.equation.roles, np.r_[0.01 * natural, dt], strict=True):
             if index is not None:
                 size[index] = max(size[index], smallest)
+        if self.equation.lag == ESTIMATE:
+            size[len(self.equation.names)] = max(size[len(self.equation.names)], dt)
         scale, pole = np.r_[size, travel, travel * self.cutoff], self.drift_cutoff or self.cutoff
         difference = Difference(self.equation, dt, u, y, self.encoder.resolution, scale, pole).fine_at(theta)
         v0 = first_speed(y, dt, self.cutoff, self.encoder.resolution)

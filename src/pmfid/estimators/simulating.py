@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from pmfid.estimators.base import Estimator
-from pmfid.models.equation import ESTIMATE, Equation
+from pmfid.models.equation import Equation
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Simulating(Estimator):
 
     @classmethod
     def refuses(cls, equation: Equation) -> str:
-        refused = super().refuses(equation) if equation.dead_time != ESTIMATE else ""
+        refused = super().refuses(equation.at_once)
         if refused or not equation.without_simulation:
             return refused
         return (

@@ -21,6 +21,7 @@ from pmfid.estimators.rls import RLS
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.judge.counts import count_jump, counts_per_sample
+from pmfid.judge.late import late
 from pmfid.status import Status
 
 #: A correlation this many standard deviations from zero is taken for real.
@@ -190,11 +191,12 @@ def examined(
         return None
     if not np.any(like(LS, estimator, model=estimator.model.simple, prefilter_zeros=None).columns(u, counts).used):
         return None
-    if known is not None and known.difference.equation == estimator.equation:
-        return known
+    if known is not None and known.difference.equation.at_lag(0.0) == estimator.equation.at_lag(0.0):
+        return known  # a lag that was found and one that is known are one model
     theta = theta[: len(estimator.equation.names)]
     at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
-    return examine(estimator, u, counts, at if at[estimator.equation.leading] > 0 else None)
+    complete = at[estimator.equation.leading] > 0 and not estimator.equation.further
+    return examine(estimator, u, counts, at if complete else None)
 
 
 def _model(
@@ -221,12 +223,7 @@ def _model(
         )
     if not found.adequate:
         yield "unmodelled", f"{UNMODELLED}: {found.says}; the error bars do not cover it"
-        if found.dead_time is not None:
-            yield (
-                "dead_time",
-                f"a dead time of about {found.dead_time / estimator.dt:.2g} samples explains the counts better: set "
-                'dead_time = "estimate" in [model]',
-            )
+        yield from late(found)
         return
     part, own = recent(estimator, u.size), slice(0, len(estimator.equation.names))
     yield from _hidden(estimator, found, (u[part], counts[part]), theta[own], std[own])

@@ -27,7 +27,8 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import NEARLY, Adequacy, filtered, force_moves
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
-from pmfid.estimators.iv import IV, LASTING
+from pmfid.estimators.instruments import LASTING
+from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import solve_with_instruments
 from pmfid.estimators.output_error import Following
 from pmfid.estimators.results import Columns

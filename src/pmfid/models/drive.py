@@ -6,14 +6,17 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
-from typing import ClassVar, Literal, Protocol
+from typing import ClassVar, Literal, Protocol, TypeVar
 
 from pmfid.errors import UsageError
-from pmfid.models.equation import ESTIMATE, Equation, Term, check_dead_time
+from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation, Term, check_late
 from pmfid.models.shapes import Square, Stribeck, Wave
 from pmfid.models.signals import Signal
 
 FRICTIONS = ("symmetric", "directional")
+
+
+Late = float | Literal["estimate"]
 
 
 class Model(Protocol):
@@ -31,11 +34,16 @@ class Model(Protocol):
 
     @property
     def simple(self) -> Model:
-        """The same, and without a dead time that is to be found: what methods that simulate no motion can identify."""
+        """The same, and without a dead time or lag that is to be found: what methods that simulate no motion can
+        identify."""
         ...
 
-    def at_dead_time(self, seconds: float) -> Model:
-        """The same with a known dead time of the input [s]."""
+    def at_dead_time(self, seconds: Late) -> Model:
+        """The same with another dead time of the input [s]."""
+        ...
+
+    def at_lag(self, seconds: Late) -> Model:
+        """The same with another lag of the input [s]."""
         ...
 
 
@@ -57,11 +65,13 @@ class EquationModel:
 
     @property
     def simple(self) -> EquationModel:
-        found = self.equation.dead_time == ESTIMATE
-        return self.symmetric.at_dead_time(0.0) if found else self.symmetric
+        return without_unknown_lateness(self.symmetric)
 
-    def at_dead_time(self, seconds: float) -> EquationModel:
+    def at_dead_time(self, seconds: Late) -> EquationModel:
         return EquationModel(self.equation.at_dead_time(seconds))
+
+    def at_lag(self, seconds: Late) -> EquationModel:
+        return EquationModel(self.equation.at_lag(seconds))
 
 
 @dataclass(frozen=True)
@@ -86,9 +96,11 @@ class Drive:
     gravity_cos [N]] [, cogging_sin, cogging_cos [N]] [, friction_sin, friction_cos [N]] [, dead_time [s]]
     [, stribeck_speed [m/s]]. Forces and friction of a place count it from the first sample on.
     dead_time: by which u acts late, or the counts are [s], any part of a sample; "estimate": a parameter, too, up to 20
-    samples, for the methods that simulate (iv, riv, output-error, interval).
+    samples, for the methods that simulate (iv, riv, output-error, interval). lag: time constant [s] of a first-order
+    lag that u goes through as well, as that of a current loop, up to 20 samples; "estimate": a parameter, too [, lag
+    [s]], off-line (iv, output-error, interval).
     Raises UsageError for an input gain that is 0 or not finite, an unknown friction, offset with directional friction,
-    and a dead time, speed or period that is none.
+    and a dead time, lag, speed or period that is none.
     """
 
     kind: ClassVar[str] = "drive"
@@ -97,12 +109,13 @@ class Drive:
     offset: bool = False
     friction: str = "symmetric"
     spring: bool = False
-    dead_time: float | Literal["estimate"] = 0.0
+    dead_time: Late = 0.0
     stribeck: float | Literal["estimate"] | None = None
     quadratic: bool = False
     gravity: bool | float = False
     cogging: float | None = None
     friction_period: float | None = None
+    lag: Late = 0.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.input_gain, Real) or not 1e-30 < abs(self.input_gain) < 1e30:
@@ -110,7 +123,8 @@ class Drive:
                 f"input_gain must be finite and not 0, got {self.input_gain!r}; "
                 "it is the force per unit of input, 1 where the input is the force itself"
             )
-        check_dead_time(self.dead_time)
+        check_late(DEAD_TIME, self.dead_time)
+        check_late(LAG, self.lag)
         if self.friction not in FRICTIONS:
             raise UsageError(f"friction must be one of {FRICTIONS}, got {self.friction!r}")
         if self.friction == "directional" and self.offset:
@@ -131,7 +145,7 @@ class Drive:
             unknown.append(Term("output", 0, "stiffness", "N/m"))
         unknown += self._shaped()
         known = (Term("input", 0, coefficient=self.input_gain),)
-        return Equation(tuple(unknown), known, dead_time=self.dead_time)
+        return Equation(tuple(unknown), known, dead_time=self.dead_time, lag=self.lag)
 
     def _shaped(self) -> list[Term]:
         terms = []
@@ -156,10 +170,22 @@ class Drive:
 
     @property
     def simple(self) -> Drive:
-        return self.symmetric.at_dead_time(0.0) if self.dead_time == ESTIMATE else self.symmetric
+        return without_unknown_lateness(self.symmetric)
 
-    def at_dead_time(self, seconds: float) -> Drive:
+    def at_dead_time(self, seconds: Late) -> Drive:
         return replace(self, dead_time=seconds)
+
+    def at_lag(self, seconds: Late) -> Drive:
+        return replace(self, lag=seconds)
+
+
+Machine = TypeVar("Machine", EquationModel, Drive)
+
+
+def without_unknown_lateness(model: Machine) -> Machine:
+    """The same, with an input that acts at once where it is to be found how late."""
+    plain = model.at_dead_time(0.0) if model.equation.dead_time == ESTIMATE else model
+    return plain.at_lag(0.0) if model.equation.lag == ESTIMATE else plain
 
 
 def _waves(signal: Signal, name: str, period: float) -> list[Term]:

@@ -30,8 +30,8 @@ ROLES: tuple[tuple[tuple[Signal, int], ...], ...] = (
 MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, OFFSET, STIFFNESS, LATE = range(8)
 #: Roles that are never negative: inertia, friction and dead time.
 POSITIVE_ROLES = (MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, LATE)
-DEAD_TIME = "dead_time"
-#: Longest dead time, in samples.
+DEAD_TIME, LAG = "dead_time", "lag"
+#: Longest dead time, and longest lag, in samples.
 MOST_LATE = 20
 
 
@@ -114,6 +114,8 @@ class Equation:
     dead_time: by which the input of a machine acts late [s], any part of a sample; "estimate": it is unknown, too, and
     the equation has a further unknown term, dead_time times the derivative of the input: what it is to first order,
     around the dead time of the model that is simulated. Late counts are the same as a late input.
+    lag: time constant of a first-order lag that the input goes through as well [s], as that of a current loop;
+    "estimate": it is an unknown in which the equation is not linear.
     Raises UsageError where there is no unknown or no known term, where two unknowns share a name, where an unknown
     term has no name or a known one has, and where a term stands twice.
     """
@@ -124,9 +126,10 @@ class Equation:
     only_simulated: str = ""
     further: tuple[tuple[str, str], ...] = ()
     dead_time: float | Literal["estimate"] = 0.0
+    lag: float | Literal["estimate"] = 0.0
 
     def __post_init__(self) -> None:
-        self._check_dead_time()
+        self._check_late()
         object.__setattr__(self, "unknown", (*self.unknown, *self._late()))
         object.__setattr__(self, "known", tuple(self.known))
         names = [term.name for term in self.unknown]
@@ -145,15 +148,19 @@ class Equation:
         if not any(term.noisy for term in self.unknown) and not self.only_simulated:
             raise UsageError("one unknown term must be a derivative of the output, as of a mass or a viscous friction")
         free = tuple((f"{term.name}_speed".replace("_friction", ""), "m/s") for term in self._free)
-        object.__setattr__(self, "further", tuple(dict.fromkeys((*self.further, *free))))
+        lag = ((LAG, "s"),) if self.lag == ESTIMATE else ()
+        object.__setattr__(self, "further", tuple(dict.fromkeys((*lag, *self.further, *free))))
         places = [term.place for term in (*self.unknown, *self.known)]
         if len(set(places)) < len(places):
             raise UsageError("a signal's derivative stands in two terms of the equation, which cannot be told apart")
 
-    def _check_dead_time(self) -> None:
-        check_dead_time(self.dead_time)
+    def _check_late(self) -> None:
+        check_late(DEAD_TIME, self.dead_time)
+        check_late(LAG, self.lag)
         if self.dead_time and self.process:
             raise UsageError("the dead time of a linear process is that of its TransferFunction; leave dead_time out")
+        if self.lag and self.process:
+            raise UsageError("a lag of a linear process is one of its poles; leave lag out, and take n one larger")
 
     def _late(self) -> tuple[Term, ...]:
         """The term of a dead time that is to be found, where it is not there yet."""
@@ -165,10 +172,24 @@ class Equation:
         gains = [term.coefficient for term in self.known if (term.signal, term.derivative) == ("input", 0)]
         return (Term("input", 1, DEAD_TIME, "s", gains[0]),) if gains else ()
 
-    def at_dead_time(self, seconds: float) -> Equation:
-        """The same equation with a known dead time [s]."""
+    def at_dead_time(self, seconds: float | Literal["estimate"]) -> Equation:
+        """The same equation with another dead time [s]."""
         unknown = tuple(term for term in self.unknown if (term.signal, term.derivative) != ("input", 1))
         return replace(self, unknown=unknown, dead_time=seconds)
+
+    def at_lag(self, seconds: float | Literal["estimate"]) -> Equation:
+        """The same equation with another lag of the input [s]."""
+        return replace(self, further=tuple(one for one in self.further if one[0] != LAG), lag=seconds)
+
+    @property
+    def at_once(self) -> Equation:
+        """The same equation with an input that acts at once."""
+        return self.at_dead_time(0.0).at_lag(0.0)
+
+    @property
+    def searched(self) -> tuple[str, ...]:
+        """Unknowns, beside a lag, in which it is not linear."""
+        return tuple(name for name, _ in self.further if name != LAG or self.process)
 
     def role_values(self, theta: Sequence[float] | Floats | None) -> list[float]:
         """What the simulated body takes for each role: of the parameters (p,), 0 for those that the equation lacks, and
@@ -261,7 +282,13 @@ class Equation:
         return self.roles[STIFFNESS] is not None or any(not term.shape.of_speed for term in self.shaped if term.shape)
 
     def known_at(self, further: Sequence[float] | Floats) -> Equation:
-        """With the shape parameters, the last of `further` (f,), known, and nothing but linear unknowns."""
+        """With lag and shape parameters, the values of `further` (f,), known, and nothing but linear unknowns."""
+        lagging = self.lag == ESTIMATE
+        plain = self.at_lag(max(0.0, float(further[0]))) if lagging else self
+        return plain.at_shapes(further[lagging:])
+
+    def at_shapes(self, further: Sequence[float] | Floats) -> Equation:
+        """With the shape parameters, the last of `further` (f,), known."""
         if not self._free:
             return self
         values = iter(further[len(further) - len(self._free) :])
@@ -269,7 +296,7 @@ class Equation:
             replace(term, shape=Stribeck(float(next(values)))) if term.shape is not None and term.shape.free else term
             for term in self.unknown
         )
-        return replace(self, unknown=unknown, further=())
+        return replace(self, unknown=unknown, further=tuple(one for one in self.further if one[0] == LAG))
 
     @cached_property
     def positive(self) -> tuple[bool, ...]:
@@ -306,7 +333,11 @@ class Equation:
             left = [f"{term.name} {term.reads}" for term in self.unknown if term.signal != "input"]
             late = DEAD_TIME if self.dead_time == ESTIMATE else f"{self.dead_time:.9g} s"
             driven = " + ".join(f"{term.coefficient:.9g} {term.reads}" for term in self.known)
-            return f"{' + '.join(left)} = {driven}" + (f", u from {late} before" if self.dead_time else "")
+            behind = LAG if self.lag == ESTIMATE else f"{self.lag:.9g} s"
+            told = (f", u from {late} before" if self.dead_time else "") + (
+                f", u lagging by {behind}" if self.lag else ""
+            )
+            return f"{' + '.join(left)} = {driven}{told}"
         # its output's highest derivative is the known term, and the input's side has factors -1
         highest = Term("process_output", self.order).reads
         left, right = (
@@ -331,11 +362,11 @@ class Equation:
         return ""
 
 
-def check_dead_time(value: object) -> None:
-    """Raises UsageError unless it is a time [s] or "estimate"."""
+def check_late(name: str, value: object) -> None:
+    """Raises UsageError unless a dead time or a lag is a time [s] or "estimate"."""
     number = isinstance(value, Real) and not isinstance(value, bool) and 0 <= float(value) < math.inf
     if not number and value != ESTIMATE:
-        raise UsageError(f'dead_time must be a time in s from 0 on, or "estimate", got {value!r}')
+        raise UsageError(f'{name} must be a time in s from 0 on, or "estimate", got {value!r}')
 
 
 #: What takes the place of terms that tell the directions apart.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
-from pmfid.models.equation import DEAD_TIME, ESTIMATE, Equation, Term, check_dead_time
+from pmfid.models.equation import DEAD_TIME, ESTIMATE, Equation, Term, check_late
 
 MAX_ORDER = 6
 MAX_DELAY = 20
@@ -58,11 +58,11 @@ class TransferFunction:
         late = "the dead time in whole samples; for a longer one shift the input"
         _check_whole("delay", self.delay, 0, MAX_DELAY, late)
         _check_whole("integrators", self.integrators, 0, self.n, "how many of the n poles are at 0")
-        self._check_dead_time()
+        self._check_late()
 
-    def _check_dead_time(self) -> None:
+    def _check_late(self) -> None:
         value = self.dead_time
-        check_dead_time(value)
+        check_late(DEAD_TIME, value)
         if value and self.delay:
             raise UsageError(
                 f"delay = {self.delay} and dead_time = {value!r} are both there: count one into the other, and drop it"
@@ -97,8 +97,13 @@ class TransferFunction:
     def simple(self) -> TransferFunction:
         return self
 
-    def at_dead_time(self, seconds: float) -> TransferFunction:
+    def at_dead_time(self, seconds: float | Literal["estimate"]) -> TransferFunction:
         return replace(self, dead_time=seconds)
+
+    def at_lag(self, seconds: float | Literal["estimate"]) -> TransferFunction:
+        if not seconds:
+            return self
+        raise UsageError("a lag of a linear process is one of its poles: take n one larger")
 
     def split(self, theta: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Numerator (m+1,) and denominator (n+1,) in descending powers of s, the first of these 1, from theta (p,)."""

@@ -125,17 +125,17 @@ def _model(model: Model) -> dict[str, object]:
     if not isinstance(model, EquationModel):
         raise UsageError(f"model must be a Drive, an EquationModel or a TransferFunction, got {type(model).__name__}")
     equation = model.equation
-    late = equation.dead_time
-    if equation != Equation(equation.unknown, equation.known, dead_time=late):
+    late, lag = equation.dead_time, equation.lag
+    if equation != Equation(equation.unknown, equation.known, dead_time=late, lag=lag):
         raise UsageError("an equation with delay, only_simulated or further is that of a TransferFunction: give one")
-    free = equation.at_dead_time(0.0).unknown  # without the term that the dead time brings along
+    free = equation.at_once.unknown  # without the term that the dead time brings along
     unknown, known = ([asdict(term) for term in side] for side in (free, equation.known))
     for term in known:  # its coefficient is a number, of no name, no unit and no form
         del term["name"], term["unit"], term["shape"]
     for term, own in zip(unknown, free, strict=True):
         if own.shape is not None:
             term["shape"]["form"] = next(form for form, made in SHAPES.items() if made is type(own.shape))
-    return {"kind": model.kind, "unknown": unknown, "known": known, "dead_time": late}
+    return {"kind": model.kind, "unknown": unknown, "known": known, "dead_time": late, "lag": lag}
 
 
 def _experiments(u: object, y: ArrayLike | None, dt: float | None) -> list[Experiment]:

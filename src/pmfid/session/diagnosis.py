@@ -184,8 +184,7 @@ def _lamer(log: Reading, estimator: IV, axis: Axis) -> Iterator[Reading]:
 def _without_friction(estimator: IV, log: Reading) -> float:
     """Part of the input that the equation leaves without dry friction, which a motion in one direction cannot tell from
     the rest, and whatever the sign of the mass, which may be small against a dead time."""
-    at_once = estimator.equation.at_dead_time(0.0).unknown
-    wet = tuple(term for term in at_once if term.derivative > 0)
+    wet = tuple(term for term in estimator.equation.at_once.unknown if term.derivative > 0)
     model = EquationModel(Equation(wet, estimator.equation.known))
     try:
         return like(LS, estimator, model=model).fit(log.u, log.counts).relative_error

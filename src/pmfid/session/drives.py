@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
@@ -25,14 +26,14 @@ from pmfid.estimators.output_error import OE
 from pmfid.estimators.plants import plant_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
-from pmfid.estimators.results import Columns
+from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.track import Track
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.judge.drive import examined, judge, recent
 from pmfid.judge.free_run import FreeRun, drive_run
 from pmfid.judge.spread import model_spread
 from pmfid.models.drive import EquationModel
-from pmfid.models.equation import LATE
+from pmfid.models.equation import ESTIMATE, LATE
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction, diagnose
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
@@ -115,7 +116,7 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
     """The estimator that a configuration asks for, at the record's sample period and resolution."""
     check_sampling(axis, record.dt)
     model = axis.model.make()
-    first = "bcls" if model.equation.without_simulation else "output-error" if model.equation.further else "iv"
+    first = "bcls" if model.equation.without_simulation else "output-error" if model.equation.searched else "iv"
     cls = ESTIMATORS[method_of(axis, first)]
     own = {"model": model, "encoder": _encoder(axis, record), "dt": record.dt, "cutoff": axis.estimator.pole}
     estimator = made(cls, own | settings(axis, cls))
@@ -163,7 +164,7 @@ def _estimate(
         return _recursive(estimator, record, columns, progress)
     fit = choice.fit if choice else batch.fit(record.u, record.counts)
     asked = _all_known(estimator, record, fit.theta, fit.theta_std)
-    known, spread = _spread(asked[0], record, asked[3], asked[4], choice.adequacy if choice else None)
+    known, spread = _spread(asked[0], record, asked[3], asked[4], _adequacy(estimator, record, fit, choice))
     spread = np.r_[spread, np.full(fit.theta.size - spread.size, np.nan)]  # of parameters it is not linear in
     flags, notes = judge(*asked, known)
     if axis.estimator.window is not None and not isinstance(estimator, OE):
@@ -174,6 +175,18 @@ def _estimate(
     status = tuple(dict.fromkeys((*status_names(fit.status), *flags)))  # both may tell of a jump
     found = fit.theta, fit.theta_std, status, notes
     return DriveResult(estimator, *found, record, fit.relative_error, fit=fit, model_spread=spread)
+
+
+def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: Choice | None) -> Adequacy | None:
+    """What the counts say on the model, as far as it must be asked with a lag that is free: the one that instrumental
+    variables find is not that which fits best."""
+    if choice is not None or estimator.equation.lag != ESTIMATE:
+        return choice.adequacy if choice else None
+    known = estimator.equation.at_shapes(fit.theta[len(estimator.equation.names) :])
+    free = like(type(estimator), estimator, model=EquationModel(known))
+    with suppress(NotIdentifiableError):
+        return examined(free, record.u, record.counts, fit.theta)
+    return None
 
 
 def _spread(
@@ -206,7 +219,8 @@ def _all_known(
 
 def _by_motion(estimator: Estimator) -> bool:
     """Are there regressors that only a simulated motion gives?"""
-    return any(term.shape is not None and term.shape.of_speed for term in estimator.equation.shaped)
+    of_speed = any(term.shape is not None and term.shape.of_speed for term in estimator.equation.shaped)
+    return of_speed or estimator.equation.lag == ESTIMATE
 
 
 def _batch_twin(estimator: Estimator) -> BatchEstimator:

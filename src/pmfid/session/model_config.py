@@ -93,6 +93,9 @@ class ModelConfig(FileSection):
     dead_time: float | Literal["estimate"] = Field(
         0.0, description='the time in s by which the input acts late, any part of a sample, or "estimate" to find it'
     )
+    lag: float | Literal["estimate"] = Field(
+        0.0, description='the time constant in s of a first-order lag of the input, or "estimate" to find it'
+    )
     integrators: int = Field(0, description="how many of the n poles of a transfer function are known to be at 0")
     unstable: bool = Field(
         False, description="true if a controller holds a transfer function with poles in the right half-plane"
@@ -129,7 +132,7 @@ class ModelConfig(FileSection):
             raise ValueError("input_gain is missing; give the force in N per unit of u, for example 2.0")
         if self.kind != "equation" and (self.unknown or "known" in self.model_fields_set):
             raise ValueError('unknown and known are for kind = "equation"; add that, or drop them')
-        own = set(keys_of(Drive)) - {"dead_time"} & self.model_fields_set
+        own = set(keys_of(Drive)) - {"dead_time", "lag"} & self.model_fields_set
         if self.kind == "equation" and own:
             raise ValueError(f'{", ".join(sorted(own))} is for kind = "drive"; write it as a term of unknown or known')
         self._check_transfer_function()
@@ -162,7 +165,7 @@ class ModelConfig(FileSection):
                 for term in self.unknown
             )
             known = tuple(Term(**dict(term)) for term in self.known)
-            return EquationModel(Equation(unknown, known, dead_time=self.dead_time))
+            return EquationModel(Equation(unknown, known, dead_time=self.dead_time, lag=self.lag))
         cls = MODELS[self.kind]
         return cls(**{key: getattr(self, key) for key in keys_of(cls)})
 

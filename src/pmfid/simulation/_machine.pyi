@@ -6,6 +6,7 @@ def simulate(
     dt: float,
     parameters: dict[str, float],
     dead_time: float,
+    lag: float,
     noise: NDArray[np.float64],
     steps: int,
     kp: float,

@@ -23,7 +23,7 @@ cdef struct Body:
 
 
 cdef struct State:
-    double x, v
+    double x, v, lagged
 
 
 cdef inline double held(const Body *body, double x) noexcept nogil:
@@ -78,13 +78,19 @@ cdef void step(const Body *body, State *state, double force, double h) noexcept 
         h = (1.0 - part) * h
 
 
-cdef void advance(const Body *body, State *state, double force, double time, int steps) noexcept nogil:
+cdef void advance(const Body *body, State *state, double u, double noise, double lag, double time, int steps) noexcept nogil:
+    """`time` seconds under the input u behind its lag, and the force noise [N]."""
+    cdef double h = time / steps, mean = u, apart, left = exp(-h / lag) if lag > 0.0 else 0.0
     cdef int i
     for i in range(steps):
-        step(body, state, force, time / steps)
+        if lag > 0.0:
+            apart = state.lagged - u
+            mean = u + apart * (1.0 - left) * lag / h
+            state.lagged = u + apart * left
+        step(body, state, body.gain * mean + noise - body.offset, h)
 
 
-def simulate(cnp.ndarray[double, mode="c"] command not None, double dt, dict parameters, double dead_time,
+def simulate(cnp.ndarray[double, mode="c"] command not None, double dt, dict parameters, double dead_time, double lag,
              cnp.ndarray[double, mode="c"] noise not None, int steps, double kp, double kd, double u_max, double resolution, double phase, double x0, double v0):
     """Motion under the command (n,): x, v, u (n,), counts (n,) int64. kp = 0: the command is the input u [V]; else the
     reference [m] of u_k = clip(kp (reference_k - y_k) - kd (y_k - y_{k-1}) / dt, -u_max, u_max), y = resolution counts.
@@ -96,7 +102,7 @@ def simulate(cnp.ndarray[double, mode="c"] command not None, double dt, dict par
     if noise.shape[0] != n:
         raise ValueError(f"noise must have the length of the command, {n}, got {noise.shape[0]}")
     cdef Body body = parameters
-    cdef State state = State(x0, v0)
+    cdef State state = State(x0, v0, 0.0)
     cdef Py_ssize_t whole = <Py_ssize_t>floor(dead_time / dt)
     cdef double late = dead_time - whole * dt, place, y, previous = 0.0, older, newer
     cdef bint in_range = True
@@ -123,8 +129,8 @@ def simulate(cnp.ndarray[double, mode="c"] command not None, double dt, dict par
             older = u[k - whole - 1] if k > whole else 0.0
             newer = u[k - whole] if k >= whole else 0.0
             if late > 0.0:
-                advance(&body, &state, body.gain * older + noise[k] - body.offset, late, steps)
-            advance(&body, &state, body.gain * newer + noise[k] - body.offset, dt - late, steps)
+                advance(&body, &state, older, noise[k], lag, late, steps)
+            advance(&body, &state, newer, noise[k], lag, dt - late, steps)
     if not in_range:
         raise ValueError("the motion leaves 2**53 counts; check the units of parameters, input and resolution")
     return out

@@ -27,9 +27,11 @@ class Machine:
     1 + asymmetry times as large forward and 1 - asymmetry backward, within (-1, 1); stiffness: of a spring at rest at
     x = 0 [N/m]; gravity: [N], times sin(x + gravity_angle), of a rotary axis; cogging: [N], times sin(2 pi x /
     cogging_pitch + cogging_phase); uneven: friction beyond Coulomb's [N], times sin(2 pi x / uneven_period), and no
-    larger than that; dead_time: of the input [s] >= 0, any part of a sample; force_noise: standard deviation [N] >= 0
-    of a force that is drawn anew every sample. A rotary axis: rad, kg m2, N m. Raises ValueError for a value out of
-    range.
+    larger than that; dead_time: of the input [s] >= 0, any part of a sample; lag: time constant of a first-order lag of
+    the input [s] >= 0, behind which its mean counts over each step of the integration; force_noise: standard deviation
+    [N] >= 0 of a force that is drawn anew every sample. A rotary axis: rad, kg m2, N m.
+
+    Raises ValueError for a value out of range.
     """
 
     drive: DriveParameters
@@ -46,6 +48,7 @@ class Machine:
     uneven: float = 0.0
     uneven_period: float = 0.1
     dead_time: float = 0.0
+    lag: float = 0.0
     force_noise: float = 0.0
 
     def __post_init__(self) -> None:
@@ -54,7 +57,8 @@ class Machine:
             check_number(name, getattr(self, name), above=0.0, remedy="give the length in m")
         for name in ("gravity_angle", "cogging_phase"):
             check_number(name, getattr(self, name), remedy="give the angle in rad")
-        for name in ("stribeck", "quadratic", "stiffness", "gravity", "cogging", "uneven", "dead_time", "force_noise"):
+        for name in ("stribeck", "quadratic", "stiffness", "gravity", "cogging", "uneven", "dead_time", "lag",
+                     "force_noise"):  # fmt: skip
             value = getattr(self, name)
             if not 0.0 <= value < np.inf:
                 raise ValueError(f"{name} must be finite and >= 0, got {value}; 0 is none")
@@ -131,8 +135,8 @@ def _run(
         raise ValueError("a machine with force noise needs rng=np.random.default_rng(seed)")
     noise = np.zeros(command.size) if rng is None else machine.force_noise * rng.standard_normal(command.size)
     x, v, u, counts = simulate(
-        command, dt, _body(machine), machine.dead_time, noise, steps, **control, resolution=resolution, phase=phase,
-        x0=0.0, v0=0.0,
+        command, dt, _body(machine), machine.dead_time, machine.lag, noise, steps, **control, resolution=resolution,
+        phase=phase, x0=0.0, v0=0.0,
     )  # fmt: skip
     if not (np.isfinite(x).all() and np.isfinite(v).all()):
         raise ValueError("the motion leaves the range of floating point; check the units of parameters and input")

@@ -10,7 +10,8 @@ import numpy as np
 
 from pmfid.errors import UsageError
 from pmfid.estimators.configuration import like
-from pmfid.estimators.iv import IV, RIV, initial_vector
+from pmfid.estimators.instruments import initial_vector
+from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.rls import RLS

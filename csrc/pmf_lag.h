@@ -1,0 +1,34 @@
+/* An input behind a first-order lag, as that of a current loop: two levels that do to a body what it does.
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * From one switch to the next it runs as an exponential. A level for each half of the interval, with the same mean and
+ * the same first moment, leaves velocity and position at its end as they are, but for the damping within a sample.
+ */
+#ifndef PMF_LAG_H
+#define PMF_LAG_H
+
+#include "pmf_internal.h"
+
+#if PMF_WITH_LAG
+
+/* Needs the two inputs of the interval and the older one's part of it; leaves two levels, a half each. */
+static void lag_input(const pmf_decay_t *decay, pmf_late_state_t *late)
+{
+    real_t first = late->part, second = PMF_R(1.0) - first, half = PMF_R(0.5);
+    real_t apart = late->lagged - late->older, begun, mean, moment, tilt;
+    late->lagged = late->older + decay[0].rest * apart;
+    begun = first * late->older + decay[0].mean * apart;
+    moment = half * first * first * late->older + decay[0].moment * apart;
+    apart = late->lagged - late->newer;
+    late->lagged = late->newer + decay[1].rest * apart;
+    mean = second * late->newer + decay[1].mean * apart;
+    moment += first * mean + half * second * second * late->newer + decay[1].moment * apart;
+    mean += begun;
+    tilt = PMF_R(4.0) * (moment - half * mean);
+    late->older = mean - tilt;
+    late->newer = mean + tilt;
+    late->part = half;
+}
+
+#endif
+#endif

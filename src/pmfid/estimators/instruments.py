@@ -1,0 +1,281 @@
+"""Iterated instrumental variables with a friction-aware auxiliary model: what `IV` and all that start from it share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.arguments import check_arrays, check_size
+from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
+from pmfid.estimators.bcls import BCLS
+from pmfid.estimators.configuration import like
+from pmfid.estimators.encoder_noise import impulse_products
+from pmfid.estimators.identifiable import TINY, check_identifiable
+from pmfid.estimators.lagging import with_lag
+from pmfid.estimators.lattice import lattice_scatter
+from pmfid.estimators.least_squares import inverse_of, solve_with_instruments
+from pmfid.estimators.results import Columns, Fit
+from pmfid.estimators.scatter import raised, scatter
+from pmfid.estimators.simulating import Simulating
+from pmfid.estimators.srivc import ProcessSolver, fixed_filters
+from pmfid.models.drive import Model
+from pmfid.models.equation import (
+    COULOMB_BACKWARD,
+    COULOMB_FORWARD,
+    DEAD_TIME,
+    ESTIMATE,
+    LAG,
+    MASS,
+    OFFSET,
+    ROLES,
+    VISCOUS_FORWARD,
+    Equation,
+)
+from pmfid.status import Status
+from pmfid.transfer.solve import ProcessProblem, Solution
+
+MAX_ITERATIONS = 40
+TOLERANCE = 1e-7
+#: A stop of the model that comes and goes with theta keeps the iteration in a small cycle: from here on half steps,
+DAMPED_FROM = 15
+#: and a cycle of this relative size is an answer.
+ACCEPTED = 2e-3
+#: A parameter whose term is less than this part of the target may be zero: its change is measured against that.
+SMALL = 1e-2
+#: The first part of a record, in which the model's velocity forgets that its start was not known.
+START_PART = 0.05
+#: A record whose first counts are the same for so many samples may begin at rest.
+REST_SAMPLES = 5
+#: Relative step of the differences for the covariance.
+JACOBIAN_STEP = 1e-3
+#: Dead times [samples] that are tried before one is estimated.
+TRIED = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0)
+#: Lags, likewise.
+TRIED_LAGS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
+#: Blocks that fade in and out hold the noise behind the filters apart from what lasts from so many times on that these
+#: take to settle.
+LASTING = 4
+
+
+@dataclass(frozen=True)
+class Instruments(ProcessSolver, Simulating):
+    """The settled iteration and its error bars; see `IV`."""
+
+    method: ClassVar[str] = "iv"
+
+    initial: Mapping[str, float] | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.equation.searched:
+            names, others = ", ".join(self.equation.searched), "" if self.plant.rests else "srivc or "
+            raise UsageError(f"iv is linear in what it estimates, and {names} is not; use {others}output-error")
+
+    def solved(self, problem: ProcessProblem) -> Solution:
+        return fixed_filters(problem)
+
+    def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        """Raises NotIdentifiableError also where no iteration settles."""
+        u, counts = check_arrays(u, counts)
+        columns, theta = self.settled(u, counts)
+        return self._result(columns, theta, self.bars(columns, theta, u, counts))
+
+    def settled(self, u: ArrayLike, counts: ArrayLike) -> tuple[Columns, NDArray[np.float64]]:
+        """The columns of the last turn and theta (p,): `fit` without the covariance, and with its errors."""
+        theta = self.start(u, counts)
+        for turn in range(MAX_ITERATIONS):
+            columns = self.columns_at(theta, u, counts)
+            check_identifiable(columns, self.names, simulated=True)
+            before, theta = theta, self._plausible(theta, self._solve(columns)[0])
+            if turn >= DAMPED_FROM:
+                theta = (theta + before) / 2
+            small = SMALL * np.linalg.norm(columns.z) / np.maximum(np.linalg.norm(columns.phi, axis=0), TINY)
+            size = np.maximum(np.maximum(np.abs(theta), np.abs(before)), small)
+            change = np.max(np.abs(theta - before) / size)
+            if change <= TOLERANCE or (turn == MAX_ITERATIONS - 1 and change <= ACCEPTED):
+                return columns, theta
+        raise NotIdentifiableError(
+            f"the iteration does not settle (last {dict(zip(self.names, theta.round(4).tolist(), strict=True))}): the "
+            "simulated motion does not follow the measured one; check input_gain and the model, or in Python give "
+            "`initial`"
+        )
+
+    def bars(
+        self, columns: Columns, theta: NDArray[np.float64], u: NDArray[np.float64], counts: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Covariance (p, p) of theta (p,): what its scores scatter in blocks on every scale beyond that of the filters,
+        behind which the encoder's error cancels, and friction that the model lacks does not; or what the encoder does
+        along this motion, where that is more."""
+        gain = self._gain(columns, theta, u, counts)
+        in_blocks = scatter(self._scores(columns, theta) @ gain.T, LASTING * self.settle_samples)
+        along = lattice_scatter(self, theta, u, counts, lambda read: self.columns_at(theta, u, read), gain)
+        return raised(in_blocks, along)
+
+    def _gain(
+        self, columns: Columns, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike
+    ) -> NDArray[np.float64]:
+        """(p, p): how a change of sum zeta z moves theta, with the reversals of the model moving, too.
+
+        sum zeta phi^T alone takes the direction for known, and makes the error bar of the mass a fifth too short.
+        """
+        rests = self._rests(*check_arrays(u, counts), theta)
+        jacobian = np.empty((theta.size, theta.size))
+        size = np.maximum(np.abs(theta), 1e-3 * np.max(np.abs(theta)))
+        size[[name in (DEAD_TIME, LAG) for name in self.names]] = self.dt
+        for i, step in enumerate(JACOBIAN_STEP * size):
+            error = []
+            for side in (step, -step):
+                moved = theta + side * np.eye(theta.size)[i]
+                beside = self.columns_at(moved, u, counts, rests)
+                error.append(beside.z - beside.phi @ moved)
+            jacobian[:, i] = columns.zeta.T @ (error[1] - error[0]) / (2 * step)
+        return inverse_of(jacobian)
+
+    def start(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
+        """Parameters to simulate with first: the given ones, or from the counts alone; (p,)."""
+        if self.initial is not None:
+            return initial_vector(self.initial, self.names)
+        if self.equation.lag == ESTIMATE:
+            return self._start_late(self.model.at_lag, TRIED_LAGS, u, counts)
+        if self.equation.dead_time == ESTIMATE:
+            return self._start_late(self.model.at_dead_time, TRIED, u, counts)
+        batch = like(BCLS, self, model=self.model.simple)
+        found = batch.fit(u, counts)
+        theta = spread(batch.equation.role_values(found.theta), self.equation)
+        for term in batch.equation.shaped:
+            theta[self.names.index(str(term.name))] = found.theta[batch.names.index(str(term.name))]
+        return theta
+
+    def _start_late(
+        self, at: Callable[[float], Model], tried: Sequence[float], u: ArrayLike, counts: ArrayLike
+    ) -> NDArray[np.float64]:
+        """The same with the dead time, or the lag, at which the simulated velocity is nearest to the measured one; at:
+        the model at one [s]; tried [samples]."""
+        found: list[tuple[float, NDArray[np.float64]]] = []
+        refused: NotIdentifiableError | None = None
+        for samples in tried:
+            known = like(Instruments, self, model=at(samples * self.dt))
+            try:
+                theta = known.start(u, counts)
+            except NotIdentifiableError as error:
+                refused = refused or error
+                continue
+            if not _poles_swapped(known.equation, theta):
+                found.append((known.mismatch(theta, u, counts), np.r_[theta, samples * self.dt]))
+        if not found:
+            raise refused or NotIdentifiableError("no start for the iteration")
+        return min(found, key=lambda pair: pair[0])[1]
+
+    def _at_lag(self, seconds: float) -> Instruments:
+        return like(Instruments, self, model=self.model.at_lag(seconds))
+
+    def mismatch(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> float:
+        """Mean square of the filtered velocity that the model at theta (p,) lacks, over that of the measured one."""
+        columns, used, _ = self._filtered(theta, *check_arrays(u, counts), None)
+        check = auxiliary_columns(self)[3]
+        measured, modelled = columns[used, check], columns[used, check + 1]
+        return float(np.sum((measured - modelled) ** 2) / max(float(np.sum(measured**2)), TINY))
+
+    def columns_at(
+        self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike, rests: bool | None = None
+    ) -> Columns:
+        """Regressors, target and instruments with the auxiliary model at theta (p,).
+
+        A record that begins at rest, which the model says as well, has been at rest before: its first motion counts.
+        rests: does it? None: as the counts and theta say.
+        """
+        if self.equation.lag == ESTIMATE:
+            return with_lag(lambda lag: self._at_lag(lag).columns_at(theta[:-1], u, counts, rests), theta, self.dt)
+        columns, used, status = self._filtered(theta, *check_arrays(u, counts), rests)
+        first, p = auxiliary_columns(self)[2], len(self.names)
+        columns = columns[used, first:]
+        occurred = int(np.bitwise_or.reduce(status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP)
+        return Columns(columns[:, :p], columns[:, p], columns[:, p + 1 : 2 * p + 1], used, occurred)
+
+    def _filtered(
+        self,
+        theta: NDArray[np.float64],
+        u_array: NDArray[np.float64],
+        counts_array: NDArray[np.int64],
+        rests: bool | None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.uint32]]:
+        """All columns (n, c), which rows count (n,), and the status (n,)."""
+        check_size(u_array)
+        kernel, _ = make_auxiliary_kernel(self, 1.0, list(theta), adapt=False)
+        rests = self._rests(u_array, counts_array, theta) if rests is None else rests
+        before = 2 * self.settle_samples + 1 if rests else 0
+        rest = np.full(before, counts_array[:1])
+        columns, status = kernel.filter(np.r_[np.zeros(before), u_array], np.r_[rest, counts_array])
+        columns, status = columns[before:], status[before:]
+        used = (status & Status.SETTLING) == 0
+        used[: 0 if before else int(START_PART * used.size)] = False
+        return columns, used, status
+
+    def _rests(self, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]) -> bool:
+        """Does the axis rest at first, by the counts and by the friction of theta (p,)?"""
+        begin = slice(0, REST_SAMPLES)
+        if counts.size <= REST_SAMPLES or np.any(counts[begin] != counts[0]):
+            return False
+        friction = min(
+            (theta[i] for i in (self.equation.roles[r] for r in (COULOMB_FORWARD, COULOMB_BACKWARD)) if i is not None),
+            default=0.0,
+        )
+        index = self.equation.roles[OFFSET]
+        force = self.equation.input_gain * u[begin] - (0.0 if index is None else theta[index])
+        return bool(np.all(np.abs(force) <= friction)) and not self.equation.place_matters
+
+    @property
+    def positive(self) -> NDArray[np.bool_]:
+        """(p,): which parameters are never negative in a machine."""
+        return np.array([*self.equation.positive, *(True for _ in self.equation.further)])
+
+    def noise(self) -> NDArray[np.float64]:
+        """(p, p) covariance that a white encoder error of the step's variance has in the regressors of one sample."""
+        network, columns, first, _ = auxiliary_columns(self)
+        products = impulse_products(self, network, columns[first : first + len(self.names)])
+        return np.asarray(self.encoder.resolution**2 / 12 * products)
+
+    def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return solve_with_instruments(columns)
+
+    def _plausible(self, theta: NDArray[np.float64], found: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What was found, but no further than half-way from theta to a mass or friction of zero."""
+        low = np.where(self.positive, 0.5 * theta, -np.inf)
+        return np.maximum(found, low)
+
+
+def _poles_swapped(equation: Equation, theta: NDArray[np.float64]) -> bool:
+    """Is the body faster than a known lag of its input? The two poles would do nearly as well in each other's place."""
+    values = equation.role_values(theta)
+    return equation.lag != 0 and values[MASS] < float(equation.lag) * values[VISCOUS_FORWARD]
+
+
+def initial_vector(initial: Mapping[str, float], names: tuple[str, ...]) -> NDArray[np.float64]:
+    """The parameters of `initial` in the order of theta. Raises UsageError for a missing or unknown name."""
+    if set(initial) != set(names):
+        raise UsageError(f"initial must name {list(names)}, got {list(initial)}")
+    return np.array([float(initial[name]) for name in names])
+
+
+def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
+    """theta (p,) from the roles' values of the symmetric equation; a constant load that this one lacks becomes Coulomb
+    friction that differs with the direction. Frictions that came out negative start at zero."""
+    values = list(known)
+    if equation.roles[OFFSET] is None:
+        values[COULOMB_FORWARD] += values[OFFSET]
+        values[COULOMB_BACKWARD] -= values[OFFSET]
+    theta = np.zeros(len(equation.names))
+    for value, index in zip(values[: len(ROLES)], equation.roles[: len(ROLES)], strict=True):
+        if index is not None:
+            theta[index] = value
+    if not values[MASS] > 0:
+        raise NotIdentifiableError(
+            f"no start for the iteration: from the counts alone the mass comes out as {values[MASS]:.3g}; check the "
+            "signs of input and output, use a lower cutoff, record a livelier motion, or in Python give `initial`"
+        )
+    return np.where(equation.positive, np.maximum(theta, 0.0), theta)

@@ -1,0 +1,204 @@
+"""An input behind a first-order lag: known, estimated, and told from a dead time."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import pmfid
+from pmfid import IV, OE, RIV, Drive, Encoder, IntervalML, UsageError
+from pmfid.estimators.adequacy import examine
+from pmfid.estimators.motion import mean_velocity
+from pmfid.export.firmware import export_firmware
+from pmfid.judge.late import late
+from pmfid.simulation.drive import DriveParameters
+from pmfid.simulation.machine import Machine, MachineRun, drive_machine
+from studies.dead_time import late_record
+from studies.machines import AXES as AXES_OF_STUDIES
+from tests.test_dead_time import AXES, CART, truth
+
+THETA = np.array(CART[1:4])
+#: Of the integration per sample: fewer leave more in the position than a count's edges hide.
+STEPS = 80
+
+
+@cache
+def behind(axis: str, lag: float, dead_time: float = 0.0, switches: int = 250) -> MachineRun:
+    """Random steps behind a lag and a dead time [samples]."""
+    gain, mass, viscous, coulomb, dt, size, step, _ = AXES[axis]
+    rng = np.random.default_rng(7)
+    u = size * np.repeat(rng.choice([-1.0, 1.0], switches), 6)
+    machine = Machine(DriveParameters(mass, viscous, coulomb, gain), lag=lag * dt, dead_time=dead_time * dt)
+    return drive_machine(machine, u, dt, step, phase=rng.uniform(0, step), steps=STEPS)
+
+
+def made(method: type, axis: str, **late: object) -> pmfid.IV:
+    gain, _, _, _, dt, _, step, cutoff = AXES[axis]
+    return method(Drive(gain, **late), Encoder(step), dt, cutoff)
+
+
+@pytest.mark.parametrize("late_by", [0.0, 0.0037, 0.013])
+@pytest.mark.parametrize("lag", [0.0004, 0.005, 0.07])
+def test_the_motion_behind_a_lag_is_that_of_the_lagged_input_in_small_steps(lag: float, late_by: float) -> None:
+    rng, dt, fine = np.random.default_rng(1), 0.01, 200
+    u = 3 * np.repeat(rng.choice([-1.0, 1.0], 60), 5)
+    delayed = np.r_[np.zeros(round(late_by / dt * fine)), np.repeat(u, fine)][: u.size * fine]
+    kept = np.exp(-dt / fine / lag)
+    begun = lfilter([0.0, 1 - kept], [1.0, -kept], delayed)
+    mean = delayed + (begun - delayed) * (1 - kept) * lag * fine / dt
+    reference = mean_velocity(Drive(2.0).equation, THETA, dt / fine, mean).reshape(-1, fine).mean(axis=1)
+    found = mean_velocity(Drive(2.0, lag=lag, dead_time=late_by).equation, THETA, dt, u)
+    np.testing.assert_allclose(found, reference, atol=6e-4)  # reversals are cut in four parts of a sample
+    free = THETA * [1.0, 1.0, 0.0]
+    found = mean_velocity(Drive(2.0, lag=lag, dead_time=late_by).equation, free, dt, u)
+    reference = mean_velocity(Drive(2.0).equation, free, dt / fine, mean).reshape(-1, fine).mean(axis=1)
+    np.testing.assert_allclose(found, reference, atol=2e-5)
+
+
+@pytest.mark.parametrize("lag", [0.2, 0.9, 2.5])
+@pytest.mark.parametrize("axis", AXES)
+def test_iv_finds_it_and_the_rest_is_as_without_one(axis: str, lag: float) -> None:
+    run, dt = behind(axis, lag), AXES[axis][4]
+    fit = made(IV, axis, lag="estimate").fit(run.u, run.counts)
+    assert (fit.names[-1], fit.units[-1]) == ("lag", "s")
+    known = np.r_[truth(axis), lag * dt]
+    assert np.all(np.abs(fit.theta - known) < 4 * fit.theta_std + 2e-3 * known)
+    assert np.all(fit.theta_std[:3] < 0.05 * known[:3])
+    assert fit.theta_std[-1] < (0.7 if axis == "wheel" else 0.01) * dt
+
+
+@pytest.mark.parametrize("method", [OE, IntervalML])
+@pytest.mark.parametrize("axis", ["wheel", "stage"])
+def test_methods_that_follow_the_whole_motion_find_it(method: type, axis: str) -> None:
+    run, dt = behind(axis, 0.6, switches=100), AXES[axis][4]
+    fit = made(method, axis, lag="estimate").fit(run.u, run.counts)
+    assert fit.theta[-1] / dt == pytest.approx(0.6, abs=0.01)
+    np.testing.assert_allclose(fit.theta[:3] / truth(axis), 1.0, atol=0.002)
+
+
+def test_beside_a_dead_time() -> None:
+    run = behind("cart", 0.8, 1.3)
+    fit = made(IntervalML, "cart", lag="estimate", dead_time="estimate").fit(run.u, run.counts)
+    assert fit.names[-2:] == ("dead_time", "lag")
+    np.testing.assert_allclose(fit.theta[-2:] / 0.01, [1.3, 0.8], atol=0.03)
+    np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.003)
+
+
+def test_the_body_is_not_taken_for_its_lag() -> None:
+    """In the linear part of the motion the two poles may change places; the drive is the faster one."""
+    axis = AXES_OF_STUDIES["cart"]
+    run = late_record(axis, 1.7, "stop-and-go", 1024, 1, "lag")
+    fit = IV(Drive(2.0, lag="estimate"), Encoder(run.resolution), axis.dt, 20.0).fit(run.u, run.counts)
+    assert fit.theta[-1] / axis.dt == pytest.approx(1.7, abs=0.03)
+    assert fit.theta[0] == pytest.approx(1.07, rel=0.01)
+
+
+def test_where_there_is_none_none_is_found() -> None:
+    run = behind("cart", 0.0)
+    fit = made(IV, "cart", lag="estimate").fit(run.u, run.counts)
+    assert 0 <= fit.theta[-1] < 0.02 * 0.01
+    np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.01)
+
+
+@pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, IV, OE])
+def test_a_known_lag_leaves_nothing_of_its_bias(method: type) -> None:
+    run = behind("cart", 1.2)
+    known, none = (made(method, "cart", lag=lag).fit(run.u, run.counts).theta for lag in (0.012, 0.0))
+    np.testing.assert_allclose(known / THETA, 1.0, atol=0.03)
+    assert abs(none[0] / 1.07 - 1) > 0.15
+
+
+@pytest.mark.parametrize("method", [pmfid.RLS, pmfid.BCRLS, RIV])
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_a_known_lag_on_line_beside_a_known_dead_time(method: type, precision: str) -> None:
+    run = behind("cart", 0.7, 0.6)
+    estimator = method(Drive(2.0, lag=0.007, dead_time=0.006), Encoder(CART[6]), 0.01, 20.0, precision=precision)
+    track = estimator.run(run.u, run.counts)
+    np.testing.assert_allclose(track.theta[-1] / THETA, 1.0, atol=0.03)
+
+
+def test_saved_states_go_on_with_the_same_bits() -> None:
+    run = behind("cart", 1.2)
+    one, other = (made(RIV, "cart", lag=0.012) for _ in range(2))
+    one.run(run.u[:700], run.counts[:700])
+    other.set_state(one.get_state())
+    rest = slice(700, None)
+    np.testing.assert_array_equal(
+        one.run(run.u[rest], run.counts[rest]).theta, other.run(run.u[rest], run.counts[rest]).theta
+    )
+
+
+@pytest.mark.parametrize(("kind", "said"), [("lag", "a first-order lag"), ("dead_time", "a dead time")])
+@pytest.mark.parametrize("axis", ["wheel", "stage"])
+def test_which_of_the_two_it_is_is_said_and_the_remedy_helps(axis: str, kind: str, said: str) -> None:
+    run = behind(axis, *((0.8, 0.0) if kind == "lag" else (0.0, 0.8)), switches=100)
+    found = examine(made(IV, axis), run.u, run.counts)
+    ((flag, sentence),) = late(found)
+    assert flag == "dead_time"
+    assert sentence.startswith(f"{said} of about 0.8 samples explains the counts better, a ")
+    assert f'set {kind} = "estimate" in [model]' in sentence
+    assert examine(made(IV, axis, **{kind: "estimate"}), run.u, run.counts).adequate
+
+
+def test_the_wrong_one_in_the_model_is_said() -> None:
+    run = behind("cart", 0.8)
+    (finding,) = late(examine(made(IV, "cart", dead_time="estimate"), run.u, run.counts))
+    assert 'set lag = "estimate" and dead_time = 0 in [model]' in finding[1]
+
+
+def test_what_acts_at_once_is_not_said_to_act_late() -> None:
+    run = behind("cart", 0.0)
+    assert examine(made(IV, "cart"), run.u, run.counts).adequate
+
+
+def test_from_arrays_to_json() -> None:
+    run, (gain, _, _, _, dt, _, step, cutoff) = behind("stage", 0.8, switches=100), AXES["stage"]
+    model = Drive(gain, lag="estimate")
+    result = pmfid.identify(run.u, run.counts, model=model, encoder=Encoder(step), dt=dt, cutoff=cutoff)
+    assert result["lag"] == pytest.approx(0.8 * dt, abs=0.02 * dt)
+    assert json.loads(json.dumps(result.to_json()))["parameters"]["lag"]["unit"] == "s"
+    assert not result.status
+
+
+def test_windows_know_the_inputs_before_them() -> None:
+    run = behind("cart", 2.5)
+    method = OE(Drive(2.0, lag="estimate"), Encoder(CART[6]), 0.01, 20.0, window=2.0)
+    fit = method.fit(run.u, run.counts)
+    assert fit.theta[-1] / 0.01 == pytest.approx(2.5, abs=0.03)
+    np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.005)
+
+
+def test_an_export_without_one_has_no_trace_of_it(tmp_path: Path) -> None:
+    for dead_time, lag in ((0.02, 0.0), (0.0, 0.004)):
+        folder = tmp_path / f"{lag}"
+        export_firmware(made(RIV, "cart", lag=lag, dead_time=dead_time), folder)
+        assert f"#define PMF_WITH_LAG {int(lag > 0)}" in (folder / "pmf_sizes.h").read_text()
+
+
+def test_refusals_have_a_remedy() -> None:
+    with pytest.raises(UsageError, match="lag must be a time in s from 0 on"):
+        Drive(2.0, lag=-0.1)
+    for method in (pmfid.LS, pmfid.BCRLS):
+        with pytest.raises(UsageError, match="use iv, output-error or interval, or give it in s"):
+            made(method, "cart", lag="estimate")
+    for options in ({"lag": "estimate"}, {"lag": 0.004, "dead_time": "estimate"}):
+        with pytest.raises(UsageError, match='or set dead_time = "estimate" alone'):
+            made(RIV, "cart", **options)
+    with pytest.raises(UsageError, match="check its unit"):
+        made(IV, "cart", lag=0.3)
+    with pytest.raises(UsageError, match="take n one larger"):
+        pmfid.TransferFunction(2, 0).at_lag(0.1)
+
+
+def test_the_equation_says_it_and_takes_it_out_again() -> None:
+    lagging = Drive(2.0, lag="estimate").equation
+    assert "u lagging by lag" in lagging.text
+    assert lagging.at_once == Drive(2.0).equation
+    assert lagging.known_at([0.004]) == Drive(2.0, lag=0.004).equation
+    assert lagging.further == (("lag", "s"),)
+    assert lagging.searched == ()
