@@ -1,4 +1,4 @@
-"""What may be known of parameters beside a record, checked: names, values, and whether it gives the gain of the input."""
+"""What may be known of parameters beside a record, checked: names, values, whether it gives the gain of the input."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError, place_of
 from pmfid.estimators.arguments import check_arrays
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.combination import Facts, combine
+from pmfid.estimators.combination import Combined, Facts, combine
 from pmfid.estimators.configuration import like
 from pmfid.estimators.facts import INPUT_GAIN, check_known, forces_of
 from pmfid.estimators.recursive import RecursiveEstimator
@@ -143,16 +143,25 @@ class Known:
         if model_spread is not None:
             spread = np.sqrt(told.moves[0, :q] ** 2 @ further)
             spread[: theta.size][np.isnan(model_spread)] = np.nan
-        scale = self._gain_scale
-        values, noise = told.theta[0, :q] * scale, told.noise[0, :q, :q] * np.outer(scale, scale)
+        values, noise = self._scaled(told)
         if spread is not None:
-            spread = spread * np.abs(scale)
-        for name, (value, std) in self._facts.items():  # rounding leaves nothing of what is given
-            if std == 0:
-                i = self.names.index(name)
-                values[i], noise[i], noise[:, i] = value, 0.0, 0.0
+            spread = spread * np.abs(self._gain_scale)
+            spread[[self.names.index(name) for name in self._given]] = 0.0
         notes = self._contradictions(told.apart[0], theta, covariance, further)
-        return Posterior(self.names, self.units, values, noise, spread, notes)
+        return Posterior(self.names, self.units, values[0], noise[0], spread, notes)
+
+    @property
+    def _given(self) -> dict[str, float]:
+        return {name: value for name, (value, std) in self._facts.items() if std == 0}
+
+    def _scaled(self, told: Combined) -> tuple[Floats, Floats]:
+        """theta (n, q) and covariances (n, q, q), with the gain of the machine; what is given stays as it is."""
+        q, scale = len(self.names), self._gain_scale
+        values, noise = told.theta[:, :q] * scale, told.noise[:, :q, :q] * np.outer(scale, scale)
+        for name, value in self._given.items():
+            i = self.names.index(name)
+            values[:, i], noise[:, i], noise[:, :, i] = value, 0.0, 0.0
+        return values, noise
 
     @property
     def _gain_scale(self) -> Floats:
@@ -201,10 +210,10 @@ class Known:
             alike = np.divide(own, np.outer(size, size), out=np.eye(p), where=np.outer(size, size) > 0)
             covariance = alike * std[known, :, None] * std[known, None, :]
             told = combine(track.theta[known], covariance, np.zeros((covariance.shape[0], p)), self.facts)
-            q, scale = len(self.names), self._gain_scale
-            theta[known] = told.theta[:, :q] * scale
-            bars[known] = np.sqrt(np.maximum(np.einsum("nii->ni", told.noise)[:, :q], 0.0)) * np.abs(scale)
-        bars[~np.isfinite(theta)], theta[~np.isfinite(theta)] = np.inf, 0.0
+            theta[known], noise = self._scaled(told)
+            bars[known] = np.sqrt(np.maximum(np.einsum("nii->ni", noise), 0.0))
+        unknown = ~np.all(np.isfinite(theta) & np.isfinite(bars), axis=1)
+        bars[unknown], theta[unknown] = np.inf, 0.0
         return track.with_bars(self.names, self.units, theta, bars)
 
     def run(self, runner: RecursiveEstimator | Runner[RecursiveEstimator], u: ArrayLike, counts: ArrayLike) -> Track:
