@@ -70,6 +70,7 @@ PUBLIC = [
     "Fleet",
     "IV",
     "IntervalML",
+    "Known",
     "KnownStep",
     "LS",
     "NotIdentifiableError",

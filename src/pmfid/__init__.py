@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pmfid.estimators.interval import IntervalML as IntervalML
     from pmfid.estimators.iv import IV as IV
     from pmfid.estimators.iv import RIV as RIV
+    from pmfid.estimators.known import Known as Known
     from pmfid.estimators.known_step import KnownStep as KnownStep
     from pmfid.estimators.known_step import RKnownStep as RKnownStep
     from pmfid.estimators.ls import LS as LS
@@ -66,6 +67,7 @@ _PUBLIC = {
     "RIV": "pmfid.estimators.iv",
     "OE": "pmfid.estimators.output_error",
     "IntervalML": "pmfid.estimators.interval",
+    "Known": "pmfid.estimators.known",
     "KnownStep": "pmfid.estimators.known_step",
     "RKnownStep": "pmfid.estimators.known_step",
     "LS": "pmfid.estimators.ls",

@@ -149,6 +149,12 @@ class Estimator:
     def _check_kinds(self) -> None:
         if not isinstance(getattr(self.model, "equation", None), Equation):
             raise UsageError(f"model must be a Drive, a TransferFunction or an EquationModel, got {self.model!r}")
+        if getattr(self.model, "input_gain", None) == ESTIMATE:
+            raise UsageError(
+                "an estimator alone cannot find the input_gain, which takes a force that is known: use pmfid.identify "
+                'with given = {"mass": 1.25}, or write Drive(input_gain=1.0, ...) and look at its estimates through '
+                'pmfid.Known(estimator, given={"mass": 1.25}, find_gain=True)'
+            )
         if not isinstance(self.encoder, Encoder):
             raise UsageError(f"encoder must be an Encoder, got {self.encoder!r}; write Encoder(resolution)")
         order = whole_number("order", self.order, 0, "it is the number of filter stages")

@@ -12,7 +12,8 @@ from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.configuration import like
-from pmfid.estimators.iv import IV, LASTING
+from pmfid.estimators.instruments import LASTING
+from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import solve_with_instruments
 from pmfid.estimators.results import Columns
 from pmfid.estimators.scatter import scatter

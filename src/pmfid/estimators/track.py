@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -40,6 +41,20 @@ class Track:
             std[known] = np.sqrt(self.variance_factor[known] * self.innovation_variance[known, None] * scale)
         return std
 
+    def with_bars(
+        self,
+        names: tuple[str, ...],
+        units: tuple[str, ...],
+        theta: NDArray[np.float64],
+        std: NDArray[np.float64],
+    ) -> Track:
+        """The same samples with other parameters theta (n, q) and their standard deviations (n, q)."""
+        variance = np.where(self.innovation_variance > 0, self.innovation_variance, np.inf)
+        factor = np.where(np.isfinite(std), std, 0.0) ** 2 / variance[:, None]
+        whole = np.where(np.all(np.isfinite(std), axis=1), self.innovation_variance, 0.0)
+        inflation = np.zeros_like(theta)
+        return Track(names, units, theta, factor, inflation, self.innovation, whole, self.status)
+
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """The (n,) track of one parameter. Raises UnknownParameterError, a KeyError, listing the names."""
         return self.theta[..., place_of(name, self.names)]
@@ -47,6 +62,13 @@ class Track:
     def flagged(self, bit: Status) -> NDArray[np.bool_]:
         """(n,) where a status bit is set."""
         return np.asarray((self.status & bit) != 0)
+
+
+def joined(parts: Sequence[Track]) -> Track:
+    """One track of pieces that follow each other."""
+    own = [field.name for field in fields(Track) if field.name not in ("names", "units")]
+    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in own}
+    return Track(parts[0].names, parts[0].units, **whole)
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,8 @@ class EquationModel:
 class Drive:
     """m x'' + d x' + F_c sign(x') [+ k x] [+ offset] = input_gain u  (paper eq. 37 and 42, F_c as a force).
 
-    input_gain: force per unit of input [N/V, or 1 where u is a force], finite, not 0.
+    input_gain: force per unit of input [N/V, or 1 where u is a force], finite, not 0; or "estimate", for
+    `pmfid.identify` with a force that is known, given = {"mass": 1.25}.
     offset: estimate a constant force as well [N], as gravity or a biased current measurement give it.
     friction: "symmetric", or "directional": viscous and Coulomb friction differ between forward and backward.
     spring: the load hangs on a spring [N/m]; x counts from the first sample, where the spring's force is the offset,
@@ -105,7 +106,7 @@ class Drive:
 
     kind: ClassVar[str] = "drive"
 
-    input_gain: float
+    input_gain: float | Literal["estimate"]
     offset: bool = False
     friction: str = "symmetric"
     spring: bool = False
@@ -118,7 +119,8 @@ class Drive:
     lag: Late = 0.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.input_gain, Real) or not 1e-30 < abs(self.input_gain) < 1e30:
+        known = self.input_gain != ESTIMATE
+        if known and (not isinstance(self.input_gain, Real) or not 1e-30 < abs(self.input_gain) < 1e30):
             raise UsageError(
                 f"input_gain must be finite and not 0, got {self.input_gain!r}; "
                 "it is the force per unit of input, 1 where the input is the force itself"
@@ -144,7 +146,9 @@ class Drive:
         if self.spring:
             unknown.append(Term("output", 0, "stiffness", "N/m"))
         unknown += self._shaped()
-        known = (Term("input", 0, coefficient=self.input_gain),)
+        # forces over the gain, where that is to be found
+        gain = 1.0 if isinstance(self.input_gain, str) else self.input_gain
+        known = (Term("input", 0, coefficient=gain),)
         return Equation(tuple(unknown), known, dead_time=self.dead_time, lag=self.lag)
 
     def _shaped(self) -> list[Term]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,6 +44,7 @@ def explain(
     names: Sequence[str],
     input_gain: float,
     latest: int | None = None,
+    fixed: Collection[str] = (),
 ) -> Cause:
     """The single change at one of the blocks' starts that takes most from the error of the equation.
 
@@ -52,12 +53,13 @@ def explain(
         gain = (v^T W^T Z^-1 S)^2 / (v^T W^T Z^-1 W v)
 
     is the generalised likelihood ratio of theta0 + size v (Willsky and Jones 1976), but for the noise. theta: (p,)
-    reference; directions: each parameter, and theta itself for a loss of force; latest: the last start that is
-    possible, as the deviation was noticed then.
+    reference; directions: each parameter but those that are known to stay, fixed, and theta itself for a loss of force;
+    latest: the last start that is possible, as the deviation was noticed then.
     """
     S, W, Z = (np.cumsum(part[::-1], axis=0)[::-1] for part in (blocks.score, blocks.cross, blocks.square))
     Z = Z + RIDGE * np.diag(np.diagonal(Z[0]))
-    directions = np.vstack([np.eye(theta.size), theta])
+    free = [i for i, name in enumerate(names) if name not in fixed]
+    directions, called = np.vstack([np.eye(theta.size)[free], theta]), [*(names[i] for i in free), INPUT_GAIN]
     weighted = np.linalg.solve(Z, W @ directions.T)  # (n, p, directions)
     match = np.einsum("npd,np->nd", weighted, S)
     known = np.maximum(np.einsum("npd,npd->nd", weighted, W @ directions.T), np.finfo(float).tiny)
@@ -66,7 +68,7 @@ def explain(
     total = max(float(S[start] @ np.linalg.solve(Z[start], S[start])), np.finfo(float).tiny)
     which = int(np.argmax(gain[start]))
     size, std = _size(blocks, scale, directions[which], start)
-    name, share = (*names, INPUT_GAIN)[which], float(gain[start, which]) / total
+    name, share = called[which], float(gain[start, which]) / total
     return _told(Cause(name, 0.0, 0.0, 0.0, start, share), size, std, theta, names, input_gain)
 
 

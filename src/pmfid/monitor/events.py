@@ -56,7 +56,8 @@ class Alarm:
 
 @dataclass(frozen=True)
 class Settled:
-    """A new reference after an alarm. time [s]; theta, std: (p,); before: (p,) the reference until then."""
+    """A new reference after an alarm. time [s]; theta, std: (q,) of what the monitor tells; before: (q,) the reference
+    until then."""
 
     time: float
     theta: Floats

@@ -11,7 +11,9 @@ import numpy as np
 
 from pmfid._estimate import Estimate
 from pmfid.estimators.configuration import like
+from pmfid.estimators.facts import forces_of
 from pmfid.estimators.iv import IV
+from pmfid.estimators.known import Known, Posterior, Seen
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.calibration import Calibration, block_keep
 from pmfid.monitor.cause import INPUT_GAIN, TRANSITION, Cause, explain, sized
@@ -60,11 +62,16 @@ class Monitor:
     sample. At the first suspicion the estimator's memory is opened: what it gathers from then on is of the new plant,
     and must not be thrown away when the cause is clear, which is when the alarm comes. The new value, once known, is
     the reference, so every change is told once.
+
+    known: what is known of the parameters beside the samples. Values that are given stay, so no change is one of them;
+    where the gain of the input is to be found, the estimator has that of the reference, and what is told is of the
+    machine with the gain that it has now.
     """
 
     estimator: RecursiveEstimator
     calibration: Calibration
     watch: Watch = field(default_factory=Watch)
+    known: Known | None = None
     state: str = field(default=STARTING, init=False)
     samples: int = field(default=0, init=False)
     statistic: float = field(default=0.0, init=False)
@@ -79,6 +86,7 @@ class Monitor:
         self._filter = ScoreFilter(self._front, self.calibration.theta)
         self._refer(self.calibration.theta)
         self._sum = Blocks(np.zeros((1, p)), np.zeros((1, p, p)), np.zeros((1, p, p)))
+        self._gain = 1.0  # of the input, over that of the estimator
         self._counts, self._zero, self._lost, self._flagged = 0, 0, False, Status(0)
         self._silent_blocks = max(SILENT_BLOCKS, round(SILENT_TIME / self._block_time))
 
@@ -86,6 +94,26 @@ class Monitor:
     def reference(self) -> Floats:
         """(p,) parameters that deviations are measured from."""
         return self._filter.theta
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters that are told: the estimator's, and the gain of the input where it is found."""
+        return self.estimator.names if self.known is None else self.known.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return self.estimator.units if self.known is None else self.known.units
+
+    def told(self, estimate: Estimate) -> Estimate | Seen:
+        """An estimate with what is known beside it."""
+        return estimate if self.known is None else Seen(self.known, estimate)
+
+    def _beside(self, theta: Floats, std: Floats) -> tuple[Floats, Floats]:
+        """A reference (p,) and its standard deviations with what is known, each (q,)."""
+        if self.known is None:
+            return theta, std
+        found = self.known.of(Posterior(self._front.names, self._front.units, theta, np.diag(std**2)))
+        return found.theta, found.theta_std
 
     @property
     def _block_time(self) -> float:
@@ -192,16 +220,15 @@ class Monitor:
             self._detection = self._detector.start(self.reference.shape)
             return self._enter(WATCHING, "the deviation is within the tolerance")
         begun = self._time - (len(self._recent) - cause.start) * self._block_time
-        unit = (
-            "" if cause.name == INPUT_GAIN else dict(zip(self._front.names, self._front.units, strict=True))[cause.name]
-        )
+        units = {INPUT_GAIN: "", **dict(zip(self._front.names, self._front.units, strict=True))}
+        scale = self._gain if cause.name in (INPUT_GAIN, *forces_of(self._front.equation)) else 1.0
         alarm = Alarm(
             self._time,
             max(0.0, begun),
             cause.name,
-            unit,
-            cause.change,
-            cause.std,
+            units[cause.name],
+            scale * cause.change,
+            scale * cause.std,
             cause.relative,
             self._crossed,
             self.threshold,
@@ -212,7 +239,8 @@ class Monitor:
     def _cause(self, estimate: Estimate) -> Cause:
         latest = max(0, len(self._recent) - self._suspected) + TRANSITION
         names, gain = self._front.names, self.estimator.equation.input_gain
-        cause = explain(Blocks.joined(self._recent), self._scale, self.reference, names, gain, latest)
+        fixed = () if self.known is None else tuple(self.known.given)
+        cause = explain(Blocks.joined(self._recent), self._scale, self.reference, names, gain, latest, fixed)
         if not self._usable(estimate):
             return cause
         return sized(cause, np.array(estimate.theta), np.array(estimate.theta_cov), self.reference, names, gain)
@@ -239,7 +267,11 @@ class Monitor:
         if not self._plausible(theta):
             theta = self.reference
         self._refer(theta)
-        return [Settled(self._time, theta, std, self._before), *self._enter(WATCHING, "")]
+        now, bars = self._beside(theta, std)
+        before, _ = self._beside(self._before, std)
+        if self.known is not None and self.known.find_gain:
+            self._gain = float(now[-1]) / self.estimator.equation.input_gain
+        return [Settled(self._time, now, bars, before), *self._enter(WATCHING, "")]
 
     def _usable(self, estimate: Estimate) -> bool:
         unusable = Status.STARTING | Status.POOR_EXCITATION | Status.FALLBACK | Status.SETTLING

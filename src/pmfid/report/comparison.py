@@ -38,13 +38,13 @@ def _thin(comparison: Comparison) -> str:
 
 def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
     """Header and one row of text for each method."""
-    first = next(iter(comparison.results.values())).estimator
-    names = [f"{name} [{unit}]" for name, unit in zip(first.names, first.units, strict=True)]
+    first = next(iter(comparison.results.values()))
+    names = [f"{name} [{unit}]" if unit else name for name, unit in zip(first.names, first.units, strict=True)]
     fitted = any(isinstance(result, ProcessResult) for result in comparison.results.values())
     header = ["method", *names, *(["fit [%]"] if fitted else []), "flags"]
     rows = []
     for method, result in comparison.results.items():
-        values = dict(zip(result.estimator.names, zip(result.theta, result.theta_std, strict=True), strict=True))
+        values = dict(zip(result.names, zip(result.theta, result.theta_std, strict=True), strict=True))
         cells = [f"{values[n][0]:.5g} ± {values[n][1]:.2g}" if n in values else "-" for n in first.names]
         fit = [_fit(result.fit)] if isinstance(result, ProcessResult) else []
         rows.append([method, *cells, *fit, ", ".join(result.status)])
@@ -61,7 +61,7 @@ def _fit(percent: float | None) -> str:
 def comparison_dots(comparison: Comparison) -> Figure:
     """One panel for each parameter, PANELS in a row: estimates by method with bars of two standard deviations, and with
     thin lines where what the model may lack is known."""
-    first = next(iter(comparison.results.values())).estimator
+    first = next(iter(comparison.results.values()))
     methods = list(comparison.results)
     lines, columns = -(-len(first.names) // PANELS), min(PANELS, len(first.names))
     with figure_style():
@@ -70,9 +70,9 @@ def comparison_dots(comparison: Comparison) -> Figure:
         panels = grid.ravel()
         for panel, name, unit in zip(panels, first.names, first.units, strict=False):
             for row, result in enumerate(comparison.results.values()):
-                if name not in result.estimator.names:
+                if name not in result.names:
                     continue
-                i = result.estimator.names.index(name)
+                i = result.names.index(name)
                 if result.interval_95 is not None:
                     panel.plot(result.interval_95[i], [row, row], color=GREY, linewidth=1.4, zorder=2)
                 panel.errorbar(result.theta[i], row, xerr=2 * result.theta_std[i], fmt="o", color="#0072B2", capsize=3)

@@ -39,7 +39,8 @@ def model_checks(result: DriveResult) -> list[Section]:
     none of a drive (a mass that is not positive), or nothing can be simulated, one section says so.
     """
     try:
-        balance = make_balance(result.estimator, result.record.u, result.record.counts, result.theta)
+        theta = result.theta[: len(result.estimator.names)]  # without a gain of the input that was found
+        balance = make_balance(result.estimator, result.record.u, result.record.counts, theta)
     except PmfidError as error:
         return [Section("Model checks", f"Not possible here: {error}.")]
     if balance is None:

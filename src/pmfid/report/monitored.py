@@ -33,8 +33,8 @@ def run_data(setup: Setup, run: MonitoredRun, history: History) -> RunData:
     t = np.array(time)
     position = np.array(counts) * estimator.encoder.resolution
     return RunData(
-        estimator.names,
-        estimator.units,
+        setup.monitor.names,
+        setup.monitor.units,
         t,
         np.array(u),
         _velocity(position, t),
@@ -43,7 +43,7 @@ def run_data(setup: Setup, run: MonitoredRun, history: History) -> RunData:
         np.array(innovation),
         np.array(status),
         np.array(state),
-        setup.nominal,
+        setup.told,
         run.alarms,
     )
 

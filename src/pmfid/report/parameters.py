@@ -20,14 +20,21 @@ def parameter_header(result: Result) -> tuple[str, ...]:
 def parameter_rows(result: Result) -> list[list[str]]:
     """One row of text for each parameter; of a machine also by how much what its model lacks may move it, and between
     which values it is then."""
-    names, units = result.estimator.names, result.estimator.units
+    names, units = result.names, result.units
     found = zip(names, result.theta, result.theta_std, _beyond(result), units, strict=True)
-    return [[name, f"{value:.6g}", f"{std:.2g}", *beyond, unit] for name, value, std, beyond, unit in found]
+    return [
+        [_named(result, name), f"{value:.6g}", f"{std:.2g}", *beyond, unit] for name, value, std, beyond, unit in found
+    ]
+
+
+def _named(result: Result, name: str) -> str:
+    known = result.beforehand.get(name)
+    return name if known is None else f"{name} ({known})"
 
 
 def _beyond(result: Result) -> list[list[str]]:
     if result.model_spread is None or result.interval_95 is None:
-        return [[]] * len(result.estimator.names)
+        return [[]] * len(result.names)
     return [
         [f"{spread:.2g}", f"{low:.5g} to {high:.5g}"] if np.isfinite(spread) else [UNKNOWN, UNKNOWN]
         for spread, (low, high) in zip(result.model_spread, result.interval_95, strict=True)

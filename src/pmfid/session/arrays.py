@@ -45,7 +45,9 @@ def identify(
     output (n,), any numbers; or in place of both one `Experiment` or several, with time, gaps and a reference.
     model: `Drive`, `EquationModel` or `TransferFunction`. dt: sample period [s]. cutoff: pole of the filters [rad/s];
     None, of a machine: that behind which the record says most. encoder: of a machine. settings: those of [estimator] in
-    AXIS.toml: method ("auto"), order, forgetting, forgetting_scheme, discretization, prefilter_zeros, precision.
+    AXIS.toml: method ("auto"), order, forgetting, forgetting_scheme, discretization, prefilter_zeros, precision; given
+    and prior, of a machine: what is known beside the record, {"mass": 1.25} and {"mass": (1.0, 0.1)}, as the mass in
+    place of Drive(input_gain="estimate").
     Raises UsageError for arguments that do not fit each other and NotIdentifiableError where the data cannot identify
     every parameter, with the mistake that explains it, where one is found.
     """
@@ -72,7 +74,7 @@ def validate(
     result. Raises UsageError for arguments that do not fit each other, and where nothing can be simulated.
     """
     own, data = result.estimator, list[Records]()
-    values = dict(zip(own.names, result.theta.tolist(), strict=True))
+    values = dict(zip(result.names, result.theta.tolist(), strict=True))
     if isinstance(own.model, TransferFunction):
         period = own.dt if dt is None and y is not None else dt
         experiments = _experiments(u, y, period)

@@ -13,6 +13,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from pmfid.errors import UsageError
 from pmfid.estimators import Method
+from pmfid.estimators.facts import INPUT_GAIN, check_known
+from pmfid.models.equation import ESTIMATE
 from pmfid.monitor.names import DetectorName
 from pmfid.session.model_config import ModelConfig, Name, Positive
 from pmfid.session.toml_file import FileSection, load_sections
@@ -105,6 +107,10 @@ class EstimatorConfig(FileSection):
     window: Positive | Literal["auto"] | None = Field(
         None, description='the length in s of the windows of output-error, for example 2.0, or "auto"'
     )
+    given: dict[str, float] = Field({}, description="values that are known, as { mass = 1.25 }")
+    prior: dict[str, Annotated[tuple[float, float], Field(strict=False)]] = Field(
+        {}, description="a mean and a standard deviation, as { mass = [1.0, 0.1] }"
+    )
     discretization: Literal["matched", "paper", "exact"] = Field(
         "matched", description="the discretisation of the filters"
     )
@@ -183,7 +189,18 @@ class Axis(FileSection):
             raise UsageError(
                 "[estimator] cutoff is missing; give the pole of the filters in rad/s, near those of the process"
             )
+        self._check_known()
         return self
+
+    def _check_known(self) -> None:
+        """What is known beforehand is of parameters of the model."""
+        given, prior, find = self.estimator.given, self.estimator.prior, self.model.input_gain == ESTIMATE
+        if self.model.kind == "transfer_function" and (given or prior):
+            raise UsageError("[estimator] given and prior are for machines; of a transfer function drop them")
+        if given or prior or find:
+            equation = self.model.make().equation
+            names = (*equation.names, *(name for name, _ in equation.further), *([INPUT_GAIN] if find else []))
+            check_known(equation, given, prior, names, find)
 
 
 def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis:

@@ -198,7 +198,7 @@ def integrated(velocity: Floats, dt: float) -> Floats:
 
 
 def _turned(axis: Axis) -> str:
-    if axis.model.kind == "drive" and axis.model.input_gain is not None:
+    if axis.model.kind == "drive" and isinstance(axis.model.input_gain, float):
         return f"give [model] input_gain = {-axis.model.input_gain:g}"
     return "give the known term of the input in [model] the other sign"
 

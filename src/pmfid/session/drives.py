@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +21,14 @@ from pmfid.estimators.configuration import like, made
 from pmfid.estimators.cutoff import choose_cutoff
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.known import PIECE, Known, Posterior
 from pmfid.estimators.ls import LS
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.plants import plant_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns, Fit
-from pmfid.estimators.track import Track
+from pmfid.estimators.track import Track, joined
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.judge.drive import examined, judge, recent
 from pmfid.judge.free_run import FreeRun, drive_run
@@ -37,12 +38,16 @@ from pmfid.models.equation import ESTIMATE, LATE
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction, diagnose
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
+from pmfid.session.known import at_some_gain, known_of, of_either_sign, put_together
 from pmfid.session.outliers import Believed, believed
 from pmfid.session.records import Record, read_record
 from pmfid.session.result import DriveResult
 from pmfid.session.stored import Stored
 from pmfid.status import Status, status_names
 from pmfid.types import Counts, Floats
+
+if TYPE_CHECKING:
+    from pmfid._estimate import Estimate
 
 CHUNK = 100_000
 
@@ -68,17 +73,19 @@ class Drives(Kind[Record]):
         return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
 
     def check(self, data: Record, axis: Axis) -> None:
+        axis = at_some_gain(axis)
         mistake = check_direction(_believed(data, axis).record, axis)
         if mistake:
             raise UsageError(mistake)
 
     def mistake(self, data: Record, axis: Axis) -> str:
+        axis = at_some_gain(axis)
         known = _believed(data, axis)
         return diagnose(known.record, axis) or known.told
 
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
         known = _believed(data, axis)
-        result = self._estimate(known.record, axis, progress)
+        result = of_either_sign(axis, lambda own: _identified(known.record, own, axis, progress))
         status = tuple(dict.fromkeys((*known.status, *result.status)))
         return replace(result, status=status, notes=tuple(filter(None, (known.told, *result.notes))))
 
@@ -96,16 +103,18 @@ class Drives(Kind[Record]):
     def unit_of_output(self, axis: Axis) -> str:
         return "m" if axis.model.kind == "drive" else ""
 
-    def _estimate(self, data: Record, axis: Axis, progress: Progress | None) -> DriveResult:
-        estimator, reason, choice = make_estimator(axis, data), "", None
-        if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
-            choice = first_choice(estimator, data.u, data.counts)
-            estimator, reason = choice.estimator, choice.reason
-        elif axis.estimator.method == AUTO:
-            estimator, reason = choose(estimator, data.u, data.counts, axis.estimator.forgetting)
-        result = _estimate(estimator, data, axis, progress, choice)
-        _check_known(result)
-        return replace(result, notes=(f"auto chose {reason}", *result.notes)) if reason else result
+
+def _identified(data: Record, axis: Axis, asked: Axis, progress: Progress | None) -> DriveResult:
+    """By the method of `axis`; asked: the axis as it is configured, with what is known beforehand."""
+    estimator, reason, choice = make_estimator(axis, data), "", None
+    if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
+        choice = first_choice(estimator, data.u, data.counts)
+        estimator, reason = choice.estimator, choice.reason
+    elif axis.estimator.method == AUTO:
+        estimator, reason = choose(estimator, data.u, data.counts, axis.estimator.forgetting)
+    result = _estimate(estimator, data, asked, progress, choice)
+    _check_known(result)
+    return replace(result, notes=(f"auto chose {reason}", *result.notes)) if reason else result
 
 
 def _believed(record: Record, axis: Axis) -> Believed:
@@ -160,13 +169,19 @@ def _estimate(
     seen = like(LS, batch, model=batch.model.simple, prefilter_zeros=None) if _by_motion(estimator) else batch
     columns = seen.columns(record.u, record.counts)
     check_identifiable(columns, seen.names, seen.least_part)
+    known = known_of(axis, estimator)
     if isinstance(estimator, RecursiveEstimator):
-        return _recursive(estimator, record, columns, progress)
+        return _recursive(estimator, record, columns, progress, known, axis)
     fit = choice.fit if choice else batch.fit(record.u, record.counts)
+    if known is not None and known.find_gain:
+        before = estimator.equation.input_gain
+        known, there = known.rescaled(fit)
+        estimator, residual = known.estimator, fit.residual * known.estimator.equation.input_gain / before
+        fit = replace(fit, theta=there.theta, theta_cov=there.theta_cov, residual=residual)
     asked = _all_known(estimator, record, fit.theta, fit.theta_std)
-    known, spread = _spread(asked[0], record, asked[3], asked[4], _adequacy(estimator, record, fit, choice))
+    adequacy, spread = _spread(asked[0], record, asked[3], asked[4], _adequacy(estimator, record, fit, choice))
     spread = np.r_[spread, np.full(fit.theta.size - spread.size, np.nan)]  # of parameters it is not linear in
-    flags, notes = judge(*asked, known)
+    flags, notes = judge(*asked, adequacy)
     if axis.estimator.window is not None and not isinstance(estimator, OE):
         notes = (*notes, f'{estimator.method} simulates no windows: window is not used; set method = "output-error"')
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
@@ -174,7 +189,8 @@ def _estimate(
     notes = (*record.notes, *fit.notes, *notes, *Status(fit.status).advice)
     status = tuple(dict.fromkeys((*status_names(fit.status), *flags)))  # both may tell of a jump
     found = fit.theta, fit.theta_std, status, notes
-    return DriveResult(estimator, *found, record, fit.relative_error, fit=fit, model_spread=spread)
+    result = DriveResult(estimator, *found, record, fit.relative_error, fit=fit, model_spread=spread)
+    return result if known is None else put_together(result, known, axis, known.of(fit, spread))
 
 
 def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: Choice | None) -> Adequacy | None:
@@ -244,32 +260,43 @@ def late_of(estimator: Estimator) -> int | None:
 
 
 def _recursive(
-    estimator: RecursiveEstimator, record: Record, columns: Columns, progress: Progress | None
+    estimator: RecursiveEstimator,
+    record: Record,
+    columns: Columns,
+    progress: Progress | None,
+    known: Known | None,
+    axis: Axis,
 ) -> DriveResult:
-    track = _run(estimator, record, progress)
+    track, told = _run(estimator, record, progress, known)
     last = int(track.status[-1])
     if last & Status.STARTING:
         raise NotIdentifiableError(
             "the record ends before there is an estimate: too little motion for every parameter; record longer"
         )
+    method: Estimator = estimator
     theta, std = track.theta[-1], track.theta_std[-1]
     late, free = late_of(estimator), track.theta
     if _by_motion(estimator):
         simulating = like(IV, estimator, prefilter_zeros=None, precision="float64")
         columns = simulating.columns_at(theta, record.u, record.counts)
     elif late is not None:  # the equation at the dead time that was found, which has no unknown for it
-        known = estimator.model.at_dead_time(max(0.0, float(theta[late])))
-        columns = like(LS, estimator, model=known, prefilter_zeros=None).columns(record.u, record.counts)
+        at = estimator.model.at_dead_time(max(0.0, float(theta[late])))
+        columns = like(LS, estimator, model=at, prefilter_zeros=None).columns(record.u, record.counts)
         free = np.delete(free, late, axis=1)
     relative = _relative_error(columns, free, track.status)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
     closer = Status.UNMODELLED | Status.FEEDBACK | Status.DEAD_TIME  # `judge` looks closer at these
     held = occurred | (last & ~int(Status.SETTLING | closer))
-    adequacy, spread = _spread(estimator, record, theta, std, None)
-    flags, notes = judge(estimator, record.u, record.counts, theta, std, adequacy)
+    last_estimate: Estimate | Posterior = estimator.estimate
+    if known is not None and known.find_gain:
+        known, last_estimate = known.rescaled(last_estimate)
+        method, theta, std = known.estimator, last_estimate.theta, last_estimate.theta_std
+    adequacy, spread = _spread(method, record, theta, std, None)
+    flags, notes = judge(method, record.u, record.counts, theta, std, adequacy)
     status = tuple(dict.fromkeys((*status_names(held), *flags)))
     notes = (*record.notes, *notes, *Status(held).advice)
-    return DriveResult(estimator, theta, std, status, notes, record, relative, track=track, model_spread=spread)
+    result = DriveResult(method, theta, std, status, notes, record, relative, track=told, model_spread=spread)
+    return result if known is None else put_together(result, known, axis, known.of(last_estimate, spread))
 
 
 def _relative_error(columns: Columns, theta: Floats, status: NDArray[np.uint32]) -> float:
@@ -282,14 +309,16 @@ def _relative_error(columns: Columns, theta: Floats, status: NDArray[np.uint32])
         return float(np.linalg.norm(residual) / np.linalg.norm(z))
 
 
-def _run(estimator: RecursiveEstimator, record: Record, progress: Progress | None) -> Track:
-    """Over the record in chunks: the same numbers as in one piece."""
-    n, parts = record.u.size, []
-    for start in range(0, n, CHUNK):
-        part = slice(start, start + CHUNK)
+def _run(
+    estimator: RecursiveEstimator, record: Record, progress: Progress | None, known: Known | None
+) -> tuple[Track, Track]:
+    """Over the record in chunks: the same numbers as in one piece; and the same with what is known beside it."""
+    n, parts, told = record.u.size, [], []
+    chunk = CHUNK if known is None else PIECE
+    for start in range(0, n, chunk):
+        part = slice(start, start + chunk)
         parts.append(estimator.run(record.u[part], record.counts[part]))
+        told.append(parts[-1] if known is None else known.track(parts[-1], estimator.estimate))
         if progress is not None:
-            progress(min(1.0, (start + CHUNK) / n))
-    fields = ("theta", "variance_factor", "inflation", "innovation", "innovation_variance", "status")
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in fields}
-    return Track(parts[0].names, parts[0].units, **joined)
+            progress(min(1.0, (start + chunk) / n))
+    return joined(parts), joined(told)

@@ -15,6 +15,7 @@ from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.session.config import NO_ENCODER, Axis, EstimatorConfig
 from pmfid.session.drives import make_estimator
 from pmfid.session.identify import kind_of
+from pmfid.session.known import check_numbers_known
 from pmfid.session.records import Record
 
 
@@ -43,6 +44,7 @@ def check_exportable(axis: Axis) -> EstimatorConfig:
     """[estimator] with the method that a drive runs in place of "auto". Raises UsageError, before a record is read, for
     a method or data that no drive has."""
     kind, config, model = kind_of(axis), axis.estimator, axis.model.make()
+    check_numbers_known(axis, "firmware")
     if axis.encoder.resolution == NO_ENCODER:
         raise UsageError("firmware reads counts: give [encoder] resolution, that of the encoder or converter")
     if config.method == AUTO:

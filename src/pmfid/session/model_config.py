@@ -29,7 +29,7 @@ Positive = Annotated[float, Field(gt=0)]
 Name = Annotated[str, Field(min_length=1)]
 
 
-def _usable_gain(value: float) -> float:
+def _usable_gain(value: float | Literal["estimate"]) -> float | Literal["estimate"]:
     try:
         return Drive(value).input_gain  # one rule for Python and TOML
     except UsageError as error:
@@ -100,8 +100,10 @@ class ModelConfig(FileSection):
     unstable: bool = Field(
         False, description="true if a controller holds a transfer function with poles in the right half-plane"
     )
-    input_gain: Annotated[float, AfterValidator(_usable_gain)] | None = Field(
-        None, description="the force in N per unit of u, for example 2.0, negative where they point apart"
+    input_gain: Annotated[Literal["estimate"] | float, AfterValidator(_usable_gain)] | None = Field(
+        None,
+        description='the force in N per unit of u, for example 2.0, negative where they point apart, or "estimate" to '
+        "find it",
     )
     friction: Literal["symmetric", "directional"] = Field(
         "symmetric", description="whether friction differs between forward and backward"

@@ -9,6 +9,7 @@ import numpy as np
 
 from pmfid.errors import place_of
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.known import Known
 from pmfid.estimators.results import Fit
 from pmfid.estimators.track import Track
 from pmfid.judge.assess import Assessment
@@ -39,6 +40,20 @@ class Result(ABC):
     model_spread: Floats | None = field(default=None, kw_only=True)
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters (p,): the estimator's, and what was found beside them."""
+        return self.estimator.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return self.estimator.units
+
+    @property
+    def beforehand(self) -> dict[str, str]:
+        """By parameter, what it is beside the record: "given", or with a "prior"."""
+        return {}
+
+    @property
     def interval_95(self) -> Floats | None:
         """(p, 2) between which values the parameters are in 95 % of the records, what the model may lack included; NaN
         where that is not known, None where there is no model spread at all. A mass or a friction that came out positive
@@ -67,14 +82,18 @@ class Result(ABC):
 
     def __getitem__(self, name: str) -> float:
         """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
-        return float(self.theta[place_of(name, self.estimator.names)])
+        return float(self.theta[place_of(name, self.names)])
 
     def __str__(self) -> str:
         """A line for each parameter, then the status and what to mind."""
         estimator = self.estimator
-        rows = zip(estimator.names, self.theta, self.theta_std, estimator.units, strict=True)
+        rows = zip(self.names, self.theta, self.theta_std, self.units, strict=True)
         lines = [f"{self.name}: {estimator.method}, {self.samples} samples"]
-        lines += [f"  {name} = {value:.6g} ± {std:.2g} {unit}".rstrip() for name, value, std, unit in rows]
+        told = {name: f" ({known})" for name, known in self.beforehand.items()}
+        lines += [
+            f"  {name} = {value:.6g} ± {std:.2g} {unit}".rstrip() + told.get(name, "")
+            for name, value, std, unit in rows
+        ]
         lines += [f"  95 % with what the model may lack: {told}" for told in self._told_beyond_noise()]
         lines += [f"status: {', '.join(self.status)}"] if self.status else []
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
@@ -83,7 +102,7 @@ class Result(ABC):
         """One line for each parameter of which something is known beside the noise."""
         if self.model_spread is None or self.interval_95 is None:
             return []
-        rows = zip(self.estimator.names, self.model_spread, self.interval_95, strict=True)
+        rows = zip(self.names, self.model_spread, self.interval_95, strict=True)
         return [
             f"{name} {low:.6g} to {high:.6g} (model spread {spread:.2g})"
             for name, spread, (low, high) in rows
@@ -92,7 +111,7 @@ class Result(ABC):
 
     def _beyond_noise(self) -> dict[str, dict[str, object]]:
         """By parameter, what `to_json` has of it beside value, error bar and unit; null: not known."""
-        names = self.estimator.names
+        names = self.names
         if self.model_spread is None or self.interval_95 is None:
             return {name: {} for name in names}
         return {
@@ -106,7 +125,7 @@ class Result(ABC):
     def to_json(self) -> dict[str, object]:
         """The object that `--json` prints."""
         estimator = self.estimator
-        rows = zip(estimator.names, estimator.units, self.theta, self.theta_std, strict=True)
+        rows = zip(self.names, self.units, self.theta, self.theta_std, strict=True)
         further = self._beyond_noise()
         return {
             "model": estimator.model.kind,
@@ -127,12 +146,27 @@ class Result(ABC):
 @dataclass(frozen=True, eq=False)
 class DriveResult(Result):
     """Of a machine with friction. relative_error: of the filtered equation at theta; fit or track: the details of an
-    off-line or of a recursive method."""
+    off-line or of a recursive method, of what the record alone says; known: what was known beside it."""
 
     record: Record
     relative_error: float
     fit: Fit | None = None
     track: Track | None = None
+    known: Known | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.estimator.names if self.known is None else self.known.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return self.estimator.units if self.known is None else self.known.units
+
+    @property
+    def beforehand(self) -> dict[str, str]:
+        if self.known is None:
+            return {}
+        return dict.fromkeys(self.known.given, "given") | dict.fromkeys(self.known.prior, "prior")
 
     @property
     def name(self) -> str:
@@ -143,11 +177,16 @@ class DriveResult(Result):
         return int(self.record.u.size)
 
     def particulars(self) -> dict[str, object]:
+        beforehand: dict[str, object] = {}
+        if self.known is not None:
+            priors = {name: list(pair) for name, pair in self.known.prior.items()}
+            beforehand = {"given": dict(self.known.given), "prior": priors}
         return {
             "equation": self.estimator.equation.text,
             "input_gain": self.estimator.equation.input_gain,
             "fit": {"relative_error": self.relative_error},
             "prefilter_zeros": list(self.estimator.zeros),
+            **beforehand,
         }
 
 

@@ -27,8 +27,9 @@ SAME_AXIS = "give the AXIS.toml that it was identified with"
 LONGEST = 150
 #: Numbers of one quantity that are printed and read again agree to this part.
 SAME = 1e-6
-#: Names of unknowns of a pre-filter, which no motion depends on.
-OF_FILTERS = "prefilter_"
+#: Beginnings of names that are no parameters of a motion: unknowns of a pre-filter, and a gain of the input that was
+#: found, which is compared as such.
+BESIDE = ("prefilter_", "input_gain")
 
 
 class _Section(BaseModel):
@@ -70,7 +71,7 @@ class Stored:
         model."""
         if self.kind != kind:
             self._refuse(f'it is of kind = "{self.kind}", and [model] of kind = "{kind}"; {SAME_AXIS}')
-        own = [name for name in self.values if name in names or not name.startswith(OF_FILTERS)]
+        own = [name for name in self.values if name in names or not name.startswith(BESIDE)]
         missing = [name for name in names if name not in own]
         foreign = [name for name in own if name not in names]
         if missing or foreign:

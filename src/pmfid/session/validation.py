@@ -13,6 +13,7 @@ from pmfid.judge.free_run import FreeRun, Horizon
 from pmfid.session.config import Axis
 from pmfid.session.identify import kind_of
 from pmfid.session.kinds import Records, parameters_of
+from pmfid.session.known import at_stored_gain
 from pmfid.session.stored import Stored
 from pmfid.types import Floats
 
@@ -97,7 +98,7 @@ def read_records(paths: Sequence[Path], axis: Axis) -> list[Records]:
 def validate_stored(stored: Stored, data: Sequence[Records], axis: Axis) -> Validation:
     """Free runs with the parameters of a file over what `read_records` gives. Raises UsageError where the parameters
     are not of the model of `axis`, or nothing can be simulated with them."""
-    kind = kind_of(axis)
+    kind, axis = kind_of(axis), at_stored_gain(axis, stored)
     theta = stored.theta(axis.model.kind, *parameters_of(axis.model.make()))
     for record in data:
         kind.check_known(stored, record, axis)

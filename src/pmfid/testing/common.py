@@ -159,7 +159,7 @@ def _in_thousandths_of_force(model: object) -> object:
     if isinstance(model, TransferFunction):  # its gains take it up
         return model
     if isinstance(model, Drive):
-        return replace(model, input_gain=THOUSAND * model.input_gain)
+        return replace(model, input_gain=THOUSAND * model.equation.input_gain)
     if isinstance(model, EquationModel):
         known = tuple(
             replace(term, coefficient=THOUSAND * term.coefficient) if term.signal == "input" else term

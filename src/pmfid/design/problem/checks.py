@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.models.drive import Drive
+from pmfid.models.equation import ESTIMATE
 
 __all__ = ["check_ends", "check_grid", "check_noise", "check_pair", "check_parameters", "check_positive"]
 
@@ -79,6 +80,11 @@ def check_drive(drive: Drive) -> None:
     for key, what in NOT_YET.items():
         if getattr(drive, key):
             raise UsageError(f"a design for {what} is not there yet; leave {key} out")
+    if drive.input_gain == ESTIMATE:
+        raise UsageError(
+            "a design needs the gain of the input: give input_gain as a number, such as pmfid identify finds with a "
+            "known mass"
+        )
     shaped = ", ".join(str(term.name) for term in drive.equation.shaped)
     if shaped:
         raise UsageError(f"a design for {shaped} is not there yet; leave that out")

@@ -59,7 +59,7 @@ def drive_regime(drive: Drive, nominal: Mapping[str, float], names: tuple[str, .
     viscous, coulomb = (_present(nominal, name, side) for name in ("viscous_friction", "coulomb_friction"))
     mass = nominal["mass"]
     # force on the mass per unit of (position, velocity, input, 1)
-    force = np.array([0.0, -nominal[viscous], drive.input_gain, -direction * nominal[coulomb]])
+    force = np.array([0.0, -nominal[viscous], drive.equation.input_gain, -direction * nominal[coulomb]])
     force[3] -= nominal.get("offset", 0.0)
     slopes = {
         "mass": -force / mass**2,

@@ -127,7 +127,7 @@ def _input_rows(rows: _Rows) -> None:
 
 def _hold_rows(rows: _Rows, values: dict[str, float]) -> None:
     """While the axis rests, the input stays within what friction holds."""
-    gain, load = rows.problem.drive.input_gain, values.get("offset", 0.0)
+    gain, load = rows.problem.drive.equation.input_gain, values.get("offset", 0.0)
     friction = [v for name, v in values.items() if name.startswith("coulomb_friction")]
     for k, direction in enumerate(rows.problem.sense):
         if direction == 0:

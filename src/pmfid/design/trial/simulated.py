@@ -72,6 +72,6 @@ def drive_of(problem: Problem, changed: Mapping[str, float]) -> DriveParameters:
         values["mass"],
         values["viscous_friction"],
         values["coulomb_friction"],
-        problem.drive.input_gain,
+        problem.drive.equation.input_gain,
         values.get("offset", 0.0),
     )

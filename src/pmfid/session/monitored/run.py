@@ -8,9 +8,10 @@ from typing import Any
 
 from pmfid._estimate import Estimate
 from pmfid.errors import UsageError
+from pmfid.estimators.known import Seen
 from pmfid.monitor.events import Event, Outlier, Settled, StateChange
 from pmfid.monitor.monitor import Monitor
-from pmfid.session.monitored.sinks import Sink
+from pmfid.session.monitored.sinks import Nowhere, Sink
 from pmfid.session.monitored.timeline import BAD, COMMENT, REPEATED, Found, Sample, Skipped
 from pmfid.types import Floats
 
@@ -25,7 +26,7 @@ Tell = Callable[[Told], None]
 #: Time, u, counts, theta, std, innovation, status bits, state.
 Row = tuple[float, float, int, Floats, Floats, float, int, str]
 #: Called with each sample, its estimate and the monitor's state.
-Observer = Callable[[Sample, Estimate, str], None]
+Observer = Callable[[Sample, Estimate | Seen, str], None]
 
 
 @dataclass
@@ -37,7 +38,7 @@ class History:
     rows: list[Row] = field(default_factory=list, init=False)
     _taken: int = field(default=0, init=False)
 
-    def __call__(self, sample: Sample, estimate: Estimate, state: str) -> None:
+    def __call__(self, sample: Sample, estimate: Estimate | Seen, state: str) -> None:
         """A sample and what it gave."""
         if self._taken % self.stride == 0:
             if len(self.rows) >= MOST_ROWS:
@@ -82,7 +83,7 @@ class MonitoredRun:
 
 def header(monitor: Monitor) -> list[str]:
     """Columns of the estimates."""
-    names = monitor.estimator.names
+    names = monitor.names
     return ["t", *names, *(f"{name}_std" for name in names), "innovation", "status", "state"]
 
 
@@ -111,19 +112,21 @@ def _step(
     events = _interrupted(sample, monitor, run, tell) if sample.missing or sample.jump else []
     estimate, now = monitor.step(sample.u, sample.counts)
     run.samples += 1
-    sink.write(_row(sample.time, estimate, monitor.state))
+    told = monitor.told(estimate)
+    if not isinstance(sink, Nowhere):
+        sink.write(_row(sample.time, told, monitor.state))
     for observe in observers:
-        observe(sample, estimate, monitor.state)
+        observe(sample, told, monitor.state)
     for event in [*events, *now]:
         if isinstance(event, Outlier):
             run.outliers += 1
             if run.outliers > TOLD:
                 continue
         shift = sample.time - (monitor.samples - 1) * monitor.estimator.dt
-        told = event_object(event, monitor.estimator.names, shift)
+        told_event = event_object(event, monitor.names, shift)
         if len(run.events) < KEPT:
-            run.events.append(told)
-        tell(told)
+            run.events.append(told_event)
+        tell(told_event)
 
 
 def _skipped(line: Skipped, run: MonitoredRun, tell: Tell) -> None:
@@ -148,7 +151,7 @@ def _interrupted(sample: Sample, monitor: Monitor, run: MonitoredRun, tell: Tell
     return monitor.skip(1)
 
 
-def _row(time: float, estimate: Estimate, state: str) -> tuple[float | int | str, ...]:
+def _row(time: float, estimate: Estimate | Seen, state: str) -> tuple[float | int | str, ...]:
     theta, std = estimate.theta.tolist(), estimate.theta_std.tolist()  # infinite while nothing is known
     return (time, *theta, *std, estimate.innovation, estimate.status, state)
 

@@ -10,8 +10,10 @@ import numpy as np
 
 from pmfid.errors import UsageError
 from pmfid.estimators.configuration import like
+from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.estimators.instruments import initial_vector
 from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.known import Known
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.rls import RLS
@@ -21,6 +23,7 @@ from pmfid.monitor.monitor import Monitor
 from pmfid.session.config import Axis
 from pmfid.session.drives import make_estimator
 from pmfid.session.identify import kind_of
+from pmfid.session.known import at_gain, finds_gain, known_of, of_either_sign
 from pmfid.session.monitored.cache import cached_calibration
 from pmfid.session.records import Record, read_record
 from pmfid.types import Floats
@@ -43,6 +46,12 @@ class Setup:
     cached: bool
     notes: tuple[str, ...]
 
+    @property
+    def told(self) -> Floats:
+        """(q,): nominal, and the gain of the input where it is found."""
+        beside = len(self.monitor.names) - len(self.monitor.estimator.names)
+        return np.concatenate([self.nominal, [self.monitor.estimator.equation.input_gain] * beside])
+
 
 def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[float], None] | None = None) -> Setup:
     """The monitor that AXIS.toml asks for; folder: of AXIS.toml; record: to be watched, None: a pipe.
@@ -63,8 +72,9 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
         raise UsageError(
             f"the record has dt = {record.dt:g} s, the reference {normal.dt:g} s; take a reference with the same"
         )
-    estimator = _estimator(kind_of(axis).prepared(source, axis), source, wraps=record is None)
-    nominal = _nominal(estimator, config.nominal, source)
+    estimator = _estimator(_at_normal_gain(kind_of(axis).prepared(source, axis), source), source, wraps=record is None)
+    known = known_of(axis, estimator)
+    nominal = _nominal(estimator, config.nominal, source, known)
     if isinstance(estimator, RIV):
         estimator = replace(estimator, initial=dict(zip(estimator.names, nominal.tolist(), strict=True)))
     if normal is None:
@@ -74,7 +84,7 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
     calibration, path, cached = cached_calibration(estimator, nominal, source.u, counts, hours, progress)
     notes += calibration_notes(calibration, config.mtbf_hours)
     watch = Watch(config.detector, config.mtbf_hours, config.tolerance)
-    return Setup(Monitor(estimator, calibration, watch), nominal, calibration, path, cached, tuple(notes))
+    return Setup(Monitor(estimator, calibration, watch, known), nominal, calibration, path, cached, tuple(notes))
 
 
 def calibration_notes(calibration: Calibration, mtbf_hours: float) -> list[str]:
@@ -125,13 +135,37 @@ def _estimator(axis: Axis, source: Record, wraps: bool) -> RecursiveEstimator:
     return estimator
 
 
-def _nominal(estimator: RecursiveEstimator, given: dict[str, float] | None, source: Record) -> Floats:
+def _at_normal_gain(axis: Axis, source: Record) -> Axis:
+    """With the gain of the input in normal work, where it is to be found: of [monitor] nominal or the reference.
+    Raises UsageError for a nominal without it."""
+    if not finds_gain(axis):
+        return axis
+    given = axis.monitor.nominal
+    if given is not None and INPUT_GAIN not in given:
+        raise UsageError(f"[monitor] nominal must name {INPUT_GAIN}, too, where [model] has it to be found")
+    if given is not None:
+        return at_gain(axis, given[INPUT_GAIN])
+
+    def found(own: Axis) -> Axis:
+        estimator = _estimator(own, source, wraps=False)
+        known = known_of(axis, estimator)
+        fit = like(IV, estimator, prefilter_zeros=None).fit(source.u, source.counts)
+        return own if known is None else at_gain(own, known.of(fit)[INPUT_GAIN])
+
+    return of_either_sign(axis, found)
+
+
+def _nominal(
+    estimator: RecursiveEstimator, given: dict[str, float] | None, source: Record, known: Known | None
+) -> Floats:
     """The normal parameters (p,): as given, or identified from the reference."""
+    front = like(IV, estimator, prefilter_zeros=None)
+    names = front.names
     if given is None:
-        return np.asarray(like(IV, estimator, prefilter_zeros=None).fit(source.u, source.counts).theta)
-    names = like(IV, estimator, prefilter_zeros=None).names
+        fit = front.fit(source.u, source.counts)
+        return np.asarray(fit.theta if known is None else known.of(fit).theta[: len(names)])
     try:
-        return initial_vector(given, names)
+        return initial_vector({name: value for name, value in given.items() if name in names or known is None}, names)
     except UsageError:
         raise UsageError(f"[monitor] nominal must name {list(names)}, got {list(given)}") from None
 
@@ -139,12 +173,11 @@ def _nominal(estimator: RecursiveEstimator, given: dict[str, float] | None, sour
 def start_object(setup: Setup) -> dict[str, object]:
     """What is watched and how, for `--json`."""
     monitor = setup.monitor
-    front = like(IV, monitor.estimator, prefilter_zeros=None)
     return {
         "event": "start",
         "method": monitor.estimator.method,
-        "nominal": dict(zip(front.names, setup.nominal.tolist(), strict=True)),
-        "units": dict(zip(front.names, front.units, strict=True)),
+        "nominal": dict(zip(monitor.names, setup.told.tolist(), strict=True)),
+        "units": dict(zip(monitor.names, monitor.units, strict=True)),
         "detector": monitor.watch.detector,
         "mtbf_hours": monitor.watch.mtbf_hours,
         "tolerance": monitor.watch.tolerance,

@@ -1,0 +1,59 @@
+"""What may be known of parameters beside a record, checked: names, values, whether it gives the gain of the input."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from numbers import Real
+
+from pmfid.errors import UsageError, did_you_mean
+from pmfid.models.equation import Equation
+
+INPUT_GAIN = "input_gain"
+
+
+def forces_of(equation: Equation) -> list[str]:
+    """Names of the unknowns that go with the gain of the input."""
+    return [str(term.name) for term in equation.unknown if term.signal != "input"]
+
+
+def check_known(
+    equation: Equation,
+    given: Mapping[str, float],
+    prior: Mapping[str, Sequence[float]],
+    names: Sequence[str],
+    find_gain: bool,
+) -> None:
+    """Raises UsageError for what is known of a parameter that is none of `names`, twice, as no number or as one that no
+    machine has, and where the gain of the input is to be found and nothing gives it."""
+    for name in (*given, *prior):
+        if name not in names:
+            raise UsageError(
+                f"{name} is known beforehand and no parameter; there are {', '.join(names)}{did_you_mean(name, names)}"
+            )
+    if twice := sorted(set(given) & set(prior)):
+        raise UsageError(f"{', '.join(twice)} cannot be given and have a prior: leave one of them out")
+    _check_numbers(given, prior)
+    known = {**given, **{name: pair[0] for name, pair in prior.items()}}
+    positive = {name for name, own in zip(equation.names, equation.positive, strict=True) if own}
+    for name in positive & set(known):
+        if known[name] < 0:
+            raise UsageError(f"{name} is never negative in a machine, but known as {known[name]:g}")
+    forces = forces_of(equation)
+    if find_gain and not any(name in (*forces, INPUT_GAIN) and value for name, value in known.items()):
+        raise UsageError(
+            "the gain of the input can be found only where a force is known: give the value, not 0, of one of "
+            f"{', '.join(forces)}, as given = {{ mass = 1.25 }} in [estimator]"
+        )
+
+
+def _check_numbers(given: Mapping[str, float], prior: Mapping[str, Sequence[float]]) -> None:
+    for name, value in given.items():
+        if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value):
+            raise UsageError(f"given {name} must be a number, got {value!r}")
+    for name, pair in prior.items():
+        numbers = [part for part in pair if isinstance(part, Real) and math.isfinite(part)]
+        if len(pair) != 2 or len(numbers) != 2 or numbers[1] < 0:
+            raise UsageError(
+                f"prior of {name} must be a mean and a standard deviation, as [1, 0.1], got {list(pair)!r}"
+            )

@@ -1,0 +1,265 @@
+"""What is known beside a record: values that are given, priors, and the gain of the input, found in their place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.errors import NotIdentifiableError, UsageError, place_of
+from pmfid.estimators.arguments import check_arrays
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.combination import Combined, Facts, combine
+from pmfid.estimators.configuration import like
+from pmfid.estimators.facts import INPUT_GAIN, check_known, forces_of
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.results import Fit
+from pmfid.estimators.runner import Runner
+from pmfid.estimators.track import Track, joined
+from pmfid.models.drive import Drive
+from pmfid.types import Floats
+
+if TYPE_CHECKING:
+    from pmfid._estimate import Estimate
+
+GAIN_UNIT = "N per u"
+#: Standard deviations, those of both sides together, from which on a fact and a record contradict each other.
+CONTRADICTED = 3.0
+#: Samples of a record over which the correlation of the parameters is taken for the same.
+PIECE = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """An estimate with what was known beside it. names, units: of the q parameters, the gain of the input last where it
+    was to be found; theta: (q,); theta_cov: (q, q); model_spread: (q,) or None; notes: what contradicts what."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    theta: Floats
+    theta_cov: Floats
+    model_spread: Floats | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def theta_std(self) -> Floats:
+        """(q,) standard deviations."""
+        return np.asarray(np.sqrt(np.maximum(np.diagonal(self.theta_cov), 0.0)))
+
+    def __getitem__(self, name: str) -> float:
+        """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        return float(self.theta[place_of(name, self.names)])
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known of the parameters of an estimator, whatever its method, put together with what it estimates.
+
+    given: values by name. prior: (mean, standard deviation) by name, Gaussian; a standard deviation of 0 is as given.
+    find_gain: the gain of the input is to be found: the estimator's `Drive` has any, of the right sign, and each
+    estimate with it tells that of the machine by what is known of a force; `input_gain` may have a prior then.
+    `of` is for a fit or the estimate of a step, `run` for the samples of a recursive method:
+
+    >>> from pmfid import Drive, Encoder, RIV
+    >>> riv = RIV(Drive(1.0), Encoder(1e-5), 0.001, 50.0, forgetting=0.9995)
+    >>> belt = Known(riv, given={"mass": 1.25}, find_gain=True)
+    >>> belt.names
+    ('mass', 'viscous_friction', 'coulomb_friction', 'input_gain')
+
+    A prior counts once, however long the record: with a memory it holds at every time. It is weighed by the error bars
+    of the estimate. Raises UsageError for a name or a value that is none, a value that is known twice, and a gain that
+    nothing gives.
+    """
+
+    estimator: Estimator
+    given: Mapping[str, float] = field(default_factory=dict)
+    prior: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    find_gain: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "given", dict(self.given))
+        object.__setattr__(self, "prior", {name: tuple(pair) for name, pair in self.prior.items()})
+        if self.find_gain and not isinstance(self.estimator.model, Drive):
+            raise UsageError("the gain of the input is found of a Drive; give the coefficient of the input as it is")
+        check_known(self.estimator.equation, self.given, self.prior, self.names, self.find_gain)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (*self.estimator.names, *([INPUT_GAIN] if self.find_gain else []))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return (*self.estimator.units, *([GAIN_UNIT] if self.find_gain else []))
+
+    @property
+    def _forces(self) -> NDArray[np.bool_]:
+        """(p,): the coefficients that go with the gain of the input; times, speeds and filters do not."""
+        forces = forces_of(self.estimator.equation)
+        return np.array([name in forces for name in self.estimator.names])
+
+    @property
+    def _facts(self) -> dict[str, tuple[float, float]]:
+        given = {name: (float(value), 0.0) for name, value in self.given.items()}
+        return given | {name: (float(mean), float(std)) for name, (mean, std) in self.prior.items()}
+
+    @cached_property
+    def facts(self) -> Facts:
+        """The same in the terms of `combine`."""
+        gain = self.estimator.equation.input_gain
+        unit = {name: gain if name == INPUT_GAIN else 1.0 for name in self._facts}
+        rows = [(value / unit[name], std / abs(unit[name])) for name, (value, std) in self._facts.items()]
+        value, std = np.array(rows).reshape(-1, 2).T
+        index = np.array([self.names.index(name) for name in self._facts], dtype=np.intp)
+        return Facts(index, value, std, self._forces, self.find_gain)
+
+    def of(self, found: Fit | Estimate | Posterior, model_spread: Floats | None = None) -> Posterior:
+        """An estimate with what is known. model_spread (p,): by how much what the model lacks may move it, as an error
+        of its own in every parameter; it weighs as the error bars do, and NaN is none.
+
+        Raises NotIdentifiableError where the error bars of the estimate, or the gain of the input, are not known.
+        """
+        theta, covariance = np.asarray(found.theta), np.asarray(found.theta_cov)
+        further = np.zeros(theta.size) if model_spread is None else np.nan_to_num(model_spread) ** 2
+        if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(covariance))):
+            raise NotIdentifiableError(
+                "the record gives no error bars, and without them nothing can be weighed against what is known: record "
+                "longer, or leave given and prior out"
+            )
+        try:
+            told = combine(theta[None], covariance[None], further[None], self.facts)
+        except np.linalg.LinAlgError:
+            told = None
+        if told is None or not (np.all(np.isfinite(told.theta)) and np.all(np.isfinite(told.noise))):
+            raise NotIdentifiableError(
+                f"what is known ({', '.join(self._facts)}) and what the record says do not go together: check the "
+                "values, or leave one out"
+            )
+        q = len(self.names)
+        spread = None
+        if model_spread is not None:
+            spread = np.sqrt(told.moves[0, :q] ** 2 @ further)
+            spread[: theta.size][np.isnan(model_spread)] = np.nan
+        values, noise = self._scaled(told)
+        if spread is not None:
+            spread = spread * np.abs(self._gain_scale)
+            spread[[self.names.index(name) for name in self._given]] = 0.0
+        notes = self._contradictions(told.apart[0], theta, covariance, further)
+        return Posterior(self.names, self.units, values[0], noise[0], spread, notes)
+
+    @property
+    def _given(self) -> dict[str, float]:
+        return {name: value for name, (value, std) in self._facts.items() if std == 0}
+
+    def _scaled(self, told: Combined) -> tuple[Floats, Floats]:
+        """theta (n, q) and covariances (n, q, q), with the gain of the machine; what is given stays as it is."""
+        q, scale = len(self.names), self._gain_scale
+        values, noise = told.theta[:, :q] * scale, told.noise[:, :q, :q] * np.outer(scale, scale)
+        for name, value in self._given.items():
+            i = self.names.index(name)
+            values[:, i], noise[:, i], noise[:, :, i] = value, 0.0, 0.0
+        return values, noise
+
+    @property
+    def _gain_scale(self) -> Floats:
+        """(q,): the gain behind `combine` is one over that of the estimator."""
+        return np.concatenate(
+            [np.ones(len(self.estimator.names)), [self.estimator.equation.input_gain] * self.find_gain]
+        )
+
+    def _contradictions(self, apart: Floats, theta: Floats, covariance: Floats, further: Floats) -> tuple[str, ...]:
+        named = [
+            (name, f"{name} = {value:.6g}" + (f" ± {own:.2g}" if own else ""))
+            for (name, (value, own)), away in zip(self._facts.items(), apart, strict=True)
+            if abs(away) > CONTRADICTED
+        ]
+        if not named:
+            return ()
+        std, rest = np.sqrt(np.diagonal(covariance) + further), "what else is known, with the record,"
+        if len(named) == 1 and not self.find_gain:
+            i = self.names.index(named[0][0])
+            rest = f"the record, which alone gives {theta[i]:.4g} ± {std[i]:.2g},"
+        elif len(named) > 1:
+            rest = "each other or the record"
+        return (
+            f"{' and '.join(text for _, text in named)} contradict{'s' * (len(named) == 1)} {rest} by "
+            f"{float(np.max(np.abs(apart))):.2g} standard deviations: something of it is wrong, and so is what was put "
+            "together of it; check the values, their units, the input_gain and the model, or leave one out",
+        )
+
+    def rescaled(self, found: Fit | Estimate | Posterior) -> tuple[Known, Posterior]:
+        """With the gain that is found as that of the estimator, and the same estimate in forces of that machine."""
+        gain = self.of(found)[INPUT_GAIN]
+        own = np.where(self._forces, gain / self.estimator.equation.input_gain, 1.0)
+        theta, covariance = found.theta * own, found.theta_cov * np.outer(own, own)
+        there = replace(self, estimator=with_gain(self.estimator, gain))
+        return there, Posterior(self.estimator.names, self.estimator.units, theta, covariance)
+
+    def track(self, track: Track, last: Estimate) -> Track:
+        """A piece of a track with what is known; last: the estimate at its end, whose correlations are taken for those
+        of all of it. Where nothing is estimated yet theta is 0 and the error bars infinite, of what is given, too."""
+        std, (n, p) = track.theta_std, track.theta.shape
+        theta, bars = np.zeros((n, len(self.names))), np.full((n, len(self.names)), np.inf)
+        own = np.asarray(last.theta_cov)
+        known = np.all(np.isfinite(std), axis=1) & bool(np.all(np.isfinite(own)))
+        if np.any(known):
+            size = np.sqrt(np.diagonal(own))
+            alike = np.divide(own, np.outer(size, size), out=np.eye(p), where=np.outer(size, size) > 0)
+            covariance = alike * std[known, :, None] * std[known, None, :]
+            told = combine(track.theta[known], covariance, np.zeros((covariance.shape[0], p)), self.facts)
+            theta[known], noise = self._scaled(told)
+            bars[known] = np.sqrt(np.maximum(np.einsum("nii->ni", noise), 0.0))
+        unknown = ~np.all(np.isfinite(theta) & np.isfinite(bars), axis=1)
+        bars[unknown], theta[unknown] = np.inf, 0.0
+        return track.with_bars(self.names, self.units, theta, bars)
+
+    def run(self, runner: RecursiveEstimator | Runner[RecursiveEstimator], u: ArrayLike, counts: ArrayLike) -> Track:
+        """Many samples at once as `Runner.run` of an estimation that is under way, u, counts: (n,)."""
+        u, counts = check_arrays(u, counts)
+        parts = []
+        for start in range(0, max(1, u.size), PIECE):
+            part = runner.run(u[start : start + PIECE], counts[start : start + PIECE])
+            parts.append(self.track(part, runner.estimate))
+        return joined(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """The estimate of a step with what is known, put together when it is looked at; theta 0 and infinite error bars
+    while nothing is estimated yet."""
+
+    known: Known
+    estimate: Estimate
+
+    @cached_property
+    def _found(self) -> Posterior | None:
+        try:
+            return self.known.of(self.estimate)
+        except NotIdentifiableError:
+            return None
+
+    @property
+    def theta(self) -> Floats:
+        return np.zeros(len(self.known.names)) if self._found is None else self._found.theta
+
+    @property
+    def theta_std(self) -> Floats:
+        return np.full(len(self.known.names), np.inf) if self._found is None else self._found.theta_std
+
+    @property
+    def innovation(self) -> float:
+        return self.estimate.innovation
+
+    @property
+    def status(self) -> int:
+        return self.estimate.status
+
+
+def with_gain(estimator: Estimator, gain: float) -> Estimator:
+    """The same estimator with another gain of the input. Raises UsageError for one that is none."""
+    if not isinstance(estimator.model, Drive):
+        raise UsageError("the gain of the input is found of a Drive")
+    return like(type(estimator), estimator, model=replace(estimator.model, input_gain=gain))

@@ -1,0 +1,115 @@
+"""[estimator] given and prior, and input_gain = "estimate": what is known beside a record, on the way to a result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from typing import TypeVar
+
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.facts import INPUT_GAIN
+from pmfid.estimators.known import Known, Posterior, with_gain
+from pmfid.models.equation import ESTIMATE
+from pmfid.session.config import Axis
+from pmfid.session.result import DriveResult
+from pmfid.session.stored import Stored
+
+Found = TypeVar("Found")
+#: What is said in the status where a value that is known and the record contradict each other.
+CONTRADICTED = "prior_contradicted"
+
+
+def finds_gain(axis: Axis) -> bool:
+    """Is the gain of the input to be found?"""
+    return axis.model.input_gain == ESTIMATE
+
+
+def at_gain(axis: Axis, gain: float) -> Axis:
+    """The same axis with another gain of the input."""
+    return axis.model_copy(update={"model": axis.model.model_copy(update={INPUT_GAIN: gain})})
+
+
+def at_some_gain(axis: Axis) -> Axis:
+    """The same with a number for the gain, where what is asked does not depend on it."""
+    return at_gain(axis, 1.0) if finds_gain(axis) else axis
+
+
+def at_stored_gain(axis: Axis, stored: Stored) -> Axis:
+    """The same with the gain of a file's parameters, where it was to be found. Raises UsageError where it has none."""
+    if not finds_gain(axis):
+        return axis
+    if stored.input_gain is None:
+        raise UsageError(f"{stored.source}: it has no input_gain, and [model] gives none; write a number there")
+    return at_gain(axis, stored.input_gain)
+
+
+def of_either_sign(axis: Axis, identified: Callable[[Axis], Found]) -> Found:
+    """What `identified` makes of an axis with a number for the gain; one that is to be found has a sign, and with the
+    wrong one nothing follows the record. Raises as `identified` does."""
+    if not finds_gain(axis):
+        return identified(axis)
+    try:
+        return identified(at_gain(axis, 1.0))
+    except NotIdentifiableError as error:
+        with suppress(NotIdentifiableError):
+            return identified(at_gain(axis, -1.0))
+        raise error from None
+
+
+def known_of(axis: Axis, estimator: Estimator) -> Known | None:
+    """What [estimator] says is known of the parameters of a method; None where that is nothing. Of those that a simpler
+    method does not have, nothing can be used. Raises UsageError where nothing remains that gives the gain."""
+    config, find = axis.estimator, finds_gain(axis)
+    names = (*estimator.names, *([INPUT_GAIN] if find else []))
+    given = {name: value for name, value in config.given.items() if name in names}
+    prior = {name: pair for name, pair in config.prior.items() if name in names}
+    return Known(estimator, given, prior, find) if given or prior or find else None
+
+
+def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Posterior) -> DriveResult:
+    """A result with what is known; estimate: the two put together. Raises NotIdentifiableError for a gain that is not
+    known to its own size."""
+    config, estimator = axis.estimator, result.estimator
+    unused = [name for name in (*config.given, *config.prior) if name not in known.names]
+    notes = [f"{estimator.method} has no {name}: what is known of it is not used" for name in unused]
+    if known.find_gain:
+        gain, std = estimate[INPUT_GAIN], estimate.theta_std[-1]
+        if not std < abs(gain):
+            raise NotIdentifiableError(
+                f"input_gain comes out as {gain:.3g} with a standard deviation of {std:.2g}: this record cannot tell "
+                f"it ({'; '.join(result.notes) or 'record a motion with reversals and varying speed'})"
+            )
+        estimator = with_gain(estimator, gain)
+    notes.append(_said(known))
+    return replace(
+        result,
+        estimator=estimator,
+        theta=estimate.theta,
+        theta_std=estimate.theta_std,
+        model_spread=estimate.model_spread,
+        known=known,
+        status=(*result.status, *([CONTRADICTED] if estimate.notes else [])),
+        notes=(*notes, *estimate.notes, *result.notes),
+    )
+
+
+def check_numbers_known(axis: Axis, what: str) -> None:
+    """Raises UsageError where `what`, which needs a gain of the input and takes nothing known beforehand, has none."""
+    if finds_gain(axis):
+        raise UsageError(
+            f'{what} needs a number for the gain of the input: run pmfid identify with input_gain = "estimate", and '
+            "write the input_gain that it finds into [model]"
+        )
+    if known := (*axis.estimator.given, *axis.estimator.prior):
+        raise UsageError(f"{what} takes nothing that is known beforehand: drop given and prior of {', '.join(known)}")
+
+
+def _said(known: Known) -> str:
+    parts = [f"{name} = {value:.6g} is given" for name, value in known.given.items()]
+    parts += [f"{name} has the prior {mean:.6g} ± {std:.2g}" for name, (mean, std) in known.prior.items()]
+    if known.find_gain:
+        names = " or ".join((*known.given, *known.prior))
+        parts.append(f"input_gain is found by that, and what is told of an error of {names} is one of input_gain")
+    return "; ".join(parts)

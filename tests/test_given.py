@@ -1,0 +1,467 @@
+"""A gain of the input that nobody knows, found by a force that somebody does; values that are given, and priors."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.optimize import least_squares
+
+import pmfid
+from pmfid.cli.main import main
+from pmfid.design import Limits, Problem
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.combination import Facts, combine
+from pmfid.estimators.known import Known, Posterior
+from pmfid.monitor.calibration import Calibration, calibrate
+from pmfid.monitor.events import Alarm, Settled, Watch
+from pmfid.monitor.monitor import Monitor
+from pmfid.paper.truth import CartRecord
+from pmfid.report.parameters import parameter_rows
+from pmfid.session.result import DriveResult
+from pmfid.simulation import CART, DriveParameters, Schedule, prbs, quantize, simulate_drive
+from pmfid.simulation.changes import slipping_belt
+from pmfid.types import Floats
+from studies.friction_axes import BENCHES
+from studies.machines import Axis, machine_record
+from studies.monitoring.axis import changing, make_riv, normal_work
+
+NAMES = ("mass", "viscous_friction", "coulomb_friction")
+
+
+def identified(axis: Axis, record: CartRecord, gain: float | str = "estimate", **settings: object) -> DriveResult:
+    encoder, cutoff = pmfid.Encoder(record.resolution), 1 / (3 * axis.dt)
+    model = pmfid.Drive(gain)  # type: ignore[arg-type]
+    result = pmfid.identify(
+        record.u, record.counts, model=model, encoder=encoder, dt=axis.dt, cutoff=cutoff, **settings
+    )
+    assert isinstance(result, DriveResult)
+    return result
+
+
+def truth(axis: Axis) -> dict[str, float]:
+    drive = axis.drive
+    return dict(zip(NAMES, (drive.mass, drive.viscous_friction, drive.coulomb_friction), strict=True))
+
+
+# --- the map ----------------------------------------------------------------------------------------------------------
+
+
+def some_estimate(seed: int = 4) -> tuple[Floats, Floats]:
+    """Of four parameters, the last one no force, with any covariance."""
+    rng = np.random.default_rng(seed)
+    size = np.array([0.03, 0.4, 0.05, 0.002])
+    root = rng.normal(size=(4, 4)) * 0.02
+    return size, root @ root.T * np.outer(size, size)
+
+
+FORCES = np.array([True, True, True, False])
+
+
+@pytest.mark.parametrize(
+    ("index", "value", "std", "free"),
+    [
+        ([0, 2, 4], [0.9, 1.6, 31.0], [1e-9, 0.05, 0.4], True),
+        ([0, 1, 3], [0.93, 11.0, 0.00205], [0.02, 0.5, 1e-5], True),
+        ([0, 3], [0.0303, 0.00199], [0.0004, 2e-5], False),
+    ],
+)
+def test_the_map_is_the_maximum_a_posteriori(
+    index: list[int], value: list[float], std: list[float], free: bool
+) -> None:
+    """Against a search for it, with its curvature for the covariance."""
+    theta, covariance = some_estimate()
+    whiten = np.linalg.cholesky(np.linalg.inv(covariance)).T
+
+    def rest(x: Floats) -> Floats:
+        gain = x[4] if free else 1.0
+        own = np.where(FORCES, x[:4] / gain, x[:4])
+        facts = [(x[i] - m) / s for i, m, s in zip(index, value, std, strict=True)]
+        return np.r_[whiten @ (own - theta), facts, [] if free else [x[4] - 1.0]]
+
+    facts = Facts(np.array(index), np.array(value), np.array(std), FORCES, free)
+    found = combine(theta[None], covariance[None], np.zeros((1, 4)), facts)
+    first = np.where(FORCES, 30.0 if free else 1.0, 1.0) * theta
+    best = least_squares(
+        rest, np.r_[first, 30.0 if free else 1.0], x_scale=np.r_[first, 1.0], xtol=1e-15, ftol=1e-15, gtol=1e-15
+    )
+    assert found.theta[0] == pytest.approx(best.x, rel=1e-6)
+    deviation = np.sqrt(np.diagonal(np.linalg.inv(best.jac.T @ best.jac)))
+    kept = 5 if free else 4
+    # second derivatives are in neither, and differences of derivatives in the search's
+    assert np.sqrt(np.diagonal(found.noise[0]))[:kept] == pytest.approx(deviation[:kept], rel=0.02, abs=2e-9)
+
+
+def posterior(theta: Floats, covariance: Floats) -> Posterior:
+    return Posterior(NAMES, ("kg", "N s/m", "N"), theta, covariance)
+
+
+def known(find_gain: bool = False, gain: float = 1.0, **facts: Mapping[str, object]) -> Known:
+    front = pmfid.IV(pmfid.Drive(gain), pmfid.Encoder(1e-5), 0.001, 100.0)
+    return Known(front, find_gain=find_gain, **facts)  # type: ignore[arg-type]
+
+
+def test_a_prior_is_weighed_by_both_error_bars() -> None:
+    """Two independent measurements of one number, by hand."""
+    alone = posterior(np.array([1.0, 5.0, 2.0]), np.diag([0.04, 0.01, 0.01]))
+    found = known(prior={"mass": (1.3, 0.1)}).of(alone)
+    weight = 0.04 / (0.04 + 0.01)
+    assert found["mass"] == pytest.approx(1.0 + weight * 0.3)
+    assert found.theta_std == pytest.approx([np.sqrt(1 / (1 / 0.04 + 1 / 0.01)), 0.1, 0.1])
+    assert found.theta[1:] == pytest.approx([5.0, 2.0])
+    assert not found.notes
+
+
+def test_what_goes_with_the_mass_follows_it() -> None:
+    """The others move along the covariance, as if the mass had been held in the estimation."""
+    covariance = np.array([[0.04, 0.03, 0.0], [0.03, 0.09, 0.0], [0.0, 0.0, 0.01]])
+    found = known(given={"mass": 1.2}).of(posterior(np.array([1.0, 5.0, 2.0]), covariance))
+    assert found.theta == pytest.approx([1.2, 5.0 + 0.03 / 0.04 * 0.2, 2.0])
+    assert found.theta_std == pytest.approx([0.0, np.sqrt(0.09 - 0.03**2 / 0.04), 0.1])
+
+
+def test_model_spread_weighs_and_is_in_no_error_bar_for_noise() -> None:
+    alone = posterior(np.array([1.0, 5.0, 2.0]), np.diag([1e-6, 0.01, 0.01]))
+    found = known(prior={"mass": (1.3, 0.1)}).of(alone, np.array([0.2, 0.0, np.nan]))
+    assert found["mass"] == pytest.approx(1.0 + 0.3 * (0.04 + 1e-6) / (0.05 + 1e-6))
+    assert found.model_spread is not None
+    assert found.model_spread[0] == pytest.approx(0.2 * 0.2, rel=1e-3)
+    assert found.theta_std[0] == pytest.approx(0.8 * 0.1, rel=1e-3)
+    assert np.isnan(found.model_spread[2])
+
+
+def test_a_wide_prior_changes_nothing_and_one_without_width_is_given() -> None:
+    theta, covariance = some_estimate()
+    alone = posterior(theta[:3], covariance[:3, :3])
+    wide = known(prior={"mass": (1.0, 1e6), "coulomb_friction": (0.0, 1e6)}).of(alone)
+    assert wide.theta == pytest.approx(alone.theta, rel=1e-9)
+    assert wide.theta_cov == pytest.approx(alone.theta_cov, rel=1e-9)
+    for find_gain in (False, True):
+        narrow, given = known(find_gain, prior={"mass": (0.031, 0.0)}), known(find_gain, given={"mass": 0.031})
+        assert np.array_equal(narrow.of(alone).theta, given.of(alone).theta)
+        assert np.array_equal(narrow.of(alone).theta_cov, given.of(alone).theta_cov)
+
+
+def test_the_gain_is_as_uncertain_as_the_mass() -> None:
+    theta, covariance = some_estimate()
+    alone = posterior(theta[:3], covariance[:3, :3])
+    spread = 0.02 * alone.theta
+    found = known(True, gain=-0.5, given={"mass": 1.5}).of(alone, spread)
+    assert found["input_gain"] == pytest.approx(-0.5 * 1.5 / alone["mass"])
+    assert found.theta_std[-1] / abs(found["input_gain"]) == pytest.approx(alone.theta_std[0] / alone["mass"])
+    assert found.model_spread is not None
+    assert found.model_spread[[0, -1]] / found.theta[[0, -1]] == pytest.approx([0.0, -0.02])
+    assert found.theta_std[0] == 0
+
+
+@pytest.mark.parametrize("find_gain", [False, True])
+def test_what_contradicts_is_said(find_gain: bool) -> None:
+    alone = posterior(np.array([1.0, 5.0, 2.0]), np.diag([1e-4, 1e-4, 1e-4]))
+    sound = {"mass": (1.01, 0.02), "viscous_friction": (4.9, 0.1)}
+    assert not known(find_gain, prior=sound).of(alone).notes
+    (note,) = known(find_gain, prior=sound | {"viscous_friction": (6.0, 0.1)}).of(alone).notes
+    assert "contradict" in note
+    assert "viscous_friction = 6 ± 0.1" in note
+    (said,) = known(prior={"mass": (1.2, 0.01)}).of(alone).notes
+    assert "which alone gives 1 ± 0.01" in said
+    assert "by 14 standard deviations" in said
+
+
+def test_one_given_force_contradicts_nothing() -> None:
+    alone = posterior(np.array([1.0, 5.0, 2.0]), np.diag([1e-4, 1e-4, 1e-4]))
+    assert not known(True, given={"mass": 1e3}).of(alone).notes
+
+
+def test_without_error_bars_it_is_refused() -> None:
+    alone = posterior(np.ones(3), np.full((3, 3), np.inf))
+    with pytest.raises(NotIdentifiableError, match="leave given and prior out"):
+        known(prior={"mass": (1.0, 0.1)}).of(alone)
+
+
+@pytest.mark.parametrize(
+    ("facts", "said"),
+    [
+        ({"given": {"maas": 1.0}}, "did you mean 'mass'"),
+        ({"given": {"mass": 1.0}, "prior": {"mass": (1.0, 0.1)}}, "leave one of them out"),
+        ({"prior": {"mass": (1.0,)}}, "a mean and a standard deviation"),
+        ({"prior": {"mass": (1.0, -0.1)}}, "a mean and a standard deviation"),
+        ({"given": {"mass": float("nan")}}, "must be a number"),
+        ({"given": {"mass": -1.0}}, "never negative"),
+        ({"given": {"input_gain": 1.0}}, "no parameter"),
+        ({"find_gain": True}, "give the value, not 0, of one of mass"),
+        ({"find_gain": True, "given": {"coulomb_friction": 0.0}}, "give the value, not 0"),
+    ],
+)
+def test_what_cannot_be_known_is_refused(facts: dict[str, object], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        known(**facts)  # type: ignore[arg-type]
+
+
+# --- machines ---------------------------------------------------------------------------------------------------------
+
+CASES = [("motor", "prbs", 4096), ("spindle", "stop-and-go", 1024), ("gantry", "prbs", 256), ("slide", "prbs", 512),
+         ("heavy", "stop-and-go", 2048)]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def records() -> dict[str, CartRecord]:
+    return {name: machine_record(BENCHES[name], "nothing", motion, n, 21) for name, motion, n in CASES}
+
+
+@pytest.mark.parametrize("method", ["iv", "output-error", "interval", "auto"])
+@pytest.mark.parametrize("name", [name for name, *_ in CASES])
+def test_the_gain_is_found_within_its_bar(records: dict[str, CartRecord], name: str, method: str) -> None:
+    axis = BENCHES[name]
+    result = identified(axis, records[name], method=method, given={"mass": axis.drive.mass})
+    gain = axis.drive.input_gain
+    assert result["input_gain"] == pytest.approx(gain, rel=0.01)
+    assert result["mass"] == axis.drive.mass
+    bar = result.theta_std[-1]
+    spread = result.model_spread[-1] if result.model_spread is not None else 0.0
+    assert abs(result["input_gain"] - gain) < 4 * np.hypot(bar, spread)
+    assert result.estimator.equation.input_gain == result["input_gain"]
+
+
+@pytest.mark.parametrize("method", ["ls", "bcls", "iv", "output-error", "interval", "rls", "riv"])
+def test_it_is_the_estimate_with_any_other_gain_in_proportion(records: dict[str, CartRecord], method: str) -> None:
+    axis, record = BENCHES["slide"], records["slide"]
+    wrong = identified(axis, record, 1.3 * axis.drive.input_gain, method=method)
+    found = identified(axis, record, method=method, given={"mass": axis.drive.mass})
+    factor = axis.drive.mass / wrong["mass"]
+    assert found["input_gain"] == pytest.approx(1.3 * axis.drive.input_gain * factor, rel=1e-5)
+    assert found["coulomb_friction"] == pytest.approx(wrong["coulomb_friction"] * factor, rel=1e-5)
+    assert found.theta_std[-1] / found["input_gain"] == pytest.approx(wrong.theta_std[0] / wrong["mass"], rel=1e-3)
+    assert set(found.status) == set(wrong.status)
+
+
+@pytest.mark.parametrize(
+    "names", [("viscous_friction",), ("coulomb_friction",), ("mass", "viscous_friction"), NAMES], ids=str
+)
+def test_any_force_may_be_the_known_one(records: dict[str, CartRecord], names: tuple[str, ...]) -> None:
+    axis = BENCHES["heavy"]
+    given = {name: truth(axis)[name] for name in names}
+    result = identified(axis, records["heavy"], method="output-error", given=given)
+    spread = result.model_spread[-1] if result.model_spread is not None else 0.0
+    assert result["input_gain"] == pytest.approx(axis.drive.input_gain, rel=0.01)
+    assert abs(result["input_gain"] - axis.drive.input_gain) < 4 * np.hypot(result.theta_std[-1], spread)
+    assert "prior_contradicted" not in result.status
+
+
+def test_given_forces_that_do_not_fit_each_other_are_said(records: dict[str, CartRecord]) -> None:
+    axis = BENCHES["heavy"]
+    given = {"mass": axis.drive.mass, "viscous_friction": 1.3 * axis.drive.viscous_friction}
+    result = identified(axis, records["heavy"], method="iv", given=given)
+    assert "prior_contradicted" in result.status
+    assert any("contradict each other or the record" in note for note in result.notes)
+
+
+def test_a_motor_that_turns_the_other_way_has_a_negative_gain(records: dict[str, CartRecord]) -> None:
+    axis, record = BENCHES["slide"], records["slide"]
+    turned = CartRecord(-record.u, record.counts, record.resolution)
+    given = {"mass": axis.drive.mass}
+    for method in ("iv", "auto"):
+        result = identified(axis, turned, method=method, given=given)
+        assert result["input_gain"] == pytest.approx(-axis.drive.input_gain, rel=0.01)
+        assert result["viscous_friction"] == pytest.approx(axis.drive.viscous_friction, rel=0.05)
+
+
+def test_a_prior_in_a_result(records: dict[str, CartRecord]) -> None:
+    axis, record = BENCHES["motor"], records["motor"]
+    alone = identified(axis, record, axis.drive.input_gain, method="iv")
+    mass, wrong = axis.drive.mass, 1.5 * axis.drive.mass
+    helped = identified(axis, record, axis.drive.input_gain, method="iv", prior={"mass": (mass, 1e-4 * mass)})
+    assert helped.theta_std[0] < min(alone.theta_std[0], 1e-4 * mass)
+    assert "prior_contradicted" not in helped.status
+    assert helped.names == alone.names
+    misled = identified(axis, record, axis.drive.input_gain, method="iv", prior={"mass": (wrong, 1e-3 * wrong)})
+    assert "prior_contradicted" in misled.status
+    assert any("which alone gives" in note for note in misled.notes)
+
+
+def test_a_result_says_what_was_known(records: dict[str, CartRecord]) -> None:
+    axis = BENCHES["gantry"]
+    prior = {"coulomb_friction": (15.0, 3.0)}
+    result = identified(axis, records["gantry"], method="iv", given={"mass": 37.0}, prior=prior)
+    told = result.to_json()
+    json.dumps(told, allow_nan=False)
+    assert (told["given"], told["prior"]) == ({"mass": 37.0}, {"coulomb_friction": [15.0, 3.0]})
+    assert told["input_gain"] == result["input_gain"]
+    parameters = told["parameters"]
+    assert isinstance(parameters, dict)
+    assert list(parameters) == [*NAMES, "input_gain"]
+    assert "mass = 37 ± 0 kg (given)" in str(result)
+    assert [row[0] for row in parameter_rows(result)] == [
+        "mass (given)",
+        "viscous_friction",
+        "coulomb_friction (prior)",
+        "input_gain",
+    ]
+    assert any("has the prior 15 ± 3" in note for note in result.notes)
+    plain = identified(axis, records["gantry"], 1.0, method="iv")
+    assert not {"given", "prior"} & set(plain.to_json())
+
+
+# --- on-line ----------------------------------------------------------------------------------------------------------
+
+
+def slipping(axis: Axis, part: float, at: float, ramp: float = 0.0, seed: int = 3) -> CartRecord:
+    rng = np.random.default_rng(seed)
+    n = 3 * axis.samples
+    u = prbs(n, clock=axis.clock, amplitude=axis.volt, rng=rng)
+    steps = slipping_belt(axis.drive, part, at).changes
+    x = simulate_drive(Schedule(steps, (0.0, ramp)), u, axis.dt).x
+    return CartRecord(u, quantize(x, axis.resolution * 4, axis.resolution * rng.random()), axis.resolution * 4)
+
+
+@pytest.mark.parametrize(("name", "near"), [("slide", 0.01), ("gantry", 0.01), ("spindle", 0.04), ("motor", 0.08)])
+@pytest.mark.parametrize("ramp", [0.0, 4.0], ids=["step", "drift"])
+def test_a_slipping_belt_is_followed(name: str, near: float, ramp: float) -> None:
+    """Within 1 % where the memory tells as much, and within the bar where half a second of a small motor does not."""
+    axis = BENCHES[name]
+    n, memory = 3 * axis.samples, 0.06 * 3 * axis.samples * axis.dt
+    at = n * axis.dt / 3
+    record = slipping(axis, 0.7, at, min(ramp, at))
+    settings = {"method": "riv", "forgetting": 1 - axis.dt / memory, "given": {"mass": axis.drive.mass}}
+    result = identified(axis, record, **settings)
+    assert result.track is not None
+    gain, std = result.track["input_gain"], result.track.theta_std[:, -1]
+    before = int(at / axis.dt) - 1
+    for sample, true in ((before, axis.drive.input_gain), (n - 1, 0.7 * axis.drive.input_gain)):
+        assert gain[sample] == pytest.approx(true, rel=near)
+        assert abs(gain[sample] - true) < 3.5 * std[sample]
+    assert np.all(result.track["mass"][before:] == axis.drive.mass)
+    assert result["input_gain"] == gain[-1]
+    assert result.theta_std == pytest.approx(result.track.theta_std[-1], rel=1e-9)
+
+
+def test_step_by_step_is_the_same_as_the_run() -> None:
+    axis = BENCHES["gantry"]
+    record = machine_record(axis, "nothing", "prbs", 1024, 2)
+    front = pmfid.RIV(pmfid.Drive(5.0), pmfid.Encoder(record.resolution), axis.dt, 80.0, forgetting=0.999)
+    belt = pmfid.Known(front, given={"mass": axis.drive.mass}, prior={"coulomb_friction": (15, 5)}, find_gain=True)
+    track = belt.run(front.start(), record.u, record.counts)
+    runner = front.start()
+    for u, counts in zip(record.u.tolist(), record.counts.tolist(), strict=True):
+        estimate = runner.step(u, counts)
+    last = belt.of(estimate)
+    assert track.theta[-1] == pytest.approx(last.theta, rel=1e-9)
+    assert track.theta_std[-1] == pytest.approx(last.theta_std, rel=1e-6)
+    assert np.all(np.isinf(track.theta_std[3]))
+    assert track.names == (*NAMES, "input_gain")
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+    return calibrate(make_riv(1024), theta, normal_work(7, 1024, 0.05)[0], None, hours=1.0)
+
+
+def test_the_monitor_names_the_gain_and_keeps_the_mass(calibration: Calibration) -> None:
+    """A mass that is given is no cause, whatever changed."""
+    theta = calibration.theta
+    schedule = Schedule(((0.0, CART), (8.0, DriveParameters(1.07, 12.8, 0.8, 1.7))))
+    u, counts = changing(schedule, 5, 1024, 30.0)
+    riv = make_riv(1024, theta)
+    monitor = Monitor(riv, calibration, Watch(), Known(riv, given={"mass": CART.mass}, find_gain=True))
+    events = [event for a, b in zip(u.tolist(), counts.tolist(), strict=True) for event in monitor.step(a, b)[1]]
+    alarm = next(event for event in events if isinstance(event, Alarm))
+    settled = next(event for event in events if isinstance(event, Settled))
+    assert alarm.parameter == "input_gain"
+    assert alarm.change == pytest.approx(-0.3, abs=0.05)
+    assert settled.theta == pytest.approx([1.07, 12.8, 0.8, 1.7], rel=0.03)
+    assert settled.theta[0] == settled.before[0] == CART.mass
+    assert monitor.names[-1] == "input_gain"
+
+
+# --- files and commands -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path: Path, records: dict[str, CartRecord]) -> Path:
+    record = records["slide"]
+    lines = [f"{u!r},{c}" for u, c in zip(record.u.tolist(), record.counts.tolist(), strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["u,counts", *lines]) + "\n")
+    (tmp_path / "axis.toml").write_text(
+        '[record]\ninput = "u"\noutput = "counts"\noutput_kind = "counts"\ndt = 0.01\n'
+        f'[encoder]\nresolution = {record.resolution!r}\n[model]\ninput_gain = "estimate"\n'
+        '[estimator]\ncutoff = 33.0\nmethod = "iv"\ngiven = { mass = 4 }\nprior = { coulomb_friction = [6, 3.0] }\n'
+    )
+    return tmp_path
+
+
+def invoked(*arguments: object, code: int = 0) -> str:
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def test_a_result_with_a_gain_that_was_found_predicts(folder: Path) -> None:
+    record, axis = folder / "run.csv", folder / "axis.toml"
+    told = json.loads(invoked("identify", record, "--config", axis, "--json", "--out", folder / "out"))
+    assert told["parameters"]["input_gain"]["value"] == pytest.approx(8.0, rel=0.01)
+    stored = folder / "out" / "result.json"
+    found = json.loads(invoked("validate", record, "--config", axis, "--model", stored, "--json"))
+    assert found["records"][0]["fit"] > 99
+    number = axis.read_text().replace('"estimate"', repr(told["input_gain"])).partition("given")[0]
+    (folder / "number.toml").write_text(number)
+    same = json.loads(invoked("validate", record, "--config", folder / "number.toml", "--model", stored, "--json"))
+    assert same["records"] == found["records"]
+    (folder / "other.toml").write_text(number.replace(repr(told["input_gain"]), "9.0"))
+    refused = invoked("validate", record, "--config", folder / "other.toml", "--model", stored, code=2)
+    assert "identified with input_gain" in refused
+
+
+def test_a_result_in_python_predicts(records: dict[str, CartRecord]) -> None:
+    record = records["slide"]
+    result = identified(BENCHES["slide"], record, method="iv", given={"mass": 4.0})
+    assert pmfid.validate(result, record.u, record.counts).runs[0].fit > 99
+
+
+def test_all_methods_side_by_side(folder: Path) -> None:
+    told = json.loads(invoked("compare", folder / "run.csv", "--config", folder / "axis.toml", "--json"))
+    for method in ("ls", "iv", "output-error", "riv"):
+        assert told["methods"][method]["parameters"]["input_gain"]["value"] == pytest.approx(8.0, rel=0.02)
+
+
+def test_what_has_no_such_map_says_what_to_do(folder: Path) -> None:
+    axis = folder / "axis.toml"
+    refused = invoked("export", axis, "--out", folder / "firmware", "--method", "riv", code=2)
+    assert "write the input_gain that it finds into [model]" in refused
+    with pytest.raises(UsageError, match=r"pmfid\.Known"):
+        pmfid.IV(pmfid.Drive("estimate"), pmfid.Encoder(1e-5), 0.001, 100.0)
+    with pytest.raises(UsageError, match="give input_gain as a number"):
+        Problem(
+            pmfid.Drive("estimate"),
+            {"mass": 1.0, "viscous_friction": 1.0, "coulomb_friction": 1.0},
+            ("mass",),
+            horizon=1.0,
+            intervals=10,
+            limits=Limits(input=1.0),
+            resolution=1e-5,
+        )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("given = { mass = 4 }", "given = { maas = 4 }", "did you mean 'mass'"),
+        ("given = { mass = 4 }", "given = { mass = [4, 1] }", "valid number"),
+        ("[6, 3.0]", "[6]", "a mean and a standard deviation"),
+        ('"estimate"', '"guess"', '"estimate" to find it'),
+        (
+            "given = { mass = 4 }\nprior = { coulomb_friction = [6, 3.0] }\n",
+            "",
+            "give the value, not 0, of one of mass",
+        ),
+    ],
+)
+def test_slips_in_the_file_are_told(folder: Path, old: str, new: str, said: str) -> None:
+    axis = folder / "axis.toml"
+    text = axis.read_text()
+    assert old in text
+    axis.write_text(text.replace(old, new))
+    assert said in invoked("identify", folder / "run.csv", "--config", axis, code=2)
