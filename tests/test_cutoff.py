@@ -59,7 +59,7 @@ def test_filters_far_too_fast_for_the_encoder_are_not_chosen() -> None:
     record = record_of(axis, Machine(axis.drive), "stop-and-go", 4096, 11)
     model, encoder = pmfid.Drive(axis.drive.input_gain), pmfid.Encoder(record.resolution)
     fast = pmfid.IV(model, encoder, axis.dt, 1 / (3 * axis.dt))
-    own = pmfid.IV(model, encoder, axis.dt, choose_cutoff(model, encoder, axis.dt, record.u, record.counts))
+    own = pmfid.IV(model, encoder, axis.dt, choose_cutoff([model], encoder, axis.dt, record.u, record.counts))
     mass = [method.settled(record.u, record.counts)[1][0] / axis.drive.mass for method in (fast, own)]
     assert abs(mass[0] - 1) > 0.05
     assert abs(mass[1] - 1) < 0.01
@@ -77,7 +77,7 @@ def test_without_motion_it_is_the_record_that_is_refused() -> None:
     encoder, model = pmfid.Encoder(1e-3), pmfid.Drive(2.0)
     with pytest.raises(NotIdentifiableError, match="does not move"):
         pmfid.identify(rng.normal(size=900), still, model=model, encoder=encoder, dt=0.01)
-    assert 0 < choose_cutoff(model, encoder, 0.01, rng.normal(size=900), still) < 200
+    assert 0 < choose_cutoff([model], encoder, 0.01, rng.normal(size=900), still) < 200
 
 
 def test_an_equation_that_nothing_simulates_has_a_cutoff_too() -> None:
@@ -91,7 +91,7 @@ def test_an_equation_that_nothing_simulates_has_a_cutoff_too() -> None:
     )
     model = pmfid.EquationModel(pmfid.Equation(terms, (pmfid.Term("input", 0, coefficient=3.5),)))
     assert model.equation.without_simulation
-    cutoff = choose_cutoff(model, pmfid.Encoder(record.resolution), axis.dt, record.u, record.counts)
+    cutoff = choose_cutoff([model], pmfid.Encoder(record.resolution), axis.dt, record.u, record.counts)
     assert 1 / (300 * axis.dt) <= cutoff <= 1 / (3 * axis.dt)
 
 

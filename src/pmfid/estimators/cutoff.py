@@ -28,27 +28,36 @@ TRIED = (10, 30, 3, 100, 300)
 LEAST = 30
 
 
-def choose_cutoff(model: Model, encoder: Encoder, dt: float, u: Floats, counts: NDArray[np.int64]) -> float:
-    """The pole [rad/s] of the filters behind which the record u, counts: (n,) says most on the parameters.
+def choose_cutoff(models: Sequence[Model], encoder: Encoder, dt: float, u: Floats, counts: NDArray[np.int64]) -> float:
+    """The pole [rad/s] of the filters behind which the record u, counts: (n,) says most on the parameters of one of the
+    models: one, or the same with an input that acts either way.
 
     Smallest determinant of the covariance of instrumental variables along one motion; of bias-compensated least squares
     where nothing simulates the equation. It is flat: a factor of three from the best costs little. Where no pole gives
     an estimate it is that of ten samples, and the estimator says what is wrong with the record.
     """
     poles = [1 / (samples * dt) for samples in TRIED if samples * LEAST <= counts.size] or [1 / (TRIED[0] * dt)]
+    sizes: dict[float, float] = {}
+    for model in models:
+        for pole, found in _columns(model, encoder, dt, poles, u, counts):
+            sizes[pole] = min(_uncertainty(*found), sizes.get(pole, np.inf))
+    return min(sizes, key=lambda pole: sizes[pole], default=poles[0])
+
+
+def _columns(
+    model: Model, encoder: Encoder, dt: float, poles: Sequence[float], u: Floats, counts: NDArray[np.int64]
+) -> Iterator[tuple[float, tuple[Columns, int]]]:
+    """Pole, columns, and the samples that the filters take to settle."""
     linear = model.simple if model.equation.further else model
     if IV.refuses(linear.equation):
-        columns = _compensated([BCLS(linear, encoder, dt, pole) for pole in poles], u, counts)
-    else:
-        columns = _along_a_motion([IV(linear, encoder, dt, pole) for pole in poles], u, counts)
-    sizes = {pole: _uncertainty(*found) for pole, found in columns}
-    return min(sizes, key=lambda pole: sizes[pole], default=poles[0])
+        return _compensated([BCLS(linear, encoder, dt, pole) for pole in poles], u, counts)
+    return _along_a_motion([IV(linear, encoder, dt, pole) for pole in poles], u, counts)
 
 
 def _along_a_motion(
     methods: Sequence[IV], u: Floats, counts: NDArray[np.int64]
 ) -> Iterator[tuple[float, tuple[Columns, int]]]:
-    """Pole, columns with the instruments of one motion, and the samples that the filters take to settle."""
+    """With the instruments of one motion for all poles."""
     for first in methods:
         with suppress(NotIdentifiableError):
             theta = first.settled(u, counts)[1]

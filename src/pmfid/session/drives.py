@@ -38,7 +38,7 @@ from pmfid.models.equation import ESTIMATE, LATE
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction, diagnose
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
-from pmfid.session.known import at_some_gain, known_of, of_either_sign, put_together
+from pmfid.session.known import at_gain, at_some_gain, finds_gain, known_of, of_either_sign, put_together
 from pmfid.session.outliers import Believed, believed
 from pmfid.session.records import Record, read_record
 from pmfid.session.result import DriveResult
@@ -69,7 +69,9 @@ class Drives(Kind[Record]):
         if axis.estimator.cutoff is not None or data.counts.size == 0:
             return axis
         known = _believed(data, axis).record
-        cutoff = choose_cutoff(axis.model.make(), _encoder(axis, data), data.dt, known.u, known.counts)
+        either = [at_gain(axis, 1.0), at_gain(axis, -1.0)] if finds_gain(axis) else [axis]
+        models = [one.model.make() for one in either]
+        cutoff = choose_cutoff(models, _encoder(axis, data), data.dt, known.u, known.counts)
         return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
 
     def check(self, data: Record, axis: Axis) -> None:
