@@ -76,6 +76,10 @@ LAYOUTS: dict[str, bytes | str] = {
     "row of units": text(";", ",", header="t;u;y\n[s];[V];[m]"),
     "bare units": text(header="t,u,y\ns,A,rad"),
     "quoted": "\n".join(",".join(f'"{field}"' for field in line.split(",")) for line in text().splitlines()),
+    "quoted decimal commas": "\n".join(
+        ",".join(f'"{field.replace(".", ",")}"' for field in line.split(",")) for line in text().splitlines()
+    ),
+    "an index without a name": "\n".join(f"{k - 1 if k else ''},{line}" for k, line in enumerate(text().splitlines())),
     "trailing separator": text().replace("\n", ",\n"),
     "comments between": text().replace("\n", "\n# beat\n", 40),
     "blank lines at the end": text() + "\n\n",

@@ -5,6 +5,7 @@ Every file of numbers shows it itself: only one reading makes lines of equally m
 
 from __future__ import annotations
 
+import csv
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -59,7 +60,7 @@ class Layout:
 def layout_of(lines: Sequence[str]) -> Layout:
     """The layout of the first lines of a file. Raises UsageError where they are no table."""
     looked = lines[:LOOKED_AT]
-    found = {reading: rows for reading in _readings() if (rows := _data(looked, *reading))}
+    found = {reading: rows for reading in product(SEPARATORS, ".,") if (rows := _data(looked, *reading))}
     if not found and sum(bool(line.strip()) for line in looked) == 1:
         return _empty(looked)
     if not found:
@@ -84,13 +85,10 @@ def _empty(lines: Sequence[str]) -> Layout:
 
 def split(line: str, separator: str) -> list[str]:
     """The fields of a line, without spaces and quotes around them."""
-    parts = line.split() if separator == " " else line.split(separator)
+    parts = (
+        line.split() if separator == " " else next(csv.reader([line], delimiter=separator, skipinitialspace=True), [""])
+    )
     return [part.strip().strip('"').strip() for part in parts]
-
-
-def _readings() -> Iterator[tuple[str, str]]:
-    """Separator and decimal sign, the likeliest first."""
-    return (reading for reading in product(SEPARATORS, ".,") if reading[0] != reading[1])
 
 
 def _worth(rows: Sequence[Sequence[str]], decimal: str) -> tuple[bool, float, int]:
