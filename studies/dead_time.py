@@ -65,10 +65,10 @@ PIECES = (
     Piece("cart", "dead_time", ("prbs",), (1024, 128), (0.0, 0.5, 1.7), 20),
     Piece("cart", "dead_time", ("stop-and-go",), (1024, 256, 128), (0.0, 0.5, 1.7), 20),
     Piece("cart", "dead_time", MOTIONS, (4096, 256), (0.1, 1.0, 3.0), 2),
-    Piece("rotary", "dead_time", MOTIONS, (1024, 256), (0.0, 0.5, 1.7), 4),
-    Piece("stage", "dead_time", MOTIONS, (1024, 256), (0.0, 0.5, 1.7), 4),
-    Piece("cart", "lag", MOTIONS, (1024,), (0.5, 1.7), 3),
-    Piece("rotary", "lag", MOTIONS, (1024,), (0.5, 1.7), 3),
+    Piece("rotary", "dead_time", MOTIONS, (1024, 256), (0.0, 0.5, 1.7), 3),
+    Piece("stage", "dead_time", MOTIONS, (1024, 256), (0.0, 0.5, 1.7), 3),
+    Piece("cart", "lag", MOTIONS, (1024,), (0.5, 1.7), 2),
+    Piece("rotary", "lag", MOTIONS, (1024,), (0.5, 1.7), 2),
 )
 
 
