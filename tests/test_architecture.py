@@ -86,6 +86,7 @@ PUBLIC = [
     "Status",
     "Stribeck",
     "Term",
+    "TermSearch",
     "Track",
     "Tracks",
     "TransferFunction",
@@ -95,6 +96,7 @@ PUBLIC = [
     "export_firmware",
     "identify",
     "quantize",
+    "search_terms",
     "validate",
 ]
 

@@ -59,22 +59,22 @@ class Drives(Kind[Record]):
         return data.name, int(data.u.size)
 
     def check(self, data: Record, axis: Axis) -> None:
-        mistake = check_direction(_believed(data, axis).record, axis)
+        mistake = check_direction(believed_of(data, axis).record, axis)
         if mistake:
             raise UsageError(mistake)
 
     def mistake(self, data: Record, axis: Axis) -> str:
-        known = _believed(data, axis)
+        known = believed_of(data, axis)
         return diagnose(known.record, axis) or known.told
 
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
-        known = _believed(data, axis)
+        known = believed_of(data, axis)
         result = self._estimate(known.record, axis, progress)
         status = tuple(dict.fromkeys((*known.status, *result.status)))
         return replace(result, status=status, notes=tuple(filter(None, (known.told, *result.notes))))
 
     def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
-        known = _believed(data, axis)
+        known = believed_of(data, axis)
         method = simulator(axis, data.dt, data.resolution)
         run = drive_run(method, theta, known.record.u, known.record.counts, data.name)
         return [replace(run, notes=(*filter(None, (known.told,)), *run.notes))]
@@ -99,7 +99,7 @@ class Drives(Kind[Record]):
         return replace(result, notes=(f"auto chose {reason}", *result.notes)) if reason else result
 
 
-def _believed(record: Record, axis: Axis) -> Believed:
+def believed_of(record: Record, axis: Axis) -> Believed:
     return believed(record) if axis.encoder.guard and plant_of(axis.model.make().equation).rests else Believed(record)
 
 
@@ -151,7 +151,7 @@ def _estimate(
     if isinstance(estimator, RecursiveEstimator):
         return _recursive(estimator, record, columns, progress)
     fit = choice.fit if choice else batch.fit(record.u, record.counts)
-    asked = _all_known(estimator, record, fit.theta, fit.theta_std)
+    asked = all_known(estimator, record, fit.theta, fit.theta_std)
     known, spread = _spread(asked[0], record, asked[3], asked[4], choice.adequacy if choice else None)
     spread = np.r_[spread, np.full(fit.theta.size - spread.size, np.nan)]  # of parameters it is not linear in
     flags, notes = judge(*asked, known)
@@ -181,7 +181,7 @@ def _spread(
     return found, model_spread(estimator, record.u[part], record.counts[part], theta, std, found)
 
 
-def _all_known(
+def all_known(
     estimator: Estimator, record: Record, theta: Floats, std: Floats
 ) -> tuple[Estimator, Floats, Counts, Floats, Floats]:
     """What `judge` asks, with the parameters that the equation is not linear in known as they were found."""
