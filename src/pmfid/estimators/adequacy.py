@@ -144,11 +144,27 @@ def examine(estimator: Estimator, u: ArrayLike, counts: ArrayLike, start: Floats
 
 def weigh(best: Best, places: Sequence[Place] = ()) -> Adequacy:
     """The same for the motion that fits best. places: what may come again along the travel, too."""
+    return _tested(best, *information_of(best), places)
+
+
+def information_of(best: Best) -> tuple[float, Floats]:
+    """Information [1/counts^2] of a sample at a fit, and the slopes (n,) of the negative log-likelihood by the
+    difference."""
     error = best.difference(best.q)
     if best.noise is None:
         information = 1 / max(float(np.mean(error**2)), 1 / 12)
-        return _tested(best, information, error * information, places)
-    return _tested(best, mean_information(best.noise), cost(error, best.noise)[1], places)
+        return information, error * information
+    return mean_information(best.noise), cost(error, best.noise)[1]
+
+
+def score_variance(best: Best, effects: Floats, information: float, slope: Floats) -> Floats:
+    """(k,) variances of the scores of effects (n, k) [counts]: what independent samples have, or by how much they
+    scatter over blocks or with the place of the encoder's lattice."""
+    difference, expected = best.difference, np.sum(effects**2, axis=0) * information
+    variance = np.maximum(expected, block_scatter(effects * slope[:, None], difference.recovery))
+    if best.noise is not None:
+        variance = np.maximum(variance, phase_scatter(difference, best.q, effects, best.noise))
+    return np.asarray(variance)
 
 
 def mean_information(noise: float) -> float:
@@ -158,7 +174,7 @@ def mean_information(noise: float) -> float:
 
 def _tested(best: Best, information: float, slope: Floats, places: Sequence[Place]) -> Adequacy:
     """The score tests; information: of a sample, slope (n,): of the negative log-likelihood by the difference."""
-    difference, q, noise = best.difference, best.q, best.noise
+    difference, q = best.difference, best.q
     p = difference.parameters
     sensitivity = -difference.jacobian(q)
     own = without_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:])
@@ -171,13 +187,11 @@ def _tested(best: Best, information: float, slope: Floats, places: Sequence[Plac
     apart = np.linalg.norm(alone, axis=0) > APART * np.linalg.norm(beside, axis=0)
     alone, moves = alone[:, apart], -shift[:, apart] * difference.scale[:p, None]
     score, expected = alone.T @ slope, np.sum(alone**2, axis=0) * information
-    variance = np.maximum(expected, block_scatter(alone * slope[:, None], difference.recovery))
-    if noise is not None:
-        variance = np.maximum(variance, phase_scatter(difference, q, alone, noise))
+    variance = score_variance(best, alone, information, slope)
     z, size, std = score / np.sqrt(variance), score / expected, np.sqrt(variance) / expected
     found = tuple(lack for lack, there in zip(candidates, apart, strict=True) if there)
     elsewhere = _elsewhere(alone * slope[:, None], alone**2 * information)
-    return Adequacy(difference, q, noise, found, z, size, std, expected, moves, elsewhere)
+    return Adequacy(difference, q, best.noise, found, z, size, std, expected, moves, elsewhere)
 
 
 def _elsewhere(scores: Floats, informations: Floats) -> Floats:

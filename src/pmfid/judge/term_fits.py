@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.adequacy import Adequacy, weigh
+from pmfid.estimators.adequacy import Adequacy, information_of, score_variance, weigh
 from pmfid.estimators.configuration import changed, like
-from pmfid.estimators.difference import Difference, first_speed, least, rms
+from pmfid.estimators.difference import Difference, first_speed, least, rms, without_nuisance
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
 from pmfid.estimators.lacks import Change, Place
@@ -26,6 +26,7 @@ from pmfid.estimators.likelihood import (
     cost,
 )
 from pmfid.estimators.output_error import HOPELESS, OE, STRIBECK_SPEEDS
+from pmfid.estimators.scatter import TINY
 from pmfid.estimators.window_choice import FEWEST, FOLDS, SHORTEST, predicted_elsewhere
 from pmfid.judge.free_run import drive_run
 from pmfid.models.drive import Drive, EquationModel
@@ -41,6 +42,11 @@ from pmfid.models.equation import (
 )
 from pmfid.types import Floats
 
+#: Parts of a sample in which the motions of a search are simulated at most: with 2 the likelihoods of a cart under a
+#: random binary input are within 0.1 of those with 16, and with 1 within 4.
+MOST_PARTS = 3
+#: A step of parameters for a derivative.
+SMALL = 1e-4
 #: Relative tolerance of least squares on the way.
 ROUGHLY = 1e-4
 #: A step up the likelihood that gains less is the last one.
@@ -134,9 +140,14 @@ class Bench:
         """A model begun at the parameters of another. Raises NotIdentifiableError where nothing settles."""
         equation, before = model.equation, trial.model.equation
         theta = carried(before, trial.theta, equation)
+        begun = list[Trial]()
         if len(equation.further) <= len(before.further):
-            return self._from(model, theta, trial)
-        found = [self._from(model, np.r_[one.theta, speed], one) for speed, one in self._at_speeds(model, theta, trial)]
+            begun = [self._from(model, theta, trial)]
+            if begun[0].best.clean or not equation.further:
+                return begun[0]
+        found = begun + [
+            self._from(model, np.r_[one.theta, speed], one) for speed, one in self._at_speeds(model, theta, trial)
+        ]
         if not found:
             raise NotIdentifiableError("no Stribeck speed settles: record more of slow motion")
         return max(found, key=lambda one: one.log_likelihood)
@@ -156,7 +167,7 @@ class Bench:
         within the counts, for least squares would go astray there, or from least squares on."""
         method, found = like(IntervalML, self.method, model=model), list[Trial]()
         if trial.best.noise is not None:
-            difference = method.at(theta, trial.difference.u, trial.difference.y)
+            difference = _quick(method.at(theta, trial.difference.u, trial.difference.y))
             start = (trial.best.q * trial.difference.scale)[-2:]
             q = np.maximum(np.r_[theta, start] / difference.scale, difference.lower)
             found.append(_at_top(method, model, difference, q, trial.best.status))
@@ -226,9 +237,14 @@ def _followed(method: IntervalML, theta: Floats, record: Difference) -> tuple[Di
     return (direct, closer) if rms(direct(closer)) <= direct.explained else (behind, q)
 
 
+def _quick(difference: Difference) -> Difference:
+    """The same with no more parts of a sample than tell models from each other."""
+    return replace(difference, parts=min(difference.parts, MOST_PARTS))
+
+
 def _behind(method: IntervalML, theta: Floats, record: Difference) -> tuple[Difference, Floats]:
     """The difference of a record behind the high-pass, and q (q,) of theta (p,) at the first count."""
-    behind = replace(method.at(theta, record.u, record.y), pole=method.cutoff)
+    behind = replace(_quick(method.at(theta, record.u, record.y)), pole=method.cutoff)
     begin = np.r_[theta, record.y[0], first_speed(record.y, record.dt, method.cutoff, record.resolution)]
     return behind, np.maximum(begin / behind.scale, behind.lower)
 
@@ -256,6 +272,34 @@ def log_likelihood(best: Best, cutoff: float) -> float:
     if best.noise is None:
         return walking
     return max(walking, -cost(best.difference(best.q), best.noise)[0])
+
+
+def inflation(before: Trial, after: Trial) -> float:
+    """By how much the score of what a model has beyond another scatters more, at its fit, than that of independent
+    errors would: so much larger are likelihood ratios by chance. The largest of all directions that are new."""
+    best, old, new = after.best, before.model.equation, after.model.equation
+    difference, p = best.difference, best.difference.parameters
+    sensitivity = -difference.jacobian(best.q)
+    own = without_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:]) / difference.scale[:p]
+    steps = SMALL * np.maximum(np.abs(before.theta), SMALL * float(np.max(np.abs(before.theta))))
+    begin = carried(old, before.theta, new)
+    moves = [(carried(old, before.theta + step, new) - begin) / float(np.sum(step)) for step in np.diag(steps)]
+    shared = own @ np.column_stack(moves)
+    shared /= np.maximum(np.linalg.norm(shared, axis=0), TINY)
+    own /= np.maximum(np.linalg.norm(own, axis=0), TINY)
+    alone = own - shared @ np.linalg.lstsq(shared, own)[0]
+    directions = np.linalg.svd(alone, full_matrices=False)[0][:, : max(1, p - len(moves))]
+    information, slope = information_of(best)
+    return float(np.max(score_variance(best, directions, information, slope)) / information)
+
+
+def known_shapes(best: Best) -> Best:
+    """The same motion as that of an equation whose shape parameters are known."""
+    difference, q = best.difference, best.q
+    p, equation = len(difference.equation.names), difference.equation.known_at((q * difference.scale)[:-2])
+    keep = np.r_[0:p, q.size - 2 : q.size]
+    linear = replace(difference, equation=equation, scale=difference.scale[keep])
+    return replace(best, difference=linear, least=best.least[keep], q=q[keep])
 
 
 def carried(before: Equation, theta: Floats, after: Equation) -> Floats:

@@ -19,7 +19,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import MISSED, NEARLY, Adequacy
 from pmfid.estimators.configuration import changed
 from pmfid.estimators.lacks import Change, Place
-from pmfid.judge.term_fits import Bench, Trial
+from pmfid.judge.term_fits import Bench, Trial, inflation
 from pmfid.judge.term_periods import coggings, pitches
 from pmfid.models.drive import Drive
 
@@ -35,14 +35,16 @@ ALIKE = 9.0
 HARDLY = 0.5
 #: Free runs over other parts may be worse by this part: they are a matter of chance, too.
 NO_WORSE = 0.02
-#: Root mean square [counts] of what an encoder leaves in a free run that explains the counts.
-EVERY_COUNT = 0.5
+#: Error [counts] of free runs that explain the counts: an encoder leaves half a count, and begun anew, from a start
+#: that is read from a few counts, up to twice as much.
+EVERY_COUNT = 1.0
 
 
 @dataclass(frozen=True)
 class Candidate:
     """A change of the model, what it is, and how it was come by. z: standard deviations of its score from zero;
-    inflation: by how much the score scatters beyond what independent errors would; explains: doubled gain of the
+    inflation: by how much the score scatters beyond what independent errors would, at first before the term is there,
+    and when it is fitted with it; explains: doubled gain of the
     log-likelihood that its score promises; elsewhere: that over parts that it is not taken from."""
 
     change: Change
@@ -197,8 +199,7 @@ def proposed(trial: Trial, found: Adequacy) -> list[Candidate]:
         for change in lack.changes:
             if _has(trial.model, change):
                 continue
-            inflation = float(found.size_std[k] ** 2 * found.expected[k])
-            numbers = found.z[k], inflation, found.gain[k], found.elsewhere[k]
+            numbers = found.z[k], found.size_std[k] ** 2 * found.expected[k], found.gain[k], found.elsewhere[k]
             one = Candidate(change, lack.says, *map(float, numbers))
             by_change.setdefault(repr(sorted(change.items())), one)
     return list(by_change.values())
@@ -217,6 +218,7 @@ def _fitted(bench: Bench, trial: Trial, candidate: Candidate, number: int) -> St
         return Step(candidate, None, 0.0, math.inf, math.inf, "no fit")
     further = found.parameters - trial.parameters
     needed = MISSED**2 + 2 * math.log(number) + PER_PARAMETER * (further - 1)
+    candidate = replace(candidate, inflation=inflation(trial, found))
     return Step(candidate, found, _gain(found, trial, candidate), needed, math.inf, "")
 
 

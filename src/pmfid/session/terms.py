@@ -11,7 +11,7 @@ import numpy as np
 
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.adequacy import MISSED, PARTS
+from pmfid.estimators.adequacy import MISSED, PARTS, weigh
 from pmfid.estimators.configuration import like
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.interval import IntervalML
@@ -21,7 +21,7 @@ from pmfid.estimators.results import Fit
 from pmfid.judge.balance import Balance
 from pmfid.judge.correlations import make_balance
 from pmfid.judge.drive import judge
-from pmfid.judge.term_fits import Bench, Trial, shortest_part
+from pmfid.judge.term_fits import Bench, Trial, known_shapes, shortest_part
 from pmfid.judge.terms import KEPT, Step, Terms, changed_fields, search
 from pmfid.models.drive import Drive
 from pmfid.session.config import Axis, check_sampling
@@ -218,7 +218,7 @@ def _check(method: IntervalML, record: Record) -> None:
 def _told(data: Record, bench: Bench, found: Terms, told: tuple[str, ...], status: tuple[str, ...]) -> TermSearch:
     pairs = zip(found.trials, found.errors, strict=True)
     models = _nested(bench, found.trials[0].model, list(pairs))
-    flags, notes = _judged(bench, models[-1], found)
+    flags, notes = _judged(bench, models[-1])
     own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * bool(found.adequacy.missed)
     notes = (*told, *_sentences(found), *notes)
     names = tuple(dict.fromkeys((*status, *own, *flags)))
@@ -267,14 +267,14 @@ def _unexplained(balance: Balance | None, last: Balance | None, chosen: Trial) -
     return float(every), float(low)
 
 
-def _judged(bench: Bench, chosen: Nested, found: Terms) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _judged(bench: Bench, chosen: Nested) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Flags and sentences as on an estimate."""
     trial = chosen.trial
     if chosen.fit is None:
         return ("uncertain",), ("the chosen model has no error bars on this record: excite it more",)
     record = Record(bench.u, bench.counts, trial.method.dt, trial.method.encoder.resolution, (), "")
     estimator, u, counts, theta, std = all_known(trial.method, record, chosen.fit.theta, chosen.fit.theta_std)
-    return judge(estimator, u, counts, theta, std, found.adequacy)
+    return judge(estimator, u, counts, theta, std, weigh(known_shapes(trial.best)))
 
 
 def _sentences(found: Terms) -> Iterator[str]:
