@@ -87,6 +87,7 @@ PUBLIC = [
     "Status",
     "Stribeck",
     "Term",
+    "TermSearch",
     "Track",
     "Tracks",
     "TransferFunction",
@@ -96,6 +97,7 @@ PUBLIC = [
     "export_firmware",
     "identify",
     "quantize",
+    "search_terms",
     "validate",
 ]
 

@@ -40,8 +40,10 @@ if TYPE_CHECKING:
     from pmfid.models.shapes import Wave as Wave
     from pmfid.models.transfer_function import TransferFunction as TransferFunction
     from pmfid.session.arrays import identify as identify
+    from pmfid.session.arrays import search_terms as search_terms
     from pmfid.session.arrays import validate as validate
     from pmfid.session.result import Result as Result
+    from pmfid.session.terms import TermSearch as TermSearch
     from pmfid.session.validation import Validation as Validation
     from pmfid.status import Status as Status
     from pmfid.transfer.experiment import Experiment as Experiment
@@ -87,6 +89,8 @@ _PUBLIC = {
     "export_firmware": "pmfid.export.firmware",
     "identify": "pmfid.session.arrays",
     "quantize": "pmfid.encoder",
+    "search_terms": "pmfid.session.arrays",
+    "TermSearch": "pmfid.session.terms",
     "validate": "pmfid.session.arrays",
     "Validation": "pmfid.session.validation",
 }

@@ -17,6 +17,7 @@ from pmfid.cli.output import print_json
 from pmfid.cli.progress import progress
 from pmfid.cli.reproduce import reproduce
 from pmfid.cli.simulate import simulate
+from pmfid.cli.terms import terms
 from pmfid.cli.validate import validate
 from pmfid.errors import PmfidError, printable
 from pmfid.estimators import METHODS
@@ -231,6 +232,7 @@ main.add_command(design)
 main.add_command(commission)
 main.add_command(monitor)
 main.add_command(simulate)
+main.add_command(terms)
 main.add_command(validate)
 main.add_command(reproduce)
 main.add_command(export)

@@ -8,6 +8,7 @@ as machines well may, and the record let that pass.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,7 +19,7 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
 from pmfid.estimators.difference import Difference, rms, without_nuisance
 from pmfid.estimators.interval import IntervalML
-from pmfid.estimators.lacks import Lack, lacks
+from pmfid.estimators.lacks import Lack, Place, lacks
 from pmfid.estimators.least_squares import solve_with_instruments
 from pmfid.estimators.likelihood import Best, cost, expected_information
 from pmfid.estimators.phases import phase_scatter
@@ -30,6 +31,8 @@ from pmfid.types import Floats
 MISSED = 4.0
 #: Forces that explain so nearly as much as the best are named, too, and so many at most.
 NEARLY, MOST_SAID = 0.8, 3
+#: Parts of a record that a force is to explain with what the others say of it.
+PARTS = 6
 #: Two estimates contradict each other from so many standard deviations of their difference on.
 CONTRADICTED = 2.5
 #: Part of a force's effect that is no combination of the parameters', below which nothing can be said of it.
@@ -46,7 +49,8 @@ class Adequacy:
     difference, q: the fit; noise: standard deviation beside the encoder's step [counts], of a fit within the counts,
     else None; lacks: k forces; z: (k,) how many standard deviations their scores are from zero; size, size_std: (k,)
     coefficients that the counts ask for, to first order, and their standard deviations; expected: (k,) the information
-    on each; moves: (p, k) by how much the parameters of that fit move for a unit of each.
+    on each; moves: (p, k) by how much the parameters of that fit move for a unit of each; elsewhere: (k,) doubled gain
+    of the log-likelihood of parts of the record, each with the coefficient that the other parts ask for.
     """
 
     difference: Difference
@@ -58,6 +62,7 @@ class Adequacy:
     size_std: Floats
     expected: Floats
     moves: Floats
+    elsewhere: Floats
 
     @property
     def follows(self) -> bool:
@@ -137,13 +142,29 @@ def examine(estimator: Estimator, u: ArrayLike, counts: ArrayLike, start: Floats
     return weigh(method.best(u, counts, start))
 
 
-def weigh(best: Best) -> Adequacy:
-    """The same for the motion that fits best."""
+def weigh(best: Best, places: Sequence[Place] = ()) -> Adequacy:
+    """The same for the motion that fits best. places: what may come again along the travel, too."""
+    return _tested(best, *information_of(best), places)
+
+
+def information_of(best: Best) -> tuple[float, Floats]:
+    """Information [1/counts^2] of a sample at a fit, and the slopes (n,) of the negative log-likelihood by the
+    difference."""
     error = best.difference(best.q)
     if best.noise is None:
         information = 1 / max(float(np.mean(error**2)), 1 / 12)
-        return _tested(best, information, error * information)
-    return _tested(best, mean_information(best.noise), cost(error, best.noise)[1])
+        return information, error * information
+    return mean_information(best.noise), cost(error, best.noise)[1]
+
+
+def score_variance(best: Best, effects: Floats, information: float, slope: Floats) -> Floats:
+    """(k,) variances of the scores of effects (n, k) [counts]: what independent samples have, or by how much they
+    scatter over blocks or with the place of the encoder's lattice."""
+    difference, expected = best.difference, np.sum(effects**2, axis=0) * information
+    variance = np.maximum(expected, block_scatter(effects * slope[:, None], difference.recovery))
+    if best.noise is not None:
+        variance = np.maximum(variance, phase_scatter(difference, best.q, effects, best.noise))
+    return np.asarray(variance)
 
 
 def mean_information(noise: float) -> float:
@@ -151,13 +172,13 @@ def mean_information(noise: float) -> float:
     return float(np.mean(expected_information(np.linspace(-0.5, 0.5, 1001), noise)))
 
 
-def _tested(best: Best, information: float, slope: Floats) -> Adequacy:
+def _tested(best: Best, information: float, slope: Floats, places: Sequence[Place]) -> Adequacy:
     """The score tests; information: of a sample, slope (n,): of the negative log-likelihood by the difference."""
-    difference, q, noise = best.difference, best.q, best.noise
+    difference, q = best.difference, best.q
     p = difference.parameters
     sensitivity = -difference.jacobian(q)
     own = without_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:])
-    candidates = lacks(difference, q)
+    candidates = lacks(difference, q, places)
     effects = np.column_stack([_effect(difference, q, lack) for lack in candidates] or [np.zeros((slope.size, 0))])
     beside = without_nuisance(difference, effects, sensitivity[:, p:])
     scale = np.maximum(np.linalg.norm(own, axis=0), TINY)
@@ -166,12 +187,21 @@ def _tested(best: Best, information: float, slope: Floats) -> Adequacy:
     apart = np.linalg.norm(alone, axis=0) > APART * np.linalg.norm(beside, axis=0)
     alone, moves = alone[:, apart], -shift[:, apart] * difference.scale[:p, None]
     score, expected = alone.T @ slope, np.sum(alone**2, axis=0) * information
-    variance = np.maximum(expected, block_scatter(alone * slope[:, None], difference.recovery))
-    if noise is not None:
-        variance = np.maximum(variance, phase_scatter(difference, q, alone, noise))
+    variance = score_variance(best, alone, information, slope)
     z, size, std = score / np.sqrt(variance), score / expected, np.sqrt(variance) / expected
     found = tuple(lack for lack, there in zip(candidates, apart, strict=True) if there)
-    return Adequacy(difference, q, noise, found, z, size, std, expected, moves)
+    elsewhere = _elsewhere(alone * slope[:, None], alone**2 * information)
+    return Adequacy(difference, q, best.noise, found, z, size, std, expected, moves, elsewhere)
+
+
+def _elsewhere(scores: Floats, informations: Floats) -> Floats:
+    """(k,) doubled gain of the log-likelihood over PARTS of the samples, to first order, with the coefficient of the
+    others; scores, informations: (n, k) of the samples on each coefficient."""
+    parts = [np.array([part.sum(axis=0) for part in np.array_split(a, PARTS)]) for a in (scores, informations)]
+    score, information = parts
+    others = np.maximum(information.sum(axis=0) - information, TINY)
+    size = (score.sum(axis=0) - score) / others
+    return np.asarray(np.sum(2 * size * score - size**2 * information, axis=0))
 
 
 def _effect(difference: Difference, q: Floats, lack: Lack) -> Floats:

@@ -6,8 +6,8 @@ ask for it (`adequacy`), and how far it would move the parameters if a machine h
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from pmfid.models.equation import (
     VISCOUS_BACKWARD,
     VISCOUS_FORWARD,
 )
-from pmfid.models.shapes import Square, Stribeck
+from pmfid.models.shapes import ESTIMATE, Square, Stribeck, Wave
 from pmfid.types import Floats
 
 #: Coulomb friction of a machine is taken for at least this part of the motor's force.
@@ -34,6 +34,9 @@ STRIBECK_SPEEDS = (0.03, 0.1, 0.3)
 FINE, MOST_PARTS = 0.1, 16
 #: A smaller change of velocity, as a part of the Stribeck speed, is none.
 STEADY = 1e-3
+#: What to set in [model], by key.
+Change = Mapping[str, object]
+DIRECTIONAL: Change = {"friction": "directional", "offset": False}
 #: What a machine may well have: parts of Coulomb friction, of viscous friction, of the motor's force, of a sample.
 STRIBECK, UNEVEN, CURVED, LATE_BY = 0.3, 0.15, 0.15, 0.5
 
@@ -44,7 +47,8 @@ class Lack:
 
     name; says: what it is, for people; cure: what to do about it; force: (n,) against the motion, or (k n,) over the k
     equal parts of every sample, per unit of its coefficient; plausible: coefficient that a machine may well have, 0: it
-    is tested for, but not supposed.
+    is tested for, but not supposed; changes: of [model], each of which lets a drive have it; positive: no machine has a
+    negative coefficient.
     """
 
     name: str
@@ -52,15 +56,41 @@ class Lack:
     cure: str
     force: Floats
     plausible: float
+    changes: tuple[Change, ...] = field(default=(), kw_only=True)
+    positive: bool = field(default=False, kw_only=True)
 
 
-def lacks(difference: Difference, q: Floats) -> list[Lack]:
-    """What may be missing beside the motion simulated at q (q,)."""
+@dataclass(frozen=True)
+class Place:
+    """A force, or a friction, that comes again along the travel: the key of [model] that has it, and its period in the
+    unit of y."""
+
+    key: str
+    period: float
+
+    @property
+    def says(self) -> str:
+        what = {
+            "gravity": "gravity, or a load out of balance,",
+            "cogging": "a cogging force",
+            "friction_period": "friction",
+        }
+        return f"{what[self.key]} that comes again every {self.period:.4g} of the travel"
+
+    def forces(self, x: Floats, v: Floats) -> Iterator[Floats]:
+        """(n,) each, of a unit of sin and of cos along the motion."""
+        side = np.sign(v) if self.key == "friction_period" else 1.0
+        for wave in (Wave(self.period), Wave(self.period, True)):
+            yield np.asarray(side * wave.at(x))
+
+
+def lacks(difference: Difference, q: Floats, places: Sequence[Place] = ()) -> list[Lack]:
+    """What may be missing beside the motion simulated at q (q,). places: what may come again along the travel, too."""
     x, v = difference.motion(q)
     moving = v != 0
     if not np.any(moving):
         return []
-    return [*_frictions(difference, q, v), *_forces(difference, q, x, v)]
+    return [*_frictions(difference, q, v), *_forces(difference, q, x, v), *_places(difference, places, v)]
 
 
 def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[Lack]:
@@ -73,20 +103,36 @@ def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[Lack]:
     viscous = (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2 * usual
     known = [term.shape for term in difference.equation.shaped if term.signal == "friction"]
     for part in () if any(isinstance(shape, Stribeck) for shape in known) else STRIBECK_SPEEDS:
-        says, cure = "friction that is larger at low speed (Stribeck)", 'set stribeck = "estimate" in [model]'
-        yield Lack("stribeck", says, cure, _stribeck(difference, q, v, part * usual), STRIBECK * coulomb)
+        says = "friction that is larger at low speed (Stribeck)"
+        change: Change = {"stribeck": ESTIMATE}
+        force = _stribeck(difference, q, v, part * usual)
+        yield Lack("stribeck", says, _cure(change), force, STRIBECK * coulomb, changes=(change,), positive=True)
     if not any(isinstance(shape, Square) for shape in known):
-        cure = "set quadratic = true in [model]"
-        yield Lack("curved", "friction that is not linear at high speed", cure, v * speed / usual**2, CURVED * viscous)
+        says, change = "friction that is not linear at high speed", {"quadratic": True}
+        force = v * speed / usual**2
+        yield Lack("curved", says, _cure(change), force, CURVED * viscous, changes=(change,), positive=True)
     yield Lack("drifting", "friction that changes over the record", "", side * np.linspace(-1, 1, v.size), 0.0)
     roles = difference.equation.roles
     if roles[COULOMB_FORWARD] == roles[COULOMB_BACKWARD]:
         cure = 'set friction = "directional" in [model]' + ("" if roles[OFFSET] is None else " in place of offset")
-        yield Lack("uneven", "viscous friction that differs with the direction", cure, speed / usual, UNEVEN * viscous)
+        says = "viscous friction that differs with the direction"
+        yield Lack("uneven", says, cure, speed / usual, UNEVEN * viscous, changes=(DIRECTIONAL,))
         if roles[OFFSET] is None:
             cure += ", or offset = true for a constant load"
             says = "a constant load, or Coulomb friction that differs with the direction"
-            yield Lack("load", says, cure, np.abs(side), UNEVEN * coulomb)
+            changes = ({"offset": True}, DIRECTIONAL)
+            yield Lack("load", says, cure, np.abs(side), UNEVEN * coulomb, changes=changes)
+
+
+def _cure(change: Change) -> str:
+    return f"set {' and '.join(setting(*pair) for pair in change.items())} in [model]"
+
+
+def setting(key: str, value: object) -> str:
+    """A line of [model]."""
+    if isinstance(value, bool):
+        return f"{key} = {'true' if value else 'false'}"
+    return f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value:.9g}"
 
 
 def _stribeck(difference: Difference, q: Floats, v: Floats, fall: float) -> Floats:
@@ -108,17 +154,31 @@ def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator
     gain, u, roles = difference.equation.input_gain, difference.u, difference.equation.roles
     late = gain * np.diff(u, prepend=u[0]) / difference.dt
     if roles[LATE] is None:
-        cure = 'set dead_time = "estimate" in [model]'
-        yield Lack("dead_time", "a dead time, or a lag, of the input", cure, late, LATE_BY * difference.dt)
+        change: Change = {"dead_time": ESTIMATE}
+        says, known = "a dead time, or a lag, of the input", difference.equation.dead_time
+        yield Lack(
+            "dead_time", says, _cure(change), late, LATE_BY * difference.dt, changes=(change,), positive=not known
+        )
     place = (x - np.mean(x)) / max(float(np.ptp(x)), np.finfo(float).tiny)
     along = {term.signal for term in difference.equation.shaped if term.shape and not term.shape.of_speed}
     if "friction" not in along:
         yield Lack("uneven_way", "friction that differs along the travel", "", np.sign(v) * place, 0.0)
     if "place" not in along and roles[STIFFNESS] is None:
-        yield Lack("spring", "a force that grows with the position", "set spring = true in [model]", place, 0.0)
+        change = {"spring": True}
+        yield Lack("spring", "a force that grows with the position", _cure(change), place, 0.0, changes=(change,))
     yield Lack("bent_input", "an input that does not act in proportion", "", -gain * u * np.abs(u) / rms(u), 0.0)
     if difference.equation.roles[MASS] is not None:
         acceleration = np.diff(v, append=v[-1]) / difference.dt
         yield Lack(
             "changing", "a mass that changes over the record", "", acceleration * np.linspace(-1, 1, v.size), 0.0
         )
+
+
+def _places(difference: Difference, places: Sequence[Place], v: Floats) -> Iterator[Lack]:
+    """At the measured places: the simulated motion may be off by more than a period."""
+    middle = difference.y - difference.slack
+    middle = middle + np.diff(middle, append=middle[-1]) / 2
+    for place in places:
+        change: Change = {place.key: place.period}
+        for force in place.forces(middle, v):
+            yield Lack(place.key, place.says, _cure(change), force, 0.0, changes=(change,))

@@ -85,10 +85,10 @@ def _around(difference: Difference, q: Floats) -> list[Floats]:
     return [np.maximum(q + step, difference.lower) for step in steps]
 
 
-def climb(difference: Difference, q: Floats, fixed: float | None) -> tuple[float, Floats, float]:
+def climb(difference: Difference, q: Floats, fixed: float | None, settled: float = 0.0) -> tuple[float, Floats, float]:
     """Negative log-likelihood, q (q,) and noise [counts] at a maximum near q: damped Newton steps, with the best noise
-    after each or a fixed one."""
-    damping, step = 1e-3, np.inf
+    after each or a fixed one. settled: a step that gains less is the last one."""
+    damping, step, gain = 1e-3, np.inf, np.inf
     e, jacobian = difference(q), difference.jacobian(q)
     noise = fixed or likeliest_noise(e)
     for _ in range(MAX_ITERATIONS):
@@ -98,12 +98,13 @@ def climb(difference: Difference, q: Floats, fixed: float | None) -> tuple[float
         hessian += damping * (np.diag(np.diagonal(hessian)) + jacobian.T @ jacobian)
         trial = np.maximum(q - np.linalg.lstsq(hessian, jacobian.T @ slope)[0], difference.lower)
         e_trial = difference(trial)
-        if cost(e_trial, noise)[0] < now:
+        gain = now - cost(e_trial, noise)[0]
+        if gain > 0:
             step, q, e, damping = float(np.max(np.abs(trial - q))), trial, e_trial, damping / 10
             noise, jacobian = fixed or likeliest_noise(e), difference.jacobian(q)
         else:
             damping *= 10
-        if step < TOLERANCE or damping > MAX_DAMPING:
+        if step < TOLERANCE or damping > MAX_DAMPING or 0 < gain < settled:
             break
     return cost(e, noise)[0], q, noise
 

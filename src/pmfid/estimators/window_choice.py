@@ -57,7 +57,7 @@ def choose_window(difference: Difference, theta: Floats, cutoff: float) -> Choic
     n, dt = difference.y.size, difference.dt
     shortest = max(FEWEST, math.ceil(SHORTEST / (cutoff * dt)))
     lengths = [n, *_halves(n * (FOLDS - 1) // FOLDS // 2, shortest)]
-    errors = {_seconds(length, n, dt): _predicted(difference, theta, cutoff, length) for length in lengths}
+    errors = {_seconds(k, n, dt): predicted_elsewhere(difference, theta, cutoff, k) for k in lengths}
     best = min(errors.values())
     samples = next((length for length in lengths if errors[_seconds(length, n, dt)] <= (1 + AS_WELL) * best), n)
     return Choice(samples, _seconds(samples, n, dt), errors)
@@ -73,7 +73,7 @@ def _halves(length: int, shortest: int) -> Iterator[int]:
         length //= 2
 
 
-def _predicted(difference: Difference, theta: Floats, cutoff: float, length: int) -> float:
+def predicted_elsewhere(difference: Difference, theta: Floats, cutoff: float, length: int) -> float:
     """Error of free runs over parts of the record [unit of the resolution], geometric mean: each part and each length
     of the runs counts alike, also where one of them is hard to predict. Infinite where there is no estimate, or half
     the motion is left."""

@@ -21,6 +21,7 @@ from pmfid.session.kinds import Records, parameters_of
 from pmfid.session.model_config import SHAPES, keys_of
 from pmfid.session.records import Record, record_of
 from pmfid.session.result import Result
+from pmfid.session.terms import TermSearch, places_of, search_drive
 from pmfid.session.toml_file import validated as axis_from
 from pmfid.session.validation import Validation, validated
 from pmfid.transfer.experiment import Experiment
@@ -87,6 +88,36 @@ def validate(
         data = [_record(cast(ArrayLike, u), y, axis)]
     names = parameters_of(own.model)[0]
     return validated(own.method, np.array([values[name] for name in names]), data, axis)
+
+
+def search_terms(
+    u: ArrayLike,
+    counts: ArrayLike,
+    *,
+    model: Drive,
+    dt: float,
+    cutoff: float | None = None,
+    encoder: Encoder,
+    turn: float | None = None,
+    pitch: float | Sequence[float] = (),
+    friction_period: float | None = None,
+    scan: bool = True,
+    other: tuple[ArrayLike, ArrayLike] | None = None,
+    **settings: object,
+) -> TermSearch:
+    """Searches the terms that a drive has beyond those of a model, as `pmfid terms` does.
+
+    u, counts (n,), dt [s], cutoff [rad/s], encoder, settings: as for `identify`. turn: the period of gravity on a
+    rotary axis; pitch: of a cogging force, one or several; friction_period: of friction that changes along the travel
+    [unit of y]; what is not given is not looked for, but a pitch, unless scan is False. other: u and counts of a second
+    record, which the models are to predict in place of parts of the first.
+    Raises UsageError for arguments that do not fit each other and NotIdentifiableError where the record is too short,
+    or cannot identify the model to begin with.
+    """
+    axis = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
+    places = places_of(turn, [pitch] if isinstance(pitch, int | float) else pitch, friction_period)
+    second = None if other is None else _record(*other, axis)
+    return search_drive(_record(u, counts, axis), axis, places, scan, second)
 
 
 def _record(u: ArrayLike, counts: ArrayLike, axis: Axis) -> Record:

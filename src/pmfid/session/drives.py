@@ -68,7 +68,7 @@ class Drives(Kind[Record]):
     def prepared(self, data: Record, axis: Axis) -> Axis:
         if axis.estimator.cutoff is not None or data.counts.size == 0:
             return axis
-        known = _believed(data, axis).record
+        known = believed_of(data, axis).record
         either = [at_gain(axis, 1.0), at_gain(axis, -1.0)] if finds_gain(axis) else [axis]
         models = [one.model.make() for one in either]
         cutoff = choose_cutoff(models, _encoder(axis, data), data.dt, known.u, known.counts)
@@ -76,23 +76,23 @@ class Drives(Kind[Record]):
 
     def check(self, data: Record, axis: Axis) -> None:
         axis = at_some_gain(axis)
-        mistake = check_direction(_believed(data, axis).record, axis)
+        mistake = check_direction(believed_of(data, axis).record, axis)
         if mistake:
             raise UsageError(mistake)
 
     def mistake(self, data: Record, axis: Axis) -> str:
         axis = at_some_gain(axis)
-        known = _believed(data, axis)
+        known = believed_of(data, axis)
         return diagnose(known.record, axis) or known.told
 
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
-        known = _believed(data, axis)
+        known = believed_of(data, axis)
         result = of_either_sign(axis, lambda own: _identified(known.record, own, axis, progress))
         status = tuple(dict.fromkeys((*known.status, *result.status)))
         return replace(result, status=status, notes=tuple(filter(None, (known.told, *result.notes))))
 
     def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
-        known = _believed(data, axis)
+        known = believed_of(data, axis)
         method = simulator(axis, data.dt, data.resolution)
         run = drive_run(method, theta, known.record.u, known.record.counts, data.name)
         return [replace(run, notes=(*filter(None, (known.told,)), *run.notes))]
@@ -119,7 +119,7 @@ def _identified(data: Record, axis: Axis, asked: Axis, progress: Progress | None
     return replace(result, notes=(f"auto chose {reason}", *result.notes)) if reason else result
 
 
-def _believed(record: Record, axis: Axis) -> Believed:
+def believed_of(record: Record, axis: Axis) -> Believed:
     return believed(record) if axis.encoder.guard and plant_of(axis.model.make().equation).rests else Believed(record)
 
 
@@ -180,7 +180,7 @@ def _estimate(
         known, there = known.rescaled(fit)
         estimator, residual = known.estimator, fit.residual * known.estimator.equation.input_gain / before
         fit = replace(fit, theta=there.theta, theta_cov=there.theta_cov, residual=residual)
-    asked = _all_known(estimator, record, fit.theta, fit.theta_std)
+    asked = all_known(estimator, record, fit.theta, fit.theta_std)
     adequacy, spread = _spread(asked[0], record, asked[3], asked[4], _adequacy(estimator, record, fit, choice))
     spread = np.r_[spread, np.full(fit.theta.size - spread.size, np.nan)]  # of parameters it is not linear in
     flags, notes = judge(*asked, adequacy)
@@ -223,7 +223,7 @@ def _spread(
     return found, model_spread(estimator, record.u[part], record.counts[part], theta, std, found)
 
 
-def _all_known(
+def all_known(
     estimator: Estimator, record: Record, theta: Floats, std: Floats
 ) -> tuple[Estimator, Floats, Counts, Floats, Floats]:
     """What `judge` asks, with the parameters that the equation is not linear in known as they were found."""

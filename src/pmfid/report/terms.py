@@ -1,0 +1,132 @@
+"""The report of a search over the terms of a drive: tables, the friction of the models side by side, numbers."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pmfid.judge.balance import Balance
+from pmfid.models.equation import (
+    COULOMB_BACKWARD,
+    COULOMB_FORWARD,
+    MASS,
+    VISCOUS_BACKWARD,
+    VISCOUS_FORWARD,
+    Equation,
+)
+from pmfid.report.figures import COLOURS, WIDTH, figure_style
+from pmfid.report.files import write_json
+from pmfid.report.html import Section, svg, write_report
+from pmfid.session.terms import Nested, TermSearch
+from pmfid.types import Floats
+
+Rows = tuple[list[str], list[list[str]]]
+
+#: Velocities at which a curve is drawn to either side.
+POINTS = 400
+BODY = {"mass": (MASS,), "viscous": (VISCOUS_FORWARD, VISCOUS_BACKWARD), "Coulomb": (COULOMB_FORWARD, COULOMB_BACKWARD)}
+
+
+def write_terms(out: Path, found: TermSearch) -> None:
+    """Writes terms.html and terms.json into the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "terms.json", found.to_json())
+    text = "\n\n".join([found.sentence, *(f"Note: {note}." for note in found.notes)])
+    sections = [Section("Models", text, model_rows(found)), Section("For AXIS.toml", "\n\n".join(found.lines))]
+    if any(model.balance is not None and model.balance.friction is not None for model in found.models):
+        says = "What the record says, means over bins with their standard errors, and the friction of each model."
+        sections.append(Section("Friction over velocity", says, svg=svg(friction_figure(found))))
+    sections.append(Section("Terms that were tried", STEPS, step_rows(found)))
+    if found.hidden:
+        sections.append(Section("What this record would not show", HIDDEN, hidden_rows(found)))
+    write_report(out / "terms.html", f"{found.name}: terms of the drive", sections)
+
+
+STEPS = (
+    "gain: of the log-likelihood, doubled, over what chance makes of it; a term counts from the gain needed on. "
+    "held out: error of free runs over data that the model was not fitted to."
+)
+HIDDEN = "A term that is not in the model would be seen from this size on, four standard deviations of its score."
+
+
+def model_rows(found: TermSearch) -> Rows:
+    """Header and a row of text for each of the nested models."""
+    header = ["model", "log-likelihood", "held out", "[counts]", "unexplained [%]", "at low speed [%]", *BODY]
+    return header, [
+        [
+            model.label,
+            f"{model.trial.log_likelihood:.1f}",
+            _number(model.error),
+            _number(model.error / found.resolution),
+            *(_number(100 * part, 2) for part in model.unexplained),
+            *(_value(model, roles) for roles in BODY.values()),
+        ]
+        for model in found.models
+    ]
+
+
+def _value(model: Nested, roles: tuple[int, ...]) -> str:
+    """A parameter with its error bar; of one that differs by direction both."""
+    equation: Equation = model.trial.model.equation
+    indices = dict.fromkeys(index for index in (equation.roles[role] for role in roles) if index is not None)
+    bars = None if model.fit is None else model.fit.theta_std
+    return ", ".join(f"{model.trial.theta[i]:.4g}" + ("" if bars is None else f" ± {bars[i]:.2g}") for i in indices)
+
+
+def step_rows(found: TermSearch) -> Rows:
+    """Header and a row of text for each term that was fitted."""
+    header = ["step", "set", "score", "gain", "needed", "held out", "verdict"]
+    rows = []
+    for number, tried in enumerate(found.terms.steps, 1):
+        for step in tried:
+            own = ", ".join(f"{key} = {value}" for key, value in step.candidate.change.items())
+            numbers = (step.gain, step.needed, step.error)
+            rows.append([str(number), own, f"{step.candidate.z:.1f}", *map(_number, numbers), step.verdict])
+    return header, rows
+
+
+def hidden_rows(found: TermSearch) -> Rows:
+    """Header and a row of text for each term that the model has not."""
+    return ["term", "seen from", "unit"], [[one.says, f"{one.size:.2g}", one.unit] for one in found.hidden]
+
+
+def _number(value: float, digits: int = 4) -> str:
+    return f"{value:.{digits}g}" if math.isfinite(value) else "–"
+
+
+def friction_figure(found: TermSearch) -> Figure:
+    """Friction over velocity: what the record says at the chosen model's mass, and the models."""
+    last = found.chosen.balance
+    models = [model for model in found.models if model.balance is not None]
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
+        axes = figure.subplots()
+        speeds = np.zeros(0)
+        if last is not None and last.friction is not None:
+            left = last.friction.left
+            speeds = left.x
+            force = last.model_friction(left.x) + left.mean
+            axes.errorbar(left.x, force, left.error, fmt="o", ms=3, color="black", label="the record", zorder=3)
+        for number, model in enumerate(models):
+            colour = COLOURS[number % len(COLOURS)]
+            for side in _sides(speeds):
+                label = model.label if side[0] > 0 or not np.any(speeds > 0) else None
+                axes.plot(side, _curve(model.balance, side), color=colour, lw=1.2, label=label)
+        axes.axhline(0, color="grey", lw=0.5)
+        axes.set_xlabel("velocity [unit of y per s]")
+        axes.set_ylabel("friction [N]")
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, borderaxespad=0.2)
+    return figure
+
+
+def _sides(speeds: Floats) -> list[Floats]:
+    """Velocities to draw at, to either side of rest."""
+    ends = float(np.min(speeds, initial=0.0)), float(np.max(speeds, initial=0.0))
+    return [np.linspace(end / POINTS, end, POINTS) for end in ends if end]
+
+
+def _curve(balance: Balance | None, velocity: Floats) -> Floats:
+    return np.full(velocity.size, np.nan) if balance is None else balance.model_friction(velocity)

@@ -1,0 +1,313 @@
+"""Which terms a drive has: from a record and a configuration to a search and what to say of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+
+from pmfid.encoder import Encoder
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.adequacy import MISSED, PARTS, weigh
+from pmfid.estimators.configuration import like
+from pmfid.estimators.identifiable import check_identifiable
+from pmfid.estimators.interval import IntervalML
+from pmfid.estimators.lacks import Place, setting
+from pmfid.estimators.ls import LS
+from pmfid.estimators.results import Fit
+from pmfid.judge.balance import Balance
+from pmfid.judge.correlations import make_balance
+from pmfid.judge.drive import judge
+from pmfid.judge.term_fits import Bench, Trial, known_shapes, shortest_part
+from pmfid.judge.terms import KEPT, Step, Terms, changed_fields, search
+from pmfid.models.drive import Drive
+from pmfid.session.config import Axis, check_sampling
+from pmfid.session.drives import Drives, all_known, believed_of
+from pmfid.session.kinds import Progress
+from pmfid.session.known import check_numbers_known
+from pmfid.session.records import Record
+
+#: This part of the motion is slow.
+SLOW = 1 / 3
+#: What the flags of `pmfid identify` do not say.
+AMBIGUOUS, UNRESOLVED = "ambiguous_term", "unresolved"
+
+
+@dataclass(frozen=True, eq=False)
+class Nested:
+    """One of the models side by side. added: the keys of [model] beyond that to begin with; fit: None where it has no
+    error bars; error: of free runs over what it was not fitted to [unit of y], infinite where there is none;
+    unexplained: parts of friction and load, over the whole motion and its slow part, that it leaves, NaN where they
+    are not known."""
+
+    added: tuple[str, ...]
+    trial: Trial
+    fit: Fit | None
+    error: float
+    balance: Balance | None
+    unexplained: tuple[float, float]
+
+    @property
+    def label(self) -> str:
+        return f"with {', '.join(self.added)}" if self.added else "to begin with"
+
+
+@dataclass(frozen=True, eq=False)
+class Hidden:
+    """A term that the chosen model has not, and the size from which on this record would show it."""
+
+    says: str
+    size: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class TermSearch:
+    """What a search has found. name, samples, resolution [unit of y]: of the record; models: from that to begin with to
+    the chosen one; hidden: terms that are not in it; status, notes: as of a result."""
+
+    name: str
+    samples: int
+    resolution: float
+    terms: Terms
+    models: tuple[Nested, ...]
+    hidden: tuple[Hidden, ...]
+    status: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def chosen(self) -> Nested:
+        return self.models[-1]
+
+    @property
+    def model(self) -> Drive:
+        """The chosen model."""
+        return self.chosen.trial.model
+
+    @property
+    def added(self) -> dict[str, object]:
+        """The keys of [model] that the search sets, and their values."""
+        return self.terms.added
+
+    @cached_property
+    def lines(self) -> tuple[str, ...]:
+        """[model] for AXIS.toml."""
+        values = [(field.name, getattr(self.model, field.name), field.default) for field in fields(Drive)]
+        return ("[model]", 'kind = "drive"', *(setting(key, value) for key, value, usual in values if value != usual))
+
+    @property
+    def sentence(self) -> str:
+        """What a person needs."""
+        first = f"{_share(self.models[0])} of friction and load unexplained"
+        if not self.added:
+            return f"No term beyond those of [model] is found; they leave {first}."
+        return f"The terms to begin with leave {first}; with {', '.join(self.added)} {_share(self.chosen)}."
+
+    def to_json(self) -> dict[str, object]:
+        """The object that `--json` prints."""
+        return {
+            "record": self.name,
+            "samples": self.samples,
+            "model": list(self.lines),
+            "added": self.added,
+            "sentence": self.sentence,
+            "models": [_model_json(model, self.resolution) for model in self.models],
+            "steps": [[_step_json(step) for step in tried] for tried in self.terms.steps],
+            "hidden": [{"term": one.says, "seen_from": one.size, "unit": one.unit} for one in self.hidden],
+            "status": list(self.status),
+            "notes": list(self.notes),
+        }
+
+
+def _share(model: Nested) -> str:
+    whole, slow = model.unexplained
+    known = f"{100 * whole:.2g} % ({100 * slow:.2g} % at low speed)"
+    return known if math.isfinite(whole) else "an unknown part"
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _model_json(model: Nested, resolution: float) -> dict[str, object]:
+    trial = model.trial
+    names = [*trial.model.equation.names, *(name for name, _ in trial.model.equation.further)]
+    std = [None] * len(names) if model.fit is None else model.fit.theta_std.tolist()
+    rows = zip(names, trial.theta.tolist(), std, strict=True)
+    return {
+        "added": list(model.added),
+        "log_likelihood": trial.log_likelihood,
+        "held_out": _finite(model.error),
+        "held_out_counts": _finite(model.error / resolution),
+        "unexplained": _finite(model.unexplained[0]),
+        "unexplained_slow": _finite(model.unexplained[1]),
+        "parameters": {name: {"value": value, "std": bar} for name, value, bar in rows},
+    }
+
+
+def _step_json(step: Step) -> dict[str, object]:
+    return {
+        "set": dict(step.candidate.change),
+        "term": step.candidate.says,
+        "score": step.candidate.z,
+        "gain": step.gain,
+        "needed": _finite(step.needed),
+        "held_out": _finite(step.error),
+        "verdict": step.verdict,
+    }
+
+
+def search_drive(
+    data: Record,
+    axis: Axis,
+    places: Sequence[Place] = (),
+    scan: bool = True,
+    other: Record | None = None,
+    done: Progress | None = None,
+) -> TermSearch:
+    """The terms of a drive that a record asks for, beyond those of [model].
+
+    places: what may come again along the travel; scan: look for the pitch of a cogging force; other: a second record of
+    the same machine, which the models are to predict in place of parts of the first. Raises UsageError for what is no
+    drive and NotIdentifiableError where the record is too short, or cannot identify the model to begin with.
+    """
+    model = axis.model.make()
+    if not isinstance(model, Drive):
+        raise UsageError(
+            f'the terms of a drive are searched; kind = "{axis.model.kind}" has none: set kind = "drive", or use pmfid '
+            "order for the structure of a transfer function"
+        )
+    check_numbers_known(axis, "pmfid terms")
+    axis = Drives().prepared(data, axis)
+    Drives().check(data, axis)
+    check_sampling(axis, data.dt)
+    known = believed_of(data, axis)
+    method = _method(model, data, axis)
+    _check(method, known.record)
+    second = believed_of(other, axis).record if other is not None else None
+    pair = None if second is None else (second.u, second.counts)
+    bench = Bench(method, known.record.u, known.record.counts, pair)
+    try:
+        found = search(bench, model, places, scan, done)
+    except NotIdentifiableError as error:
+        mistake = Drives().mistake(data, axis)
+        raise NotIdentifiableError(
+            f"{mistake}; as the record is read now: {error}" if mistake else str(error)
+        ) from None
+    return _told(data, bench, found, tuple(filter(None, (*data.notes, known.told))), known.status)
+
+
+def _method(model: Drive, data: Record, axis: Axis) -> IntervalML:
+    known = axis.encoder
+    encoder = Encoder(data.resolution, max_speed=known.max_speed, standstill_time=known.standstill_time)
+    return IntervalML(model, encoder, data.dt, axis.estimator.pole, order=axis.estimator.order)
+
+
+def _check(method: IntervalML, record: Record) -> None:
+    """Raises NotIdentifiableError for a record that nothing can be searched in."""
+    needed = PARTS * shortest_part(method)
+    if record.u.size < needed:
+        raise NotIdentifiableError(
+            f"{record.u.size} samples are too few to tell terms apart on parts of them: record at least {needed} "
+            f"({needed * record.dt:.3g} s), or use a higher cutoff"
+        )
+    seen = like(LS, method, model=method.model.simple)
+    check_identifiable(seen.columns(record.u, record.counts), seen.names, seen.least_part)
+
+
+def _told(data: Record, bench: Bench, found: Terms, told: tuple[str, ...], status: tuple[str, ...]) -> TermSearch:
+    pairs = zip(found.trials, found.errors, strict=True)
+    models = _nested(bench, found.trials[0].model, list(pairs))
+    flags, notes = _judged(bench, models[-1])
+    own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * bool(found.adequacy.missed)
+    notes = (*told, *_sentences(found), *notes)
+    names = tuple(dict.fromkeys((*status, *own, *flags)))
+    return TermSearch(data.name, int(data.u.size), data.resolution, found, models, tuple(_hidden(found)), names, notes)
+
+
+def _nested(bench: Bench, first: Drive, pairs: Sequence[tuple[Trial, float]]) -> tuple[Nested, ...]:
+    balances = [_balance(bench, trial) for trial, _ in pairs]
+    shares = [_unexplained(balance, balances[-1], pairs[-1][0]) for balance in balances]
+    return tuple(
+        Nested(tuple(changed_fields(first, trial.model)), trial, _bars(trial), error, balance, share)
+        for (trial, error), balance, share in zip(pairs, balances, shares, strict=True)
+    )
+
+
+def _bars(trial: Trial) -> Fit | None:
+    try:
+        return trial.method.fit_of(trial.best)
+    except NotIdentifiableError:
+        return None
+
+
+def _balance(bench: Bench, trial: Trial) -> Balance | None:
+    try:
+        return make_balance(trial.method, bench.u, bench.counts, trial.theta)
+    except NotIdentifiableError:
+        return None
+
+
+def _unexplained(balance: Balance | None, last: Balance | None, chosen: Trial) -> tuple[float, float]:
+    """Parts of what resists the motion that a model leaves, root mean squares over the motion of the chosen one, and
+    over the slow part of it: what the chosen model has and this one has not, and what the force balance says that the
+    chosen one leaves beyond chance."""
+    if balance is None or last is None or last.friction is None:
+        return math.nan, math.nan
+    left = last.friction.left
+    beyond = float(np.mean(np.maximum(left.mean**2 - left.error**2, 0.0)))
+    x, v = chosen.difference.motion(chosen.best.q)
+    place, velocity = (x - chosen.difference.slack)[v != 0], v[v != 0]
+    whole = last.resistance(place, velocity)
+    apart = balance.resistance(place, velocity) - whole
+    slow = np.abs(velocity) <= np.quantile(np.abs(velocity), SLOW)
+    every, low = (
+        np.sqrt((np.mean(apart[part] ** 2) + beyond) / np.mean(whole[part] ** 2)) for part in (v[v != 0] != 0, slow)
+    )
+    return float(every), float(low)
+
+
+def _judged(bench: Bench, chosen: Nested) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Flags and sentences as on an estimate."""
+    trial = chosen.trial
+    if chosen.fit is None:
+        return ("uncertain",), ("the chosen model has no error bars on this record: excite it more",)
+    record = Record(bench.u, bench.counts, trial.method.dt, trial.method.encoder.resolution, (), "")
+    estimator, u, counts, theta, std = all_known(trial.method, record, chosen.fit.theta, chosen.fit.theta_std)
+    return judge(estimator, u, counts, theta, std, weigh(known_shapes(trial.best)))
+
+
+def _sentences(found: Terms) -> Iterator[str]:
+    for kept, other in found.either:
+        own, its = (" and ".join(setting(*pair) for pair in one.candidate.change.items()) for one in (kept, other))
+        yield f"either {own} or {its}: this record does not tell which; a motion at other speeds and strokes would"
+    for tried in found.steps:
+        for step in tried:
+            if step.verdict not in (KEPT, "", "within chance", "explains less", "either") and step.trial is not None:
+                own = " and ".join(setting(*pair) for pair in step.candidate.change.items())
+                yield f"not {own}, though the score asks for it: {step.verdict}"
+    if found.adequacy.missed:
+        yield "something is left that no term of the list explains on data that it was not fitted to"
+
+
+def _hidden(found: Terms) -> Iterator[Hidden]:
+    """Of several forms of a term the one that is seen last."""
+    adequacy, sizes = found.adequacy, dict[str, tuple[float, str]]()
+    for lack, std in zip(adequacy.lacks, adequacy.size_std, strict=True):
+        if lack.changes and lack.name != "cogging":
+            unit = "s" if lack.name == "dead_time" else "N"
+            sizes[lack.says] = (max(MISSED * float(std), sizes.get(lack.says, (0.0, ""))[0]), unit)
+    yield from (Hidden(says, size, unit) for says, (size, unit) in sizes.items())
+
+
+def places_of(turn: float | None, pitch: Sequence[float], friction_period: float | None) -> tuple[Place, ...]:
+    """What may come again along the travel. Raises UsageError for a period that is none."""
+    given = [("gravity", turn), *(("cogging", value) for value in pitch), ("friction_period", friction_period)]
+    known = [(key, value) for key, value in given if value is not None]
+    for key, value in known:
+        if not 0 < value < math.inf:
+            raise UsageError(f"the period of {key} must be a length above 0 in the unit of y, got {value:g}")
+    return tuple(Place(key, float(value)) for key, value in known)

@@ -1,0 +1,317 @@
+"""Which terms a drive has: what the search names, what it leaves out, and what it says where it cannot know."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import pmfid
+from pmfid.cli.main import main
+from pmfid.estimators.adequacy import weigh
+from pmfid.estimators.difference import rms
+from pmfid.estimators.interval import IntervalML
+from pmfid.estimators.lacks import Place, setting
+from pmfid.judge.term_fits import Bench, carried
+from pmfid.judge.terms import Terms, proposed, search
+from pmfid.models.equation import Equation
+from pmfid.report.terms import friction_figure, write_terms
+from pmfid.session.terms import TermSearch
+from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs, stop_and_go
+from pmfid.simulation.machine import control_machine
+
+DT, CUTOFF, SAMPLES = 0.002, 80.0, 3000
+DRIVE = DriveParameters(3e-3, 8e-3, 0.04, 0.5)
+STEP = 2 * np.pi / 1024
+GAIN = DRIVE.input_gain
+
+
+@dataclass(frozen=True)
+class Made:
+    """A record, and the machine that made it."""
+
+    machine: Machine
+    u: np.ndarray
+    counts: np.ndarray
+
+
+def made(motion: str = "prbs", seed: int = 11, samples: int = SAMPLES, **lacking: float) -> Made:
+    """A rotary axis, in no study, under a binary input or a position control."""
+    machine, rng = Machine(DRIVE, **lacking), np.random.default_rng(seed)
+    phase = STEP * rng.random()
+    if motion == "prbs":
+        run = drive_machine(machine, prbs(samples, clock=25, amplitude=0.7, rng=rng), DT, STEP, phase=phase)
+    else:
+        reference = stop_and_go(samples, DT, 4.1, 0.5, 0.3)
+        run = control_machine(machine, reference, DT, STEP, kp=1.0, kd=0.04, u_max=3.0, phase=phase)
+    return Made(machine, run.u, run.counts)
+
+
+def searched(record: Made, **settings: object) -> TermSearch:
+    known = {"model": pmfid.Drive(GAIN), "dt": DT, "cutoff": CUTOFF, "encoder": pmfid.Encoder(STEP), "scan": False}
+    return pmfid.search_terms(record.u, record.counts, **(known | settings))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def directional() -> TermSearch:
+    return searched(made(asymmetry=0.15))
+
+
+@pytest.fixture(scope="module")
+def plain() -> TermSearch:
+    return searched(made())
+
+
+# --- what is named ----------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_named_where_nothing_is_missing(plain: TermSearch) -> None:
+    assert plain.added == {}
+    assert len(plain.models) == 1
+    assert "unresolved" not in plain.status
+    assert plain.lines == ("[model]", 'kind = "drive"', "input_gain = 0.5")
+    assert "No term beyond" in plain.sentence
+
+
+def test_directional_friction_is_named_with_its_size(directional: TermSearch) -> None:
+    assert directional.added == {"friction": "directional"}
+    found = dict(zip(directional.model.equation.names, directional.chosen.trial.theta, strict=True))
+    assert found["coulomb_friction_forward"] == pytest.approx(1.15 * DRIVE.coulomb_friction, rel=0.02)
+    assert found["viscous_friction_backward"] == pytest.approx(0.85 * DRIVE.viscous_friction, rel=0.02)
+    assert 'friction = "directional"' in directional.lines
+
+
+@pytest.mark.parametrize(
+    ("motion", "lacking", "wanted"),
+    [
+        ("prbs", {"quadratic": 3e-4}, {"quadratic": True}),
+        ("prbs", {"dead_time": 1e-3}, {"dead_time": "estimate"}),
+        ("stop-and-go", {"stribeck": 0.02, "stribeck_speed": 0.6}, {"stribeck": "estimate"}),
+        ("stop-and-go", {"dead_time": 1e-3}, {"dead_time": "estimate"}),
+        ("stop-and-go", {"stiffness": 0.01}, {"spring": True}),
+    ],
+)
+def test_one_term_is_named(motion: str, lacking: dict[str, float], wanted: dict[str, object]) -> None:
+    found = searched(made(motion, **lacking))
+    assert found.added == wanted
+    first, last = found.models[0], found.chosen
+    assert last.trial.log_likelihood > first.trial.log_likelihood
+    assert last.error <= 1.02 * first.error
+    assert last.trial.theta[0] == pytest.approx(DRIVE.mass, rel=0.01)
+
+
+def test_a_dead_time_and_stribeck_friction_are_told_apart() -> None:
+    """Each imitates the other at a reversal."""
+    found = searched(made("stop-and-go", stribeck=0.02, stribeck_speed=0.6, dead_time=1e-3))
+    assert set(found.added) == {"stribeck", "dead_time"}
+    late = dict(zip(found.model.equation.names, found.chosen.trial.theta, strict=False))["dead_time"]
+    assert late == pytest.approx(1e-3, rel=0.1)
+
+
+def test_gravity_is_looked_for_where_a_turn_is_given() -> None:
+    record = made(gravity=0.02, gravity_angle=0.4)
+    assert searched(record, turn=2 * np.pi).added == {"gravity": 2 * np.pi}
+    assert "gravity" not in searched(record).added
+
+
+def test_the_pitch_of_a_cogging_force_is_found() -> None:
+    record = made(cogging=0.012, cogging_pitch=1.3, cogging_phase=1.0)
+    found = searched(record, scan=True)
+    assert found.added["cogging"] == pytest.approx(1.3, rel=0.01)
+    assert set(found.added) == {"cogging"}
+
+
+# --- what is said -----------------------------------------------------------------------------------------------------
+
+
+def test_the_share_of_the_friction_falls(directional: TermSearch) -> None:
+    first, last = (model.unexplained[0] for model in directional.models)
+    assert 0.05 < first < 0.3
+    assert last < 0.2 * first
+    assert f"with friction {100 * last:.2g} %" in directional.sentence
+
+
+def test_what_would_not_be_seen_is_told_with_its_size(directional: TermSearch) -> None:
+    """The chosen model lacks no direction any more, and all others are told."""
+    said = [one.says for one in directional.hidden]
+    assert any("Stribeck" in one for one in said)
+    assert not any("direction" in one for one in said)
+    assert all(one.size > 0 for one in directional.hidden)
+
+
+def test_a_coarser_encoder_sees_less() -> None:
+    record = made()
+    coarse = searched(replace(record, counts=record.counts // 16), encoder=pmfid.Encoder(16 * STEP))
+    fine = {one.says: one.size for one in searched(record).hidden}
+    assert coarse.added == {}
+    assert all(one.size > fine[one.says] for one in coarse.hidden)
+
+
+def test_every_change_is_a_line_that_the_cure_names(plain: TermSearch) -> None:
+    names = {field.name for field in fields(pmfid.Drive)}
+    best = plain.chosen.trial.best
+    lacks = weigh(best, [Place("cogging", 0.5), Place("gravity", 6.0), Place("friction_period", 2.0)]).lacks
+    changes = [(lack, change) for lack in lacks for change in lack.changes]
+    keys = {next(iter(change)) for _, change in changes}
+    assert keys == names - {"input_gain"}, "a field of a drive that no force asks for is never searched"
+    for lack, change in changes:
+        key, value = next(iter(change.items()))
+        assert setting(key, value) in lack.cure
+
+
+# --- the parts --------------------------------------------------------------------------------------------------------
+
+
+def moved(change: dict[str, object], theta: list[float], **before: object) -> dict[str, float]:
+    old, new = pmfid.Drive(GAIN, **before).equation, pmfid.Drive(GAIN, **(before | change)).equation  # type: ignore[arg-type]
+    return dict(zip(names_of(new), carried(old, np.array(theta), new).tolist(), strict=True))
+
+
+def names_of(equation: Equation) -> list[str]:
+    return [*equation.names, *(name for name, _ in equation.further)]
+
+
+def test_a_model_goes_on_from_the_parameters_of_another() -> None:
+    found = moved({"friction": "directional", "offset": False}, [2.0, 3.0, 1.0, 0.2], offset=True)
+    assert found["viscous_friction_backward"] == 3.0
+    assert found["coulomb_friction_forward"] == pytest.approx(1.2)
+    assert found["coulomb_friction_backward"] == pytest.approx(0.8)
+    back = moved({"friction": "symmetric", "offset": True}, [2.0, 3.0, 5.0, 1.2, 0.8], friction="directional")
+    assert back == pytest.approx({"mass": 2, "viscous_friction": 4, "coulomb_friction": 1, "offset": 0.2})
+    shaped = moved({"quadratic": True}, [2.0, 3.0, 1.0, 0.5, 0.1], stribeck="estimate")
+    assert (shaped["stribeck_friction"], shaped["stribeck_speed"], shaped["quadratic_friction"]) == (0.5, 0.1, 0.0)
+
+
+def test_a_friction_that_drives_is_not_proposed() -> None:
+    """Quadratic friction that a model lacks looks like Stribeck friction below zero, which no machine has."""
+    record = made(quadratic=3e-4)
+    method = IntervalML(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, CUTOFF)
+    trial = Bench(method, record.u, record.counts).first(method.model)  # type: ignore[arg-type]
+    found = trial.weighed()
+    below = [k for k in found.missed if found.lacks[k].positive and found.size[k] < 0]
+    assert all(found.size[k] > 0 for k in found.missed if found.lacks[k].name == "curved")
+    keys = {candidate.key for candidate in proposed(trial, found)}
+    assert "quadratic" in keys
+    negative = {found.lacks[k].name for k in below} - {found.lacks[k].name for k in found.missed if found.size[k] > 0}
+    assert not keys & negative
+
+
+def test_a_term_that_another_has_made_superfluous_is_dropped() -> None:
+    """A spring at a shifted zero looks like a load to begin with."""
+    record = made("stop-and-go", stiffness=0.01)
+    method = IntervalML(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, CUTOFF)
+    found: Terms = search(Bench(method, record.u, record.counts), pmfid.Drive(GAIN), scan=False)
+    assert found.added == {"spring": True}
+    assert rms(found.chosen.difference(found.chosen.best.q)) < 0.5
+
+
+def test_another_record_may_be_what_is_to_be_predicted() -> None:
+    record, second = made(asymmetry=0.15), made(seed=12, asymmetry=0.15)
+    found = searched(record, other=(second.u, second.counts))
+    assert found.added == {"friction": "directional"}
+    assert found.models[1].error < 0.1 * found.models[0].error
+
+
+# --- where it cannot know ---------------------------------------------------------------------------------------------
+
+
+def test_a_short_record_is_refused_with_the_length_it_needs() -> None:
+    record = made(samples=600)
+    with pytest.raises(pmfid.NotIdentifiableError, match=r"too few.*record at least (\d+) \(") as error:
+        searched(record)
+    needed = int(str(error.value).partition("at least ")[2].partition(" ")[0])
+    assert searched(made(samples=needed)).samples == needed
+
+
+def test_an_axis_that_rests_is_refused() -> None:
+    record = made()
+    with pytest.raises(pmfid.NotIdentifiableError, match="does not move"):
+        searched(replace(record, counts=np.zeros_like(record.counts)))
+
+
+def test_no_drive_is_refused() -> None:
+    equation = pmfid.EquationModel(pmfid.Drive(GAIN).equation)
+    with pytest.raises(pmfid.UsageError, match='set kind = "drive"'):
+        searched(made(), model=equation)
+
+
+@pytest.mark.parametrize("periods", [{"turn": 0.0}, {"pitch": -1.0}, {"friction_period": np.nan}])
+def test_a_period_that_is_none_is_refused(periods: dict[str, float]) -> None:
+    with pytest.raises(pmfid.UsageError, match="must be a length above 0"):
+        searched(made(samples=1800), **periods)
+
+
+def test_noise_of_the_position_names_nothing() -> None:
+    record = made()
+    noisy = record.counts + np.random.default_rng(3).integers(-3, 4, record.counts.size)
+    found = searched(replace(record, counts=noisy))
+    assert found.added == {}
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[Path, Path]:
+    record = made(asymmetry=0.15)
+    table, axis = tmp_path / "run.csv", tmp_path / "axis.toml"
+    rows = [f"{DT * i:.9g},{u:.12g},{c}" for i, (u, c) in enumerate(zip(record.u, record.counts, strict=True))]
+    table.write_text("\n".join(["t,u,counts", *rows]))
+    axis.write_text(
+        '[record]\ninput = "u"\noutput = "counts"\noutput_kind = "counts"\ntime = "t"\n'
+        f"[encoder]\nresolution = {STEP}\n[model]\ninput_gain = {GAIN}\n[estimator]\ncutoff = {CUTOFF}\n"
+    )
+    return table, axis
+
+
+def test_the_command_says_what_python_says(files: tuple[Path, Path], directional: TermSearch, tmp_path: Path) -> None:
+    table, axis = files
+    out = tmp_path / "out"
+    result = CliRunner().invoke(
+        main, ["terms", str(table), "--config", str(axis), "--no-scan", "--json", "--out", str(out)]
+    )
+    assert (result.exit_code, result.stderr) == (0, "")
+    printed = json.loads(result.stdout)
+    assert printed["model"] == list(directional.lines)
+    wanted = directional.to_json()["models"]
+    assert isinstance(wanted, list)
+    assert printed["models"][1]["parameters"]["mass"] == pytest.approx(wanted[1]["parameters"]["mass"])
+    assert json.loads((out / "terms.json").read_text()) == printed
+    html = (out / "terms.html").read_text()
+    assert "Friction over velocity" in html
+    assert "<svg" in html
+
+
+@pytest.mark.parametrize(
+    ("further", "code", "said"),
+    [
+        (["--turn", "-1"], 2, "length above 0"),
+        (["--pitch", "nan"], 2, "length above 0"),
+        (["--held-out", "missing.csv"], 2, "missing.csv"),
+        (["--cutoff", "1e9"], 2, "too high"),
+        (["--cutoff", "1"], 3, "record at least"),
+    ],
+)
+def test_bad_input_is_one_line_and_an_exit_code(
+    files: tuple[Path, Path], further: list[str], code: int, said: str
+) -> None:
+    table, axis = files
+    result = CliRunner().invoke(main, ["terms", str(table), "--config", str(axis), *further])
+    assert result.exit_code == code
+    assert said in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_the_figure_has_a_curve_for_each_model(directional: TermSearch) -> None:
+    (axes,) = friction_figure(directional).axes
+    labels = axes.get_legend_handles_labels()[1]
+    assert sorted(labels) == sorted(["the record", *(model.label for model in directional.models)])
+
+
+def test_a_search_without_terms_is_written_as_well(plain: TermSearch, tmp_path: Path) -> None:
+    write_terms(tmp_path, plain)
+    assert json.loads((tmp_path / "terms.json").read_text())["added"] == {}
