@@ -47,11 +47,13 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """A free run over the other record, the parameters (p,) it is of, and what the method said."""
+    """A free run over the other record, the parameters (p,) it is of, what the method said, and the terms that were
+    searched for it."""
 
     run: FreeRun
     theta: Floats
     notes: tuple[str, ...] = ()
+    searched: str = ""
 
 
 def predicted(model: Drive, method: str, cutoff: float, train: Motion, test: Motion) -> Predicted | None:

@@ -8,16 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import pmfid
-from pmfid.cli.main import main
-from pmfid.estimators.adequacy import weigh
+from pmfid.estimators.adequacy import gain_elsewhere, weigh
 from pmfid.estimators.difference import rms
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Place, setting
-from pmfid.judge.term_fits import Bench, carried
-from pmfid.judge.terms import Terms, proposed, search
+from pmfid.judge.term_fits import Bench
+from pmfid.judge.term_trials import carried
+from pmfid.judge.terms import Candidate, Step, Terms, is_unclear, proposed, search
 from pmfid.models.equation import Equation
 from pmfid.report.terms import friction_figure, write_terms
 from pmfid.session.terms import TermSearch
@@ -132,7 +131,7 @@ def test_the_share_of_the_friction_falls(directional: TermSearch) -> None:
     first, last = (model.unexplained[0] for model in directional.models)
     assert 0.05 < first < 0.3
     assert last < 0.2 * first
-    assert f"with friction {100 * last:.2g} %" in directional.sentence
+    assert f"with directional friction {100 * last:.2g} %" in directional.sentence
 
 
 def test_what_would_not_be_seen_is_told_with_its_size(directional: TermSearch) -> None:
@@ -253,60 +252,6 @@ def test_noise_of_the_position_names_nothing() -> None:
     assert found.added == {}
 
 
-# --- the command ------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def files(tmp_path: Path) -> tuple[Path, Path]:
-    record = made(asymmetry=0.15)
-    table, axis = tmp_path / "run.csv", tmp_path / "axis.toml"
-    rows = [f"{DT * i:.9g},{u:.12g},{c}" for i, (u, c) in enumerate(zip(record.u, record.counts, strict=True))]
-    table.write_text("\n".join(["t,u,counts", *rows]))
-    axis.write_text(
-        '[record]\ninput = "u"\noutput = "counts"\noutput_kind = "counts"\ntime = "t"\n'
-        f"[encoder]\nresolution = {STEP}\n[model]\ninput_gain = {GAIN}\n[estimator]\ncutoff = {CUTOFF}\n"
-    )
-    return table, axis
-
-
-def test_the_command_says_what_python_says(files: tuple[Path, Path], directional: TermSearch, tmp_path: Path) -> None:
-    table, axis = files
-    out = tmp_path / "out"
-    result = CliRunner().invoke(
-        main, ["terms", str(table), "--config", str(axis), "--no-scan", "--json", "--out", str(out)]
-    )
-    assert (result.exit_code, result.stderr) == (0, "")
-    printed = json.loads(result.stdout)
-    assert printed["model"] == list(directional.lines)
-    wanted = directional.to_json()["models"]
-    assert isinstance(wanted, list)
-    assert printed["models"][1]["parameters"]["mass"] == pytest.approx(wanted[1]["parameters"]["mass"])
-    assert json.loads((out / "terms.json").read_text()) == printed
-    html = (out / "terms.html").read_text()
-    assert "Friction over velocity" in html
-    assert "<svg" in html
-
-
-@pytest.mark.parametrize(
-    ("further", "code", "said"),
-    [
-        (["--turn", "-1"], 2, "length above 0"),
-        (["--pitch", "nan"], 2, "length above 0"),
-        (["--held-out", "missing.csv"], 2, "missing.csv"),
-        (["--cutoff", "1e9"], 2, "too high"),
-        (["--cutoff", "1"], 3, "record at least"),
-    ],
-)
-def test_bad_input_is_one_line_and_an_exit_code(
-    files: tuple[Path, Path], further: list[str], code: int, said: str
-) -> None:
-    table, axis = files
-    result = CliRunner().invoke(main, ["terms", str(table), "--config", str(axis), *further])
-    assert result.exit_code == code
-    assert said in result.stderr
-    assert result.stderr.count("\n") == 1
-
-
 def test_the_figure_has_a_curve_for_each_model(directional: TermSearch) -> None:
     (axes,) = friction_figure(directional).axes
     labels = axes.get_legend_handles_labels()[1]
@@ -316,3 +261,27 @@ def test_the_figure_has_a_curve_for_each_model(directional: TermSearch) -> None:
 def test_a_search_without_terms_is_written_as_well(plain: TermSearch, tmp_path: Path) -> None:
     write_terms(tmp_path, plain)
     assert json.loads((tmp_path / "terms.json").read_text())["added"] == {}
+
+
+# --- the rules --------------------------------------------------------------------------------------------------------
+
+
+def test_a_force_that_acts_in_one_part_alone_is_seen_nowhere_else() -> None:
+    """It promised an infinite gain."""
+    scores, informations = np.zeros((600, 2)), np.zeros((600, 2))
+    scores[:100, 0], informations[:100, 0] = 3.0, 1.0
+    scores[:, 1], informations[:, 1] = 0.5, 1.0
+    alone, everywhere = gain_elsewhere(scores, informations)
+    assert alone == 0.0
+    assert everywhere == pytest.approx(600 * 0.25)
+
+
+def test_a_pitch_that_is_hardly_better_than_another_is_not_believed(plain: TermSearch) -> None:
+    def step(pitch: float, gain: float) -> Step:
+        candidate = Candidate({"cogging": pitch}, "", 8.0, 2.0, 100.0, 50.0)
+        return Step(candidate, plain.chosen.trial, gain, 20.0, np.inf, "")
+
+    best, near, far = step(0.5, 100.0), step(0.6, 80.0), step(0.6, 20.0)
+    assert is_unclear(best, [best, near])
+    assert not is_unclear(best, [best, far])
+    assert not is_unclear(best, [best])

@@ -33,6 +33,8 @@ MISSED = 4.0
 NEARLY, MOST_SAID = 0.8, 3
 #: Parts of a record that a force is to explain with what the others say of it.
 PARTS = 6
+#: Part of the information on a force below which a part of the record says nothing of it.
+RARE = 1e-6
 #: Two estimates contradict each other from so many standard deviations of their difference on.
 CONTRADICTED = 2.5
 #: Part of a force's effect that is no combination of the parameters', below which nothing can be said of it.
@@ -190,17 +192,18 @@ def _tested(best: Best, information: float, slope: Floats, places: Sequence[Plac
     variance = score_variance(best, alone, information, slope)
     z, size, std = score / np.sqrt(variance), score / expected, np.sqrt(variance) / expected
     found = tuple(lack for lack, there in zip(candidates, apart, strict=True) if there)
-    elsewhere = _elsewhere(alone * slope[:, None], alone**2 * information)
+    elsewhere = gain_elsewhere(alone * slope[:, None], alone**2 * information)
     return Adequacy(difference, q, best.noise, found, z, size, std, expected, moves, elsewhere)
 
 
-def _elsewhere(scores: Floats, informations: Floats) -> Floats:
+def gain_elsewhere(scores: Floats, informations: Floats) -> Floats:
     """(k,) doubled gain of the log-likelihood over PARTS of the samples, to first order, with the coefficient of the
     others; scores, informations: (n, k) of the samples on each coefficient."""
     parts = [np.array([part.sum(axis=0) for part in np.array_split(a, PARTS)]) for a in (scores, informations)]
     score, information = parts
-    others = np.maximum(information.sum(axis=0) - information, TINY)
-    size = (score.sum(axis=0) - score) / others
+    others = information.sum(axis=0) - information
+    known = others > RARE * information.sum(axis=0)  # else it acts in one part alone, and the others say nothing
+    size = np.where(known, (score.sum(axis=0) - score) / np.where(known, others, 1.0), 0.0)
     return np.asarray(np.sum(2 * size * score - size**2 * information, axis=0))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -11,44 +10,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.adequacy import Adequacy, information_of, score_variance, weigh
 from pmfid.estimators.configuration import changed, like
-from pmfid.estimators.difference import Difference, first_speed, least, rms, without_nuisance
+from pmfid.estimators.difference import Difference, first_speed, least, rms
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
-from pmfid.estimators.lacks import Change, Place
+from pmfid.estimators.lacks import Change
 from pmfid.estimators.likelihood import (
     GIVEN_AWAY,
     NOISE_FLOOR,
     SHRINKING,
     Best,
     climb,
-    cost,
 )
 from pmfid.estimators.output_error import HOPELESS, OE, STRIBECK_SPEEDS
-from pmfid.estimators.scatter import TINY
 from pmfid.estimators.window_choice import FEWEST, FOLDS, SHORTEST, predicted_elsewhere
 from pmfid.judge.free_run import drive_run
+from pmfid.judge.term_trials import Trial, carried, log_likelihood
 from pmfid.models.drive import Drive, EquationModel
 from pmfid.models.equation import (
-    COULOMB_BACKWARD,
-    COULOMB_FORWARD,
     ESTIMATE,
-    OFFSET,
-    ROLES,
-    VISCOUS_BACKWARD,
-    VISCOUS_FORWARD,
-    Equation,
 )
 from pmfid.types import Floats
 
 #: Parts of a sample in which the motions of a search are simulated at most: with 2 the likelihoods of a cart under a
 #: random binary input are within 0.1 of those with 16, and with 1 within 4.
 MOST_PARTS = 3
-#: A step of parameters for a derivative.
-SMALL = 1e-4
 #: Relative tolerance of least squares on the way.
 ROUGHLY = 1e-4
+#: Noise [counts] below which a maximum of the likelihood may be a local one beside the right model.
+SUSPICIOUS = 0.25
 #: A step up the likelihood that gains less is the last one.
 SETTLED = 0.1
 #: Stribeck speeds that are gone on from.
@@ -57,39 +47,6 @@ MOST_SPEEDS = 2
 CLOSER = (0.1, 0.05, 0.025, 0.0125)
 #: Windows of each part that the others predict it with.
 WINDOWS = 4
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A model at its best fit to a record. log_likelihood: of the counts, in natural units; places: what may come again
-    along the travel, to look for."""
-
-    model: Drive
-    method: IntervalML
-    best: Best
-    log_likelihood: float
-
-    @property
-    def difference(self) -> Difference:
-        return self.best.difference
-
-    @property
-    def theta(self) -> Floats:
-        """(p,) parameters of the equation, and behind them those that it is not linear in."""
-        return np.asarray((self.best.q * self.difference.scale)[:-2])
-
-    @property
-    def parameters(self) -> int:
-        return self.difference.parameters
-
-    def weighed(self, places: Sequence[Place] = ()) -> Adequacy:
-        return weigh(self.best, places)
-
-    @property
-    def usual_speed(self) -> float:
-        """Root mean square velocity of the simulated motion."""
-        velocity = self.difference.motion(self.best.q)[1]
-        return rms(velocity[velocity != 0])
 
 
 @dataclass(frozen=True)
@@ -157,21 +114,22 @@ class Bench:
         found = []
         for speed in trial.usual_speed * np.array(STRIBECK_SPEEDS):
             try:
-                found.append((float(speed), self._from(replace(model, stribeck=float(speed)), theta[:-1], trial)))
+                known = replace(model, stribeck=float(speed))
+                found.append((float(speed), self._from(known, theta[:-1], trial, hasty=True)))
             except NotIdentifiableError:
                 continue
         return sorted(found, key=lambda one: -one[1].log_likelihood)[:MOST_SPEEDS]
 
-    def _from(self, model: Drive, theta: Floats, trial: Trial) -> Trial:
+    def _from(self, model: Drive, theta: Floats, trial: Trial, hasty: bool = False) -> Trial:
         """A model from theta (p,), and from where the motion of another trial starts: up the likelihood where that is
-        within the counts, for least squares would go astray there, or from least squares on."""
+        within the counts, for least squares would go astray there, or from least squares on. hasty: by one of these."""
         method, found = like(IntervalML, self.method, model=model), list[Trial]()
         if trial.best.noise is not None:
             difference = _quick(method.at(theta, trial.difference.u, trial.difference.y))
             start = (trial.best.q * trial.difference.scale)[-2:]
             q = np.maximum(np.r_[theta, start] / difference.scale, difference.lower)
-            found.append(_at_top(method, model, difference, q, trial.best.status))
-        if not found or not found[0].best.clean:
+            found.append(_at_top(method, model, difference, q, trial.best.status, hasty))
+        if not found or not (hasty or found[0].best.clean):
             try:
                 found += self._from_squares(model, theta, trial)
             except NotIdentifiableError:
@@ -207,7 +165,7 @@ class Bench:
             with suppress(UsageError):
                 return drive_run(like(OE, method), theta, *self.other, "the other record").rmse
             return math.inf
-        difference = method.at(theta, trial.difference.u, trial.difference.y)
+        difference = _quick(method.at(theta, trial.difference.u, trial.difference.y))
         scaled = np.maximum(theta / difference.scale[:-2], difference.lower[:-2])
         length = max(shortest_part(method), n * (FOLDS - 1) // FOLDS // WINDOWS)
         return predicted_elsewhere(difference, scaled, method.cutoff, length)
@@ -250,81 +208,16 @@ def _behind(method: IntervalML, theta: Floats, record: Difference) -> tuple[Diff
 
 
 @np.errstate(over="ignore", invalid="ignore")  # far from the counts their probability is beyond numbers
-def _at_top(method: IntervalML, model: Drive, difference: Difference, q: Floats, status: int) -> Trial:
-    """At a maximum of the likelihood near q (q,)."""
+def _at_top(
+    method: IntervalML, model: Drive, difference: Difference, q: Floats, status: int, hasty: bool = False
+) -> Trial:
+    """At a maximum of the likelihood near q (q,); by way of a noise that shrinks where it may be a local one, unless it
+    is to be hasty."""
     found = climb(difference, q, None, SETTLED)
-    if found[2] > GIVEN_AWAY * NOISE_FLOOR:
+    if not hasty and GIVEN_AWAY * NOISE_FLOOR < found[2] < SUSPICIOUS:
         place = q
         for noise in SHRINKING:
             place = climb(difference, place, noise, SETTLED)[1]
         found = min(found, climb(difference, place, None, SETTLED), key=lambda one: one[0])
     best = Best(difference, q, found[1], found[2], status)
     return Trial(model, method, best, log_likelihood(best, method.cutoff))
-
-
-def log_likelihood(best: Best, cutoff: float) -> float:
-    """Of the counts, under the error that explains them better: a noise within the counts, or friction that the model
-    lacks, which adds up in the position to a random walk. The latter's high-pass has a determinant of 1, so that both
-    are probabilities of the same counts."""
-    behind = replace(best.difference, pole=cutoff)
-    error = behind(best.q)
-    walking = -error.size / 2 * (math.log(2 * math.pi * float(np.mean(error**2))) + 1)
-    if best.noise is None:
-        return walking
-    return max(walking, -cost(best.difference(best.q), best.noise)[0])
-
-
-def inflation(before: Trial, after: Trial) -> float:
-    """By how much the score of what a model has beyond another scatters more, at its fit, than that of independent
-    errors would: so much larger are likelihood ratios by chance. The largest of all directions that are new."""
-    best, old, new = after.best, before.model.equation, after.model.equation
-    difference, p = best.difference, best.difference.parameters
-    sensitivity = -difference.jacobian(best.q)
-    own = without_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:]) / difference.scale[:p]
-    steps = SMALL * np.maximum(np.abs(before.theta), SMALL * float(np.max(np.abs(before.theta))))
-    begin = carried(old, before.theta, new)
-    moves = [(carried(old, before.theta + step, new) - begin) / float(np.sum(step)) for step in np.diag(steps)]
-    shared = own @ np.column_stack(moves)
-    shared /= np.maximum(np.linalg.norm(shared, axis=0), TINY)
-    own /= np.maximum(np.linalg.norm(own, axis=0), TINY)
-    alone = own - shared @ np.linalg.lstsq(shared, own)[0]
-    directions = np.linalg.svd(alone, full_matrices=False)[0][:, : max(1, p - len(moves))]
-    information, slope = information_of(best)
-    return float(np.max(score_variance(best, directions, information, slope)) / information)
-
-
-def known_shapes(best: Best) -> Best:
-    """The same motion as that of an equation whose shape parameters are known."""
-    difference, q = best.difference, best.q
-    p, equation = len(difference.equation.names), difference.equation.known_at((q * difference.scale)[:-2])
-    keep = np.r_[0:p, q.size - 2 : q.size]
-    linear = replace(difference, equation=equation, scale=difference.scale[keep])
-    return replace(best, difference=linear, least=best.least[keep], q=q[keep])
-
-
-def carried(before: Equation, theta: Floats, after: Equation) -> Floats:
-    """Parameters (p,) of one equation as those of another one to start from: what only the latter has is zero."""
-    own = before.role_values(theta)
-    body, further = (
-        own[: len(ROLES)],
-        dict(zip([n for n, _ in before.further], theta[len(before.names) :], strict=True)),
-    )
-    offset = body[OFFSET]
-    found = np.zeros(len(after.names))
-    if after.roles[OFFSET] is None:
-        body[COULOMB_FORWARD] += offset
-        body[COULOMB_BACKWARD] -= offset
-    elif before.roles[OFFSET] is None:
-        body[OFFSET] = (body[COULOMB_FORWARD] - body[COULOMB_BACKWARD]) / 2
-    for forward, backward in ((VISCOUS_FORWARD, VISCOUS_BACKWARD), (COULOMB_FORWARD, COULOMB_BACKWARD)):
-        if after.roles[forward] == after.roles[backward]:
-            body[forward] = body[backward] = (body[forward] + body[backward]) / 2
-    for value, index in zip(body, after.roles, strict=False):
-        if index is not None:
-            found[index] = value
-    sizes = dict(zip(before.names, theta, strict=False))
-    for index, term in enumerate(after.unknown):
-        if term.shape is not None:
-            found[index] = sizes.get(str(term.name), 0.0)
-    found = np.where(after.positive, np.maximum(found, 0.0), found)
-    return np.asarray(np.r_[found, [further.get(name, 0.0) for name, _ in after.further]])

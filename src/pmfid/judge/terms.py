@@ -19,8 +19,9 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import MISSED, NEARLY, Adequacy
 from pmfid.estimators.configuration import changed
 from pmfid.estimators.lacks import Change, Place
-from pmfid.judge.term_fits import Bench, Trial, inflation
+from pmfid.judge.term_fits import Bench
 from pmfid.judge.term_periods import coggings, pitches
+from pmfid.judge.term_trials import Trial, inflation
 from pmfid.models.drive import Drive
 
 #: Terms that are fitted in each step where none explains every count, and steps.
@@ -235,7 +236,7 @@ def _judged(bench: Bench, error: float, found: Sequence[Step]) -> list[Step]:
         if step.candidate.elsewhere <= 0:
             judged.append(replace(step, verdict="not in other parts of the record"))
             continue
-        if _unclear(step, found):
+        if is_unclear(step, found):
             judged.append(replace(step, verdict=UNCLEAR))
             continue
         if kept is not None and kept.trial is not None:
@@ -251,7 +252,7 @@ def _judged(bench: Bench, error: float, found: Sequence[Step]) -> list[Step]:
     return judged
 
 
-def _unclear(step: Step, found: Sequence[Step]) -> bool:
+def is_unclear(step: Step, found: Sequence[Step]) -> bool:
     """Is it a force along the travel of a pitch that is hardly better than another one? Neither is to be believed."""
     own = step.candidate
     others = [one for one in found if one.candidate.key == own.key == "cogging" and one.candidate.change != own.change]

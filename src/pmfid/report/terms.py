@@ -20,7 +20,8 @@ from pmfid.models.equation import (
 from pmfid.report.figures import COLOURS, WIDTH, figure_style
 from pmfid.report.files import write_json
 from pmfid.report.html import Section, svg, write_report
-from pmfid.session.terms import Nested, TermSearch
+from pmfid.session.nested import Nested
+from pmfid.session.terms import TermSearch
 from pmfid.types import Floats
 
 Rows = tuple[list[str], list[list[str]]]

@@ -7,8 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
-import numpy as np
-
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import MISSED, PARTS, weigh
@@ -17,42 +15,20 @@ from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Place, setting
 from pmfid.estimators.ls import LS
-from pmfid.estimators.results import Fit
-from pmfid.judge.balance import Balance
-from pmfid.judge.correlations import make_balance
 from pmfid.judge.drive import judge
-from pmfid.judge.term_fits import Bench, Trial, known_shapes, shortest_part
-from pmfid.judge.terms import KEPT, Step, Terms, changed_fields, search
+from pmfid.judge.term_fits import Bench, shortest_part
+from pmfid.judge.term_trials import known_shapes
+from pmfid.judge.terms import KEPT, Step, Terms, search
 from pmfid.models.drive import Drive
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.drives import Drives, all_known, believed_of
 from pmfid.session.kinds import Progress
 from pmfid.session.known import check_numbers_known
+from pmfid.session.nested import Nested, nested, spoken
 from pmfid.session.records import Record
 
-#: This part of the motion is slow.
-SLOW = 1 / 3
 #: What the flags of `pmfid identify` do not say.
 AMBIGUOUS, UNRESOLVED = "ambiguous_term", "unresolved"
-
-
-@dataclass(frozen=True, eq=False)
-class Nested:
-    """One of the models side by side. added: the keys of [model] beyond that to begin with; fit: None where it has no
-    error bars; error: of free runs over what it was not fitted to [unit of y], infinite where there is none;
-    unexplained: parts of friction and load, over the whole motion and its slow part, that it leaves, NaN where they
-    are not known."""
-
-    added: tuple[str, ...]
-    trial: Trial
-    fit: Fit | None
-    error: float
-    balance: Balance | None
-    unexplained: tuple[float, float]
-
-    @property
-    def label(self) -> str:
-        return f"with {', '.join(self.added)}" if self.added else "to begin with"
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +80,7 @@ class TermSearch:
         first = f"{_share(self.models[0])} of friction and load unexplained"
         if not self.added:
             return f"No term beyond those of [model] is found; they leave {first}."
-        return f"The terms to begin with leave {first}; with {', '.join(self.added)} {_share(self.chosen)}."
+        return f"The terms to begin with leave {first}; with {spoken(self.added)} {_share(self.chosen)}."
 
     def to_json(self) -> dict[str, object]:
         """The object that `--json` prints."""
@@ -138,7 +114,7 @@ def _model_json(model: Nested, resolution: float) -> dict[str, object]:
     std = [None] * len(names) if model.fit is None else model.fit.theta_std.tolist()
     rows = zip(names, trial.theta.tolist(), std, strict=True)
     return {
-        "added": list(model.added),
+        "added": model.added,
         "log_likelihood": trial.log_likelihood,
         "held_out": _finite(model.error),
         "held_out_counts": _finite(model.error / resolution),
@@ -220,54 +196,12 @@ def _check(method: IntervalML, record: Record) -> None:
 
 def _told(data: Record, bench: Bench, found: Terms, told: tuple[str, ...], status: tuple[str, ...]) -> TermSearch:
     pairs = zip(found.trials, found.errors, strict=True)
-    models = _nested(bench, found.trials[0].model, list(pairs))
+    models = nested(bench, found.trials[0].model, list(pairs))
     flags, notes = _judged(bench, models[-1])
     own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * bool(found.adequacy.missed)
     notes = (*told, *_sentences(found), *notes)
     names = tuple(dict.fromkeys((*status, *own, *flags)))
     return TermSearch(data.name, int(data.u.size), data.resolution, found, models, tuple(_hidden(found)), names, notes)
-
-
-def _nested(bench: Bench, first: Drive, pairs: Sequence[tuple[Trial, float]]) -> tuple[Nested, ...]:
-    balances = [_balance(bench, trial) for trial, _ in pairs]
-    shares = [_unexplained(balance, balances[-1], pairs[-1][0]) for balance in balances]
-    return tuple(
-        Nested(tuple(changed_fields(first, trial.model)), trial, _bars(trial), error, balance, share)
-        for (trial, error), balance, share in zip(pairs, balances, shares, strict=True)
-    )
-
-
-def _bars(trial: Trial) -> Fit | None:
-    try:
-        return trial.method.fit_of(trial.best)
-    except NotIdentifiableError:
-        return None
-
-
-def _balance(bench: Bench, trial: Trial) -> Balance | None:
-    try:
-        return make_balance(trial.method, bench.u, bench.counts, trial.theta)
-    except NotIdentifiableError:
-        return None
-
-
-def _unexplained(balance: Balance | None, last: Balance | None, chosen: Trial) -> tuple[float, float]:
-    """Parts of what resists the motion that a model leaves, root mean squares over the motion of the chosen one, and
-    over the slow part of it: what the chosen model has and this one has not, and what the force balance says that the
-    chosen one leaves beyond chance."""
-    if balance is None or last is None or last.friction is None:
-        return math.nan, math.nan
-    left = last.friction.left
-    beyond = float(np.mean(np.maximum(left.mean**2 - left.error**2, 0.0)))
-    x, v = chosen.difference.motion(chosen.best.q)
-    place, velocity = (x - chosen.difference.slack)[v != 0], v[v != 0]
-    whole = last.resistance(place, velocity)
-    apart = balance.resistance(place, velocity) - whole
-    slow = np.abs(velocity) <= np.quantile(np.abs(velocity), SLOW)
-    every, low = (
-        np.sqrt((np.mean(apart[part] ** 2) + beyond) / np.mean(whole[part] ** 2)) for part in (v[v != 0] != 0, slow)
-    )
-    return float(every), float(low)
 
 
 def _judged(bench: Bench, chosen: Nested) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -1,0 +1,131 @@
+"""One model of a drive at its best fit, and what is to be known of two of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmfid.estimators.adequacy import Adequacy, information_of, score_variance, weigh
+from pmfid.estimators.difference import Difference, rms, without_nuisance
+from pmfid.estimators.interval import IntervalML
+from pmfid.estimators.lacks import Place
+from pmfid.estimators.likelihood import Best, cost
+from pmfid.estimators.scatter import TINY
+from pmfid.models.drive import Drive
+from pmfid.models.equation import (
+    COULOMB_BACKWARD,
+    COULOMB_FORWARD,
+    OFFSET,
+    ROLES,
+    VISCOUS_BACKWARD,
+    VISCOUS_FORWARD,
+    Equation,
+)
+from pmfid.types import Floats
+
+#: A step of parameters for a derivative.
+SMALL = 1e-4
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A model at its best fit to a record. log_likelihood: of the counts, in natural units; places: what may come again
+    along the travel, to look for."""
+
+    model: Drive
+    method: IntervalML
+    best: Best
+    log_likelihood: float
+
+    @property
+    def difference(self) -> Difference:
+        return self.best.difference
+
+    @property
+    def theta(self) -> Floats:
+        """(p,) parameters of the equation, and behind them those that it is not linear in."""
+        return np.asarray((self.best.q * self.difference.scale)[:-2])
+
+    @property
+    def parameters(self) -> int:
+        return self.difference.parameters
+
+    def weighed(self, places: Sequence[Place] = ()) -> Adequacy:
+        return weigh(self.best, places)
+
+    @property
+    def usual_speed(self) -> float:
+        """Root mean square velocity of the simulated motion."""
+        velocity = self.difference.motion(self.best.q)[1]
+        return rms(velocity[velocity != 0])
+
+
+def log_likelihood(best: Best, cutoff: float) -> float:
+    """Of the counts, under the error that explains them better: a noise within the counts, or friction that the model
+    lacks, which adds up in the position to a random walk. The latter's high-pass has a determinant of 1, so that both
+    are probabilities of the same counts."""
+    behind = replace(best.difference, pole=cutoff)
+    error = behind(best.q)
+    walking = -error.size / 2 * (math.log(2 * math.pi * float(np.mean(error**2))) + 1)
+    if best.noise is None:
+        return walking
+    return max(walking, -cost(best.difference(best.q), best.noise)[0])
+
+
+def inflation(before: Trial, after: Trial) -> float:
+    """By how much the score of what a model has beyond another scatters more, at its fit, than that of independent
+    errors would: so much larger are likelihood ratios by chance. The largest of all directions that are new."""
+    best, old, new = after.best, before.model.equation, after.model.equation
+    difference, p = best.difference, best.difference.parameters
+    sensitivity = -difference.jacobian(best.q)
+    own = without_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:]) / difference.scale[:p]
+    steps = SMALL * np.maximum(np.abs(before.theta), SMALL * float(np.max(np.abs(before.theta))))
+    begin = carried(old, before.theta, new)
+    moves = [(carried(old, before.theta + step, new) - begin) / float(np.sum(step)) for step in np.diag(steps)]
+    shared = own @ np.column_stack(moves)
+    shared /= np.maximum(np.linalg.norm(shared, axis=0), TINY)
+    own /= np.maximum(np.linalg.norm(own, axis=0), TINY)
+    alone = own - shared @ np.linalg.lstsq(shared, own)[0]
+    directions = np.linalg.svd(alone, full_matrices=False)[0][:, : max(1, p - len(moves))]
+    information, slope = information_of(best)
+    return float(np.max(score_variance(best, directions, information, slope)) / information)
+
+
+def known_shapes(best: Best) -> Best:
+    """The same motion as that of an equation whose shape parameters are known."""
+    difference, q = best.difference, best.q
+    p, equation = len(difference.equation.names), difference.equation.known_at((q * difference.scale)[:-2])
+    keep = np.r_[0:p, q.size - 2 : q.size]
+    linear = replace(difference, equation=equation, scale=difference.scale[keep])
+    return replace(best, difference=linear, least=best.least[keep], q=q[keep])
+
+
+def carried(before: Equation, theta: Floats, after: Equation) -> Floats:
+    """Parameters (p,) of one equation as those of another one to start from: what only the latter has is zero."""
+    own = before.role_values(theta)
+    body, further = (
+        own[: len(ROLES)],
+        dict(zip([n for n, _ in before.further], theta[len(before.names) :], strict=True)),
+    )
+    offset = body[OFFSET]
+    found = np.zeros(len(after.names))
+    if after.roles[OFFSET] is None:
+        body[COULOMB_FORWARD] += offset
+        body[COULOMB_BACKWARD] -= offset
+    elif before.roles[OFFSET] is None:
+        body[OFFSET] = (body[COULOMB_FORWARD] - body[COULOMB_BACKWARD]) / 2
+    for forward, backward in ((VISCOUS_FORWARD, VISCOUS_BACKWARD), (COULOMB_FORWARD, COULOMB_BACKWARD)):
+        if after.roles[forward] == after.roles[backward]:
+            body[forward] = body[backward] = (body[forward] + body[backward]) / 2
+    for value, index in zip(body, after.roles, strict=False):
+        if index is not None:
+            found[index] = value
+    sizes = dict(zip(before.names, theta, strict=False))
+    for index, term in enumerate(after.unknown):
+        if term.shape is not None:
+            found[index] = sizes.get(str(term.name), 0.0)
+    found = np.where(after.positive, np.maximum(found, 0.0), found)
+    return np.asarray(np.r_[found, [further.get(name, 0.0) for name, _ in after.further]])

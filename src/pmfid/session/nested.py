@@ -1,0 +1,91 @@
+"""Models of one drive side by side: parameters with error bars, and how much of the friction each leaves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.results import Fit
+from pmfid.judge.balance import Balance
+from pmfid.judge.correlations import make_balance
+from pmfid.judge.term_fits import Bench
+from pmfid.judge.term_trials import Trial
+from pmfid.judge.terms import changed_fields
+from pmfid.models.drive import Drive
+from pmfid.models.equation import ESTIMATE
+
+#: This part of the motion is slow.
+SLOW = 1 / 3
+
+
+@dataclass(frozen=True, eq=False)
+class Nested:
+    """One of the models side by side. added: keys of [model] and values that differ from those to begin with; fit:
+    None where it has no error bars; error: of free runs over what it was not fitted to [unit of y], infinite where
+    there is none; unexplained: parts of friction and load, over the whole motion and its slow part, that it leaves, NaN
+    where they are not known."""
+
+    added: dict[str, object]
+    trial: Trial
+    fit: Fit | None
+    error: float
+    balance: Balance | None
+    unexplained: tuple[float, float]
+
+    @property
+    def label(self) -> str:
+        return f"with {spoken(self.added)}" if self.added else "to begin with"
+
+
+def nested(bench: Bench, first: Drive, pairs: Sequence[tuple[Trial, float]]) -> tuple[Nested, ...]:
+    balances = [_balance(bench, trial) for trial, _ in pairs]
+    shares = [_unexplained(balance, balances[-1], pairs[-1][0]) for balance in balances]
+    return tuple(
+        Nested(changed_fields(first, trial.model), trial, _bars(trial), error, balance, share)
+        for (trial, error), balance, share in zip(pairs, balances, shares, strict=True)
+    )
+
+
+def _bars(trial: Trial) -> Fit | None:
+    try:
+        return trial.method.fit_of(trial.best)
+    except NotIdentifiableError:
+        return None
+
+
+def _balance(bench: Bench, trial: Trial) -> Balance | None:
+    try:
+        return make_balance(trial.method, bench.u, bench.counts, trial.theta)
+    except NotIdentifiableError:
+        return None
+
+
+def _unexplained(balance: Balance | None, last: Balance | None, chosen: Trial) -> tuple[float, float]:
+    """Parts of what resists the motion that a model leaves, root mean squares over the motion of the chosen one, and
+    over the slow part of it: what the chosen model has and this one has not, and what the force balance says that the
+    chosen one leaves beyond chance."""
+    if balance is None or last is None or last.friction is None:
+        return math.nan, math.nan
+    left = last.friction.left
+    beyond = float(np.mean(np.maximum(left.mean**2 - left.error**2, 0.0)))
+    x, v = chosen.difference.motion(chosen.best.q)
+    place, velocity = (x - chosen.difference.slack)[v != 0], v[v != 0]
+    whole = last.resistance(place, velocity)
+    apart = balance.resistance(place, velocity) - whole
+    slow = np.abs(velocity) <= np.quantile(np.abs(velocity), SLOW)
+    every, low = (
+        np.sqrt((np.mean(apart[part] ** 2) + beyond) / np.mean(whole[part] ** 2)) for part in (v[v != 0] != 0, slow)
+    )
+    return float(every), float(low)
+
+
+def spoken(added: Mapping[str, object]) -> str:
+    """Terms of [model], for people."""
+    named = {key: value for key, value in added.items() if value is not False}
+    return ", ".join(
+        f"{value} {key}" if isinstance(value, str) and value != ESTIMATE else key for key, value in named.items()
+    )
