@@ -94,6 +94,7 @@ PUBLIC = [
     "Validation",
     "Wave",
     "export_firmware",
+    "friction_curve",
     "identify",
     "quantize",
     "validate",

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from pmfid.models.transfer_function import TransferFunction as TransferFunction
     from pmfid.session.arrays import identify as identify
     from pmfid.session.arrays import validate as validate
+    from pmfid.session.friction import friction_curve as friction_curve
     from pmfid.session.result import Result as Result
     from pmfid.session.validation import Validation as Validation
     from pmfid.status import Status as Status
@@ -84,6 +85,7 @@ _PUBLIC = {
     "Tracks": "pmfid.estimators.track",
     "Result": "pmfid.session.result",
     "UsageError": "pmfid.errors",
+    "friction_curve": "pmfid.session.friction",
     "export_firmware": "pmfid.export.firmware",
     "identify": "pmfid.session.arrays",
     "quantize": "pmfid.encoder",
