@@ -162,6 +162,8 @@ forces in proportion. Whoever knows one of them, the mass from a scale or a draw
   error bar: 1 % more mass is 1 % more gain, and nothing shows it. Where the value has an error, give a prior in its
   place, `prior = { mass = [1.25, 0.02] }`.
 - **Two known forces can contradict each other**: the status then has `prior_contradicted`, and a note says by how much.
+- **Under position control** through a coarse encoder the std is too short here as it is for every mass, and the status
+  says `feedback`; `interval_95` holds.
 - **On-line** a slipping belt is a gain that falls while the mass stays; `pmfid monitor` names it, and never the mass.
 """
 PAGE = Page(

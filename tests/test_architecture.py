@@ -95,6 +95,7 @@ PUBLIC = [
     "Validation",
     "Wave",
     "export_firmware",
+    "friction_curve",
     "identify",
     "quantize",
     "search_terms",

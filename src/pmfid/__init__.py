@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from pmfid.session.arrays import identify as identify
     from pmfid.session.arrays import search_terms as search_terms
     from pmfid.session.arrays import validate as validate
+    from pmfid.session.friction import friction_curve as friction_curve
     from pmfid.session.result import Result as Result
     from pmfid.session.terms import TermSearch as TermSearch
     from pmfid.session.validation import Validation as Validation
@@ -86,6 +87,7 @@ _PUBLIC = {
     "Tracks": "pmfid.estimators.track",
     "Result": "pmfid.session.result",
     "UsageError": "pmfid.errors",
+    "friction_curve": "pmfid.session.friction",
     "export_firmware": "pmfid.export.firmware",
     "identify": "pmfid.session.arrays",
     "quantize": "pmfid.encoder",

@@ -11,6 +11,7 @@ import click
 from pmfid import __version__
 from pmfid.cli.design import commission, design
 from pmfid.cli.export import export
+from pmfid.cli.friction import friction
 from pmfid.cli.monitor import monitor
 from pmfid.cli.options import CUTOFF, JSON, RECORDS, config_option, folder_option
 from pmfid.cli.output import print_json
@@ -236,3 +237,4 @@ main.add_command(terms)
 main.add_command(validate)
 main.add_command(reproduce)
 main.add_command(export)
+main.add_command(friction)

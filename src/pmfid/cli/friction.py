@@ -1,0 +1,72 @@
+"""The command `pmfid friction`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pmfid.cli.options import CUTOFF, JSON, config_option, folder_option
+from pmfid.cli.output import print_json
+from pmfid.errors import printable
+
+if TYPE_CHECKING:
+    from pmfid.estimators.friction_curve import FrictionCurve
+
+
+@click.command(short_help="Show friction over velocity, with no law assumed.")
+@click.argument("record", type=click.Path(path_type=Path))
+@config_option()
+@CUTOFF
+@click.option("--nodes", type=int, default=10, show_default=True, help="Speeds in each direction.")
+@click.option("--rising-from", type=float, metavar="SPEED", help="Friction does not fall from this speed on [m/s].")
+@folder_option("Write friction.html and friction.json there.")
+@JSON
+def friction(
+    record: Path,
+    config: Path,
+    cutoff: float | None,
+    nodes: int,
+    rising_from: float | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Find the friction of RECORD over the velocity as a curve, with the mass beside it.
+
+    What [model] says of friction is not used. Nothing is said of velocities that the record does not have.
+
+    Exit code 0: a curve; 2: wrong usage or unreadable input; 3: the record does not show friction apart.
+    """
+    from pmfid.session.config import load_axis
+    from pmfid.session.friction import curve_json, record_curve
+    from pmfid.session.records import read_record
+
+    axis = load_axis(config, {"estimator.cutoff": cutoff})
+    found = record_curve(read_record(record, axis), axis, nodes, rising_from)
+    if out is not None:
+        from pmfid.report.friction import write_curve
+
+        write_curve(out, found, record.name)
+    if as_json:
+        print_json(curve_json(found, record.name))
+    else:
+        _print(found, record.name, out)
+
+
+def _print(found: FrictionCurve, name: str, out: Path | None) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from pmfid.report.friction import HEADER, curve_rows
+
+    table = Table(title=escape(printable(f"{name}: mass {found.mass:.5g} ± {found.mass_std:.2g} kg")))
+    for heading in HEADER:
+        table.add_column(escape(heading), justify="right", no_wrap=True)
+    for row in curve_rows(found):
+        table.add_row(*row)
+    console = Console()
+    console.print(table)
+    for line in (*(f"note: {note}" for note in found.notes), *([f"report: {out / 'friction.html'}"] if out else [])):
+        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)

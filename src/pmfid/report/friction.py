@@ -1,0 +1,57 @@
+"""The page of a free friction curve."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pmfid.estimators.friction_curve import FrictionCurve
+from pmfid.report.figures import COLOURS, GREY, WIDTH, figure_style
+from pmfid.report.files import write_json
+from pmfid.report.html import Section, svg, write_report
+from pmfid.session.friction import curve_json
+
+HEADER = ("velocity [m/s]", "friction [N]", "std [N]")
+
+
+def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
+    """Writes friction.html and friction.json into the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "friction.json", curve_json(found, name))
+    (back, _), (slow, ahead) = found.visited
+    text = (
+        f"Mass {found.mass:.5g} ± {found.mass_std:.2g} kg beside it. Points are the nodes, the band is two standard "
+        f"deviations. The record goes from {back:.3g} to {ahead:.3g} m/s; nothing is said beyond that, nor between "
+        f"{found.visited[0][1]:.3g} and {slow:.3g} m/s, which it hardly visits: friction at rest is not in the curve."
+    )
+    text = "\n\n".join([text, *(f"Note: {note}." for note in found.notes)])
+    section = Section("Friction over velocity", text, (HEADER, curve_rows(found)), svg(curve_figure(found)))
+    write_report(out / "friction.html", f"{name}: friction over velocity", [section])
+
+
+def curve_rows(found: FrictionCurve) -> list[list[str]]:
+    """One row of text for each node."""
+    rows = zip(found.velocity, found.force, found.std, strict=True)
+    return [[f"{velocity:.4g}", f"{force:.5g}", f"{std:.2g}"] for velocity, force, std in rows]
+
+
+def curve_figure(found: FrictionCurve) -> Figure:
+    """The curve with a band of two standard deviations, in grey what the record does not visit."""
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.8), layout="constrained")
+        axes = figure.subplots()
+        for number, way in enumerate((found.velocity < 0, found.velocity > 0)):
+            v, force, std = found.velocity[way], found.force[way], found.std[way]
+            label = "two standard deviations" if number == 0 else None
+            axes.fill_between(v, force - 2 * std, force + 2 * std, color=COLOURS[0], alpha=0.25, lw=0, label=label)
+            axes.plot(v, force, "o-", color=COLOURS[0], ms=3.5, lw=1.2, label="friction" if number == 0 else None)
+        (_, slow_back), (slow, _) = found.visited
+        axes.axvspan(slow_back, slow, color=GREY, alpha=0.25, lw=0, label="hardly visited")
+        axes.axhline(0.0, color=GREY, lw=0.8)
+        axes.set_xlim(*(1.03 * np.array([found.velocity[0], found.velocity[-1]])))
+        axes.set_xlabel("velocity [m/s]")
+        axes.set_ylabel("friction [N]")
+        axes.legend(loc="upper left")
+    return figure

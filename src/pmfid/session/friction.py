@@ -1,0 +1,93 @@
+"""A free friction curve from a record and AXIS.toml, or from arrays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid.encoder import Encoder
+from pmfid.errors import UsageError
+from pmfid.estimators.arguments import check_arrays
+from pmfid.estimators.friction_curve import NODES, FrictionCurve
+from pmfid.estimators.friction_curve import friction_curve as curve_of
+from pmfid.estimators.iv import IV
+from pmfid.judge.drive import SIGNIFICANT, correlation_score
+from pmfid.models.drive import Drive
+from pmfid.models.equation import ESTIMATE
+from pmfid.session.arrays import axis_of
+from pmfid.session.config import Axis, check_sampling
+from pmfid.session.known import check_numbers_known
+from pmfid.session.records import Record
+from pmfid.types import Counts, Floats
+
+#: Forces of a model that stand beside friction, and that no curve takes.
+BESIDE = ("spring", "gravity", "cogging", "friction_period")
+FEEDBACK = (
+    "the input follows what the curve leaves unexplained, as under position control: it may be off by several of its "
+    "error bars, most where the same stroke is made again and again; open-loop motion is free of that"
+)
+
+
+def friction_curve(
+    u: ArrayLike,
+    counts: ArrayLike,
+    *,
+    model: Drive,
+    encoder: Encoder,
+    dt: float,
+    cutoff: float,
+    nodes: int = NODES,
+    rising_from: float | None = None,
+) -> FrictionCurve:
+    """Friction over velocity with no law assumed, and the mass beside it, as `pmfid friction` finds them.
+
+    u: input (n,); counts (n,) of the encoder. model: its input_gain and dead_time count, what it says of friction does
+    not. dt: sample period [s]. cutoff: pole of the filters [rad/s]. nodes: speeds in each direction; rising_from: from
+    this speed [m/s] on friction does not fall, None: it may. Raises UsageError for arguments that do not fit and
+    NotIdentifiableError where the record does not show friction apart.
+    """
+    axis = axis_of(model, encoder, dt, {"cutoff": cutoff})
+    return _found(*check_arrays(u, counts), dt, encoder, axis, nodes, rising_from)
+
+
+def record_curve(record: Record, axis: Axis, nodes: int = NODES, rising_from: float | None = None) -> FrictionCurve:
+    """The same of a record that was read for `axis`."""
+    known = axis.encoder
+    encoder = Encoder(record.resolution, standstill_time=known.standstill_time, max_speed=known.max_speed)
+    found = _found(record.u, record.counts, record.dt, encoder, axis, nodes, rising_from)
+    return replace(found, notes=(*record.notes, *found.notes))
+
+
+def _found(
+    u: Floats, counts: Counts, dt: float, encoder: Encoder, axis: Axis, nodes: int, rising_from: float | None
+) -> FrictionCurve:
+    model = axis.model.make()
+    if not isinstance(model, Drive):
+        raise UsageError('a friction curve is of a machine with friction: give [model] kind = "drive"')
+    check_numbers_known(axis, "a friction curve")
+    check_sampling(axis, dt)
+    if beside := [key for key in BESIDE if getattr(model, key)]:
+        raise UsageError(f"a friction curve beside {', '.join(beside)} is not there yet; record a motion without it")
+    if model.dead_time == ESTIMATE:
+        raise UsageError("a friction curve needs the dead time: pmfid identify finds it; write it into [model]")
+    free = Drive(model.input_gain, friction="directional", dead_time=model.dead_time)
+    estimator = IV(free, encoder, dt, axis.estimator.cutoff, order=axis.estimator.order)
+    found = curve_of(estimator, u, counts, nodes, rising_from)
+    change = np.diff(u, prepend=u[:1])[-found.error.size :]
+    follows = correlation_score(found.error, change) > SIGNIFICANT
+    return replace(found, notes=(FEEDBACK,)) if follows else found
+
+
+def curve_json(found: FrictionCurve, name: str) -> dict[str, object]:
+    """The object that `--json` prints."""
+    rows = zip(found.velocity.tolist(), found.force.tolist(), found.std.tolist(), strict=True)
+    return {
+        "record": name,
+        "samples": int(found.error.size),
+        "mass": {"value": found.mass, "std": found.mass_std, "unit": "kg"},
+        "curve": [{"velocity": velocity, "force": force, "std": std} for velocity, force, std in rows],
+        "visited": [list(part) for part in found.visited],
+        "notes": list(found.notes),
+    }
