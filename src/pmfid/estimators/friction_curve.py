@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.arguments import check_arrays, held
 from pmfid.estimators.friction_basis import Basis, Sides, bend_of, make_basis, with_curve
-from pmfid.estimators.iv import IV, LASTING
+from pmfid.estimators.instruments import LASTING
+from pmfid.estimators.iv import IV
 from pmfid.estimators.lattice import lattice_scatter
 from pmfid.estimators.least_squares import inverse_of
 from pmfid.estimators.results import Columns

@@ -3,8 +3,9 @@
 The input of a record of normal work drives the reference model from random places on the encoder's lattice; whatever a
 detector shows then is chance. Its maxima over intervals much longer than its memory are counted; their tail is
 exponential (Gumbel's domain), so log(rate) falls linearly with the threshold, and a rate that was too rare to be seen
-often is read off that line. Where the record itself deviates by more than the simulation, its own blocks take the place
-of the simulated ones (`reference`), and what so short a record cannot know of the tail makes the threshold higher.
+often is read off that line. Where the record itself deviates by more than the simulation, its own units of work take
+the place of the simulated blocks (`work`, `reference`): they run through the very detectors, in many more hours than
+the record has, and parts of the record alone say how sure that is.
 """
 
 from __future__ import annotations
@@ -20,8 +21,18 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.motion import mean_velocity
 from pmfid.monitor.detectors import EDGE, ChiSquare, Detector, make_detectors, statistics
-from pmfid.monitor.reference import noisier, resampled
-from pmfid.monitor.scores import Blocks, Scale, block_samples, make_scale, scores, start_blocks
+from pmfid.monitor.reference import noisier, piece_length, resampled
+from pmfid.monitor.scores import (
+    UNUSABLE,
+    UNUSABLE_AT_REST,
+    Blocks,
+    Scale,
+    block_samples,
+    make_scale,
+    scores,
+    start_blocks,
+)
+from pmfid.monitor.work import Work, learn
 from pmfid.types import Counts, Floats
 
 #: Length of one simulated run [s], and of the intervals whose maxima are counted.
@@ -33,8 +44,13 @@ HOURS_PER_MTBF, LEAST_HOURS, MOST_HOURS = 4.0, 20.0, 100.0
 TAIL = 100
 #: The noise of a record of normal work counts where it differs by so many standard errors from the simulated one.
 NOISIER = 3.0
-#: Maxima of a record that the line is fitted to, and confidence of that, in standard errors of what they tell.
-SEEN, CONFIDENCE = 30, 1.645
+#: Hours of resampled work for one of simulated work, drawn as so many runs.
+RESAMPLED, RUNS = 4.0, 64
+#: Parts of a record whose thresholds are compared, and how much rarer than asked alarms are made at most, by what the
+#: record leaves in doubt: less often is better than more often.
+PARTS, CAREFUL = 4, 2.0
+#: Discount of a unit of work in the memory of `ChiSquare`.
+UNIT_KEEP = 0.85
 #: A simulated machine that goes further runs away [counts].
 MOST_COUNTS = 2.0**53
 #: Blocks that a simulated run must have.
@@ -47,7 +63,8 @@ LEAST_RECORD_BLOCKS = 8
 class Tail:
     """Rate of false alarms [1/h] at a threshold h: rate exp(-(h - level) / slope) from `level` on.
 
-    maxima: (m,) the largest interval maxima, falling; hours: simulated for them.
+    maxima: (m,) the largest interval maxima, falling; hours: simulated for them; parts: level, slope and rate of parts
+    of the record alone.
     """
 
     level: float
@@ -55,17 +72,30 @@ class Tail:
     rate: float
     hours: float
     maxima: tuple[float, ...]
+    parts: tuple[tuple[float, float, float], ...] = ()
 
     def threshold(self, mtbf_hours: float) -> float:
-        """The threshold for a mean time between false alarms [h]."""
-        return self.level + self.slope * math.log(max(mtbf_hours * self.rate, 1.0))
+        """The threshold for a mean time between false alarms [h], a standard error on the rare side."""
+        careful = min(math.exp(self.doubt(mtbf_hours)), CAREFUL)
+        return _line(self.level, self.slope, self.rate, careful * mtbf_hours)
+
+    def doubt(self, mtbf_hours: float) -> float:
+        """Standard error of the logarithm of that mean time, from how the parts differ; 0 where there are none."""
+        if not self.parts:
+            return 0.0
+        thresholds = [_line(*part, mtbf_hours) for part in self.parts]
+        return float(np.std(thresholds, ddof=1)) / math.sqrt(len(thresholds)) / self.slope
+
+
+def _line(level: float, slope: float, rate: float, mtbf_hours: float) -> float:
+    return level + slope * math.log(max(mtbf_hours * rate, 1.0))
 
 
 @dataclass(frozen=True)
 class Calibration:
     """theta: (p,) reference; scale: of normal work; chi_square: precision of that detector; tails: by detector; noise:
     (p,) standard deviation of normal work over that of the simulation; hours: simulated; record_hours: of the record
-    whose blocks the tails are made of, 0 where they are the simulation's."""
+    whose units the tails are made of, 0 where they are the simulation's; work: those units, None there."""
 
     theta: Floats
     scale: Scale
@@ -74,6 +104,23 @@ class Calibration:
     noise: Floats
     hours: float
     record_hours: float = 0.0
+    work: Work | None = None
+
+    @property
+    def left_out(self) -> int:
+        """Status of the samples that count for nothing, as in `scores.gather`."""
+        return UNUSABLE if self.work is None else UNUSABLE_AT_REST
+
+    def detectors(self, estimator: Estimator) -> dict[str, Detector]:
+        """By name, as they were calibrated."""
+        keep = block_keep(estimator) if self.work is None else UNIT_KEEP
+        return make_detectors(keep, self.chi_square)
+
+    def deviations(self, blocks: Blocks) -> tuple[Floats, Floats]:
+        """x, w: (n, p) that the detectors take, of blocks at theta."""
+        if self.work is None:
+            return self.scale.standardise(blocks)
+        return self.work.scale.standardise(self.work.units(blocks, self.scale.information(blocks)))
 
 
 def block_keep(estimator: Estimator) -> float:
@@ -109,28 +156,53 @@ def calibrate(
     x, w = _stack([scale.standardise(blocks) for blocks in (first, *runs)])
     sigma = np.sqrt((x**2).mean(axis=(0, 1)))
     x, scale = x / sigma, replace(scale, sigma=scale.sigma * sigma)
-    noise, own = np.ones(theta.size), None
+    plain = Calibration(theta, scale, (), {}, np.ones(theta.size), hours)
     if counts is not None:
         record = _record_blocks(estimator, theta, u, counts)
         noise = noise_ratio(scale, record)
-        scale = replace(scale, sigma=scale.sigma * noise)
-        own = scale.standardise(record)
-    block_time, record_hours = block_samples(estimator) * estimator.dt, 0.0
-    if own is not None and len(own[0]) and noisier(own, (x, w), EDGE):
-        record_hours = len(own[0]) * block_time / 3600
-        x, w = resampled(*own, (x.shape[0], x.shape[1]), np.random.default_rng(seed))
+        plain = replace(plain, noise=noise, scale=replace(scale, sigma=scale.sigma * noise))
+        own = plain.scale.standardise(record)
+        if noisier(own, (x, w), EDGE):
+            return _learned(plain, estimator, u, counts, seed)
     precision = _precision(ChiSquare(block_keep(estimator)), x, w)
+    plain = replace(plain, chi_square=precision)
+    tails = _tails(plain.detectors(estimator), x, w, block_samples(estimator) * estimator.dt)
+    return replace(plain, tails=tails)
+
+
+def _learned(plain: Calibration, estimator: Estimator, u: Floats, counts: Counts, seed: int) -> Calibration:
+    """The same with units of work in place of blocks, and tails of their resampled sequence."""
+    blocks = _record_blocks(estimator, plain.theta, u, counts, UNUSABLE_AT_REST)
+    work = learn(blocks, plain.scale.information(blocks))
+    record_hours = len(blocks.score) * block_samples(estimator) * estimator.dt / 3600
+    found = replace(plain, work=work, record_hours=record_hours)
+    x, w = found.deviations(blocks)
+    found = replace(found, chi_square=_precision(ChiSquare(UNIT_KEEP), x[None], w[None]))
+    rng, unit_time, length = np.random.default_rng(seed), 3600 * record_hours / len(x), piece_length(x)
+    size = math.ceil(RESAMPLED * plain.hours * 3600 / unit_time / RUNS)
+    detectors = found.detectors(estimator)
+    top = round(RESAMPLED * TAIL)
+    whole = _tails(detectors, *resampled(x, w, (RUNS, size), length, rng), unit_time, top)
+    quarters = [
+        _tails(detectors, *resampled(*part, (RUNS // PARTS, size), length, rng), unit_time, top // PARTS)
+        for part in zip(np.array_split(x, PARTS), np.array_split(w, PARTS), strict=True)
+    ]
     tails = {
-        name: _detector_tail(detector, x, w, block_time, record_hours)
-        for name, detector in make_detectors(block_keep(estimator), precision).items()
+        name: replace(tail, parts=tuple((part[name].level, part[name].slope, part[name].rate) for part in quarters))
+        for name, tail in whole.items()
     }
-    return Calibration(theta, scale, precision, tails, noise, hours, record_hours)
+    return replace(found, tails=tails)
 
 
-def _record_blocks(estimator: Estimator, theta: Floats, u: Floats, counts: Counts) -> Blocks:
+def _tails(detectors: dict[str, Detector], x: Floats, w: Floats, block_time: float, top: int = TAIL) -> dict[str, Tail]:
+    nothing = np.zeros(x.shape[-1])
+    return {name: fit_tail(statistics(found, x, w, nothing), block_time, top) for name, found in detectors.items()}
+
+
+def _record_blocks(estimator: Estimator, theta: Floats, u: Floats, counts: Counts, left_out: int = UNUSABLE) -> Blocks:
     """Of a record of normal work, once the model has its velocity; raises UsageError where hardly any are left."""
     start = start_blocks(estimator, theta)
-    blocks = scores(estimator, theta, u, counts)[start:]
+    blocks = scores(estimator, theta, u, counts, left_out)[start:]
     if len(blocks.score) < LEAST_RECORD_BLOCKS:
         least = (start + LEAST_RECORD_BLOCKS) * block_samples(estimator) * estimator.dt
         raise UsageError(
@@ -138,11 +210,6 @@ def _record_blocks(estimator: Estimator, theta: Floats, u: Floats, counts: Count
             "record longer, 10 minutes or more for good thresholds"
         )
     return blocks
-
-
-def _detector_tail(detector: Detector, x: Floats, w: Floats, block_time: float, record_hours: float) -> Tail:
-    found = statistics(detector, x, w, np.zeros(x.shape[-1]))
-    return fit_record_tail(found, block_time, record_hours) if record_hours else fit_tail(found, block_time)
 
 
 def replays(
@@ -176,25 +243,11 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
     return quantize(position + phase * estimator.encoder.resolution, estimator.encoder.resolution)
 
 
-def fit_tail(statistic: Floats, block_time: float) -> Tail:
-    """The tail of the maxima over intervals of the statistic (runs, n) of simulated blocks of block_time [s]."""
+def fit_tail(statistic: Floats, block_time: float, top: int = TAIL) -> Tail:
+    """The tail of the `top` maxima over intervals of the statistic (runs, n) of blocks of block_time [s]."""
     maxima, hours = _maxima(statistic, block_time)
-    top = min(TAIL, maxima.size // 4)
+    top = min(top, maxima.size // 4)
     return _tail(maxima, hours, top)
-
-
-def fit_record_tail(statistic: Floats, block_time: float, record_hours: float) -> Tail:
-    """The same of blocks drawn from a record of record_hours.
-
-    What is drawn ends where the record ends: the line goes through what the record itself saw SEEN times, and is the
-    flattest and highest that goes with that.
-    """
-    maxima, hours = _maxima(statistic, block_time)
-    intervals = record_hours * 3600 / INTERVAL_TIME
-    part = min(0.25, SEEN / intervals)
-    surely = 1 + CONFIDENCE / math.sqrt(max(1.0, intervals * part))
-    tail = _tail(maxima, hours, max(1, round(maxima.size * part)))
-    return replace(tail, slope=surely * tail.slope, rate=surely * tail.rate, maxima=tail.maxima[:TAIL])
 
 
 def _maxima(statistic: Floats, block_time: float) -> tuple[Floats, float]:

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.monitor.scores import Blocks, Scale
 from pmfid.types import Floats
 
-#: A drive that gives less force looks as if all parameters had grown alike.
-INPUT_GAIN = "input_gain"
+#: A guide that runs dry has more friction of every kind.
+FRICTION = "friction"
 #: Keeps the instruments of a few blocks apart.
 RIDGE = 1e-6
 #: Blocks that a change may be spread over: the one it falls into, and the one whose filters remember that.
@@ -26,8 +27,9 @@ LAGS = 2
 
 @dataclass(frozen=True)
 class Cause:
-    """name: of the parameter, or INPUT_GAIN; change, std: [its unit]; relative: change over the reference value; start:
-    index of the first block that shows it; share: of all that a change of all parameters together would explain."""
+    """name: of the parameter, INPUT_GAIN or FRICTION; change, std: [its unit], of FRICTION relative; relative: change
+    over the reference value; start: index of the first block that shows it; share: of all that a change of all
+    parameters together would explain."""
 
     name: str
     change: float
@@ -45,6 +47,7 @@ def explain(
     input_gain: float,
     latest: int | None = None,
     fixed: Collection[str] = (),
+    friction: Floats | None = None,
 ) -> Cause:
     """The single change at one of the blocks' starts that takes most from the error of the equation.
 
@@ -53,13 +56,15 @@ def explain(
         gain = (v^T W^T Z^-1 S)^2 / (v^T W^T Z^-1 W v)
 
     is the generalised likelihood ratio of theta0 + size v (Willsky and Jones 1976), but for the noise. theta: (p,)
-    reference; directions: each parameter but those that are known to stay, fixed, and theta itself for a loss of force;
-    latest: the last start that is possible, as the deviation was noticed then.
+    reference; directions: each parameter but those that are known to stay, fixed, and theta itself for a loss of
+    force, which looks as if all parameters had grown alike; latest: the last start that is possible, as the deviation
+    was noticed then; friction: (p,) theta without what is none, where all of it may grow alike.
     """
     S, W, Z = (np.cumsum(part[::-1], axis=0)[::-1] for part in (blocks.score, blocks.cross, blocks.square))
     Z = Z + RIDGE * np.diag(np.diagonal(Z[0]))
     free = [i for i, name in enumerate(names) if name not in fixed]
-    directions, called = np.vstack([np.eye(theta.size)[free], theta]), [*(names[i] for i in free), INPUT_GAIN]
+    further = {INPUT_GAIN: theta} | ({} if friction is None else {FRICTION: friction})
+    directions, called = np.vstack([np.eye(theta.size)[free], *further.values()]), [*(names[i] for i in free), *further]
     weighted = np.linalg.solve(Z, W @ directions.T)  # (n, p, directions)
     match = np.einsum("npd,np->nd", weighted, S)
     known = np.maximum(np.einsum("npd,npd->nd", weighted, W @ directions.T), np.finfo(float).tiny)
@@ -73,7 +78,13 @@ def explain(
 
 
 def sized(
-    cause: Cause, estimate: Floats, covariance: Floats, theta: Floats, names: Sequence[str], input_gain: float
+    cause: Cause,
+    estimate: Floats,
+    covariance: Floats,
+    theta: Floats,
+    names: Sequence[str],
+    input_gain: float,
+    friction: Floats | None = None,
 ) -> Cause:
     """The same cause, its size compared with the one that an estimate (p,) with covariance (p, p), of the time since
     the change, gives it if nothing else has changed; theta: (p,) reference. As it is where the estimate knows no size.
@@ -83,7 +94,10 @@ def sized(
     estimate remembers some of the time before, more of it the larger the motion was. So it counts where the two
     contradict each other, and half of their difference is in the error bar.
     """
-    direction = theta if cause.name == INPUT_GAIN else np.eye(theta.size)[list(names).index(cause.name)]
+    if cause.name in names:
+        direction = np.eye(theta.size)[list(names).index(cause.name)]
+    else:
+        direction = theta if friction is None or cause.name == INPUT_GAIN else friction
     try:
         weight = np.linalg.solve(covariance, direction)
     except np.linalg.LinAlgError:
@@ -100,6 +114,8 @@ def sized(
 
 def _told(cause: Cause, size: float, std: float, theta: Floats, names: Sequence[str], input_gain: float) -> Cause:
     """The cause with its size along its direction in terms of what has changed."""
+    if cause.name == FRICTION:
+        return replace(cause, change=size, std=std, relative=size)
     if cause.name != INPUT_GAIN:
         reference = abs(float(theta[list(names).index(cause.name)]))
         return replace(cause, change=size, std=std, relative=size / reference)

@@ -11,13 +11,12 @@ import numpy as np
 
 from pmfid._estimate import Estimate
 from pmfid.estimators.configuration import like
-from pmfid.estimators.facts import forces_of
+from pmfid.estimators.facts import INPUT_GAIN, forces_of
 from pmfid.estimators.iv import IV
 from pmfid.estimators.known import Known, Posterior, Seen
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.monitor.calibration import Calibration, block_keep
-from pmfid.monitor.cause import INPUT_GAIN, TRANSITION, Cause, explain, sized
-from pmfid.monitor.detectors import make_detectors
+from pmfid.monitor.calibration import Calibration
+from pmfid.monitor.cause import TRANSITION, Cause, explain, sized
 from pmfid.monitor.events import (
     CANNOT_TELL,
     SETTLING,
@@ -31,7 +30,7 @@ from pmfid.monitor.events import (
     StateChange,
     Watch,
 )
-from pmfid.monitor.scores import Blocks, ScoreFilter
+from pmfid.monitor.scores import Blocks, Scale, ScoreFilter
 from pmfid.status import Status
 from pmfid.types import Floats
 
@@ -78,12 +77,11 @@ class Monitor:
 
     def __post_init__(self) -> None:
         self.threshold = self.calibration.tails[self.watch.detector].threshold(self.watch.mtbf_hours)
-        keep, p = block_keep(self.estimator), self.calibration.theta.size
-        self._detector = make_detectors(keep, self.calibration.chi_square)[self.watch.detector]
+        p = self.calibration.theta.size
+        self._detector = self.calibration.detectors(self.estimator)[self.watch.detector]
         self._front = like(IV, self.estimator, prefilter_zeros=None)
         self._noise = self._front.noise()
-        self._scale = self.calibration.scale
-        self._filter = ScoreFilter(self._front, self.calibration.theta)
+        self._filter = ScoreFilter(self._front, self.calibration.theta, left_out=self.calibration.left_out)
         self._refer(self.calibration.theta)
         self._sum = Blocks(np.zeros((1, p)), np.zeros((1, p, p)), np.zeros((1, p, p)))
         self._gain = 1.0  # of the input, over that of the estimator
@@ -158,35 +156,59 @@ class Monitor:
         """Starts to watch for deviations from theta (p,)."""
         first = self.calibration.theta
         size = np.sqrt(float(theta @ self._noise @ theta) / max(float(first @ self._noise @ first), 1e-300))
-        self._scale = replace(self.calibration.scale, sigma=self.calibration.scale.sigma * size)
-        self._filter = ScoreFilter(self._front, theta, self._filter)
-        self._tolerance = self.watch.tolerance * np.abs(theta) / self._scale.sigma
+        self._scale, self._work = _rescaled(self.calibration.scale, size), self.calibration.work
+        if self._work is not None:
+            self._work = replace(self._work, scale=_rescaled(self._work.scale, size))
+        self._seen = self._scale if self._work is None else self._work.scale
+        self._filter = ScoreFilter(self._front, theta, self._filter, self.calibration.left_out)
+        self._tolerance = self.watch.tolerance * np.abs(theta) / self._seen.sigma
         self._detection = self._detector.start(theta.shape)
         self._recent: deque[Blocks] = deque(maxlen=LOOK_BACK)
+        self._begun: deque[float] = deque(maxlen=LOOK_BACK)
+        self._open: list[Blocks] = []
+        self._opened = 0.0
         self._silence, self._gathered, self._refined, self._crossed, self._suspected = 0, 0.0, False, 0.0, 0
         self.statistic = 0.0
 
     def _on_block(self, block: Blocks, estimate: Estimate) -> list[Event]:
-        x, w = (part[0] for part in self._scale.standardise(block))
-        information = float(w.mean())
+        information = float(self._scale.information(block)[0])
         self._silence = 0 if information > INFORMATIVE else self._silence + 1
+        block = block if self._work is None else self._work.centred(block)
         if self.state == SETTLING:
             return self._settle(block, information, estimate)
-        self._recent.append(block)
+        unit = self._unit(block, information)
+        events = [] if self.state == SUSPICIOUS else self._look_around(estimate)
+        return events if unit is None else events + self._on_unit(unit, estimate)
+
+    def _unit(self, block: Blocks, information: float) -> Blocks | None:
+        """The unit that a block completes; without units of work each block is one."""
+        if not self._open:
+            self._begun.append(self._time - self._block_time)
+        self._open.append(block)
+        self._opened += information
+        if self._work is not None and self._opened < self._work.size:
+            return None
+        whole, self._open, self._opened = Blocks.joined(self._open).total(), [], 0.0
+        return whole
+
+    def _on_unit(self, unit: Blocks, estimate: Estimate) -> list[Event]:
+        counted = unit if self._work is None else self._work.weighed(unit)
+        x, w = (part[0] for part in self._seen.standardise(counted))
+        information = float(self._seen.information(unit)[0])
+        self._recent.append(unit)
         self._detection, statistic = self._detector.update(self._detection, x, w, self._tolerance)
         self.statistic = float(statistic)
         if self.state == SUSPICIOUS:
             self._gathered += min(information, MOST_INFORMATION)
             self._suspected += 1
             return self._alarm(estimate)
-        events = self._look_around(estimate)
         crossed = self.statistic > self.threshold and information > INFORMATIVE
-        if crossed and not estimate.status & NO_ALARM:
-            self._gathered = min(information, MOST_INFORMATION)
-            self._crossed, self._suspected = self.statistic, 1
-            self.estimator.open_memory(KEEP)
-            events += [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm(estimate)]
-        return events
+        if not crossed or estimate.status & NO_ALARM:
+            return []
+        self._gathered = min(information, MOST_INFORMATION)
+        self._crossed, self._suspected = self.statistic, 1
+        self.estimator.open_memory(KEEP)
+        return [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm(estimate)]
 
     def _look_around(self, estimate: Estimate) -> list[Event]:
         """Whether there is anything to tell from."""
@@ -219,14 +241,14 @@ class Monitor:
         if abs(cause.relative) <= self.watch.tolerance:
             self._detection = self._detector.start(self.reference.shape)
             return self._enter(WATCHING, "the deviation is within the tolerance")
-        begun = self._time - (len(self._recent) - cause.start) * self._block_time
-        units = {INPUT_GAIN: "", **dict(zip(self._front.names, self._front.units, strict=True))}
+        begun = self._begun[cause.start]
+        units = dict(zip(self._front.names, self._front.units, strict=True))
         scale = self._gain if cause.name in (INPUT_GAIN, *forces_of(self._front.equation)) else 1.0
         alarm = Alarm(
             self._time,
             max(0.0, begun),
             cause.name,
-            units[cause.name],
+            units.get(cause.name, ""),
             scale * cause.change,
             scale * cause.std,
             cause.relative,
@@ -240,10 +262,20 @@ class Monitor:
         latest = max(0, len(self._recent) - self._suspected) + TRANSITION
         names, gain = self._front.names, self.estimator.equation.input_gain
         fixed = () if self.known is None else tuple(self.known.given)
-        cause = explain(Blocks.joined(self._recent), self._scale, self.reference, names, gain, latest, fixed)
+        friction = self._friction()
+        recent = Blocks.joined(self._recent)
+        cause = explain(recent, self._seen, self.reference, names, gain, latest, fixed, friction)
         if not self._usable(estimate):
             return cause
-        return sized(cause, np.array(estimate.theta), np.array(estimate.theta_cov), self.reference, names, gain)
+        found = np.array(estimate.theta), np.array(estimate.theta_cov)
+        return sized(cause, *found, self.reference, names, gain, friction)
+
+    def _friction(self) -> Floats | None:
+        """(p,) the frictions of the reference; None where there is but one, and where a cause is named within blocks,
+        too few to tell all frictions from one of them."""
+        equation = self.estimator.equation
+        kinds = np.array(equation.positive) & (np.arange(self.reference.size) != equation.leading)
+        return np.where(kinds, self.reference, 0.0) if self._work is not None and kinds.sum() > 1 else None
 
     def _settle(self, block: Blocks, information: float, estimate: Estimate) -> list[Event]:
         """First the estimate becomes the model, then what the blocks say beside it the reference."""
@@ -282,3 +314,7 @@ class Monitor:
         equation = self.estimator.equation
         never_negative = np.array(equation.positive)
         return bool(np.all(np.isfinite(theta)) and theta[equation.leading] > 0 and np.all(theta[never_negative] >= 0))
+
+
+def _rescaled(scale: Scale, size: float) -> Scale:
+    return replace(scale, sigma=size * scale.sigma)

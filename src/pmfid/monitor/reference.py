@@ -2,8 +2,8 @@
 
 An encoder's error is differentiated: its blocks balance each other, and sums of many hardly grow. A force that no
 equation explains does not: friction beyond the model's, a cable, a cutting force. So the deviations of sums of blocks
-in the record are compared with those of the simulation, and where they are larger, the detectors are calibrated on the
-record's own blocks, drawn anew in pieces (Künsch 1989; Politis and Romano 1994).
+in the record are compared with those of the simulation, and where they are larger, the detectors work on units of work
+(`work`) and are calibrated on the record's own ones, drawn anew in pieces (Künsch 1989; Politis and Romano 1994).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from pmfid.types import Floats
 
 #: Lengths of sums that are compared [blocks]; the longest is what the detectors look back on.
 LENGTHS = (1, 2, 4, 8, 16, 32)
-#: Blocks of a piece.
-PIECE = 48
+#: Units of a piece, and what more of them may change the variance of their sum by.
+PIECES, SAME = (1, 2, 4, 8, 16), 0.1
 #: A power of the record counts where it is larger by so many standard errors, and at least so much.
 LARGER, AT_LEAST = 3.0, 1.3
 
@@ -44,12 +44,42 @@ def noisier(record: tuple[Floats, Floats], simulated: tuple[Floats, Floats], edg
     return bool(np.any(mean - np.maximum(LARGER * error, (AT_LEAST - 1) * normal) > normal))
 
 
-def resampled(x: Floats, w: Floats, shape: tuple[int, int], rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Blocks (runs, n, p) of pieces of a record x, w: (n, p), from random places, each with a random sign: a deviation
-    in either direction is as likely."""
-    runs, n = shape
-    pieces = -(-n // PIECE)
-    starts = rng.integers(len(x), size=(runs, pieces, 1))
-    rows = ((starts + np.arange(PIECE)) % len(x)).reshape(runs, -1)[:, :n]
-    sign = np.repeat(rng.choice([-1.0, 1.0], size=(runs, pieces)), PIECE, axis=1)[:, :n, None]
-    return sign * x[rows], w[rows]
+def piece_length(x: Floats) -> int:
+    """Units of a piece of x (n, p): the fewest whose sums have the variance, for each of them, that those of four times
+    as many have, but for chance: what goes together over a longer time is kept."""
+    for length in PIECES[:-1]:
+        n = len(x) // (4 * length)
+        chance = 2 * math.sqrt(2 / max(n, 1))
+        short, long = (_variance(x, pieces) for pieces in (length, 4 * length))
+        if np.all(np.abs(long / short - 1) <= max(SAME, chance)):
+            return length
+    return PIECES[-1]
+
+
+def _variance(x: Floats, length: int) -> Floats:
+    """(p,) of sums of `length` of x (n, p), for each of them."""
+    n = len(x) // length * length
+    if n == 0:
+        return np.ones(x.shape[1])
+    return np.asarray((x[:n].reshape(-1, length, x.shape[1]).sum(axis=1) ** 2).mean(axis=0) / length)
+
+
+def resampled(
+    x: Floats, w: Floats, shape: tuple[int, int], length: int, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Units (runs, n, p) of pieces of `length` of a record x, w: (n, p), from random places.
+
+    Mean and standard deviation of each run are off by as much as a record of that length may be off: they are those of
+    a record that is drawn for it in the same way.
+    """
+    drawn = _rows(len(x), shape, length, rng)
+    learned = _rows(len(x), (shape[0], len(x)), length, rng)
+    mean = x[learned].sum(axis=1) / w[learned].sum(axis=1)
+    std = np.sqrt(((x[learned] - w[learned] * mean[:, None]) ** 2).mean(axis=1))
+    return (x[drawn] - w[drawn] * mean[:, None]) / std[:, None], w[drawn]
+
+
+def _rows(n: int, shape: tuple[int, int], length: int, rng: np.random.Generator) -> np.ndarray:
+    """(runs, n) places in a record of n."""
+    starts = rng.integers(n, size=(shape[0], -(-shape[1] // length), 1))
+    return np.asarray(((starts + np.arange(length)) % n).reshape(shape[0], -1)[:, : shape[1]])

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 #: Samples with one of these say nothing of the plant.
 UNUSABLE = int(Status.SETTLING | Status.INVALID_INPUT | Status.COUNT_JUMP)
+#: Nor does an axis that a friction at rest holds, which the model lacks, while its model creeps on.
+UNUSABLE_AT_REST = UNUSABLE | int(Status.STANDSTILL)
 
 #: After so many of its time constants the model's velocity is the plant's; at most so many blocks are waited.
 START_TIME_CONSTANTS, MOST_START_BLOCKS = 4.0, 60
@@ -54,6 +56,10 @@ class Blocks:
 
     def __sub__(self, other: Blocks) -> Blocks:
         return Blocks(self.score - other.score, self.cross - other.cross, self.square - other.square)
+
+    def total(self) -> Blocks:
+        """All as one block."""
+        return Blocks(*(part.sum(axis=0, keepdims=True) for part in (self.score, self.cross, self.square)))
 
     @classmethod
     def joined(cls, parts: Iterable[Blocks]) -> Blocks:
@@ -94,27 +100,32 @@ def silenced(blocks: Blocks, disturbed: Flags, waiting: int, wait: int) -> tuple
     ), waiting
 
 
-def gather(columns: Floats, status: NDArray[np.uint32], theta: Floats, size: int) -> tuple[Blocks, Flags]:
+def gather(
+    columns: Floats, status: NDArray[np.uint32], theta: Floats, size: int, left_out: int = UNUSABLE
+) -> tuple[Blocks, Flags]:
     """Whole blocks of `size` samples from phi, z, zeta in columns (n, 2 p + 1), and (n,) where one has none but
-    unusable samples, which count for nothing: there the filters settle, and the simulated motion has lost the plant."""
+    unusable samples: there the filters settle, and the simulated motion has lost the plant. left_out: status of samples
+    that count for nothing, UNUSABLE among it."""
     p, n = theta.size, columns.shape[0] // size
     rows = columns[: n * size].reshape(n, size, columns.shape[1])
-    zeta = np.where((status[: n * size].reshape(n, size, 1) & UNUSABLE) == 0, rows[..., p + 1 : 2 * p + 1], 0.0)
+    zeta = np.where((status[: n * size].reshape(n, size, 1) & left_out) == 0, rows[..., p + 1 : 2 * p + 1], 0.0)
     error = rows[..., p] - rows[..., :p] @ theta
     turned = zeta.transpose(0, 2, 1)
     disturbed = np.all((status[: n * size].reshape(n, size) & UNUSABLE) != 0, axis=1)
     return Blocks((turned @ error[..., None])[..., 0], turned @ rows[..., :p], turned @ zeta), disturbed
 
 
-def scores(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.int64]) -> Blocks:
-    """All whole blocks of u, counts: (n,) at reference theta (p,)."""
+def scores(
+    estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.int64], left_out: int = UNUSABLE
+) -> Blocks:
+    """All whole blocks of u, counts: (n,) at reference theta (p,); left_out: as in `gather`."""
     kernel, first = reference_kernel(estimator, list(theta))
     size, wait, parts = block_samples(estimator), start_blocks(estimator, theta), []
     waiting = wait
     chunk = size * max(1, CHUNK // size)
     for start in range(0, u.size, chunk):
         columns, status = kernel.filter(u[start : start + chunk], counts[start : start + chunk])
-        found = gather(columns[:, first : first + 2 * theta.size + 1], status, theta, size)
+        found = gather(columns[:, first : first + 2 * theta.size + 1], status, theta, size, left_out)
         blocks, waiting = silenced(*found, waiting, wait)
         parts.append(blocks)
     return Blocks.joined(parts)
@@ -123,9 +134,11 @@ def scores(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.in
 class ScoreFilter:
     """The same blocks, sample by sample."""
 
-    def __init__(self, estimator: Estimator, theta: Floats, before: ScoreFilter | None = None) -> None:
-        """before: of the same axis with another reference, whose guard knows the motion."""
-        self.theta = theta
+    def __init__(
+        self, estimator: Estimator, theta: Floats, before: ScoreFilter | None = None, left_out: int = UNUSABLE
+    ) -> None:
+        """before: of the same axis with another reference, whose guard knows the motion; left_out: as in `gather`."""
+        self.theta, self._left_out = theta, left_out
         self._kernel, self._first = reference_kernel(estimator, list(theta))
         if before is not None:
             take_guard(self._kernel, before._kernel, estimator.precision)
@@ -145,7 +158,7 @@ class ScoreFilter:
         self._filled = (row + 1) % self._status.size
         if self._filled:
             return None
-        found = gather(self._rows, self._status, self.theta, self._status.size)
+        found = gather(self._rows, self._status, self.theta, self._status.size, self._left_out)
         block, self._waiting = silenced(*found, self._waiting, self._wait)
         return block
 
@@ -169,6 +182,10 @@ class Scale:
         """
         energy = np.einsum("ij,njk,ik->ni", self.inverse, blocks.square, self.inverse)
         return blocks.score @ self.inverse.T / self.sigma, energy / self.energy
+
+    def information(self, blocks: Blocks) -> Floats:
+        """(n,) that blocks tell of all parameters, in average blocks."""
+        return np.asarray(self.standardise(blocks)[1].mean(axis=1))
 
 
 def make_scale(blocks: Blocks) -> Scale:

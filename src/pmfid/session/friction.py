@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
 from pmfid.estimators.arguments import check_arrays
+from pmfid.estimators.cutoff import choose_cutoff
 from pmfid.estimators.friction_curve import NODES, FrictionCurve
 from pmfid.estimators.friction_curve import friction_curve as curve_of
 from pmfid.estimators.iv import IV
@@ -37,15 +38,15 @@ def friction_curve(
     model: Drive,
     encoder: Encoder,
     dt: float,
-    cutoff: float,
+    cutoff: float | None = None,
     nodes: int = NODES,
     rising_from: float | None = None,
 ) -> FrictionCurve:
     """Friction over velocity with no law assumed, and the mass beside it, as `pmfid friction` finds them.
 
-    u: input (n,); counts (n,) of the encoder. model: its input_gain and dead_time count, what it says of friction does
-    not. dt: sample period [s]. cutoff: pole of the filters [rad/s]. nodes: speeds in each direction; rising_from: from
-    this speed [m/s] on friction does not fall, None: it may. Raises UsageError for arguments that do not fit and
+    u: input (n,); counts (n,) of the encoder. model: its input_gain, dead_time and lag count, what it says of friction
+    does not. dt: sample period [s]. cutoff: pole of the filters [rad/s], None: by the record. nodes: speeds in each
+    direction; rising_from: from this speed [m/s] on friction does not fall, None: it may. Raises UsageError for arguments that do not fit and
     NotIdentifiableError where the record does not show friction apart.
     """
     axis = axis_of(model, encoder, dt, {"cutoff": cutoff})
@@ -67,13 +68,17 @@ def _found(
     if not isinstance(model, Drive):
         raise UsageError('a friction curve is of a machine with friction: give [model] kind = "drive"')
     check_numbers_known(axis, "a friction curve")
-    check_sampling(axis, dt)
+    if axis.estimator.cutoff is not None:
+        check_sampling(axis, dt)
     if beside := [key for key in BESIDE if getattr(model, key)]:
         raise UsageError(f"a friction curve beside {', '.join(beside)} is not there yet; record a motion without it")
-    if model.dead_time == ESTIMATE:
-        raise UsageError("a friction curve needs the dead time: pmfid identify finds it; write it into [model]")
-    free = Drive(model.input_gain, friction="directional", dead_time=model.dead_time)
-    estimator = IV(free, encoder, dt, axis.estimator.cutoff, order=axis.estimator.order)
+    if ESTIMATE in (model.dead_time, model.lag):
+        raise UsageError(
+            "a friction curve needs the dead time and the lag: pmfid identify finds them; write them into [model]"
+        )
+    free = Drive(model.input_gain, friction="directional", dead_time=model.dead_time, lag=model.lag)
+    cutoff = axis.estimator.cutoff or choose_cutoff([free], encoder, dt, u, counts)
+    estimator = IV(free, encoder, dt, cutoff, order=axis.estimator.order)
     found = curve_of(estimator, u, counts, nodes, rising_from)
     change = np.diff(u, prepend=u[:1])[-found.error.size :]
     follows = correlation_score(found.error, change) > SIGNIFICANT

@@ -16,10 +16,11 @@ from pmfid.estimators.base import Estimator
 from pmfid.monitor.calibration import Calibration, Tail, block_keep, calibrate
 from pmfid.monitor.detectors import make_detectors
 from pmfid.monitor.scores import Scale
+from pmfid.monitor.work import Work
 from pmfid.types import Floats
 
 #: To be raised with every change of what a calibration computes, or of its file.
-VERSION = 4
+VERSION = 5
 
 
 def cache_dir() -> Path:
@@ -75,12 +76,26 @@ def _read(path: Path) -> Calibration | None:
         raw: dict[str, Any] = json.loads(text)  # what is not as it was written ends in one of the errors below
         return Calibration(
             np.array(raw["theta"]),
-            Scale(**{name: np.array(value) for name, value in raw["scale"].items()}),
+            _scale(raw["scale"]),
             tuple(tuple(row) for row in raw["chi_square"]),
-            {name: Tail(**(tail | {"maxima": tuple(tail["maxima"])})) for name, tail in raw["tails"].items()},
+            {name: _tail(tail) for name, tail in raw["tails"].items()},
             np.array(raw["noise"]),
             raw["hours"],
             raw["record_hours"],
+            None if raw["work"] is None else _work(raw["work"]),
         )
     except (OSError, ValueError, TypeError, KeyError):
         return None  # not there, or not what this version writes: made anew
+
+
+def _scale(raw: dict[str, Any]) -> Scale:
+    return Scale(**{name: np.array(value) for name, value in raw.items()})
+
+
+def _tail(raw: dict[str, Any]) -> Tail:
+    parts = tuple((level, slope, rate) for level, slope, rate in raw["parts"])
+    return Tail(**(raw | {"maxima": tuple(raw["maxima"]), "parts": parts}))
+
+
+def _work(raw: dict[str, Any]) -> Work:
+    return Work(raw["size"], np.array(raw["offset"]), _scale(raw["scale"]), np.array(raw["limit"]))

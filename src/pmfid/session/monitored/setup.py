@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,6 +33,8 @@ from pmfid.types import Floats
 DEFAULT_MEMORY = 2.0
 #: Standard deviation of normal work over that of the simulation from which on the encoder is not what decides.
 NOISY = 1.3
+#: Factor to which the mean time between false alarms should be known from a reference record.
+SURE = 2.0
 
 
 @dataclass(frozen=True)
@@ -82,12 +85,12 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
     counts = None if normal is None else source.counts
     hours = simulated_hours(config.mtbf_hours)
     calibration, path, cached = cached_calibration(estimator, nominal, source.u, counts, hours, progress)
-    notes += calibration_notes(calibration, config.mtbf_hours)
+    notes += calibration_notes(calibration, config.detector, config.mtbf_hours)
     watch = Watch(config.detector, config.mtbf_hours, config.tolerance)
     return Setup(Monitor(estimator, calibration, watch, known), nominal, calibration, path, cached, tuple(notes))
 
 
-def calibration_notes(calibration: Calibration, mtbf_hours: float) -> list[str]:
+def calibration_notes(calibration: Calibration, detector: str, mtbf_hours: float) -> list[str]:
     """What to know of the thresholds where normal work is noisier than its simulation."""
     hours, notes = calibration.record_hours, []
     if np.max(calibration.noise) > NOISY or hours:
@@ -96,11 +99,12 @@ def calibration_notes(calibration: Calibration, mtbf_hours: float) -> list[str]:
             + ("the thresholds come from" if hours else "the scale is that of")
             + " the reference record itself"
         )
-    if 0 < hours < mtbf_hours:
+    doubt = calibration.tails[detector].doubt(mtbf_hours)
+    if doubt > math.log(SURE):
         notes.append(
-            f"the reference record has {hours:.2g} h, too few to show what happens once in {mtbf_hours:g} h: the "
-            "threshold is read off beyond what was seen, and false alarms may be several times as frequent; record "
-            "more normal work, or raise mtbf_hours or tolerance"
+            f"from the {hours:.2g} h of the reference record the time between false alarms is known to a factor of "
+            f"{math.exp(doubt):.2g} only, to one of {SURE:g} it would be from about "
+            f"{hours * (doubt / math.log(SURE)) ** 2:.2g} h of it; record more normal work, or lower mtbf_hours"
         )
     return notes
 
