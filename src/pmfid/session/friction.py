@@ -46,8 +46,8 @@ def friction_curve(
 
     u: input (n,); counts (n,) of the encoder. model: its input_gain, dead_time and lag count, what it says of friction
     does not. dt: sample period [s]. cutoff: pole of the filters [rad/s], None: by the record. nodes: speeds in each
-    direction; rising_from: from this speed [m/s] on friction does not fall, None: it may. Raises UsageError for arguments that do not fit and
-    NotIdentifiableError where the record does not show friction apart.
+    direction; rising_from: from this speed [m/s] on friction does not fall, None: it may. Raises UsageError for
+    arguments that do not fit and NotIdentifiableError where the record does not show friction apart.
     """
     axis = axis_of(model, encoder, dt, {"cutoff": cutoff})
     return _found(*check_arrays(u, counts), dt, encoder, axis, nodes, rising_from)
