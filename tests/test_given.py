@@ -194,6 +194,7 @@ def test_without_error_bars_it_is_refused() -> None:
         ({"given": {"input_gain": 1.0}}, "no parameter"),
         ({"find_gain": True}, "give the value, not 0, of one of mass"),
         ({"find_gain": True, "given": {"coulomb_friction": 0.0}}, "give the value, not 0"),
+        ({"find_gain": True, "prior": {"input_gain": (2.0, 0.0)}}, "there is nothing to be found"),
     ],
 )
 def test_what_cannot_be_known_is_refused(facts: dict[str, object], said: str) -> None:
