@@ -23,11 +23,11 @@ from pmfid.monitor.monitor import Monitor
 from pmfid.paper.truth import CartRecord
 from pmfid.report.parameters import parameter_rows
 from pmfid.session.result import DriveResult
-from pmfid.simulation import CART, DriveParameters, Schedule, prbs, quantize, simulate_drive
+from pmfid.simulation import CART, DriveParameters, Machine, Schedule, prbs, quantize, simulate_drive
 from pmfid.simulation.changes import slipping_belt
 from pmfid.types import Floats
 from studies.friction_axes import BENCHES
-from studies.machines import Axis, machine_record
+from studies.machines import Axis, machine_record, record_of
 from studies.monitoring.axis import changing, make_riv, normal_work
 
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
@@ -194,6 +194,7 @@ def test_without_error_bars_it_is_refused() -> None:
         ({"given": {"input_gain": 1.0}}, "no parameter"),
         ({"find_gain": True}, "give the value, not 0, of one of mass"),
         ({"find_gain": True, "given": {"coulomb_friction": 0.0}}, "give the value, not 0"),
+        ({"find_gain": True, "prior": {"input_gain": (2.0, 0.0)}}, "there is nothing to be found"),
     ],
 )
 def test_what_cannot_be_known_is_refused(facts: dict[str, object], said: str) -> None:
@@ -267,6 +268,69 @@ def test_a_motor_that_turns_the_other_way_has_a_negative_gain(records: dict[str,
         result = identified(axis, turned, method=method, given=given)
         assert result["input_gain"] == pytest.approx(-axis.drive.input_gain, rel=0.01)
         assert result["viscous_friction"] == pytest.approx(axis.drive.viscous_friction, rel=0.05)
+
+
+def test_times_and_speeds_do_not_go_with_the_gain() -> None:
+    model = pmfid.Drive(1.0, stribeck="estimate", dead_time="estimate")
+    front = pmfid.OE(model, pmfid.Encoder(1e-5), 0.001, 100.0)
+    theta = np.array([0.5, 4.0, 0.3, 0.1, 0.002, 0.03])
+    alone = Posterior(front.names, front.units, theta, np.diag((0.01 * theta) ** 2))
+    found = Known(front, given={"mass": 2.0}, find_gain=True).of(alone)
+    assert front.names[-2:] == ("dead_time", "stribeck_speed")
+    assert found.theta == pytest.approx([2.0, 16.0, 1.2, 0.4, 0.002, 0.03, 4.0])
+    relative = found.theta_std / found.theta
+    assert relative == pytest.approx(0.01 * np.array([0.0, 2**0.5, 2**0.5, 2**0.5, 1.0, 1.0, 1.0]))
+    dead_time = Known(front, given={"mass": 2.0}, prior={"dead_time": (0.00202, 0.00002)}, find_gain=True).of(alone)
+    assert dead_time["dead_time"] == pytest.approx(0.00201)
+    assert dead_time["input_gain"] == pytest.approx(4.0)
+
+
+def test_a_dead_time_that_is_found_beside_the_gain() -> None:
+    axis = BENCHES["gantry"]
+    record = record_of(axis, Machine(axis.drive, dead_time=0.8 * axis.dt), "prbs", 1024, 9)
+    model = pmfid.Drive(1.0, dead_time="estimate")
+    front = pmfid.IV(model, pmfid.Encoder(record.resolution), axis.dt, 1 / (3 * axis.dt))
+    found = Known(front, given={"mass": axis.drive.mass}, find_gain=True).of(front.fit(record.u, record.counts))
+    assert found["input_gain"] == pytest.approx(axis.drive.input_gain, rel=0.01)
+    assert found["dead_time"] == pytest.approx(0.8 * axis.dt, abs=0.05 * axis.dt)
+
+
+def test_a_friction_that_a_record_does_not_show_is_said_as_such(records: dict[str, CartRecord]) -> None:
+    """Before, the search for a mistake in the columns raised, as it was made with an equation it cannot take."""
+    axis, record = BENCHES["slide"], records["slide"]
+    model = pmfid.Drive(axis.drive.input_gain, stribeck="estimate")
+    with pytest.raises(NotIdentifiableError):
+        pmfid.identify(
+            record.u[:1000],
+            record.counts[:1000],
+            model=model,
+            dt=axis.dt,
+            cutoff=33.0,
+            encoder=pmfid.Encoder(record.resolution),
+            method="output-error",
+        )
+
+
+def test_an_equation_of_the_user_may_have_a_prior(records: dict[str, CartRecord]) -> None:
+    axis, record = BENCHES["slide"], records["slide"]
+    terms = (
+        pmfid.Term("output", 2, "inertia", "kg"),
+        pmfid.Term("output", 1, "drag", "N s/m"),
+        pmfid.Term("direction", 0, "dry", "N"),
+    )
+    equation = pmfid.Equation(terms, (pmfid.Term("input", coefficient=axis.drive.input_gain),))
+    result = pmfid.identify(
+        record.u,
+        record.counts,
+        model=pmfid.EquationModel(equation),
+        dt=axis.dt,
+        cutoff=33.0,
+        encoder=pmfid.Encoder(record.resolution),
+        method="iv",
+        prior={"inertia": (4.0, 1e-4)},
+    )
+    assert result.theta_std[0] < 1e-4
+    assert result["inertia"] == pytest.approx(4.0, abs=3e-4)
 
 
 def test_a_prior_in_a_result(records: dict[str, CartRecord]) -> None:

@@ -39,7 +39,9 @@ def check_known(
     for name in positive & set(known):
         if known[name] < 0:
             raise UsageError(f"{name} is never negative in a machine, but known as {known[name]:g}")
-    forces = forces_of(equation)
+    forces, exact = forces_of(equation), {*given, *(name for name, pair in prior.items() if pair[1] == 0)}
+    if find_gain and INPUT_GAIN in exact:
+        raise UsageError("input_gain is given: write its value into [model] or the Drive, there is nothing to be found")
     if find_gain and not any(name in (*forces, INPUT_GAIN) and value for name, value in known.items()):
         raise UsageError(
             "the gain of the input can be found only where a force is known: give the value, not 0, of one of "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -138,17 +139,17 @@ class Known:
                 f"what is known ({', '.join(self._facts)}) and what the record says do not go together: check the "
                 "values, or leave one out"
             )
-        q = len(self.names)
-        spread = None
-        if model_spread is not None:
-            spread = np.sqrt(told.moves[0, :q] ** 2 @ further)
-            spread[: theta.size][np.isnan(model_spread)] = np.nan
         values, noise = self._scaled(told)
-        if spread is not None:
-            spread = spread * np.abs(self._gain_scale)
-            spread[[self.names.index(name) for name in self._given]] = 0.0
+        spread = None if model_spread is None else self._spread(told, model_spread, further)
         notes = self._contradictions(told.apart[0], theta, covariance, further)
         return Posterior(self.names, self.units, values[0], noise[0], spread, notes)
+
+    def _spread(self, told: Combined, model_spread: Floats, further: Floats) -> Floats:
+        """(q,) how far what moves each parameter by itself moves what was put together; NaN: not known."""
+        spread = np.sqrt(told.moves[0, : len(self.names)] ** 2 @ further) * np.abs(self._gain_scale)
+        spread[: model_spread.size][np.isnan(model_spread)] = np.nan
+        spread[[self.names.index(name) for name in self._given]] = 0.0
+        return np.asarray(spread)
 
     @property
     def _given(self) -> dict[str, float]:
@@ -205,10 +206,10 @@ class Known:
         theta, bars = np.zeros((n, len(self.names))), np.full((n, len(self.names)), np.inf)
         own = np.asarray(last.theta_cov)
         known = np.all(np.isfinite(std), axis=1) & bool(np.all(np.isfinite(own)))
-        if np.any(known):
-            size = np.sqrt(np.diagonal(own))
-            alike = np.divide(own, np.outer(size, size), out=np.eye(p), where=np.outer(size, size) > 0)
-            covariance = alike * std[known, :, None] * std[known, None, :]
+        size = np.sqrt(np.outer(np.diagonal(own), np.diagonal(own)))
+        alike = np.divide(own, size, out=np.eye(p), where=(size > 0) & np.isfinite(size))
+        covariance = alike * std[known, :, None] * std[known, None, :]
+        with suppress(np.linalg.LinAlgError):  # of facts that contradict each other: nothing is known then
             told = combine(track.theta[known], covariance, np.zeros((covariance.shape[0], p)), self.facts)
             theta[known], noise = self._scaled(told)
             bars[known] = np.sqrt(np.maximum(np.einsum("nii->ni", noise), 0.0))

@@ -65,7 +65,8 @@ def diagnose(record: Record, axis: Axis) -> str:
     if wrap is not None and axis.encoder.bits is None:
         return wrap.sentence(axis.record.output, axis.record.output_kind, record.resolution)
     model, config = axis.model.make(), axis.estimator
-    if model.equation.without_simulation or not np.any(np.diff(record.counts)):
+    shaped = model.equation.further  # speeds of friction, which the readings are not made with
+    if model.equation.without_simulation or shaped or not np.any(np.diff(record.counts)):
         return ""
     encoder = Encoder(record.resolution, standstill_time=axis.encoder.standstill_time)
     estimator = IV(model, encoder, record.dt, config.pole, order=config.order)
