@@ -64,7 +64,6 @@ class Piece:
 PIECES = (
     Piece("cart", "dead_time", ("prbs",), (1024, 128), (0.0, 0.5, 1.7), 20),
     Piece("cart", "dead_time", ("stop-and-go",), (1024, 256, 128), (0.0, 0.5, 1.7), 20),
-    Piece("cart", "dead_time", MOTIONS, (4096, 256), (0.1, 1.0, 3.0), 1),
     Piece("rotary", "dead_time", MOTIONS, (1024, 256), (0.0, 0.5, 1.7), 2),
     Piece("stage", "dead_time", MOTIONS, (1024, 256), (0.0, 0.5, 1.7), 2),
     Piece("cart", "lag", MOTIONS, (1024,), (0.5, 1.7), 1),
@@ -206,9 +205,9 @@ READING = (
     "of both.",
     "",
     "Under control through a coarse encoder the input follows the encoder's error, and so does the instrument of a",
-    "dead time, the change of the input. `iv` then takes it from the motion that explains every count, where there is",
-    "one; `riv` cannot, and is off by tenths of a sample, or lost with a bar to match, until it has seen more motion.",
-    "A record of steps in open loop knows a dead time ten times as well.",
+    "dead time, the change of the input. `iv` then takes it from the motion that explains every count, where there",
+    "is one. `riv` cannot: after ten seconds it is off by tenths of a sample, and now and then lost; do not believe a",
+    "dead time of many samples from it, and find it off-line. Steps in open loop show a dead time ten times as well.",
     "",
 )
 
