@@ -64,11 +64,10 @@ class Piece:
 PIECES = (
     Piece("cart", "dead_time", ("prbs",), (1024, 128), (0.0, 0.5, 1.7), 20),
     Piece("cart", "dead_time", ("stop-and-go",), (1024, 256, 128), (0.0, 0.5, 1.7), 20),
-    Piece("cart", "dead_time", MOTIONS, (4096, 256), (0.1, 1.0, 3.0), 2),
-    Piece("rotary", "dead_time", MOTIONS, (1024, 256), (0.0, 0.5, 1.7), 3),
-    Piece("stage", "dead_time", MOTIONS, (1024, 256), (0.0, 0.5, 1.7), 3),
-    Piece("cart", "lag", MOTIONS, (1024,), (0.5, 1.7), 2),
-    Piece("rotary", "lag", MOTIONS, (1024,), (0.5, 1.7), 2),
+    Piece("rotary", "dead_time", MOTIONS, (1024, 256), (0.0, 0.5, 1.7), 2),
+    Piece("stage", "dead_time", MOTIONS, (1024, 256), (0.0, 0.5, 1.7), 2),
+    Piece("cart", "lag", MOTIONS, (1024,), (0.5, 1.7), 1),
+    Piece("rotary", "lag", MOTIONS, (1024,), (0.5, 1.7), 1),
 )
 
 
@@ -199,6 +198,20 @@ HEADER = [
 ]  # fmt: skip
 
 
+READING = (
+    "A dead time delays the input as it is; a lag, as that of a current loop, rounds it. To first order they are the",
+    "same: where a model has neither, both are fitted, and the sentence names the one that the counts make more",
+    'likely, and how the other one does. `riv` takes a known lag, or dead_time = "estimate", which takes up the mean',
+    "of both.",
+    "",
+    "Under control through a coarse encoder the input follows the encoder's error, and so does the instrument of a",
+    "dead time, the change of the input. `iv` then takes it from the motion that explains every count, where there",
+    "is one. `riv` cannot: after ten seconds it is off by tenths of a sample, and now and then lost; do not believe a",
+    "dead time of many samples from it, and find it off-line. Steps in open loop show a dead time ten times as well.",
+    "",
+)
+
+
 def page(pieces: Sequence[Piece]) -> str:
     lines = [
         "# A dead time, or a lag, of the input",
@@ -212,6 +225,7 @@ def page(pieces: Sequence[Piece]) -> str:
         "deviation of the worst parameter over that of the same method which knows how late the input acts, median",
         "of some runs. A dead time is the same whether the input acts late or the counts are read late.",
         "",
+        *READING,
     ]
     for piece in pieces:
         lines += [f"## {piece.title}", "", *table(HEADER, list(rows(piece)))]

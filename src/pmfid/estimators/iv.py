@@ -53,7 +53,10 @@ class IV(Instruments):
         sharp = self._sharp(fit, u, counts)
         if sharp is None or not np.all(sharp.theta_std[late] < fit.theta_std[late]):
             return fit
-        return self._at(sharp.theta[late], sharp.theta_cov[np.ix_(late, late)], late, fit, u, counts)
+        try:
+            return self._at(sharp.theta[late], sharp.theta_cov[np.ix_(late, late)], late, fit, u, counts)
+        except NotIdentifiableError:  # its iteration does not settle there
+            return fit
 
     def _sharp(self, fit: Fit, u: Floats, counts: NDArray[np.int64]) -> Fit | None:
         """The interval likelihood, where the model is enough for it."""
