@@ -36,9 +36,8 @@ ALIKE = 9.0
 HARDLY = 0.5
 #: Free runs over other parts may be worse by this part: they are a matter of chance, too.
 NO_WORSE = 0.02
-#: Error [counts] of free runs that explain the counts: an encoder leaves half a count, and begun anew, from a start
-#: that is read from a few counts, up to twice as much.
-EVERY_COUNT = 1.0
+#: Free runs whose error is within so many times that of a right model refute none.
+CHANCE = 1.5
 
 
 @dataclass(frozen=True)
@@ -244,8 +243,7 @@ def _judged(bench: Bench, error: float, found: Sequence[Step]) -> list[Step]:
             judged.append(replace(step, verdict=EITHER if behind < ALIKE else "explains less"))
             continue
         own = bench.elsewhere(step.trial)
-        floor = EVERY_COUNT * step.trial.difference.resolution
-        worse = own > max((1 + NO_WORSE) * error, floor)
+        worse = own > (1 + NO_WORSE) * error and own > CHANCE * bench.by_chance(step.trial)
         step = replace(step, error=own, verdict="predicts other parts worse" if worse else KEPT)
         kept = step if step.kept else kept
         judged.append(step)
