@@ -24,6 +24,8 @@ from pmfid.judge.term_periods import coggings, pitches
 from pmfid.judge.term_trials import Trial, inflation
 from pmfid.models.drive import Drive
 
+#: Where the model does not follow the counts, its scores scatter for what it lacks: these are worth a trial then.
+WEAK = 2.0
 #: Terms that are fitted in each step where none explains every count, and steps.
 MOST_TRIED, MOST_STEPS = 4, 6
 #: Candidates that chance has in each step, about, beside places and pitches.
@@ -194,7 +196,7 @@ def proposed(trial: Trial, found: Adequacy) -> list[Candidate]:
     by_change: dict[str, Candidate] = {}
     for k in np.argsort(-found.gain).tolist():
         lack = found.lacks[k]
-        if abs(found.z[k]) < MISSED or (lack.positive and found.size[k] < 0):
+        if abs(found.z[k]) < (MISSED if found.follows else WEAK) or (lack.positive and found.size[k] < 0):
             continue
         for change in lack.changes:
             if _has(trial.model, change):
