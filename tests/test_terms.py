@@ -105,7 +105,7 @@ def test_one_term_is_named(motion: str, lacking: dict[str, float], wanted: dict[
 
 def test_a_dead_time_and_stribeck_friction_are_told_apart() -> None:
     """Each imitates the other at a reversal."""
-    found = searched(made("stop-and-go", stribeck=0.02, stribeck_speed=0.6, dead_time=1e-3))
+    found = searched(made(samples=2000, stribeck=0.02, stribeck_speed=0.6, dead_time=1e-3))
     assert set(found.added) == {"stribeck", "dead_time"}
     late = dict(zip(found.model.equation.names, found.chosen.trial.theta, strict=False))["dead_time"]
     assert late == pytest.approx(1e-3, rel=0.1)

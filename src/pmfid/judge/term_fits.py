@@ -154,18 +154,30 @@ class Bench:
                 break
         return found
 
+    def by_chance(self, trial: Trial) -> float:
+        """The error that `elsewhere` would have if the model were right: that of its own motion through this encoder,
+        over parts of the record. Their starts are read through it, and that may be most of an error."""
+        x, resolution = trial.difference.motion(trial.best.q)[0], trial.difference.resolution
+        return self._over_parts(trial, resolution * (np.floor(x / resolution) + 0.5))
+
     def elsewhere(self, trial: Trial) -> float:
         """Error of free runs over what a model was not fitted to [unit of y]: another record, or thirds of this one
         with what the others say of the model. Infinite where there is no run."""
+        if self.other is None:
+            return self._over_parts(trial, trial.difference.y)
+        equation = trial.model.equation
+        linear = EquationModel(equation.known_at(trial.theta[len(equation.names) :]))
+        method, theta = like(OE, trial.method, model=linear), trial.theta[: len(equation.names)]
+        with suppress(UsageError):
+            return drive_run(method, theta, *self.other, "the other record").rmse
+        return math.inf
+
+    def _over_parts(self, trial: Trial, y: Floats) -> float:
         equation, n = trial.model.equation, self.u.size
         known = equation.known_at(trial.theta[len(equation.names) :])
         method = like(IntervalML, trial.method, model=EquationModel(known))
         theta = trial.theta[: len(equation.names)]
-        if self.other is not None:
-            with suppress(UsageError):
-                return drive_run(like(OE, method), theta, *self.other, "the other record").rmse
-            return math.inf
-        difference = _quick(method.at(theta, trial.difference.u, trial.difference.y))
+        difference = _quick(method.at(theta, trial.difference.u, y))
         scaled = np.maximum(theta / difference.scale[:-2], difference.lower[:-2])
         length = max(shortest_part(method), n * (FOLDS - 1) // FOLDS // WINDOWS)
         return predicted_elsewhere(difference, scaled, method.cutoff, length)

@@ -24,6 +24,8 @@ from pmfid.judge.term_periods import coggings, pitches
 from pmfid.judge.term_trials import Trial, inflation
 from pmfid.models.drive import Drive
 
+#: Where the model does not follow the counts, its scores scatter for what it lacks: these are worth a trial then.
+WEAK = 2.0
 #: Terms that are fitted in each step where none explains every count, and steps.
 MOST_TRIED, MOST_STEPS = 4, 6
 #: Candidates that chance has in each step, about, beside places and pitches.
@@ -36,9 +38,8 @@ ALIKE = 9.0
 HARDLY = 0.5
 #: Free runs over other parts may be worse by this part: they are a matter of chance, too.
 NO_WORSE = 0.02
-#: Error [counts] of free runs that explain the counts: an encoder leaves half a count, and begun anew, from a start
-#: that is read from a few counts, up to twice as much.
-EVERY_COUNT = 1.0
+#: Free runs whose error is within so many times that of a right model refute none.
+CHANCE = 1.5
 
 
 @dataclass(frozen=True)
@@ -195,7 +196,7 @@ def proposed(trial: Trial, found: Adequacy) -> list[Candidate]:
     by_change: dict[str, Candidate] = {}
     for k in np.argsort(-found.gain).tolist():
         lack = found.lacks[k]
-        if abs(found.z[k]) < MISSED or (lack.positive and found.size[k] < 0):
+        if abs(found.z[k]) < (MISSED if found.follows else WEAK) or (lack.positive and found.size[k] < 0):
             continue
         for change in lack.changes:
             if _has(trial.model, change):
@@ -244,8 +245,7 @@ def _judged(bench: Bench, error: float, found: Sequence[Step]) -> list[Step]:
             judged.append(replace(step, verdict=EITHER if behind < ALIKE else "explains less"))
             continue
         own = bench.elsewhere(step.trial)
-        floor = EVERY_COUNT * step.trial.difference.resolution
-        worse = own > max((1 + NO_WORSE) * error, floor)
+        worse = own > (1 + NO_WORSE) * error and own > CHANCE * bench.by_chance(step.trial)
         step = replace(step, error=own, verdict="predicts other parts worse" if worse else KEPT)
         kept = step if step.kept else kept
         judged.append(step)

@@ -198,7 +198,7 @@ def _told(data: Record, bench: Bench, found: Terms, told: tuple[str, ...], statu
     pairs = zip(found.trials, found.errors, strict=True)
     models = nested(bench, found.trials[0].model, list(pairs))
     flags, notes = _judged(bench, models[-1])
-    own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * bool(found.adequacy.missed)
+    own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * (not found.adequacy.adequate)
     notes = (*told, *_sentences(found), *notes)
     names = tuple(dict.fromkeys((*status, *own, *flags)))
     return TermSearch(data.name, int(data.u.size), data.resolution, found, models, tuple(_hidden(found)), names, notes)
@@ -223,7 +223,7 @@ def _sentences(found: Terms) -> Iterator[str]:
             if step.verdict not in (KEPT, "", "within chance", "explains less", "either") and step.trial is not None:
                 own = " and ".join(setting(*pair) for pair in step.candidate.change.items())
                 yield f"not {own}, though the score asks for it: {step.verdict}"
-    if found.adequacy.missed:
+    if not found.adequacy.adequate:
         yield "something is left that no term of the list explains on data that it was not fitted to"
 
 
