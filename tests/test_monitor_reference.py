@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from pmfid.monitor.names import DETECTORS
 from pmfid.monitor.reference import noisier, piece_length, resampled
 from pmfid.monitor.scores import Blocks, scores
 from pmfid.monitor.work import learn
+from pmfid.session.monitored.cache import cached_calibration
 from pmfid.session.monitored.setup import calibration_notes
 from pmfid.simulation import CART, CART_CONTROL, CART_DT, Machine, control_machine, resolution_of
 from studies.monitoring.axis import INCREMENTS, make_riv, random_stop_and_go
@@ -111,12 +113,17 @@ def alarms_of(calibration: Calibration, kind: str, pair: Any, riv: Any) -> int:
 
 
 @pytest.mark.parametrize("name", MACHINES)
-def test_friction_that_grows_is_named(name: str) -> None:
+def test_friction_that_grows_is_named(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All of it grows by a fifth: with much Coulomb friction that was told as a loss of force, which it resembles."""
     machine, riv = MACHINES[name], make_riv(INCREMENTS)
     u, counts = normal(machine, 1, 0.25)
     theta = IV(riv.model, riv.encoder, CART_DT, 50.0).fit(u, counts).theta
-    monitor = Monitor(make_riv(INCREMENTS, theta), calibrate(riv, theta, u, counts, hours=1.0), Watch())
+    monkeypatch.setenv("PMFID_CACHE", str(tmp_path))
+    made, *_ = cached_calibration(riv, theta, u, counts, 1.0)
+    found, _, was_there = cached_calibration(riv, theta, u, counts, 1.0)
+    assert was_there
+    assert found.tails == made.tails
+    monitor = Monitor(make_riv(INCREMENTS, theta), found, Watch())
     worn = replace(
         machine,
         drive=replace(CART, viscous_friction=1.2 * CART.viscous_friction, coulomb_friction=1.2 * CART.coulomb_friction),

@@ -9,7 +9,7 @@ import pytest
 
 from pmfid import RIV, Drive, Encoder
 from pmfid.monitor.calibration import Calibration, calibrate
-from pmfid.monitor.cause import TRANSITION, explain
+from pmfid.monitor.cause import FRICTION, TRANSITION, explain, sized
 from pmfid.monitor.events import Alarm, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Blocks, Scale, make_scale, scores
@@ -93,3 +93,18 @@ def test_reversals_that_come_at_other_instants_are_no_part_of_the_change() -> No
         assert abs(alarms[0].change - 0.3) < 3 * alarms[0].std
         assert alarms[0].change == pytest.approx(0.3, rel=0.15)
         estimator.reset()
+
+
+def test_friction_that_grows_as_a_whole_is_one_cause() -> None:
+    """Viscous and Coulomb friction grow alike: before, a mass that is small beside them made it a loss of force."""
+    direction = 0.2 * np.array([0.0, THETA[1], THETA[2]])
+    blocks, scale = changed(direction, 1.0)
+    friction = np.array([0.0, THETA[1], THETA[2]])
+    cause = explain(blocks, scale, THETA, NAMES, 2.0, friction=friction)
+    assert cause.name == FRICTION
+    assert cause.relative == pytest.approx(0.2, abs=0.02)
+    assert cause.change == cause.relative
+    covariance = np.diag((0.001 * THETA) ** 2)
+    again = sized(cause, THETA + 0.25 / 0.2 * direction, covariance, THETA, NAMES, 2.0, friction)
+    assert again.relative == pytest.approx(0.25, abs=0.02)
+    assert explain(blocks, scale, THETA, NAMES, 2.0).name != FRICTION
