@@ -8,6 +8,9 @@ from pmfid.estimators.adequacy import Adequacy
 from pmfid.estimators.lateness import ALIKE, Lateness, lateness
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation
 
+#: Samples from which on a delay that no score names is told: a smaller one imitates other things, as friction within a
+#: sample.
+LEAST = 0.05
 #: What each is called, for people.
 CALLED = {DEAD_TIME: "dead time", LAG: "first-order lag"}
 
@@ -29,8 +32,9 @@ def _ways(found: Adequacy) -> list[Lateness]:
         return lateness(found) or [Lateness({DEAD_TIME: found.dead_time}, 0.0, False)]
     if equation.at_once != equation:
         return lateness(found)
-    most = max((float(found.gain[k]) for k in found.missed), default=0.0)
-    return [way for way in lateness(found) if way.gain > most and (found.follows or way.follows)]
+    most, least = max((float(found.gain[k]) for k in found.missed), default=0.0), LEAST * found.difference.dt
+    told = [way for way in lateness(found) if way.gain > most and sum(way.times.values()) > least]
+    return [way for way in told if found.follows or way.follows]
 
 
 def _compared(ways: list[Lateness], dt: float) -> str:
