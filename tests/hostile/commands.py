@@ -112,6 +112,13 @@ def _compare(rng: Rng, folder: Path) -> Case:
     return Case(("compare", name, "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files)
 
 
+def _terms(rng: Rng, folder: Path) -> Case:
+    files, name = _recorded(rng, folder)
+    chosen = options(rng, 0.1, turn=["6.28", "-1", "nan"], pitch=["0.01", "0", "1e300"], cutoff=["10"])
+    chosen += [*_out(rng, 0.03), *_flags(rng, 0.6, "--json"), *_flags(rng, 0.7, "--no-scan")]
+    return Case(("terms", name, "--config", "axis.toml", *chosen), files)
+
+
 #: Parameters of the models that are drawn, each with its unit.
 KNOWN = {"mass": "kg", "viscous_friction": "N s/m", "coulomb_friction": "N", "offset": "N", "a0": "s^-1", "b0": "s^-1"}
 
@@ -270,7 +277,8 @@ COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "export": (_export, 0.15),
     "design": (_design, 0.07),
     "commission": (_commission, 0.06),
-    "compare": (_compare, 0.008),
+    "compare": (_compare, 0.006),
+    "terms": (_terms, 0.002),
     "order": (_order, 0.002),
     "demo": (_demo, 0.01),
     "reproduce": (_reproduce, 0.01),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pmfid.session.terms import TermSearch
 
 
-@click.command(short_help="Search the terms that a drive has: which friction, forces, dead time.")
+@click.command(short_help="Search the terms of a drive: friction, forces, dead time.")
 @click.argument("record", type=click.Path(path_type=Path))
 @config_option("What the record holds, the encoder, the model to begin with; of [estimator] cutoff and order are used.")
 @CUTOFF
