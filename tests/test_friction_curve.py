@@ -196,3 +196,20 @@ def test_the_command(tmp_path: Path) -> None:
     assert told == json.loads((tmp_path / "out" / "friction.json").read_text())
     page = (tmp_path / "out" / "friction.html").read_text()
     assert "nothing is said beyond that" in page
+
+
+def test_a_wrong_count_is_left_out(tmp_path: Path) -> None:
+    axis = TABLE
+    record = record_of(axis, FRICTIONS["quadratic 20 %"](axis), "prbs", 1024, 6)
+    counts = record.counts.copy()
+    counts[700] += 40_000
+    lines = [f"{u!r},{c}" for u, c in zip(record.u.tolist(), counts.tolist(), strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["u,counts", *lines]) + "\n")
+    (tmp_path / "axis.toml").write_text(
+        '[record]\ninput = "u"\noutput = "counts"\noutput_kind = "counts"\ndt = 0.004\n'
+        f"[encoder]\nresolution = {record.resolution!r}\n[model]\ninput_gain = 2.0\n"
+    )
+    command = ["friction", str(tmp_path / "run.csv"), "--config", str(tmp_path / "axis.toml"), "--json"]
+    told = json.loads(CliRunner().invoke(main, command).output)
+    assert told["mass"]["value"] == pytest.approx(0.3, rel=0.01)
+    assert any("701" in note for note in told["notes"])

@@ -19,12 +19,15 @@ from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.session.arrays import axis_of
 from pmfid.session.config import Axis, check_sampling
+from pmfid.session.drives import believed_of
 from pmfid.session.known import check_numbers_known
 from pmfid.session.records import Record
 from pmfid.types import Counts, Floats
 
 #: Forces of a model that stand beside friction, and that no curve takes.
 BESIDE = ("spring", "gravity", "cogging", "friction_period")
+#: Time constant of the filters [samples] that is chosen at most: behind slower ones nearby speeds look alike.
+SLOWEST = 30
 FEEDBACK = (
     "the input follows what the curve leaves unexplained, as under position control: it may be off by several of its "
     "error bars, most where the same stroke is made again and again; open-loop motion is free of that"
@@ -54,11 +57,12 @@ def friction_curve(
 
 
 def record_curve(record: Record, axis: Axis, nodes: int = NODES, rising_from: float | None = None) -> FrictionCurve:
-    """The same of a record that was read for `axis`."""
-    known = axis.encoder
+    """The same of a record that was read for `axis`, without what no motion explains."""
+    check_numbers_known(axis, "a friction curve")
+    known, without = axis.encoder, believed_of(record, axis)
     encoder = Encoder(record.resolution, standstill_time=known.standstill_time, max_speed=known.max_speed)
-    found = _found(record.u, record.counts, record.dt, encoder, axis, nodes, rising_from)
-    return replace(found, notes=(*record.notes, *found.notes))
+    found = _found(without.record.u, without.record.counts, record.dt, encoder, axis, nodes, rising_from)
+    return replace(found, notes=(*record.notes, *filter(None, (without.told,)), *found.notes))
 
 
 def _found(
@@ -77,7 +81,7 @@ def _found(
             "a friction curve needs the dead time and the lag: pmfid identify finds them; write them into [model]"
         )
     free = Drive(model.input_gain, friction="directional", dead_time=model.dead_time, lag=model.lag)
-    cutoff = axis.estimator.cutoff or choose_cutoff([free], encoder, dt, u, counts)
+    cutoff = axis.estimator.cutoff or max(choose_cutoff([free], encoder, dt, u, counts), 1 / (SLOWEST * dt))
     estimator = IV(free, encoder, dt, cutoff, order=axis.estimator.order)
     found = curve_of(estimator, u, counts, nodes, rising_from)
     change = np.diff(u, prepend=u[:1])[-found.error.size :]
