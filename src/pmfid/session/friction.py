@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.encoder import Encoder
-from pmfid.errors import UsageError
+from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.arguments import check_arrays
 from pmfid.estimators.cutoff import choose_cutoff
 from pmfid.estimators.friction_curve import NODES, FrictionCurve
@@ -84,6 +84,12 @@ def _found(
     cutoff = axis.estimator.cutoff or max(choose_cutoff([free], encoder, dt, u, counts), 1 / (SLOWEST * dt))
     estimator = IV(free, encoder, dt, cutoff, order=axis.estimator.order)
     found = curve_of(estimator, u, counts, nodes, rising_from)
+    if not found.mass_std < found.mass:
+        raise NotIdentifiableError(
+            f"the mass beside the curve comes out as {found.mass:.3g} with a standard deviation of {found.mass_std:.2g}"
+            ": this record does not show friction apart behind these filters; use fewer nodes, or a higher cutoff, or "
+            "record reversals and speeds that vary"
+        )
     change = np.diff(u, prepend=u[:1])[-found.error.size :]
     follows = correlation_score(found.error, change) > SIGNIFICANT
     return replace(found, notes=(FEEDBACK,)) if follows else found
