@@ -119,6 +119,12 @@ def _terms(rng: Rng, folder: Path) -> Case:
     return Case(("terms", name, "--config", "axis.toml", *chosen), files)
 
 
+def _friction(rng: Rng, folder: Path) -> Case:
+    files, name = _recorded(rng, folder)
+    chosen = options(rng, 0.1, nodes=["3", "0", "-2", "1e9"], rising_from=["0.1", "-1", "nan"], cutoff=["10"])
+    return Case(("friction", name, "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files)
+
+
 #: Parameters of the models that are drawn, each with its unit.
 KNOWN = {"mass": "kg", "viscous_friction": "N s/m", "coulomb_friction": "N", "offset": "N", "a0": "s^-1", "b0": "s^-1"}
 
@@ -279,8 +285,9 @@ COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "commission": (_commission, 0.06),
     "compare": (_compare, 0.006),
     "terms": (_terms, 0.002),
+    "friction": (_friction, 0.002),
     "order": (_order, 0.002),
     "demo": (_demo, 0.01),
     "reproduce": (_reproduce, 0.01),
-    "none": (_none, 0.04),
+    "none": (_none, 0.038),
 }

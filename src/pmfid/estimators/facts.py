@@ -54,6 +54,8 @@ def _check_numbers(given: Mapping[str, float], prior: Mapping[str, Sequence[floa
         if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value):
             raise UsageError(f"given {name} must be a number, got {value!r}")
     for name, pair in prior.items():
+        if isinstance(pair, Real):
+            raise UsageError(f"prior of {name} must be a mean and a standard deviation, as [1, 0.1], got {pair!r}")
         numbers = [part for part in pair if isinstance(part, Real) and math.isfinite(part)]
         if len(pair) != 2 or len(numbers) != 2 or numbers[1] < 0:
             raise UsageError(

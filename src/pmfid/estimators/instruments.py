@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,8 +64,6 @@ LASTING = 4
 @dataclass(frozen=True)
 class Instruments(ProcessSolver, Simulating):
     """The settled iteration and its error bars; see `IV`."""
-
-    method: ClassVar[str] = "iv"
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)
 

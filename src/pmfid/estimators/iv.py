@@ -43,6 +43,8 @@ class IV(Instruments):
     knows it better: its instrument is the change of the input, which under control is that of the encoder's error.
     """
 
+    method: ClassVar[str] = "iv"
+
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Raises NotIdentifiableError also where no iteration settles."""
         u, counts = check_arrays(u, counts)

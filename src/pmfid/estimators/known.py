@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -83,7 +84,8 @@ class Known:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "given", dict(self.given))
-        object.__setattr__(self, "prior", {name: tuple(pair) for name, pair in self.prior.items()})
+        pairs = {name: pair if isinstance(pair, Real) else tuple(pair) for name, pair in self.prior.items()}
+        object.__setattr__(self, "prior", pairs)
         if self.find_gain and not isinstance(self.estimator.model, Drive):
             raise UsageError("the gain of the input is found of a Drive; give the coefficient of the input as it is")
         check_known(self.estimator.equation, self.given, self.prior, self.names, self.find_gain)

@@ -29,8 +29,9 @@ BESIDE = ("spring", "gravity", "cogging", "friction_period")
 #: Time constant of the filters [samples] that is chosen at most: behind slower ones nearby speeds look alike.
 SLOWEST = 30
 FEEDBACK = (
-    "the input follows what the curve leaves unexplained, as under position control: it may be off by several of its "
-    "error bars, most where the same stroke is made again and again; open-loop motion is free of that"
+    "the input follows what the curve leaves unexplained, as under position control, or with a dead time or a lag that "
+    "[model] has not (pmfid identify tells): the curve may be off by many of its error bars, under control most where "
+    "the same stroke is made again and again"
 )
 
 
@@ -47,7 +48,7 @@ def friction_curve(
 ) -> FrictionCurve:
     """Friction over velocity with no law assumed, and the mass beside it, as `pmfid friction` finds them.
 
-    u: input (n,); counts (n,) of the encoder. model: its input_gain, dead_time and lag count, what it says of friction
+    u: input (n,); counts (n,) of the encoder. model: its input_gain and dead_time count, what it says of friction
     does not. dt: sample period [s]. cutoff: pole of the filters [rad/s], None: by the record. nodes: speeds in each
     direction; rising_from: from this speed [m/s] on friction does not fall, None: it may. Raises UsageError for
     arguments that do not fit and NotIdentifiableError where the record does not show friction apart.
@@ -76,11 +77,14 @@ def _found(
         check_sampling(axis, dt)
     if beside := [key for key in BESIDE if getattr(model, key)]:
         raise UsageError(f"a friction curve beside {', '.join(beside)} is not there yet; record a motion without it")
-    if ESTIMATE in (model.dead_time, model.lag):
+    if model.lag:
         raise UsageError(
-            "a friction curve needs the dead time and the lag: pmfid identify finds them; write them into [model]"
+            "a friction curve behind a lag is not there yet, it would be wrong by many error bars: give [model] "
+            "dead_time of the same time, or record a motion that is slow beside it"
         )
-    free = Drive(model.input_gain, friction="directional", dead_time=model.dead_time, lag=model.lag)
+    if model.dead_time == ESTIMATE:
+        raise UsageError("a friction curve needs the dead time: pmfid identify finds it; write it into [model]")
+    free = Drive(model.input_gain, friction="directional", dead_time=model.dead_time)
     cutoff = axis.estimator.cutoff or max(choose_cutoff([free], encoder, dt, u, counts), 1 / (SLOWEST * dt))
     estimator = IV(free, encoder, dt, cutoff, order=axis.estimator.order)
     found = curve_of(estimator, u, counts, nodes, rising_from)

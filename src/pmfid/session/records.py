@@ -135,7 +135,7 @@ def _stated_factor(config: RecordConfig) -> float:
 
 
 def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Record:
-    config, columns = _columns(axis.record, table)
+    config, columns = _columns(axis.record.model_copy(update={"reference": None}), table)
     keys = {"input": config.input, "output": config.output, "time": config.time}
     _check_lengths(columns, keys)
     for key, values in columns.items():

@@ -20,6 +20,7 @@ from pmfid.judge.term_fits import Bench, shortest_part
 from pmfid.judge.term_trials import known_shapes
 from pmfid.judge.terms import KEPT, Step, Terms, search
 from pmfid.models.drive import Drive
+from pmfid.models.equation import ESTIMATE
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.drives import Drives, all_known, believed_of
 from pmfid.session.kinds import Progress
@@ -157,6 +158,8 @@ def search_drive(
             "order for the structure of a transfer function"
         )
     check_numbers_known(axis, "pmfid terms")
+    if model.lag == ESTIMATE:
+        raise UsageError("pmfid terms takes a lag that is known: pmfid identify finds it; write its value into [model]")
     axis = Drives().prepared(data, axis)
     Drives().check(data, axis)
     check_sampling(axis, data.dt)
@@ -220,7 +223,8 @@ def _sentences(found: Terms) -> Iterator[str]:
         yield f"either {own} or {its}: this record does not tell which; a motion at other speeds and strokes would"
     for tried in found.steps:
         for step in tried:
-            if step.verdict not in (KEPT, "", "within chance", "explains less", "either") and step.trial is not None:
+            told = step.verdict not in (KEPT, "", "within chance", "explains less", "either", "superfluous")
+            if told and step.trial is not None and step.candidate.key not in found.added:
                 own = " and ".join(setting(*pair) for pair in step.candidate.change.items())
                 yield f"not {own}, though the score asks for it: {step.verdict}"
     if not found.adequacy.adequate:
