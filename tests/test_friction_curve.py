@@ -157,6 +157,8 @@ def test_feedback_is_said() -> None:
         (pmfid.Drive(2.0, spring=True), "beside spring"),
         (pmfid.Drive(2.0, dead_time="estimate"), "needs the dead time"),
         (pmfid.Drive(2.0, gravity=True), "beside gravity"),
+        (pmfid.Drive(2.0, lag=0.003), "behind a lag"),
+        (pmfid.Drive(2.0, lag="estimate"), "behind a lag"),
     ],
 )
 def test_what_it_cannot_take_is_said(model: pmfid.Drive, said: str) -> None:

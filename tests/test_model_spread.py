@@ -15,7 +15,7 @@ from pmfid.estimators.adequacy import Adequacy, examine
 from pmfid.estimators.interval import IntervalML
 from pmfid.judge.spread import ODDS, believed_squares
 from pmfid.paper.truth import CartRecord, Task
-from pmfid.report.parameters import UNKNOWN, parameter_header, parameter_rows
+from pmfid.report.parameters import UNKNOWN, between, parameter_header, parameter_rows
 from pmfid.session.result import NORMAL_95, DriveResult
 from pmfid.simulation import CART, CART_DT, DriveParameters, Machine, drive_machine, prbs
 from pmfid.types import Floats
@@ -291,3 +291,10 @@ def test_the_study_measures_length_by_the_scatter_of_the_errors() -> None:
     rows = [line for line in write_right(2, results) if "`iv`" in line]
     assert all("| 100 | 2.0, 2.0, 2.0 | 2.0, 2.0, 2.0 | 100, 100, 100 |" in row for row in rows)
     assert len(rows) == 2
+
+
+def test_an_interval_has_the_digits_of_its_width() -> None:
+    """It was 1.07 to 1.07."""
+    assert between(1.0699875, 1.0700126) == "1.069988 to 1.070013"
+    assert between(-3.2, 20.0) == "-3.2 to 20"
+    assert between(2.0, 2.0) == "2 to 2"

@@ -244,7 +244,7 @@ def test_lines_that_are_no_table(tmp_path: Path) -> None:
 def test_csv_with_a_row_too_long(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("t,u,y\n0,1,2\n1,2,3,4\n")
-    assert "not a readable .csv file" in message(path)
+    assert "not every line from line 2 on has 3 columns" in message(path)
 
 
 @pytest.mark.parametrize(("n", "text"), [(0, "0 samples"), (1, "1 sample,"), (MIN_SAMPLES - 1, "9 samples")])

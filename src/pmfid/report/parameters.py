@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pmfid.session.result import Result
@@ -32,10 +34,17 @@ def _named(result: Result, name: str) -> str:
     return name if known is None else f"{name} ({known})"
 
 
+def between(low: float, high: float) -> str:
+    """An interval with the digits that its width asks for, five at least."""
+    width, size = high - low, max(abs(low), abs(high))
+    digits = 5 if not width > 0 else max(5, min(15, 2 + math.ceil(math.log10(size / width))))
+    return f"{low:.{digits}g} to {high:.{digits}g}"
+
+
 def _beyond(result: Result) -> list[list[str]]:
     if result.model_spread is None or result.interval_95 is None:
         return [[]] * len(result.names)
     return [
-        [f"{spread:.2g}", f"{low:.5g} to {high:.5g}"] if np.isfinite(spread) else [UNKNOWN, UNKNOWN]
+        [f"{spread:.2g}", between(low, high)] if np.isfinite(spread) else [UNKNOWN, UNKNOWN]
         for spread, (low, high) in zip(result.model_spread, result.interval_95, strict=True)
     ]

@@ -17,7 +17,7 @@ from pmfid.errors import UsageError
 from pmfid.session.clock import named_unit, sample_period, time_factor
 from pmfid.session.config import NO_ENCODER
 from pmfid.session.formats.reading import read_table
-from pmfid.session.tables import Table, column, from_array, lookup, notes_of, times, whole_name
+from pmfid.session.tables import Table, column, from_array, lookup, notes_of, times, unit_of, whole_name
 from pmfid.transfer.experiment import Experiment
 from pmfid.types import Counts, Floats
 
@@ -149,8 +149,15 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
         y = columns["output"] if config.output_kind == "position" else counts.astype(np.float64) * resolution
         counts, resolution = _floor_counts(y, quantize, 1e-9), quantize
         count_notes += (f"position quantised anew with a step of {quantize:g}",)
-    notes = notes_of(table) + scale_notes + time_notes + count_notes
+    notes = notes_of(table) + _units_said(config) + scale_notes + time_notes + count_notes
     return Record(_scaled(columns["input"], scale), counts, dt, resolution, notes, name)
+
+
+def _units_said(config: RecordConfig) -> tuple[str, ...]:
+    """The units that the file itself gives for input and output, as rows of units and names have them."""
+    found = {key: unit_of(name) for key, name in (("u", config.input), ("y", config.output))}
+    said = " and ".join(f"{key} in {unit}" for key, unit in found.items() if unit)
+    return (f"the file has {said}: input_gain and resolution must be for that",) if said else ()
 
 
 def _check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None]) -> None:
@@ -228,7 +235,7 @@ def _whole(output: Floats) -> Counts:
     if len(bad):
         raise UsageError(
             f"counts must be integers below 2**53, got {output[bad[0]]:.9g} in row {bad[0] + 1}; "
-            f'set output_kind = "position" if the column is a position'
+            f'set output_kind = "position" if the column is a position, or export without a sign between thousands'
         )
     return rounded.astype(np.int64)
 

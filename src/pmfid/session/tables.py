@@ -15,11 +15,16 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["TWICE", "Columns", "Table", "column", "from_array", "lookup", "notes_of", "times", "whole_name"]
+__all__ = ["TWICE", "Columns", "Table", "column", "from_array", "lookup", "notes_of", "times", "unit_of", "whole_name"]
 
 #: Column by name: an array or a polars series, whichever the reader of the file has.
 Table = Mapping[str, object]
 
+#: What helps where a cell is no number.
+NUMBERS = "write numbers like 0.25, and remove lines that are no data"
+DATES = "write seconds like 0.25, 2026-03-04 12:00:00.25 or 12:00:00.25, and remove lines that are no data"
+#: Seconds.
+DAY = 86_400.0
 #: A unit in brackets at the end of a name.
 _UNIT = re.compile(r"\s*[\[(][^\])]*[\])]$")
 
@@ -41,6 +46,12 @@ def whole_name(table: Table, name: str) -> str:
     """The name of the column that is called so, there maybe with a unit in brackets: "t [ms]" for "t"."""
     found = [full for full in table if _UNIT.sub("", full) == name]
     return found[0] if name not in table and len(found) == 1 else name
+
+
+def unit_of(name: str) -> str:
+    """The unit in brackets at the end of a column's name; empty where there is none."""
+    found = _UNIT.search(name)
+    return found.group().strip(" []()") if found else ""
 
 
 #: Polars' end of the name of a column that is there already.
@@ -84,13 +95,21 @@ def _clocked(label: str, series: pl.Series) -> tuple[Floats, bool]:
 
     if series.dtype == pl.String and not _has_number(series):
         series = _parsed(series)
-    if series.dtype == pl.Time:
+    daily = series.dtype if series.dtype == pl.Time else None
+    if daily is not None:
         series = series.cast(pl.Duration("ns"))
     if series.dtype.is_temporal() and series.dtype != pl.Date:
         ns = series.dt.timestamp("ns") if series.dtype != pl.Duration else series.cast(pl.Duration("ns")).cast(pl.Int64)
         since = ns - (ns.drop_nulls().first() or 0)
-        return np.asarray(since.cast(pl.Float64).fill_null(np.nan).to_numpy() * 1e-9), True
-    return _from_series(label, series), False
+        seconds = since.cast(pl.Float64).fill_null(np.nan).to_numpy() * 1e-9
+        return np.asarray(seconds if daily is None else _past_midnight(seconds)), True
+    return _from_series(label, series, DATES), False
+
+
+def _past_midnight(seconds: Floats) -> Floats:
+    """Times of day (n,) that go on where the day ends."""
+    back = np.nan_to_num(np.diff(seconds, prepend=seconds[:1])) < -DAY / 2
+    return seconds + DAY * np.cumsum(back)
 
 
 def _has_number(series: pl.Series) -> bool:
@@ -121,14 +140,14 @@ def from_array(label: str, array: NDArray[np.generic]) -> Floats:
     return array.astype(np.float64)
 
 
-def _from_series(label: str, series: pl.Series) -> Floats:
+def _from_series(label: str, series: pl.Series, remedy: str = NUMBERS) -> Floats:
     import polars as pl
 
     if series.dtype == pl.String:
         numbers = series.str.strip_chars().cast(pl.Float64, strict=False)
         bad = (numbers.is_null() & series.is_not_null()).arg_true()
         if len(bad):
-            raise UsageError(f"{label} is not numeric: {series[bad[0]]!r} in row {bad[0] + 1}; write numbers like 0.25")
+            raise UsageError(f"{label} is not numeric: {series[bad[0]]!r} in row {bad[0] + 1}; {remedy}")
         series = numbers
     if not series.dtype.is_numeric():
         raise UsageError(f"{label} is not numeric but {series.dtype}; store it as numbers (time in s)")

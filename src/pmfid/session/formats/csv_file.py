@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import re
 import zlib
+from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
-from pmfid.session.formats.layout import COMMENTS, LOOKED_AT, Layout, layout_of
+from pmfid.session.formats.layout import LOOKED_AT, Layout, layout_of
 from pmfid.session.formats.safety import MOST_BYTES, MOST_TIMES, check_unpacked
 from pmfid.session.tables import TWICE, Columns
+
+if TYPE_CHECKING:
+    import polars as pl
 
 GZIP = b"\x1f\x8b"
 #: How zlib, zstd, bzip2, xz and ZIP begin.
 _PACKED = (b"x\x01", b"x\x9c", b"x\xda", b"\x28\xb5\x2f\xfd", b"BZh9", b"\xfd7zXZ", b"PK\x03\x04")
 _MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _MISSING = ["", "NA", "N/A", "null", "NULL", "None", "-"]
+_COMMENT = re.compile(rb"(?m)^[ \t]*(#|%|//).*(\n|\Z)")
 #: Of a text of two bytes for each character without a mark, so many in a hundred of the first bytes are zero.
 _WIDE, _FIRST = 30, 2000
 
@@ -81,23 +86,32 @@ def _end_of_line(text: bytes, lines: int) -> int:
 def _columns(body: bytes, layout: Layout) -> dict[str, object]:
     import polars as pl
 
-    separator, body = layout.separator, body.rstrip(b"\n")
+    body = _COMMENT.sub(b"", body).rstrip(b"\n")
     if not body.strip():
         return {name: pl.Series(name, [], dtype=pl.String) for name in layout.names}
-    if separator == " ":
+    if layout.separator == " ":
         body = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", re.sub(rb"[ \t]+", b" ", body))
-    # All as text first: a column is converted, and complained about, only if it is used.
-    frame = pl.read_csv(
-        body,
-        separator=separator,
-        has_header=False,
-        infer_schema=False,
-        null_values=_MISSING,
-        comment_prefix=next((mark for mark in COMMENTS if b"\n" + mark.encode() in body), None),
-    )
+    try:
+        # All as text first: a column is converted, and complained about, only if it is used.
+        frame = pl.read_csv(
+            body, separator=layout.separator, has_header=False, infer_schema=False, null_values=_MISSING
+        )
+    except pl.exceptions.ComputeError:
+        raise UsageError(
+            f"not every line from line {layout.first + 1} on has {len(layout.names)} columns: remove lines that are no "
+            "data, as a sum at the end or settings at the beginning"
+        ) from None
     table: dict[str, object] = {}
     for name, column in zip(layout.names, frame.iter_columns(), strict=True):
-        if layout.decimal == ",":
-            column = column.str.replace(",", ".", literal=True)
-        table[f"{name}{TWICE}" if name in table else name] = column.alias(name)
+        text = _with_points(column) if layout.decimal == "," else column
+        table[f"{name}{TWICE}" if name in table else name] = text.alias(name)
     return table
+
+
+def _with_points(column: pl.Series) -> pl.Series:
+    """Decimal commas as points; a point beside them parts thousands, and is no number until it is written without."""
+    import polars as pl
+
+    thousands = column.str.contains(r"^\s*[+-]?\d{1,3}(\.\d{3})+")
+    marked = pl.select(pl.when(thousands).then(column + " (with a point for thousands)").otherwise(column)).to_series()
+    return marked.str.replace(",", ".", literal=True)

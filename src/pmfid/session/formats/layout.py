@@ -72,7 +72,10 @@ def layout_of(lines: Sequence[str]) -> Layout:
         found, key=lambda reading: _worth([split(looked[k], reading[0]) for k in found[reading]], reading[1])
     )
     first = found[separator, decimal][0]
-    names, named = _names(looked[:first], separator, split(looked[first], separator))
+    fields = split(looked[first], separator)
+    names, named = _names(looked[:first], separator, fields)
+    if not named and len(fields) > 1 and fields in ([str(k + start) for k in range(len(fields))] for start in (0, 1)):
+        return Layout(separator, decimal, tuple(fields), first + 1, True)
     return Layout(separator, decimal, names, first, named)
 
 
