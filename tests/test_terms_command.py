@@ -41,6 +41,7 @@ def test_the_command_says_what_python_says(files: tuple[Path, Path], tmp_path: P
     html = (out / "terms.html").read_text()
     assert "Friction over velocity" in html
     assert "<svg" in html
+    assert "<pre>[model]" in html
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ def write_terms(out: Path, found: TermSearch) -> None:
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "terms.json", found.to_json())
     text = "\n\n".join([found.sentence, *(f"Note: {note}." for note in found.notes)])
-    sections = [Section("Models", text, model_rows(found)), Section("For AXIS.toml", "\n\n".join(found.lines))]
+    sections = [Section("Models", text, model_rows(found)), Section("For AXIS.toml", code="\n".join(found.lines))]
     if any(model.balance is not None and model.balance.friction is not None for model in found.models):
         says = "What the record says, means over bins with their standard errors, and the friction of each model."
         sections.append(Section("Friction over velocity", says, svg=svg(friction_figure(found))))
