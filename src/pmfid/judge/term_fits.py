@@ -15,21 +15,13 @@ from pmfid.estimators.difference import Difference, first_speed, least, rms
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
 from pmfid.estimators.lacks import Change
-from pmfid.estimators.likelihood import (
-    GIVEN_AWAY,
-    NOISE_FLOOR,
-    SHRINKING,
-    Best,
-    climb,
-)
+from pmfid.estimators.likelihood import GIVEN_AWAY, NOISE_FLOOR, SHRINKING, Best, climb
 from pmfid.estimators.output_error import HOPELESS, OE, STRIBECK_SPEEDS
 from pmfid.estimators.window_choice import FEWEST, FOLDS, SHORTEST, predicted_elsewhere
 from pmfid.judge.free_run import drive_run
 from pmfid.judge.term_trials import Trial, carried, log_likelihood
 from pmfid.models.drive import Drive, EquationModel
-from pmfid.models.equation import (
-    ESTIMATE,
-)
+from pmfid.models.equation import ESTIMATE
 from pmfid.types import Floats
 
 #: Parts of a sample in which the motions of a search are simulated at most: with 2 the likelihoods of a cart under a

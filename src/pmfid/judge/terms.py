@@ -46,8 +46,8 @@ CHANCE = 1.5
 class Candidate:
     """A change of the model, what it is, and how it was come by. z: standard deviations of its score from zero;
     inflation: by how much the score scatters beyond what independent errors would, at first before the term is there,
-    and when it is fitted with it; explains: doubled gain of the
-    log-likelihood that its score promises; elsewhere: that over parts that it is not taken from."""
+    and when it is fitted with it; explains: doubled gain of the log-likelihood that its score promises; elsewhere: that
+    over parts that it is not taken from."""
 
     change: Change
     says: str
@@ -228,17 +228,8 @@ def _judged(bench: Bench, error: float, found: Sequence[Step]) -> list[Step]:
     """The first that is beyond chance and predicts other parts no worse is kept."""
     judged, kept = list[Step](), None
     for step in found:
-        if step.trial is None:
-            judged.append(step)
-            continue
-        if step.gain < step.needed:
-            judged.append(replace(step, verdict="within chance"))
-            continue
-        if step.candidate.elsewhere <= 0:
-            judged.append(replace(step, verdict="not in other parts of the record"))
-            continue
-        if is_unclear(step, found):
-            judged.append(replace(step, verdict=UNCLEAR))
+        if step.trial is None or (against := _against(step, found)):
+            judged.append(step if step.trial is None else replace(step, verdict=against))
             continue
         if kept is not None and kept.trial is not None:
             behind = 2 * (kept.trial.log_likelihood - step.trial.log_likelihood) / kept.candidate.inflation
@@ -250,6 +241,15 @@ def _judged(bench: Bench, error: float, found: Sequence[Step]) -> list[Step]:
         kept = step if step.kept else kept
         judged.append(step)
     return judged
+
+
+def _against(step: Step, found: Sequence[Step]) -> str:
+    """What speaks against a term whatever else is there; empty where nothing does."""
+    if step.gain < step.needed:
+        return "within chance"
+    if step.candidate.elsewhere <= 0:
+        return "not in other parts of the record"
+    return UNCLEAR if is_unclear(step, found) else ""
 
 
 def is_unclear(step: Step, found: Sequence[Step]) -> bool:

@@ -11,6 +11,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
 from pmfid.estimators import Method
 from pmfid.estimators.facts import INPUT_GAIN, check_known
@@ -85,6 +86,10 @@ class EncoderConfig(FileSection):
     standstill_time: Positive = Field(0.2, description="the time in s without a new count that means standstill")
     max_speed: Positive | None = Field(None, description="the highest possible speed in unit of y per s")
     guard: bool = Field(True, description="true, or false to let samples in that no motion explains")
+
+    def made(self, resolution: float) -> Encoder:
+        """What the estimators know of the encoder, read in steps of `resolution` [unit of y per count]."""
+        return Encoder(resolution, standstill_time=self.standstill_time, max_speed=self.max_speed, guard=self.guard)
 
 
 class EstimatorConfig(FileSection):

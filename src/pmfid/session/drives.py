@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import Adequacy
 from pmfid.estimators.auto import AUTO, Choice, choose, first_choice
@@ -71,7 +70,7 @@ class Drives(Kind[Record]):
         known = believed_of(data, axis).record
         either = [at_gain(axis, 1.0), at_gain(axis, -1.0)] if finds_gain(axis) else [axis]
         models = [one.model.make() for one in either]
-        cutoff = choose_cutoff(models, _encoder(axis, data), data.dt, known.u, known.counts)
+        cutoff = choose_cutoff(models, axis.encoder.made(data.resolution), data.dt, known.u, known.counts)
         return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
 
     def check(self, data: Record, axis: Axis) -> None:
@@ -129,18 +128,16 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
     model = axis.model.make()
     first = "bcls" if model.equation.without_simulation else "output-error" if model.equation.searched else "iv"
     cls = ESTIMATORS[method_of(axis, first)]
-    own = {"model": model, "encoder": _encoder(axis, record), "dt": record.dt, "cutoff": axis.estimator.pole}
+    own = {
+        "model": model,
+        "encoder": axis.encoder.made(record.resolution),
+        "dt": record.dt,
+        "cutoff": axis.estimator.pole,
+    }
     estimator = made(cls, own | settings(axis, cls))
     if cls.instrumental and axis.estimator.prefilter_zeros is None:
         return replace(estimator, prefilter_zeros=choose_prefilter_zeros(estimator, record.u, record.counts))
     return estimator
-
-
-def _encoder(axis: Axis, record: Record) -> Encoder:
-    known = axis.encoder
-    return Encoder(
-        record.resolution, standstill_time=known.standstill_time, max_speed=known.max_speed, guard=known.guard
-    )
 
 
 def _check_known(result: DriveResult) -> None:

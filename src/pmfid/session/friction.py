@@ -59,9 +59,7 @@ def friction_curve(
 
 def record_curve(record: Record, axis: Axis, nodes: int = NODES, rising_from: float | None = None) -> FrictionCurve:
     """The same of a record that was read for `axis`, without what no motion explains."""
-    check_numbers_known(axis, "a friction curve")
-    known, without = axis.encoder, believed_of(record, axis)
-    encoder = Encoder(record.resolution, standstill_time=known.standstill_time, max_speed=known.max_speed)
+    without, encoder = believed_of(record, axis), axis.encoder.made(record.resolution)
     found = _found(without.record.u, without.record.counts, record.dt, encoder, axis, nodes, rising_from)
     return replace(found, notes=(*record.notes, *filter(None, (without.told,)), *found.notes))
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import ClassVar, Generic, TypeVar
 
-from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
@@ -93,10 +92,8 @@ def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 def simulator(axis: Axis, dt: float, resolution: float) -> OE:
     """The method that simulates the model of `axis`; dt [s], resolution [unit of the output]."""
-    model, known = axis.model.make(), axis.encoder
     check_sampling(axis, dt)
-    encoder = Encoder(resolution, max_speed=known.max_speed, standstill_time=known.standstill_time)
-    return OE(model, encoder, dt, axis.estimator.pole, order=axis.estimator.order)
+    return OE(axis.model.make(), axis.encoder.made(resolution), dt, axis.estimator.pole, order=axis.estimator.order)
 
 
 def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
-from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import MISSED, PARTS, weigh
 from pmfid.estimators.configuration import like
@@ -180,9 +179,9 @@ def search_drive(
 
 
 def _method(model: Drive, data: Record, axis: Axis) -> IntervalML:
-    known = axis.encoder
-    encoder = Encoder(data.resolution, max_speed=known.max_speed, standstill_time=known.standstill_time)
-    return IntervalML(model, encoder, data.dt, axis.estimator.pole, order=axis.estimator.order)
+    return IntervalML(
+        model, axis.encoder.made(data.resolution), data.dt, axis.estimator.pole, order=axis.estimator.order
+    )
 
 
 def _check(method: IntervalML, record: Record) -> None:
