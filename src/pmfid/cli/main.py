@@ -10,6 +10,7 @@ import click
 
 from pmfid import __version__
 from pmfid.cli.design import commission, design
+from pmfid.cli.explain import explain
 from pmfid.cli.export import export
 from pmfid.cli.friction import friction
 from pmfid.cli.monitor import monitor
@@ -236,5 +237,6 @@ main.add_command(simulate)
 main.add_command(terms)
 main.add_command(validate)
 main.add_command(reproduce)
+main.add_command(explain)
 main.add_command(export)
 main.add_command(friction)
