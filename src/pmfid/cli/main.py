@@ -227,6 +227,7 @@ def demo(out: Path, seed: int) -> None:
     Console().print(demo_table(result))
     write_demo(out, result)
     click.echo(f"\nreport: {out / 'report.html'}\nrecord: {out / 'cart.csv'}")
+    click.echo(f"its AXIS.toml: {out / 'cart.toml'}; change a value in it, and go on with")
     click.echo(f"pmfid identify {out / 'cart.csv'} --config {out / 'cart.toml'}")
 
 

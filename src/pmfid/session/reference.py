@@ -125,7 +125,7 @@ def _kind(annotation: object, metadata: Sequence[object] = ()) -> str:
 
 
 def _limit(mark: object) -> str:
-    sign, name = _LIMITS[type(mark)]  # type: ignore[index]
+    sign, name = _LIMITS[type(mark)]
     return f"{sign} {getattr(mark, name):g}"
 
 
