@@ -70,8 +70,8 @@ def test_a_column_takes_a_few_times_its_size(tmp_path: Path, write: Callable[[Pa
 
 
 BOMBS: dict[str, Callable[[Path], object]] = {
-    "zeros.mat": lambda path: scipy.io.savemat(path, {"u": np.zeros(60_000_000)}, do_compression=True),
-    "rows.parquet": lambda path: pl.DataFrame({"u": pl.repeat(0, 60_000_000, eager=True)}).write_parquet(path),
+    "zeros.mat": lambda path: scipy.io.savemat(path, {"u": np.zeros(34_000_000)}, do_compression=True),
+    "rows.parquet": lambda path: pl.DataFrame({"u": pl.repeat(0, 34_000_000, eager=True)}).write_parquet(path),
 }
 
 
