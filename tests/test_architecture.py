@@ -21,7 +21,7 @@ PACKAGE = Path(pmfid.__file__).parent
 REPOSITORY = Path(__file__).parents[1]
 CSRC = REPOSITORY / "csrc"
 
-GROUND = {"errors", "types", "status", "_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
+GROUND = {"errors", "types", "status", "shown", "_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
 FILTERS = GROUND | {"models", "encoder"}
 ESTIMATORS = FILTERS | {"filters", "transfer"}
 JUDGE = ESTIMATORS | {"estimators"}
@@ -32,7 +32,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "types": set(),
     "status": {"kernel"},
     "door": set(),
-    "_estimate": {"errors"},
+    "shown": {"errors", "door"},
+    "_estimate": {"errors", "shown", "status"},
     "_stage": set(),
     "_kernel": {"_estimate"},
     "_kernel32": {"_kernel64"},
@@ -41,7 +42,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "models": GROUND,
     "encoder": GROUND,
     "filters": FILTERS,
-    "transfer": {"errors", "types", "_stage"},
+    "transfer": {"errors", "types", "shown", "_stage"},
     "estimators": ESTIMATORS,
     "judge": JUDGE,
     "monitor": JUDGE | {"door"},

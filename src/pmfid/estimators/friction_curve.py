@@ -25,6 +25,7 @@ from pmfid.estimators.lattice import lattice_scatter
 from pmfid.estimators.least_squares import inverse_of
 from pmfid.estimators.results import Columns
 from pmfid.estimators.scatter import scatter
+from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 from pmfid.types import Counts, Floats
 
 #: Nodes of each direction beside the one at rest.
@@ -35,12 +36,14 @@ TURNS = 3
 WEIGHTS = 10.0 ** np.arange(-8.0, 4.1, 0.5)
 #: Blocks of the record, which are left out in so many turns.
 BLOCKS, FOLDS = 32, 8
+#: Of a table of the nodes.
+CURVE_HEADER = ("velocity [m/s]", "friction [N]", "std [N]")
 #: Error bars are those of a curve with so much of the smoothing, which may hide what the record can hardly show.
 LESS = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class FrictionCurve:
+@dataclass(frozen=True, eq=False, repr=False)
+class FrictionCurve(Shown):
     """velocity (k,) [m/s]: the nodes, rising, those backward first; force, std (k,) [N]; mass, mass_std [kg]; weight:
     of the bend, that was chosen; error (n,) [N] that is left of the n samples in use, the last of the record; notes:
     for people."""
@@ -73,6 +76,30 @@ class FrictionCurve:
         v = np.asarray(velocity, np.float64)
         inside = np.any([(low <= v) & (v <= high) for low, high in self.visited], axis=0)
         return np.where(inside, np.interp(v, self.velocity, values), np.nan)
+
+    def summary(self) -> Summary:
+        title = f"friction at {self.velocity.size} speeds; mass = {self.mass:.6g} ± {self.mass_std:.2g} kg"
+        found = zip(self.velocity, self.force, self.std, strict=True)
+        rows = [(f"{velocity:.4g}", f"{force:.5g}", f"{std:.2g}") for velocity, force, std in found]
+        ends = [rows[i] for i in np.flatnonzero(np.isin(self.velocity, self.visited)).tolist()]
+        lines = [f"{force} ± {std} N at {velocity} m/s" for velocity, force, std in ends]
+        return Summary(title, CURVE_HEADER, rows, lines, remarks_of((), self.notes))
+
+    def columns(self) -> dict[str, object]:
+        """A row for each node."""
+        return {"velocity": self.velocity, "force": self.force, "std": self.std}
+
+    def to_dict(self) -> dict[str, object]:
+        rows = zip(self.velocity.tolist(), self.force.tolist(), self.std.tolist(), strict=True)
+        return plain_dict(
+            {
+                "samples": int(self.error.size),
+                "mass": {"value": self.mass, "std": self.mass_std, "unit": "kg"},
+                "curve": [{"velocity": velocity, "force": force, "std": std} for velocity, force, std in rows],
+                "visited": [list(part) for part in self.visited],
+                "notes": list(self.notes),
+            }
+        )
 
 
 def friction_curve(

@@ -13,8 +13,6 @@ from pmfid.report.files import write_json
 from pmfid.report.html import Section, svg, write_report
 from pmfid.session.friction import curve_json
 
-HEADER = ("velocity [m/s]", "friction [N]", "std [N]")
-
 
 def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
     """Writes friction.html and friction.json into the folder `out`."""
@@ -27,14 +25,9 @@ def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
         f"{found.visited[0][1]:.3g} and {slow:.3g} m/s, which it hardly visits: friction at rest is not in the curve."
     )
     text = "\n\n".join([text, *(f"Note: {note}." for note in found.notes)])
-    section = Section("Friction over velocity", text, (HEADER, curve_rows(found)), svg(curve_figure(found)))
+    table = found.summary()
+    section = Section("Friction over velocity", text, (table.header, table.rows), svg(curve_figure(found)))
     write_report(out / "friction.html", f"{name}: friction over velocity", [section])
-
-
-def curve_rows(found: FrictionCurve) -> list[list[str]]:
-    """One row of text for each node."""
-    rows = zip(found.velocity, found.force, found.std, strict=True)
-    return [[f"{velocity:.4g}", f"{force:.5g}", f"{std:.2g}"] for velocity, force, std in rows]
 
 
 def curve_figure(found: FrictionCurve) -> Figure:
