@@ -17,6 +17,7 @@ from pmfid.errors import UsageError
 from pmfid.session.clock import named_unit, sample_period, time_factor
 from pmfid.session.config import NO_ENCODER
 from pmfid.session.formats.reading import read_table
+from pmfid.session.formats.signals import Signals
 from pmfid.session.tables import Table, column, from_array, lookup, notes_of, times, unit_of, whole_name
 from pmfid.transfer.experiment import Experiment
 from pmfid.types import Counts, Floats
@@ -56,7 +57,7 @@ def read_experiment(path: Path, axis: Axis) -> Experiment:
     """
     try:
         table = read_table(path)
-        config, columns = _columns(axis.record, table)
+        config, table, columns = _columns(axis.record, table)
         keys = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
         _check_lengths(columns, keys)
         scale, _ = _input_scale(table, config.input_scale)
@@ -106,11 +107,13 @@ def record_of(table: Table, axis: Axis, name: str = "record") -> Record:
     return _build(table, axis, None, name)
 
 
-def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, dict[str, Floats]]:
-    """The columns that are named, and the configuration with the names that they have in the file, units and all, and
-    with the unit of a time that is written as a date or a time of day."""
+def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, Table, dict[str, Floats]]:
+    """The columns that are named, on one clock, and the configuration with the names that they have in the file, units
+    and all, and with the unit of a time that is written as a date or a time of day."""
     names = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
     found = {key: whole_name(table, name) for key, name in names.items() if name is not None}
+    if isinstance(table, Signals):
+        table = table.on(found["output"], tuple(found[key] for key in ("input", "reference") if key in found))
     columns = {key: column(table, key, name) for key, name in found.items() if key != "time"}
     changed: dict[str, str] = dict(found)
     if "time" in found:
@@ -120,7 +123,7 @@ def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, dict[str
                 f"[record] time_unit = {config.time_unit!r}: the time column has dates or times of day; drop time_unit"
             )
         changed |= {"time_unit": "s"} if written else {}
-    return config.model_copy(update=changed), columns
+    return config.model_copy(update=changed), table, columns
 
 
 def _stated_factor(config: RecordConfig) -> float:
@@ -135,7 +138,7 @@ def _stated_factor(config: RecordConfig) -> float:
 
 
 def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Record:
-    config, columns = _columns(axis.record.model_copy(update={"reference": None}), table)
+    config, table, columns = _columns(axis.record.model_copy(update={"reference": None}), table)
     keys = {"input": config.input, "output": config.output, "time": config.time}
     _check_lengths(columns, keys)
     for key, values in columns.items():
