@@ -59,10 +59,16 @@ def _print(found: FrictionCurve, name: str, out: Path | None) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from pmfid.report.friction import HEADER, curve_rows
+    from pmfid.report.friction import curve_header, curve_rows
 
-    table = Table(title=escape(printable(f"{name}: mass {found.mass:.5g} ± {found.mass_std:.2g} kg")))
-    for heading in HEADER:
+    table = Table(
+        title=escape(
+            printable(
+                f"{name}: {found.motion.inertia} {found.mass:.5g} ± {found.mass_std:.2g} {found.motion.of_inertia}"
+            )
+        )
+    )
+    for heading in curve_header(found):
         table.add_column(escape(heading), justify="right", no_wrap=True)
     for row in curve_rows(found):
         table.add_row(*row)

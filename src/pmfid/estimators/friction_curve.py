@@ -25,6 +25,7 @@ from pmfid.estimators.lattice import lattice_scatter
 from pmfid.estimators.least_squares import inverse_of
 from pmfid.estimators.results import Columns
 from pmfid.estimators.scatter import scatter
+from pmfid.models.axes import LINEAR, Units
 from pmfid.types import Counts, Floats
 
 #: Nodes of each direction beside the one at rest.
@@ -43,7 +44,7 @@ LESS = 0.01
 class FrictionCurve:
     """velocity (k,) [m/s]: the nodes, rising, those backward first; force, std (k,) [N]; mass, mass_std [kg]; weight:
     of the bend, that was chosen; error (n,) [N] that is left of the n samples in use, the last of the record; notes:
-    for people."""
+    for people; motion: the units, of a rotary axis rad/s, N m and kg m2."""
 
     velocity: Floats
     force: Floats
@@ -53,6 +54,7 @@ class FrictionCurve:
     weight: float
     error: Floats
     notes: tuple[str, ...] = ()
+    motion: Units = LINEAR
 
     @property
     def visited(self) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -70,10 +70,10 @@ def _parameters(result: DriveResult) -> Section:
 
 
 def _figures(result: DriveResult) -> list[Section]:
-    record = result.record
+    record, own = result.record, result.estimator.equation.motion
     t = np.arange(record.u.size) * record.dt
     velocity = np.gradient(record.counts * record.resolution, record.dt)
-    signals = signals_figure(t, record.u, velocity)
+    signals = signals_figure(t, record.u, velocity, velocity_unit=own.speed)
     signals.axes[0].set_ylabel("input u")  # no record says in which unit
     sections = [Section("Input and motion", svg=svg(signals))]
     if result.track is not None:
@@ -81,6 +81,6 @@ def _figures(result: DriveResult) -> list[Section]:
         sections.append(Section("Status", svg=svg(status_figure(t, result.track.status))))
     if result.fit is not None:
         used = t[record.u.size - result.fit.samples :]
-        figure = residual_figure(used, result.fit.residual)
+        figure = residual_figure(used, result.fit.residual, unit=own.force)
         sections.append(Section("Residual of the filtered equation", svg=svg(figure)))
     return sections

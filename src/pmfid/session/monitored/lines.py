@@ -7,6 +7,7 @@ import math
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.session.clock import time_factor
 from pmfid.session.config import Axis
+from pmfid.session.conversion import Sections, conversion
 from pmfid.session.monitored.timeline import Line
 
 #: Beyond it neighbouring whole numbers are no longer separate doubles.
@@ -28,8 +29,11 @@ class LineParser:
         if isinstance(config.input_scale, str):
             raise UsageError(f"[record] input_scale = {config.input_scale!r} names a variable; a pipe needs a number")
         self._wanted = [config.input, config.output] + ([config.time] if config.time else [])
-        self._scale, self._unit = config.input_scale, time_factor(config)
-        self._step = axis.encoder.resolution if config.output_kind == "position" else None
+        if config.output_kind == "velocity" or axis.encoder.range is not None:
+            raise UsageError("a pipe has positions that go on, or counts: unwrap or integrate the output before")
+        units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
+        self._scale, self._unit = config.input_scale * units.u, time_factor(config)
+        self._step = axis.encoder.resolution / units.y if config.output_kind == "position" else None
         self._read_header(_names(header))
 
     def _read_header(self, names: list[str]) -> None:
