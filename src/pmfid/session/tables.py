@@ -16,7 +16,7 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["TWICE", "Columns", "Table", "column", "from_array", "lookup", "notes_of", "times", "unit_of", "whole_name"]
+__all__ = ["TWICE", "Columns", "Table", "column", "from_array", "lookup", "notes_of", "times", "whole_name"]
 
 #: Column by name: an array or a polars series, whichever the reader of the file has.
 Table = Mapping[str, object]
@@ -56,12 +56,6 @@ def whole_name(table: Table, name: str) -> str:
         if found:
             return found[0] if len(found) == 1 else name
     return name
-
-
-def unit_of(name: str) -> str:
-    """The unit in brackets at the end of a column's name; empty where there is none."""
-    found = _UNIT.search(name)
-    return found.group().strip(" []()") if found else ""
 
 
 #: Polars' end of the name of a column that is there already.

@@ -6,7 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
-from pmfid.session.formats.layout import LOOKED_AT, Layout, layout_of
+from pmfid.session.formats.layout import LOOKED_AT, NOTHING, Layout, Stated, layout_of
 from pmfid.session.formats.packed import unpacked
 from pmfid.session.tables import TWICE, Columns
 
@@ -22,12 +22,12 @@ _COMMENT = re.compile(rb"(?m)^[ \t]*(#|%|//).*(\n|\Z)")
 _WIDE, _FIRST = 30, 2000
 
 
-def parse_csv(data: bytes) -> Columns:
-    """The columns as text, numbers with a decimal point. Raises UsageError for what is packed other than by gzip or
-    zstd, no text, or no table."""
+def parse_csv(data: bytes, stated: Stated = NOTHING) -> Columns:
+    """The columns as text, numbers with a decimal point; stated: what is known of the layout. Raises UsageError for
+    what is packed other than by gzip or zstd, no text, or no table."""
     text = _text(unpacked(data))
     head = text[: _end_of_line(text, LOOKED_AT)].decode("utf-8")
-    layout = layout_of(head.splitlines())
+    layout = layout_of(head.splitlines(), stated)
     return Columns(_columns(text[_end_of_line(text, layout.first) :], layout), layout.notes)
 
 

@@ -22,6 +22,7 @@ from pmfid.session.formats.arrow_file import ArrowTable
 from pmfid.session.formats.csv_file import parse_csv
 from pmfid.session.formats.excel_file import parse_excel
 from pmfid.session.formats.hdf5_file import parse_hdf5
+from pmfid.session.formats.layout import NOTHING, Stated
 from pmfid.session.formats.mat_file import parse_mat
 from pmfid.session.formats.mcap_file import parse_mcap
 from pmfid.session.formats.mdf_file import parse_mdf
@@ -76,8 +77,8 @@ OPENINGS: dict[bytes, str] = {
 }
 
 
-def read_table(path: Path) -> Table:
-    """All columns of a file of one of the `FORMATS`, not yet converted.
+def read_table(path: Path, stated: Stated = NOTHING) -> Table:
+    """All columns of a file of one of the `FORMATS`, not yet converted; stated: what is known of the layout of a text.
 
     Raises UsageError with the remedy for a file that is missing, empty, truncated, corrupt or of another type.
     """
@@ -95,7 +96,7 @@ def read_table(path: Path) -> Table:
         raise UsageError("the file is empty; export the record again")
     with readable(suffix if kind == named else kind), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what damage does to a library is told by its error
-        return READERS[kind](data)
+        return parse_csv(data, stated) if kind == ".csv" else READERS[kind](data)
 
 
 def format_of(data: bytes) -> str | None:
