@@ -25,6 +25,7 @@ from pmfid.estimators.lattice import lattice_scatter
 from pmfid.estimators.least_squares import inverse_of
 from pmfid.estimators.results import Columns
 from pmfid.estimators.scatter import scatter
+from pmfid.models.axes import LINEAR, Units
 from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 from pmfid.types import Counts, Floats
 
@@ -36,8 +37,6 @@ TURNS = 3
 WEIGHTS = 10.0 ** np.arange(-8.0, 4.1, 0.5)
 #: Blocks of the record, which are left out in so many turns.
 BLOCKS, FOLDS = 32, 8
-#: Of a table of the nodes.
-CURVE_HEADER = ("velocity [m/s]", "friction [N]", "std [N]")
 #: Error bars are those of a curve with so much of the smoothing, which may hide what the record can hardly show.
 LESS = 0.01
 
@@ -46,7 +45,7 @@ LESS = 0.01
 class FrictionCurve(Shown):
     """velocity (k,) [m/s]: the nodes, rising, those backward first; force, std (k,) [N]; mass, mass_std [kg]; weight:
     of the bend, that was chosen; error (n,) [N] that is left of the n samples in use, the last of the record; notes:
-    for people."""
+    for people; motion: the units, of a rotary axis rad/s, N m and kg m2."""
 
     velocity: Floats
     force: Floats
@@ -56,6 +55,7 @@ class FrictionCurve(Shown):
     weight: float
     error: Floats
     notes: tuple[str, ...] = ()
+    motion: Units = LINEAR
 
     @property
     def visited(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -78,12 +78,15 @@ class FrictionCurve(Shown):
         return np.where(inside, np.interp(v, self.velocity, values), np.nan)
 
     def summary(self) -> Summary:
-        title = f"friction at {self.velocity.size} speeds; mass = {self.mass:.6g} ± {self.mass_std:.2g} kg"
+        own = self.motion
+        mass = f"{own.inertia} = {self.mass:.6g} ± {self.mass_std:.2g} {own.of_inertia}"
+        header = (f"velocity [{own.speed}]", f"friction [{own.force}]", f"std [{own.force}]")
         found = zip(self.velocity, self.force, self.std, strict=True)
         rows = [(f"{velocity:.4g}", f"{force:.5g}", f"{std:.2g}") for velocity, force, std in found]
         ends = [rows[i] for i in np.flatnonzero(np.isin(self.velocity, self.visited)).tolist()]
-        lines = [f"{force} ± {std} N at {velocity} m/s" for velocity, force, std in ends]
-        return Summary(title, CURVE_HEADER, rows, lines, remarks_of((), self.notes))
+        lines = [f"{force} ± {std} {own.force} at {velocity} {own.speed}" for velocity, force, std in ends]
+        title = f"friction at {self.velocity.size} speeds; {mass}"
+        return Summary(title, header, rows, lines, remarks_of((), self.notes))
 
     def columns(self) -> dict[str, object]:
         """A row for each node."""
@@ -94,7 +97,7 @@ class FrictionCurve(Shown):
         return plain_dict(
             {
                 "samples": int(self.error.size),
-                "mass": {"value": self.mass, "std": self.mass_std, "unit": "kg"},
+                self.motion.inertia: {"value": self.mass, "std": self.mass_std, "unit": self.motion.of_inertia},
                 "curve": [{"velocity": velocity, "force": force, "std": std} for velocity, force, std in rows],
                 "visited": [list(part) for part in self.visited],
                 "notes": list(self.notes),

@@ -30,7 +30,6 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
 
-GAIN_UNIT = "N per u"
 #: Standard deviations, those of both sides together, from which on a fact and a record contradict each other.
 CONTRADICTED = 3.0
 #: Samples of a record over which the correlation of the parameters is taken for the same.
@@ -111,8 +110,12 @@ class Known:
         return (*self.estimator.names, *([INPUT_GAIN] if self.find_gain else []))
 
     @property
+    def _gain_unit(self) -> str:
+        return f"{self.estimator.equation.motion.force} per u"
+
+    @property
     def units(self) -> tuple[str, ...]:
-        return (*self.estimator.units, *([GAIN_UNIT] if self.find_gain else []))
+        return (*self.estimator.units, *([self._gain_unit] if self.find_gain else []))
 
     @property
     def _forces(self) -> NDArray[np.bool_]:

@@ -76,7 +76,9 @@ def _drive(result: DriveResult) -> Figure:
         balance = make_balance(result.estimator, result.record.u, result.record.counts, theta)
     except PmfidError:
         balance = None
-    return motion_figure(result.record) if balance is None else simulation_figure(balance)
+    if balance is None:
+        return motion_figure(result.record, result.estimator.equation.motion.speed)
+    return simulation_figure(balance)
 
 
 @_draw.register

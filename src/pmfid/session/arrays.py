@@ -15,10 +15,11 @@ from pmfid.estimators.arguments import check_arrays
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.session.config import NO_ENCODER, Axis
+from pmfid.session.config import Axis
 from pmfid.session.identify import identify as run
 from pmfid.session.kinds import Records, parameters_of
 from pmfid.session.model_config import SHAPES, keys_of
+from pmfid.session.record_config import NO_ENCODER
 from pmfid.session.records import Record, record_of
 from pmfid.session.result import Result
 from pmfid.session.terms import TermSearch, places_of, search_drive

@@ -19,7 +19,7 @@ from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.session.arrays import axis_of
 from pmfid.session.config import Axis, check_sampling
-from pmfid.session.drives import believed_of
+from pmfid.session.drives import believed_of, of_kind
 from pmfid.session.known import check_numbers_known
 from pmfid.session.records import Record
 from pmfid.types import Counts, Floats
@@ -59,6 +59,7 @@ def friction_curve(
 
 def record_curve(record: Record, axis: Axis, nodes: int = NODES, rising_from: float | None = None) -> FrictionCurve:
     """The same of a record that was read for `axis`, without what no motion explains."""
+    axis = of_kind(record, axis)
     without, encoder = believed_of(record, axis), axis.encoder.made(record.resolution)
     found = _found(without.record.u, without.record.counts, record.dt, encoder, axis, nodes, rising_from)
     return replace(found, notes=(*record.notes, *filter(None, (without.told,)), *found.notes))
@@ -94,7 +95,7 @@ def _found(
         )
     change = np.diff(u, prepend=u[:1])[-found.error.size :]
     follows = correlation_score(found.error, change) > SIGNIFICANT
-    return replace(found, notes=(FEEDBACK,)) if follows else found
+    return replace(found, notes=(FEEDBACK,) if follows else (), motion=model.equation.motion)
 
 
 def curve_json(found: FrictionCurve, name: str) -> dict[str, object]:

@@ -21,7 +21,7 @@ from pmfid.judge.terms import KEPT, Step, Terms, search
 from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.session.config import Axis, check_sampling
-from pmfid.session.drives import Drives, all_known, believed_of
+from pmfid.session.drives import Drives, all_known, believed_of, of_kind
 from pmfid.session.kinds import Progress
 from pmfid.session.known import check_numbers_known
 from pmfid.session.nested import Nested, nested, spoken
@@ -178,6 +178,7 @@ def search_drive(
     the same machine, which the models are to predict in place of parts of the first. Raises UsageError for what is no
     drive and NotIdentifiableError where the record is too short, or cannot identify the model to begin with.
     """
+    axis = of_kind(data, axis)
     model = axis.model.make()
     if not isinstance(model, Drive):
         raise UsageError(
@@ -231,7 +232,8 @@ def _told(data: Record, bench: Bench, found: Terms, told: tuple[str, ...], statu
     own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * (not found.adequacy.adequate)
     notes = (*told, *_sentences(found), *notes)
     names = tuple(dict.fromkeys((*status, *own, *flags)))
-    return TermSearch(data.name, int(data.u.size), data.resolution, found, models, tuple(_hidden(found)), names, notes)
+    hidden = tuple(_hidden(found, found.trials[0].model.equation.motion.force))
+    return TermSearch(data.name, int(data.u.size), data.resolution, found, models, hidden, names, notes)
 
 
 def _judged(bench: Bench, chosen: Nested) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -258,12 +260,12 @@ def _sentences(found: Terms) -> Iterator[str]:
         yield "something is left that no term of the list explains on data that it was not fitted to"
 
 
-def _hidden(found: Terms) -> Iterator[Hidden]:
+def _hidden(found: Terms, force: str) -> Iterator[Hidden]:
     """Of several forms of a term the one that is seen last."""
     adequacy, sizes = found.adequacy, dict[str, tuple[float, str]]()
     for lack, std in zip(adequacy.lacks, adequacy.size_std, strict=True):
         if lack.changes and lack.name != "cogging":
-            unit = "s" if lack.name == "dead_time" else "N"
+            unit = "s" if lack.name == "dead_time" else force
             sizes[lack.says] = (max(MISSED * float(std), sizes.get(lack.says, (0.0, ""))[0]), unit)
     yield from (Hidden(says, size, unit) for says, (size, unit) in sizes.items())
 

@@ -57,10 +57,22 @@ class Layout:
         return tuple(said)
 
 
-def layout_of(lines: Sequence[str]) -> Layout:
-    """The layout of the first lines of a file. Raises UsageError where they are no table."""
+@dataclass(frozen=True)
+class Stated:
+    """What is known of a layout; None: what the text shows."""
+
+    separator: str | None = None
+    decimal: str | None = None
+
+
+NOTHING = Stated()
+
+
+def layout_of(lines: Sequence[str], stated: Stated = NOTHING) -> Layout:
+    """The layout of the first lines of a file. Raises UsageError where they are no table, or none as it is stated."""
     looked = lines[:LOOKED_AT]
-    found = {reading: rows for reading in product(SEPARATORS, ".,") if (rows := _data(looked, *reading))}
+    readings = product(stated.separator or SEPARATORS, stated.decimal or ".,")
+    found = {reading: rows for reading in readings if (rows := _data(looked, *reading))}
     if not found and sum(bool(line.strip()) for line in looked) == 1:
         return _empty(looked)
     if not found:

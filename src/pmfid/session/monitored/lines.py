@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.session.clock import time_factor
 from pmfid.session.config import Axis
+from pmfid.session.conversion import Sections, conversion
 from pmfid.session.formats.layout import SEPARATORS, are_units, split
 from pmfid.session.monitored.timeline import Line
 from pmfid.session.tables import whole_name
@@ -43,8 +44,9 @@ class LineParser:
         if isinstance(config.input_scale, str):
             raise UsageError(f"[record] input_scale = {config.input_scale!r} names a variable; a pipe needs a number")
         self._wanted = [config.input, config.output] + ([config.time] if config.time else [])
-        self._scale = config.input_scale
-        self._step = axis.encoder.resolution if config.output_kind == "position" else None
+        if config.output_kind == "velocity" or axis.encoder.range is not None:
+            raise UsageError("a pipe has positions that go on, or counts: unwrap or integrate the output before")
+        self._sections = Sections(axis.record, axis.encoder, axis.model)
         self._read_header(_likeliest(_text(header), self._wanted))
 
     def _read_header(self, header: _Header) -> None:
@@ -55,7 +57,11 @@ class LineParser:
                 raise UsageError(f"standard input has no column {name!r}; it has {known}{hint}")
             if header.names.count(header.names[place]) > 1:
                 raise UsageError(f"standard input has two columns {name!r}; rename one of them")
+        config, encoder = self._config, self._sections.encoder
+        units = conversion(self._sections, *(header.names[place] for place in header.places[:2]))
         self._header = header
+        self._scale = float(config.input_scale) * units.u
+        self._step = encoder.resolution / units.y if config.output_kind == "position" else None
         time = header.names[header.places[2]] if len(header.places) == 3 else None  # its unit may stand in it
         self._unit = time_factor(self._config.model_copy(update={"time": time}))
 
@@ -78,7 +84,10 @@ class LineParser:
         header = _likeliest(text, self._wanted)
         if min(header.places) < 0:
             return False
-        self._read_header(header)
+        try:
+            self._read_header(header)
+        except UsageError:  # of other units, or with a column twice: the lines behind it are read as those before
+            return False
         return True
 
     def _cells(self, text: str) -> list[str]:
