@@ -170,6 +170,15 @@ def test_figures_take_times_and_nominal_values() -> None:
         track.plot(colour="red")
 
 
+def test_what_cannot_be_simulated_has_a_figure_too() -> None:
+    drive, process = gallery()["drive"], gallery()["process"]
+    nonsense = replace(drive, theta=-drive.theta)  # type: ignore[type-var, union-attr]
+    assert [axes.get_ylabel() for axes in nonsense.plot().axes] == ["input u", "velocity [m/s]"]
+    unstable = replace(process, process=replace(process.process, a=np.array([-1.0])))  # type: ignore[type-var, union-attr]
+    assert "fit unknown, unstable" in repr(unstable)
+    assert [axes.get_ylabel() for axes in unstable.plot().axes] == ["magnitude [dB]", "phase [degrees]"]
+
+
 def test_a_figure_has_the_style_of_the_report_whatever_the_user_has_set() -> None:
     with matplotlib.rc_context({"text.usetex": True, "axes.facecolor": "black"}):
         text = svg(gallery()["estimate"].plot())
