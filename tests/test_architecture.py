@@ -21,7 +21,7 @@ PACKAGE = Path(pmfid.__file__).parent
 REPOSITORY = Path(__file__).parents[1]
 CSRC = REPOSITORY / "csrc"
 
-GROUND = {"errors", "types", "status", "_estimate", "_kernel32", "_kernel64", "kernel"}
+GROUND = {"errors", "types", "findings", "status", "_estimate", "_kernel32", "_kernel64", "kernel"}
 FILTERS = GROUND | {"models", "encoder"}
 ESTIMATORS = FILTERS | {"filters", "transfer"}
 JUDGE = ESTIMATORS | {"estimators"}
@@ -30,7 +30,8 @@ SESSION = JUDGE | {"judge", "monitor", "design", "export"}
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
     "types": set(),
-    "status": {"kernel"},
+    "findings": set(),
+    "status": {"kernel", "findings"},
     "door": set(),
     "_estimate": {"errors"},
     "_kernel": {"_estimate"},
@@ -66,6 +67,7 @@ PUBLIC = [
     "EquationModel",
     "Estimate",
     "Experiment",
+    "Finding",
     "Fit",
     "Fleet",
     "IV",
@@ -94,6 +96,7 @@ PUBLIC = [
     "UsageError",
     "Validation",
     "Wave",
+    "check",
     "export_firmware",
     "friction_curve",
     "identify",

@@ -106,6 +106,11 @@ def _out(rng: Rng, chance: float) -> list[str]:
     return ["--out", place] if rng.random() < chance else []
 
 
+def _check(rng: Rng, folder: Path) -> Case:
+    files, name = _recorded(rng, folder)
+    return Case(("check", name, "--config", "axis.toml", *_flags(rng, 0.6, "--json"), *_more(rng, name)), files)
+
+
 def _compare(rng: Rng, folder: Path) -> Case:
     files, name = _recorded(rng, folder)
     chosen = options(rng, 0.1, quantize=["1e-3"], cutoff=["10"]) + _out(rng, 0.03)
@@ -283,7 +288,8 @@ COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "export": (_export, 0.15),
     "design": (_design, 0.07),
     "commission": (_commission, 0.06),
-    "compare": (_compare, 0.006),
+    "compare": (_compare, 0.004),
+    "check": (_check, 0.002),
     "terms": (_terms, 0.002),
     "friction": (_friction, 0.002),
     "order": (_order, 0.002),

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from pmfid import __version__
+from pmfid.cli.check import check
 from pmfid.cli.design import commission, design
 from pmfid.cli.export import export
 from pmfid.cli.friction import friction
@@ -229,6 +230,7 @@ def demo(out: Path, seed: int) -> None:
     click.echo(f"pmfid identify {out / 'cart.csv'} --config {out / 'cart.toml'}")
 
 
+main.add_command(check)
 main.add_command(design)
 main.add_command(commission)
 main.add_command(monitor)

@@ -29,6 +29,11 @@ def parameter_rows(result: Result) -> list[list[str]]:
     ]
 
 
+def findings_lines(result: Result) -> list[str]:
+    """The findings, most important first, a paragraph each."""
+    return [f"{finding.line[0].upper()}{finding.line[1:]}." for finding in result.findings]
+
+
 def _named(result: Result, name: str) -> str:
     known = result.beforehand.get(name)
     return name if known is None else f"{name} ({known})"

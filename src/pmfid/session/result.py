@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.known import Known
 from pmfid.estimators.results import Fit
 from pmfid.estimators.track import Track
+from pmfid.findings import Finding, codes, ordered, texts
 from pmfid.judge.assess import Assessment
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.records import Record
@@ -25,8 +27,8 @@ NORMAL_95 = 1.96
 
 @dataclass(frozen=True, eq=False)
 class Result(ABC):
-    """Parameters of a plant: theta, theta_std (p,) with the estimator's names and units; status: names of the bits that
-    hold for the result; notes: sentences for people. `result["mass"]` is one parameter.
+    """Parameters of a plant: theta, theta_std (p,) with the estimator's names and units; findings: what there is to say
+    of them and of the record, most important first. `result["mass"]` is one parameter.
 
     theta_std is for what varies from record to record. model_spread (p,), of machines: by how much what the model lacks
     may move the parameters, root mean square; NaN: not known, as where nothing simulates the equation.
@@ -35,9 +37,22 @@ class Result(ABC):
     estimator: Estimator
     theta: Floats
     theta_std: Floats
-    status: tuple[str, ...]
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
     model_spread: Floats | None = field(default=None, kw_only=True)
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """Names of what is more than a note among the findings."""
+        return codes(self.findings)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The findings as sentences for people."""
+        return texts(self.findings)
+
+    def with_findings(self, *further: Finding) -> Self:
+        """The same result with more to say."""
+        return replace(self, findings=ordered((*further, *self.findings)))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -96,7 +111,7 @@ class Result(ABC):
         ]
         lines += [f"  95 % with what the model may lack: {told}" for told in self._told_beyond_noise()]
         lines += [f"status: {', '.join(self.status)}"] if self.status else []
-        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+        return "\n".join([*lines, *(finding.line for finding in self.findings)])
 
     def _told_beyond_noise(self) -> list[str]:
         """One line for each parameter of which something is known beside the noise."""
@@ -140,6 +155,7 @@ class Result(ABC):
             **self.particulars(),
             "status": list(self.status),
             "notes": list(self.notes),
+            "findings": [finding.to_json() for finding in self.findings],
         }
 
 
