@@ -13,6 +13,7 @@ from pmfid.cli.check import check
 from pmfid.cli.design import commission, design
 from pmfid.cli.export import export
 from pmfid.cli.friction import friction
+from pmfid.cli.init import init
 from pmfid.cli.monitor import monitor
 from pmfid.cli.options import CUTOFF, JSON, RECORDS, config_option, folder_option
 from pmfid.cli.output import print_json
@@ -231,6 +232,7 @@ def demo(out: Path, seed: int) -> None:
 
 
 main.add_command(check)
+main.add_command(init)
 main.add_command(design)
 main.add_command(commission)
 main.add_command(monitor)

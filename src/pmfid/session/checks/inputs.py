@@ -20,7 +20,7 @@ LEVELS = 20
 #: Part of the record at a limit that is worth a word; it is so many times what is at each of so many values beside it.
 AT_LIMIT, PILED, BESIDE = 0.005, 5.0, 20
 #: The force that is missing there: in standard deviations, and in parts of the largest.
-CERTAIN, SHORT = 3.0, 0.02
+CERTAIN, SHORT = 4.0, 0.02
 #: Filters through which that is looked for [samples].
 TIMES = (10.0, 30.0, 100.0)
 

@@ -7,7 +7,7 @@ pole is that behind which most of the input is explained: a coarse encoder asks 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -104,7 +104,7 @@ def solved(phi: Floats, z: Floats) -> Floats:
 
 def view(u: Floats, counts: Counts, encoder: Encoder, dt: float, time: float) -> View | None:
     """The record behind filters of a time constant [samples]; None where they do not settle within it."""
-    method = LS(Drive(1.0, offset=True), encoder, dt, 1 / (time * dt))
+    method = LS(Drive(1.0, offset=True), replace(encoder, guard=False), dt, 1 / (time * dt))
     if u.size < max(method.settle_samples + PARTS * SHORTEST, ENOUGH * time):
         return None
     columns = method.columns(u, counts)
