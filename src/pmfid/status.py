@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from enum import IntFlag
 
+from pmfid.findings import Finding
 from pmfid.kernel.structures import constants_of
 
 _BITS = constants_of(None)
@@ -63,6 +64,11 @@ ADVICE = {
         'set dead_time = "estimate"; the error bars do not cover it'
     ),
 }
+
+
+def status_findings(status: int) -> list[Finding]:
+    """What the bits that are set say."""
+    return [Finding(str(bit.name).lower(), ADVICE[bit]) for bit in Status if bit & status]
 
 
 def status_names(status: int) -> list[str]:

@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
 from pmfid.estimators.arguments import check_arrays
+from pmfid.findings import Finding
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import Axis
+from pmfid.session.identify import check as checked
 from pmfid.session.identify import identify as run
 from pmfid.session.kinds import Records, parameters_of
 from pmfid.session.model_config import SHAPES, keys_of
@@ -60,6 +62,23 @@ def identify(
         raise UsageError(f"a {model.kind} is identified from u and counts (n,) with dt and encoder; give all of them")
     axis = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
     return run(_record(cast(ArrayLike, u), y, axis), axis)
+
+
+def check(
+    u: ArrayLike,
+    y: ArrayLike,
+    *,
+    model: Model,
+    dt: float,
+    encoder: Encoder,
+) -> tuple[Finding, ...]:
+    """What is wrong with a log of a machine, most important first, as `pmfid check` says it; empty where nothing is
+    found.
+
+    u, y (n,), model, dt [s], encoder: as for `identify`. Raises UsageError for arguments that do not fit each other.
+    """
+    axis = axis_of(model, encoder, dt, {})
+    return checked(_record(u, y, axis), axis)
 
 
 def validate(

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from pmfid.findings import Finding
 from pmfid.types import Floats
 
 UNKNOWN = "–"
@@ -35,6 +36,13 @@ class Parametric(Protocol):
     def beforehand(self) -> Mapping[str, str]: ...
 
 
+class Found(Protocol):
+    """What findings there are."""
+
+    @property
+    def findings(self) -> tuple[Finding, ...]: ...
+
+
 def parameter_header(result: Parametric) -> tuple[str, ...]:
     """Of the columns of `parameter_rows`."""
     beyond = () if result.model_spread is None else FOLDED
@@ -49,6 +57,11 @@ def parameter_rows(result: Parametric) -> list[list[str]]:
     return [
         [_named(result, name), f"{value:.6g}", f"{std:.2g}", *beyond, unit] for name, value, std, beyond, unit in found
     ]
+
+
+def findings_lines(result: Found) -> list[str]:
+    """The findings, most important first, a paragraph each."""
+    return [f"{finding.line[0].upper()}{finding.line[1:]}." for finding in result.findings]
 
 
 def _named(result: Parametric, name: str) -> str:
