@@ -10,7 +10,7 @@ import numpy as np
 
 from pmfid.errors import place_of
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.known import Known
+from pmfid.estimators.known import Known, told_by
 from pmfid.estimators.results import Fit
 from pmfid.estimators.track import Track
 from pmfid.findings import Finding, codes, ordered, texts
@@ -196,11 +196,11 @@ class DriveResult(Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        return self.estimator.names if self.known is None else self.known.names
+        return told_by(self.estimator, self.known).names
 
     @property
     def units(self) -> tuple[str, ...]:
-        return self.estimator.units if self.known is None else self.known.units
+        return told_by(self.estimator, self.known).units
 
     @property
     def beforehand(self) -> dict[str, str]:
