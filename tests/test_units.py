@@ -168,9 +168,7 @@ def test_a_name_that_the_configuration_contradicts_is_refused(tmp_path: Path) ->
         read_record(path, axis("pos_mm", record_output_kind="counts"))
     with pytest.raises(UsageError, match='output_kind = "velocity"'):
         read_record(logged(tmp_path, "v [mm/s]"), axis("v [mm/s]"))
-    with pytest.raises(
-        UsageError, match=r"resolution in deg is of a rotary axis, .* in N/V of a linear one"
-    ):
+    with pytest.raises(UsageError, match=r"resolution in deg is of a rotary axis, .* in N/V of a linear one"):
         axis("y", resolution="0.01 deg", input_gain="2 N/V")
 
 
