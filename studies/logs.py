@@ -16,6 +16,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.paper.truth import table
 from pmfid.session.config import Axis
 from pmfid.session.identify import identify, kind_of
+from pmfid.session.toml_file import validated
 from pmfid.types import Floats
 from studies.log_bench import BENCHES, Keys, Log
 from studies.log_folder import clean, logs
@@ -48,7 +49,7 @@ class Outcome:
 
 def by_config(path: Path, keys: Keys) -> Floats:
     """The estimate that `pmfid identify` gives with these keys. Raises as it does."""
-    axis = Axis.model_validate(keys)
+    axis = validated(Axis, keys)
     return identify(kind_of(axis).read([path], axis), axis).theta
 
 
@@ -87,7 +88,9 @@ def _follow(sentence: str, log: Log, keys: Keys, path: Path) -> str | None:
     section = found["section"] or next(name for name, own in _homes().items() if found["key"] in own)
     ways = re.findall(r'"[^"]*"', remedy.group(1)[found.start("first") :].split(";")[0]) or [found["first"]]
     value = next((way for unit in log.units for way in ways if re.search(rf'[ /"]{re.escape(unit)}"', way)), ways[0])
-    keys[section][found["key"]] = value.strip('"') if value.startswith('"') else float(value)
+    keys[section][found["key"]] = (
+        value.strip('"') if value.startswith('"') else int(value) if value.isdigit() else float(value)
+    )
     return f"{found['key']} = {value}"
 
 

@@ -14,11 +14,6 @@ from pmfid.report.html import Section, svg, write_report
 from pmfid.session.friction import curve_json
 
 
-def curve_header(found: FrictionCurve) -> tuple[str, ...]:
-    """Of the columns of `curve_rows`."""
-    return f"velocity [{found.motion.speed}]", f"friction [{found.motion.force}]", f"std [{found.motion.force}]"
-
-
 def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
     """Writes friction.html and friction.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
@@ -33,16 +28,9 @@ def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
         "at rest is not in the curve."
     )
     text = "\n\n".join([text, *(f"Note: {note}." for note in found.notes)])
-    section = Section(
-        "Friction over velocity", text, (curve_header(found), curve_rows(found)), svg(curve_figure(found))
-    )
+    table = found.summary()
+    section = Section("Friction over velocity", text, (table.header, table.rows), svg(curve_figure(found)))
     write_report(out / "friction.html", f"{name}: friction over velocity", [section])
-
-
-def curve_rows(found: FrictionCurve) -> list[list[str]]:
-    """One row of text for each node."""
-    rows = zip(found.velocity, found.force, found.std, strict=True)
-    return [[f"{velocity:.4g}", f"{force:.5g}", f"{std:.2g}"] for velocity, force, std in rows]
 
 
 def curve_figure(found: FrictionCurve) -> Figure:
@@ -59,7 +47,7 @@ def curve_figure(found: FrictionCurve) -> Figure:
         axes.axvspan(slow_back, slow, color=GREY, alpha=0.25, lw=0, label="hardly visited")
         axes.axhline(0.0, color=GREY, lw=0.8)
         axes.set_xlim(*(1.03 * np.array([found.velocity[0], found.velocity[-1]])))
-        axes.set_xlabel(curve_header(found)[0])
-        axes.set_ylabel(curve_header(found)[1])
+        axes.set_xlabel(f"velocity in {found.motion.speed}")
+        axes.set_ylabel(f"friction in {found.motion.force}")
         axes.legend(loc="upper left")
     return figure

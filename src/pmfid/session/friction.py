@@ -100,12 +100,4 @@ def _found(
 
 def curve_json(found: FrictionCurve, name: str) -> dict[str, object]:
     """The object that `--json` prints."""
-    rows = zip(found.velocity.tolist(), found.force.tolist(), found.std.tolist(), strict=True)
-    return {
-        "record": name,
-        "samples": int(found.error.size),
-        found.motion.inertia: {"value": found.mass, "std": found.mass_std, "unit": found.motion.of_inertia},
-        "curve": [{"velocity": velocity, "force": force, "std": std} for velocity, force, std in rows],
-        "visited": [list(part) for part in found.visited],
-        "notes": list(found.notes),
-    }
+    return {"record": name, **found.to_dict()}

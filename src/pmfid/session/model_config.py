@@ -77,23 +77,27 @@ class ShapeConfig(FileSection):
             raise UsageError(f"a shape has the form {FORMS}; got {self.form} with {list(given)}") from None
 
 
+SIGNAL = 'what the term is of: "input", "output", "direction" of motion, "constant", and others for friction and places'
+DERIVATIVE = "which derivative of the signal, 0 for the signal itself"
+
+
 class UnknownTerm(FileSection):
     """A term of the user's own equation, whose coefficient is to be found."""
 
-    signal: Signal
-    derivative: int = 0
-    coefficient: float = 1.0
-    name: Name
-    unit: str = ""
-    shape: ShapeConfig | None = None
+    signal: Signal = Field(description=SIGNAL)
+    derivative: int = Field(0, description=DERIVATIVE)
+    coefficient: float = Field(1.0, description="a known factor of the term, beside what is to be found")
+    name: Name = Field(description='the name of the parameter, as "inertia"')
+    unit: str = Field("", description='the unit of the parameter, as "kg m2"')
+    shape: ShapeConfig | None = Field(None, description="the form of a friction or a force at a place")
 
 
 class KnownTerm(FileSection):
     """A term of the user's own equation with a known coefficient."""
 
-    signal: Signal = "input"
-    derivative: int = 0
-    coefficient: float = 1.0
+    signal: Signal = Field("input", description=SIGNAL)
+    derivative: int = Field(0, description=DERIVATIVE)
+    coefficient: float = Field(1.0, description="the factor of the term, which is known")
 
 
 class ModelConfig(FileSection):

@@ -26,6 +26,7 @@ from pmfid.session.kinds import Progress
 from pmfid.session.known import check_numbers_known
 from pmfid.session.nested import Nested, nested, spoken
 from pmfid.session.records import Record
+from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 
 #: What the flags of `pmfid identify` do not say.
 AMBIGUOUS, UNRESOLVED = "ambiguous_term", "unresolved"
@@ -40,8 +41,8 @@ class Hidden:
     unit: str
 
 
-@dataclass(frozen=True, eq=False)
-class TermSearch:
+@dataclass(frozen=True, eq=False, repr=False)
+class TermSearch(Shown):
     """What a search has found. name, samples, resolution [unit of y]: of the record; models: from that to begin with to
     the chosen one; hidden: terms that are not in it; status, notes: as of a result."""
 
@@ -97,6 +98,29 @@ class TermSearch:
             "notes": list(self.notes),
         }
 
+    def summary(self) -> Summary:
+        header = ("model", "parameters", "log-likelihood", "unexplained")
+        rows = [
+            (model.label, str(model.trial.theta.size), f"{model.trial.log_likelihood:.6g}", _share(model))
+            for model in self.models
+        ]
+        lines = [f"{label}: log-likelihood {likelihood}" for label, _, likelihood, _ in rows]
+        title = f"{self.name}, {self.samples} samples. {self.sentence}"
+        return Summary(title, header, rows, lines, remarks_of(self.status, self.notes))
+
+    def columns(self) -> dict[str, object]:
+        """A row for each parameter of each of the models."""
+        rows = [
+            (model.label, name, *told.values())
+            for model in self.models
+            for name, told in _parameters_json(model).items()
+        ]
+        return dict(zip(("model", "parameter", "value", "std"), map(list, zip(*rows, strict=True)), strict=True))
+
+    def to_dict(self) -> dict[str, object]:
+        """What `--json` prints."""
+        return plain_dict(self.to_json())
+
 
 def _share(model: Nested) -> str:
     whole, slow = model.unexplained
@@ -109,19 +133,23 @@ def _finite(value: float) -> float | None:
 
 
 def _model_json(model: Nested, resolution: float) -> dict[str, object]:
-    trial = model.trial
-    names = [*trial.model.equation.names, *(name for name, _ in trial.model.equation.further)]
-    std = [None] * len(names) if model.fit is None else model.fit.theta_std.tolist()
-    rows = zip(names, trial.theta.tolist(), std, strict=True)
     return {
         "added": model.added,
-        "log_likelihood": trial.log_likelihood,
+        "log_likelihood": model.trial.log_likelihood,
         "held_out": _finite(model.error),
         "held_out_counts": _finite(model.error / resolution),
         "unexplained": _finite(model.unexplained[0]),
         "unexplained_slow": _finite(model.unexplained[1]),
-        "parameters": {name: {"value": value, "std": bar} for name, value, bar in rows},
+        "parameters": _parameters_json(model),
     }
+
+
+def _parameters_json(model: Nested) -> dict[str, dict[str, float | None]]:
+    equation = model.trial.model.equation
+    names = [*equation.names, *(name for name, _ in equation.further)]
+    std = [None] * len(names) if model.fit is None else model.fit.theta_std.tolist()
+    rows = zip(names, model.trial.theta.tolist(), std, strict=True)
+    return {name: {"value": value, "std": bar} for name, value, bar in rows}
 
 
 def _step_json(step: Step) -> dict[str, object]:

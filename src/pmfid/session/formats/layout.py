@@ -137,6 +137,12 @@ def _numeric(fields: Sequence[str], decimal: str) -> bool:
     return any(_NUMBER[decimal].fullmatch(field) for field in fields) and 100 * known >= NUMBERS * len(fields)
 
 
+def is_data(line: str) -> bool:
+    """Is this a line of data without a word in it, however its fields are separated?"""
+    rows = ((split(line, separator), decimal) for separator, decimal in product(SEPARATORS, ".,"))
+    return any(len(row) > 1 and all(_known(field, decimal) for field in row) for row, decimal in rows)
+
+
 def _known(field: str, decimal: str) -> bool:
     return bool(_NUMBER[decimal].fullmatch(field) or _TIME.fullmatch(field)) or field.lower() in _WORDS
 
@@ -151,7 +157,7 @@ def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple
     if not rows:
         return tuple(f"column_{k}" for k in range(1, len(fields) + 1)), False
     header, units = rows[0], [""] * len(fields)
-    if len(rows) > 1 and all(_UNIT.fullmatch(name) for name in header if name):
+    if len(rows) > 1 and are_units(header):
         header, units = rows[1], [unit.strip("[]() ") for unit in header]
     names = [name or f"column_{k}" for k, name in enumerate(header, 1)]
     return tuple(f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)), True
@@ -169,6 +175,11 @@ def _scope_names(lines: Sequence[Sequence[str]]) -> tuple[str, ...]:
         stamps = "time [ms]" if k == 0 else f"time_{k} [ms]"
         names.append(stamps if name == "Name" else f"{name} [{unit}]" if unit and unit != "Unit" else name)
     return tuple(names)
+
+
+def are_units(fields: Sequence[str]) -> bool:
+    """Is this a row of units, and of nothing else?"""
+    return all(_UNIT.fullmatch(field) for field in fields if field)
 
 
 def _as_long(line: list[str], fields: Sequence[str]) -> list[str]:
