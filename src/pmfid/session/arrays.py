@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -16,9 +17,11 @@ from pmfid.findings import Finding
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.session.config import Axis
+from pmfid.session.config import Axis, load_axis
+from pmfid.session.frames import table_of
 from pmfid.session.identify import check as checked
 from pmfid.session.identify import identify as run
+from pmfid.session.identify import kind_of
 from pmfid.session.kinds import Records, parameters_of
 from pmfid.session.model_config import SHAPES, keys_of
 from pmfid.session.record_config import NO_ENCODER
@@ -34,10 +37,11 @@ INPUT, OUTPUT = "u", "y"
 
 
 def identify(
-    u: ArrayLike | Experiment | Sequence[Experiment],
+    u: ArrayLike | Experiment | Sequence[Experiment] | object,
     y: ArrayLike | None = None,
     *,
-    model: Model,
+    model: Model | None = None,
+    axis: Axis | Path | str | None = None,
     dt: float | None = None,
     cutoff: float | None = None,
     encoder: Encoder | None = None,
@@ -52,16 +56,33 @@ def identify(
     AXIS.toml: method ("auto"), order, forgetting, forgetting_scheme, discretization, prefilter_zeros, precision; given
     and prior, of a machine: what is known beside the record, {"mass": 1.25} and {"mass": (1.0, 0.1)}, as the mass in
     place of Drive(input_gain="estimate").
+    axis: in place of all that, an AXIS.toml or its path, and for u what it names the columns of: a frame of pandas,
+    Polars or Arrow, a dict of arrays, or the path of a file.
     Raises UsageError for arguments that do not fit each other and NotIdentifiableError where the data cannot identify
     every parameter, with the mistake that explains it, where one is found.
     """
+    if axis is not None:
+        if settings or any(value is not None for value in (y, model, dt, cutoff, encoder)):
+            raise UsageError("axis says everything but the record: leave out y, model, dt, encoder and settings")
+        return _configured(u, axis)
+    if model is None:
+        raise UsageError("neither model nor axis is given: give a Drive, or an AXIS.toml")
     if isinstance(model, TransferFunction):
         experiments = _experiments(u, y, dt)
         return run(experiments, axis_of(model, encoder, experiments[0].period, {"cutoff": cutoff, **settings}))
     if y is None or dt is None or encoder is None or isinstance(u, Experiment):
         raise UsageError(f"a {model.kind} is identified from u and counts (n,) with dt and encoder; give all of them")
-    axis = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
-    return run(_record(cast(ArrayLike, u), y, axis), axis)
+    own = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
+    return run(_record(cast(ArrayLike, u), y, own), own)
+
+
+def _configured(record: object, axis: Axis | Path | str) -> Result:
+    """Of a frame or a file, by an AXIS.toml."""
+    own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
+    kind = kind_of(own)
+    if isinstance(record, str | Path):
+        return run(kind.read([Path(record)], own), own)
+    return run(kind.of_table(table_of(record), own), own)
 
 
 def check(

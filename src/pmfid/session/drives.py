@@ -40,9 +40,10 @@ from pmfid.session.diagnosis import check_direction
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.session.known import at_gain, at_some_gain, finds_gain, known_of, of_either_sign, put_together
 from pmfid.session.outliers import believed_of
-from pmfid.session.records import Record, read_record
+from pmfid.session.records import Record, read_record, record_of
 from pmfid.session.result import DriveResult
 from pmfid.session.stored import Stored
+from pmfid.session.tables import Table
 from pmfid.status import Status, status_findings
 from pmfid.types import Counts, Floats
 
@@ -63,6 +64,9 @@ class Drives(Kind[Record]):
         if len(paths) > 1:
             raise UsageError("several records make one estimate of a transfer function only; give one record")
         return read_record(paths[0], axis, quantize)
+
+    def of_table(self, table: Table, axis: Axis) -> Record:
+        return record_of(table, axis)
 
     def name_and_samples(self, data: Record) -> tuple[str, int]:
         return data.name, int(data.u.size)

@@ -19,6 +19,7 @@ from pmfid.session.config import Axis, check_sampling
 from pmfid.session.records import Record
 from pmfid.session.result import Result
 from pmfid.session.stored import Stored
+from pmfid.session.tables import Table
 from pmfid.transfer.experiment import Experiment
 from pmfid.types import Floats
 
@@ -40,6 +41,10 @@ class Kind(ABC, Generic[Data]):
     @abstractmethod
     def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Data:
         """The records at `paths`. Raises UsageError for what is no such record, or too many of them."""
+
+    @abstractmethod
+    def of_table(self, table: Table, axis: Axis) -> Data:
+        """The same of a table of columns. Raises UsageError as `read` does."""
 
     def prepared(self, data: Data, axis: Axis) -> Axis:
         """The configuration with what it leaves to the record; the same where it leaves nothing."""

@@ -28,7 +28,7 @@ from pmfid.types import Counts, Floats
 if TYPE_CHECKING:
     from pmfid.session.config import Axis
 
-__all__ = ["MIN_SAMPLES", "Record", "read_experiment", "read_record", "record_of"]
+__all__ = ["MIN_SAMPLES", "Record", "experiment_of", "read_experiment", "read_record", "record_of"]
 
 MIN_SAMPLES = 10
 # Beyond 2**53 neighbouring integers share one float64, and a count would be silently wrong.
@@ -61,29 +61,33 @@ def read_experiment(path: Path, axis: Axis) -> Experiment:
     Of output_kind = "counts" in units of the encoder's resolution. Raises UsageError naming the file and the remedy.
     """
     try:
-        table = read_table(path, Stated(axis.record.separator, axis.record.decimal))
-        config, table, columns = _columns(axis.record, table)
-        keys = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
-        _check_lengths(columns, keys)
-        scale, _ = _input_scale(table, config.input_scale)
-        y, t = columns["output"], columns.get("time")
-        t = None if t is None else t * _stated_factor(config)
-        if config.output_kind == "counts":
-            resolution = axis.encoder.resolution
-            step = 1.0 if resolution == NO_ENCODER else resolution
-            y = _scaled(_unwrapped(y, axis.encoder.bits) + 0.5, step, "[encoder] resolution")
-        return Experiment(
-            _scaled(columns["input"], scale),
-            y,
-            dt=config.dt if t is None else None,
-            t=t,
-            hold=config.hold,
-            gap=config.gap,
-            reference=columns.get("reference"),
-            name=path.name,
-        )
+        return experiment_of(read_table(path, Stated(axis.record.separator, axis.record.decimal)), axis, path.name)
     except UsageError as error:
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from None
+
+
+def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
+    """The same of a table of columns that `axis.record` names."""
+    config, table, columns = _columns(axis.record, table)
+    keys = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
+    _check_lengths(columns, keys)
+    scale, _ = _input_scale(table, config.input_scale)
+    y, t = columns["output"], columns.get("time")
+    t = None if t is None else t * _stated_factor(config)
+    if config.output_kind == "counts":
+        resolution = axis.encoder.resolution
+        step = 1.0 if resolution == NO_ENCODER else resolution
+        y = _scaled(_unwrapped(y, axis.encoder.bits) + 0.5, step, "[encoder] resolution")
+    return Experiment(
+        _scaled(columns["input"], scale),
+        y,
+        dt=config.dt if t is None else None,
+        t=t,
+        hold=config.hold,
+        gap=config.gap,
+        reference=columns.get("reference"),
+        name=name,
+    )
 
 
 def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record:
