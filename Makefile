@@ -69,6 +69,7 @@ firmware: .venv/tools
 	.venv/bin/python -m tests.firmware.study --out docs/footprint.md
 
 study: .venv/tools
+	.venv/bin/pmfid explain --page > docs/axis_toml.md
 	.venv/bin/python -m studies.accuracy --out docs/accuracy.md
 	.venv/bin/python -m studies.automatic --out docs/automatic.md
 	.venv/bin/python -m studies.confidence --out docs/confidence.md

@@ -17,7 +17,7 @@ from pmfid.estimators.registry import ESTIMATORS
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.paper.truth import Study, Task, table
 from pmfid.simulation.process import PLANTS, Plant, simulate_process
-from pmfid.transfer.process import polynomial
+from pmfid.transfer.written import polynomial
 from pmfid.types import Floats
 
 #: Ratio of the powers of output and noise.

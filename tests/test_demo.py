@@ -113,7 +113,7 @@ def test_same_seed_same_bytes(folder: Path, tmp_path: Path) -> None:
     for name in ("report.html", "cart.csv"):
         assert (folder / name).read_bytes() == (tmp_path / "b" / "deep" / name).read_bytes()
     page = (folder / "report.html").read_text("utf-8")
-    assert page.count("<svg") == 4
+    assert page.count("<svg") == 5
     assert "http" not in page
     assert len(page) < 1_500_000
     assert all(f'<td class="number">{n}</td>' in page for n in INCREMENTS)
@@ -152,3 +152,17 @@ def test_other_durations_work() -> None:
     assert short.step_time == pytest.approx(10.015)
     assert np.flatnonzero(np.diff(short.truth["mass"])).tolist() == [1001]
     assert all(row.worst("mass") < 1.0 for row in short.rows_of("BCRLS"))
+
+
+def test_the_first_screen_says_what_happened(result: DemoResult, folder: Path) -> None:
+    """A figure, one sentence, a table; the numbers are those of the rows."""
+    page = (folder / "report.html").read_text("utf-8")
+    first = page.partition("<section>")[2].partition("</section>")[0]
+    assert first.index("<figure") < first.index("<p>") < first.index("<table>")
+    (sentence,) = re.findall("<p>(.*?)</p>", first)
+    assert sentence.startswith("At 15 s the load of the cart rises from 1.07 to 1.44 kg: RIV finds both within ")
+    worst = max(row.worst("mass") for row in result.rows_of("RIV"))
+    assert float(sentence.partition("both within ")[2].split()[0]) == pytest.approx(worst, rel=0.05)
+    assert sentence.count(". ") == 0
+    assert " s s" not in sentence
+    assert first.count("<tr>") == 1 + len(METHODS)

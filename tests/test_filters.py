@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 import pmfid
+from pmfid._stage import first_order
 from pmfid.filters.chain import chain, derivative, hold_exact, hold_matched
 from pmfid.filters.columns import tustin_image
 from pmfid.filters.network import SIGNALS, Network
@@ -100,3 +101,15 @@ def test_order_of_convergence_in_dt(discretization, drive):
         errors.append(abs(fit["mass"] / 1.07 - 1))
     slope = np.polyfit(np.log(periods), np.log(errors), 1)[0]
     assert slope > 1.7
+
+
+def test_a_stage_over_a_whole_signal_has_the_bits_of_scipy() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        a, b0, b1, memory = rng.uniform(-1, 1), *rng.standard_normal(3)
+        x = rng.standard_normal(200)
+        expected, left = lfilter([b0, b1], [1, -a], x, zi=[memory])
+        found, kept = first_order(x, a, b0, b1, memory)
+        assert np.array_equal(found, expected)
+        assert kept == left[0]
+        assert np.array_equal(first_order(x[::2], a, b0)[0], lfilter([b0], [1, -a], x[::2]))

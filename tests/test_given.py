@@ -21,7 +21,7 @@ from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.events import Alarm, Settled, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.paper.truth import CartRecord
-from pmfid.report.parameters import parameter_rows
+from pmfid.session.parameters import parameter_rows
 from pmfid.session.result import DriveResult
 from pmfid.simulation import CART, DriveParameters, Machine, Schedule, prbs, quantize, simulate_drive
 from pmfid.simulation.changes import slipping_belt

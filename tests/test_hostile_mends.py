@@ -28,9 +28,10 @@ from pmfid.monitor.scores import scores
 from pmfid.report.monitored import _velocity
 from pmfid.report.monitored_figures import RunData, run_figure
 from pmfid.session.clock import sample_period
-from pmfid.session.config import RecordConfig, load_axis
+from pmfid.session.config import load_axis
 from pmfid.session.design_spec import load_spec, make_problem
 from pmfid.session.monitored.lines import LineParser
+from pmfid.session.record_config import RecordConfig
 from pmfid.status import Status
 from tests.test_front import CART
 from tests.test_states import forged, used

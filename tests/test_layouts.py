@@ -222,5 +222,16 @@ def test_dates_that_are_not_read_are_refused_with_those_that_are(tmp_path: Path)
 
 
 def test_units_of_the_file_are_said(tmp_path: Path) -> None:
-    record = read(tmp_path, text(";", ",", header="t;u;y\n[s];[mV];[mm]"))
-    assert "the file has u in mV and y in mm: input_gain and resolution must be for that" in record.notes
+    record = read(tmp_path, text(";", ",", header="t;u;y\n[s];[V];[m]"))
+    assert "the file has u in V and y in m" in record.notes
+
+
+def test_a_layout_that_is_stated_is_kept(tmp_path: Path) -> None:
+    """A text of one reading alone needs no statement, and contradicts a wrong one."""
+    same(read(tmp_path, text(";", ","), more='separator = ";"\ndecimal = ","'))
+    with pytest.raises(UsageError, match=r"no lines of numbers|no such column"):
+        read(tmp_path, text(";", ","), more='separator = "|"')
+    # 1,234 is a number of thousands or of parts, which no text tells by itself
+    whole = "t;u;y\n" + "".join(f"{k * DT:.3f};1.000;{k / 4:.3f}\n".replace(".", ",") for k in range(N))
+    record = read(tmp_path, whole, more='decimal = ","')
+    assert record.u[0] == 1.0

@@ -15,7 +15,7 @@ from pmfid.estimators.adequacy import Adequacy, examine
 from pmfid.estimators.interval import IntervalML
 from pmfid.judge.spread import ODDS, believed_squares
 from pmfid.paper.truth import CartRecord, Task
-from pmfid.report.parameters import UNKNOWN, between, parameter_header, parameter_rows
+from pmfid.session.parameters import UNKNOWN, between, parameter_header, parameter_rows
 from pmfid.session.result import NORMAL_95, DriveResult
 from pmfid.simulation import CART, CART_DT, DriveParameters, Machine, drive_machine, prbs
 from pmfid.types import Floats

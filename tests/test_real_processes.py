@@ -12,7 +12,6 @@ from pmfid import BCLS, IV, LS, OE, RSRIVC, SRIVC, Encoder, Experiment, Transfer
 from pmfid.cli.main import main
 from pmfid.estimators.registry import methods_for
 from pmfid.estimators.srivc import by_descent, fit_process, fixed_filters
-from pmfid.report.process import dynamics_rows
 from pmfid.simulation.process import Controller, simulate_late, simulate_loop, simulate_process
 from pmfid.transfer.bounded import respond_bounded
 from pmfid.transfer.process import Process
@@ -276,4 +275,4 @@ def test_a_process_with_integrators_has_the_gain_of_a_derivative():
     assert two.slope == ("acceleration gain", 3.0, pytest.approx(0.1), "1/s^2")
     plain = Process(np.array([4.0]), np.array([8.0]), np.diag([0.04**2, 0.08**2]))
     assert plain.slope[:3] == ("gain", plain.gain, pytest.approx(plain.gain_std))
-    assert "inf" not in repr(one) + repr(two) + str(dynamics_rows(one))
+    assert "inf" not in repr(one) + repr(two) + str(one.rows)

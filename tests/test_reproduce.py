@@ -202,7 +202,7 @@ def test_picture_has_the_papers_colours_and_the_csv_what_is_drawn(tmp_path: Path
 def test_same_seeds_same_files_whatever_the_processes(tmp_path: Path) -> None:
     folders = [tmp_path / "one", tmp_path / "two"]
     for jobs, folder in enumerate(folders, start=1):
-        rows = reproduce(["4", "2"], folder, seeds=2, jobs=jobs)
+        rows = reproduce(["4", "2"], folder, seeds=1, jobs=jobs)
     files = sorted(path.name for path in folders[0].iterdir())
     assert files == [
         *("figure2.csv", "figure2.png", "figure4-methods.csv", "figure4-methods.png", "figure4.csv", "figure4.png"),
@@ -210,7 +210,7 @@ def test_same_seeds_same_files_whatever_the_processes(tmp_path: Path) -> None:
     ]
     for name in files:
         assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes(), name
-    assert {(row.figure, row.runs) for row in rows} == {("4", 2), ("2", 1)}
+    assert {(row.figure, row.runs) for row in rows} == {("4", 1), ("2", 1)}
 
 
 @pytest.mark.parametrize("name", FIGURES)

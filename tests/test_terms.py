@@ -60,6 +60,21 @@ def directional() -> TermSearch:
     return searched(made(asymmetry=0.15))
 
 
+def test_a_search_shows_itself(directional: TermSearch) -> None:
+    lines = repr(directional).splitlines()
+    assert lines[0] == f"record, {SAMPLES} samples. {directional.sentence}"
+    assert len(lines) < 12
+    assert [line.split(":")[0].strip() for line in lines[1 : 1 + len(directional.models)]] == [
+        model.label for model in directional.models
+    ]
+    assert directional._repr_html_().count("<tr>") == 1 + len(directional.models)
+    assert json.loads(json.dumps(directional.to_dict(), allow_nan=False)) == directional.to_dict()
+    frame = directional.to_frame()
+    assert frame.columns == ["model", "parameter", "value", "std"]
+    assert frame.height == sum(model.trial.theta.size for model in directional.models)
+    assert directional.plot().axes[0].get_ylabel() == "friction [N]"
+
+
 @pytest.fixture(scope="module")
 def plain() -> TermSearch:
     return searched(made())

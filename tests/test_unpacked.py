@@ -6,19 +6,25 @@ import bz2
 import gzip
 import subprocess
 import sys
+import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
+import mcap.writer
 import numpy as np
 import polars as pl
 import pytest
 import scipy.io
 
 from pmfid.session.formats import SUFFIXES
+from tests.formats import WRITERS
 
 #: Rows of the columns below, and how many times their bytes a reader may take.
 ROWS, MOST = 1_000_000, 10
+#: Numbers of eight bytes that are just more than a small file may unpack to.
+ZEROS = 34_000_000
 READ = """
 import resource, sys
 from pathlib import Path
@@ -44,48 +50,77 @@ def taken(path: Path, *names: str) -> tuple[int, str]:
     return 1024 * int(run.stdout), run.stderr
 
 
-def mat(path: Path, u: np.ndarray) -> None:
-    scipy.io.savemat(path, {"u": u, "y": u, "spare": u}, do_compression=True)
+#: Formats that are held whole.
+WHOLE = (".csv", ".npz", ".arrow", ".h5", ".mf4", ".tdms")
+#: A cell or a message each, written one by one: their files are larger than their columns.
+BY_ROWS = (".xlsx", ".wpilog", ".mcap", ".db3")
 
 
-def parquet(path: Path, u: np.ndarray) -> None:
-    pl.DataFrame({"u": u, "y": u, **{f"spare{k}": u for k in range(5)}}).write_parquet(path)
-
-
-def csv(path: Path, u: np.ndarray) -> None:
-    pl.DataFrame({"u": u, "y": u, **{f"spare{k}": u for k in range(5)}}).write_csv(path)
-
-
-WRITERS: list[Callable[[Path, np.ndarray], None]] = [mat, parquet, csv]
-
-
-@pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
-def test_a_column_takes_a_few_times_its_size(tmp_path: Path, write: Callable[[Path, np.ndarray], None]) -> None:
-    path = tmp_path / f"run.{write.__name__}"
-    write(path, np.arange(ROWS) % 7 / 8)
+@pytest.mark.parametrize("suffix", [suffix for suffix in SUFFIXES if suffix not in BY_ROWS])
+def test_a_column_takes_a_few_times_its_size(tmp_path: Path, suffix: str) -> None:
+    path, u = tmp_path / f"run{suffix}", np.arange(ROWS) % 7 / 8
+    spare = {} if suffix in WHOLE else {f"spare{k}": u for k in range(5)}
+    WRITERS[suffix](path, {"u": u, "y": u, **spare})
     size, refusal = taken(path, "u", "y")
     assert refusal == ""
-    read = path.stat().st_size if write is csv else 0
+    read = path.stat().st_size if suffix in WHOLE else 0
     assert size < MOST * 2 * 8 * ROWS + 2 * read
 
 
-BOMBS: dict[str, Callable[[Path], object]] = {
-    "zeros.mat": lambda path: scipy.io.savemat(path, {"u": np.zeros(60_000_000)}, do_compression=True),
-    "rows.parquet": lambda path: pl.DataFrame({"u": pl.repeat(0, 60_000_000, eager=True)}).write_parquet(path),
+def packed_arrow(path: Path) -> None:
+    pl.DataFrame({"u": pl.repeat(0, ZEROS, eager=True)}).write_ipc(path, compression="zstd")
+
+
+def packed_hdf5(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file.create_dataset("u", shape=ZEROS, dtype="f8", chunks=(1_000_000,), compression="gzip")
+
+
+def packed_mcap(path: Path) -> None:
+    with path.open("wb") as stream:
+        writer = mcap.writer.Writer(stream, chunk_size=300_000_000, compression=mcap.writer.CompressionType.ZSTD)
+        writer.start()
+        channel = writer.register_channel("/run", "json", writer.register_schema("Row", "jsonschema", b"{}"))
+        writer.add_message(channel, 0, b" " * 8 * ZEROS, 0)
+        writer.finish()
+
+
+def packed_archive(path: Path, name: str, data: bytes) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr(name, data)
+
+
+#: Name of the file -> what writes it, and what its refusal says first.
+BOMBS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "zeros.mat": (lambda path: scipy.io.savemat(path, {"u": np.zeros(ZEROS)}, do_compression=True), "a variable"),
+    "rows.parquet": (lambda path: pl.DataFrame({"u": pl.repeat(0, ZEROS, eager=True)}).write_parquet(path), "a column"),
+    "zeros.npz": (lambda path: packed_archive(path, "u.npy", bytes(8 * ZEROS)), "what is packed"),
+    "cells.xlsx": (
+        lambda path: packed_archive(path, "xl/worksheets/sheet1.xml", b"<c/><c/>" * ZEROS),
+        "what is packed",
+    ),
+    "rows.arrow": (packed_arrow, "a column"),
+    "unwritten.h5": (packed_hdf5, "the data"),
+    "message.mcap": (packed_mcap, "the messages"),
 }
+#: Formats that pack nothing, or as text.
+PLAIN = (".csv", ".wpilog", ".db3", ".tdms", ".mf4")
 
 
 def test_every_format_is_tried_here() -> None:
     """What is packed inside has a bomb."""
-    assert {f".{write.__name__}" for write in WRITERS} == set(SUFFIXES)
-    assert {Path(name).suffix for name in BOMBS} == set(SUFFIXES) - {".csv"}
+    assert set(WRITERS) == set(SUFFIXES)
+    assert {Path(name).suffix for name in BOMBS} == set(SUFFIXES) - set(PLAIN)
 
 
 @pytest.mark.parametrize("name", BOMBS)
 def test_a_bomb_is_refused_before_it_goes_off(tmp_path: Path, name: str) -> None:
-    BOMBS[name](tmp_path / name)
+    write, what = BOMBS[name]
+    write(tmp_path / name)
+    assert (tmp_path / name).stat().st_size < 3e6
     size, refusal = taken(tmp_path / name, "u")
-    assert "decimate or cut the record" in refusal
+    assert refusal.startswith(f"{what} takes ")
+    assert "MB or more out of a file of" in refusal
     assert size < 350e6
 
 

@@ -5,6 +5,8 @@ cimport numpy as cnp
 import numpy as np
 
 from pmfid.errors import place_of
+from pmfid.shown import Parameters, figure_of, frame_of, plain, remarks_of
+from pmfid.status import status_names
 
 cnp.import_array()
 
@@ -28,8 +30,9 @@ cdef class Estimate:
     """What one sample left: a snapshot that later steps do not change.
 
     theta: (p,) parameters, also by name, estimate["mass"]; theta_cov: (p, p) covariance = innovation variance times P;
-    theta_std: (p,) its diagonal's root; innovation: a priori error [unit of the target]; innovation_variance;
-    status: `Status` bits. Made by `step`; it can be copied and pickled.
+    theta_std: (p,) its diagonal's root; names: of the parameters; innovation: a priori error [unit of the target];
+    innovation_variance; status: `Status` bits; status_names: the same in words. Made by `step`; it can be copied and
+    pickled.
     """
 
     def __init__(self):
@@ -61,8 +64,46 @@ cdef class Estimate:
         """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
         return float(self._theta[place_of(name, self._names)])
 
+    @property
+    def names(self):
+        return self._names
+
+    @property
+    def units(self):
+        """Those of the estimator; a sample does not carry them."""
+        return ("",) * self._n
+
+    @property
+    def status_names(self):
+        return tuple(status_names(self.status))
+
+    def _parameters(self):
+        names = self._names or tuple(f"parameter {i + 1}" for i in range(self._n))  # of a kernel that has none
+        return Parameters(names, self.units, self.theta, self.theta_std)
+
+    # a cdef class has no base in Python: what `Shown` does for every other result is called here
+    def summary(self):
+        """What a person sees of it."""
+        return self._parameters().summary("the estimate of a sample", remarks_of(self.status_names))
+
     def __repr__(self):
-        return f"Estimate(theta={self.theta}, theta_std={self.theta_std}, status={self.status})"
+        return self.summary().text
+
+    def _repr_html_(self):
+        return self.summary().html
+
+    def to_dict(self):
+        """Texts, numbers and dicts alone, as JSON has them; what is not finite is None."""
+        return {"parameters": self._parameters().content, "innovation": plain(self.innovation),
+                "status": list(self.status_names)}
+
+    def to_frame(self):
+        """As a polars DataFrame, a row for each parameter."""
+        return frame_of(self._parameters().columns)
+
+    def plot(self, **options):
+        """The parameters with their standard deviations, a matplotlib Figure."""
+        return figure_of(self, **options)
 
     def __reduce__(self):
         vectors = self.theta, _vector(self._factor, self._n * self._n), _vector(self._diagonal, self._n)

@@ -277,6 +277,15 @@ def _reproduce(rng: Rng, folder: Path) -> Case:
     return Case(("reproduce", *wrong[rng.integers(len(wrong))]), {"taken": b"a file"})
 
 
+def _explain(rng: Rng, folder: Path) -> Case:
+    """Keys and words that there are, halves of them, and what nobody calls so."""
+    words = ["record.time_unit", "[model] stribeck", "poor_excitation", "dead time", "mass", "", *ODD]
+    own = str(rng.choice(words))
+    return Case(
+        ("explain", *[own[: rng.integers(len(own) + 1)] if rng.random() < 0.3 else own], *options(rng, 0.2)), {}
+    )
+
+
 def _none(rng: Rng, folder: Path) -> Case:
     """No command, a wrong one, none of its files."""
     further = ["--help", "-h", "--json", "nowhere.csv", "--config"]  # with --out a demo would run
@@ -302,5 +311,6 @@ COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "order": (_order, 0.002),
     "demo": (_demo, 0.01),
     "reproduce": (_reproduce, 0.01),
-    "none": (_none, 0.038),
+    "explain": (_explain, 0.008),
+    "none": (_none, 0.03),
 }

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 import scipy.io
 import scipy.sparse
 
+from tests import formats
+from tests.formats import frame
 from tests.hostile.plants import Columns
 
 Rng = np.random.Generator
@@ -132,7 +133,7 @@ def with_defects(rng: Rng, columns: Columns) -> Columns:
 
 def as_csv(rng: Rng, columns: Columns) -> bytes:
     encoding = str(rng.choice(["utf-8", "utf-8-sig", "utf-16"], p=[0.9, 0.07, 0.03]))
-    return _frame(columns).write_csv().encode(encoding)
+    return frame(columns).write_csv().encode(encoding)
 
 
 def as_file(rng: Rng, columns: Columns, folder: Path) -> tuple[str, bytes]:
@@ -146,13 +147,9 @@ def as_file(rng: Rng, columns: Columns, folder: Path) -> tuple[str, bytes]:
     return f"{stem}{rng.choice(ends, p=[0.92, 0.02, 0.03, 0.01, 0.02])}", data
 
 
-def _frame(columns: Columns) -> pl.DataFrame:
-    return pl.DataFrame({name: pl.Series(values, strict=False) for name, values in columns.items()})
-
-
 def _parquet(rng: Rng, columns: Columns, folder: Path) -> bytes:
     how = str(rng.choice(["zstd", "gzip", "snappy", "uncompressed"]))
-    _frame(columns).write_parquet(folder / "drawn.parquet", compression=how)  # type: ignore[arg-type]
+    frame(columns).write_parquet(folder / "drawn.parquet", compression=how)  # type: ignore[arg-type]
     return (folder / "drawn.parquet").read_bytes()
 
 
@@ -167,11 +164,27 @@ def _mat(rng: Rng, columns: Columns, folder: Path) -> bytes:
     return (folder / "drawn.mat").read_bytes()
 
 
+def _as(suffix: str) -> Callable[[Rng, Columns, Path], bytes]:
+    """A file of that format, as others write it."""
+
+    def written(_: Rng, columns: Columns, folder: Path) -> bytes:
+        path = folder / f"drawn{suffix}"
+        path.unlink(missing_ok=True)
+        formats.WRITERS[suffix](path, columns)
+        return path.read_bytes()
+
+    return written
+
+
 #: Suffix -> the part of the files that have it, and their bytes.
 WRITERS: dict[str, tuple[float, Callable[[Rng, Columns, Path], bytes]]] = {
-    ".csv": (0.7, lambda rng, columns, _: as_csv(rng, columns)),
-    ".parquet": (0.15, _parquet),
-    ".mat": (0.15, _mat),
+    ".csv": (0.6, lambda rng, columns, _: as_csv(rng, columns)),
+    ".parquet": (0.1, _parquet),
+    ".mat": (0.12, _mat),
+    **{
+        suffix: (0.02, _as(suffix))
+        for suffix in (".npz", ".xlsx", ".arrow", ".h5", ".wpilog", ".mcap", ".db3", ".mf4", ".tdms")
+    },
 }
 
 

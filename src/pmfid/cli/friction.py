@@ -59,12 +59,13 @@ def _print(found: FrictionCurve, name: str, out: Path | None) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from pmfid.report.friction import HEADER, curve_rows
-
-    table = Table(title=escape(printable(f"{name}: mass {found.mass:.5g} ± {found.mass_std:.2g} kg")))
-    for heading in HEADER:
+    own = found.motion
+    title = f"{name}: {own.inertia} {found.mass:.5g} ± {found.mass_std:.2g} {own.of_inertia}"
+    table = Table(title=escape(printable(title)))
+    shown = found.summary()
+    for heading in shown.header:
         table.add_column(escape(heading), justify="right", no_wrap=True)
-    for row in curve_rows(found):
+    for row in shown.rows:
         table.add_row(*row)
     console = Console()
     console.print(table)

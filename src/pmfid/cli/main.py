@@ -11,6 +11,7 @@ import click
 from pmfid import __version__
 from pmfid.cli.check import check
 from pmfid.cli.design import commission, design
+from pmfid.cli.explain import explain
 from pmfid.cli.export import export
 from pmfid.cli.friction import friction
 from pmfid.cli.init import init
@@ -228,6 +229,7 @@ def demo(out: Path, seed: int) -> None:
     Console().print(demo_table(result))
     write_demo(out, result)
     click.echo(f"\nreport: {out / 'report.html'}\nrecord: {out / 'cart.csv'}")
+    click.echo(f"its AXIS.toml: {out / 'cart.toml'}; change a value in it, and go on with")
     click.echo(f"pmfid identify {out / 'cart.csv'} --config {out / 'cart.toml'}")
 
 
@@ -240,5 +242,6 @@ main.add_command(simulate)
 main.add_command(terms)
 main.add_command(validate)
 main.add_command(reproduce)
+main.add_command(explain)
 main.add_command(export)
 main.add_command(friction)

@@ -41,7 +41,7 @@ def print_result(result: Result, out: Path | None) -> None:
 def _parameters(result: Result) -> Table:
     from rich.table import Table
 
-    from pmfid.report.parameters import FOLDED, parameter_header, parameter_rows
+    from pmfid.session.parameters import FOLDED, parameter_header, parameter_rows
 
     table = Table(title=_safe(f"{result.name}: {result.estimator.method}, {result.samples} samples"))
     for heading in parameter_header(result):
@@ -54,11 +54,9 @@ def _parameters(result: Result) -> Table:
 
 
 def _add_dynamics(table: Table, result: ProcessResult) -> None:
-    from pmfid.report.process import dynamics_rows
-
     table.title = f"{table.title}, {result.fit_text}"
     table.add_section()
-    for row in dynamics_rows(result.process):
+    for row in result.process.rows:
         table.add_row(*map(_safe, row))
 
 

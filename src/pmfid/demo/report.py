@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import rich.table
     from matplotlib.figure import Figure
 
-    from pmfid.report.html import Section
+    from pmfid.report.html import Section, Table
 
 
 def findings(result: DemoResult) -> list[str]:
@@ -57,6 +57,29 @@ def findings(result: DemoResult) -> list[str]:
         f"Friction, largest error of the viscous and of the Coulomb part: plain RLS {_friction(plain)}, BCRLS "
         f"{_friction(compensated)}.",
     ]
+
+
+def what_happened(result: DemoResult) -> str:
+    """In one sentence."""
+    mass, best, plain = result.truth["mass"], result.rows_of("RIV"), result.rows_of("RLS")
+    return (
+        f"At {result.step_time:g} s the load of the cart rises from {mass[0]:g} to {mass[-1]:g} kg: RIV finds both "
+        f"within {_worst(best, 'mass'):.2g} % with every encoder, and is within {100 * BAND:g} % of the new one "
+        f"{_span(best)} after the step; plain RLS is off by {plain[-1].worst('mass'):.2g} % with {INCREMENTS[-1]} "
+        "increments per turn."
+    )
+
+
+def overview(result: DemoResult) -> Table:
+    """A row for each method, with the worst of all encoders."""
+    header = ["method", *(f"{name}, largest error [%]" for name in ("mass", "viscous", "Coulomb"))]
+    header += ["follows the step after [s]", "samples out of range"]
+    rows = []
+    for method in METHODS:
+        own = result.rows_of(method)
+        errors = [f"{_worst(own, name):.2f}" for name in ("mass", "viscous_friction", "coulomb_friction")]
+        rows.append([method, *errors, _span(own).removesuffix(" s"), str(max(row.outside for row in own))])
+    return header, rows
 
 
 def _worst(rows: Sequence[DemoRow], name: str) -> float:
@@ -103,13 +126,11 @@ def _summary(result: DemoResult) -> str:
     )
 
 
-def comparison(result: DemoResult) -> Figure:
-    """The mass by each method with each encoder."""
+def comparison(result: DemoResult, methods: Sequence[str] = tuple(METHODS)) -> Figure:
+    """The mass by each of the methods with each encoder."""
     from pmfid.report.figures import comparison_figure
 
-    panels = {
-        method: {f"{n} increments": track for n, track in tracks.items()} for method, tracks in result.tracks.items()
-    }
+    panels = {method: {f"{n} increments": track for n, track in result.tracks[method].items()} for method in methods}
     return comparison_figure(result.t, panels, "mass", result.truth["mass"])
 
 
@@ -137,6 +158,7 @@ def _sections(result: DemoResult) -> list[Section]:
     signals = signals_figure(result.t, motion.u, motion.v, input_unit="V")
     table = ([name for name, _ in COLUMNS], [row.cells() for row in result.rows])
     return [
+        Section("What happened", what_happened(result), overview(result), svg(comparison(result, ["RIV"])), first=True),
         Section("What one sees", "\n\n".join(findings(result))),
         Section("Errors", _method_text(result), table=table),
         Section("The mass by each method", svg=svg(comparison(result))),

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pmfid._stage import first_order
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
 from pmfid.estimators.difference import Difference, rms, without_nuisance
@@ -235,13 +236,11 @@ def force_moves(found: Adequacy, estimator: Estimator, columns: Columns) -> Floa
 def filtered(force: Floats, estimator: Estimator, n: int) -> Floats:
     """A force, held over each of n intervals or over each of their parts, behind the chain of an estimator (n,); the
     columns come a sample later."""
-    from scipy.signal import lfilter  # slow to import, and only this needs it
-
     parts = force.size // n
     rate = 2 * parts / estimator.dt
     pole = (rate - estimator.cutoff) / (rate + estimator.cutoff)
     gain = estimator.cutoff / (rate + estimator.cutoff)
     late = np.r_[np.zeros(parts), force[:-parts]]
     for stage in range(estimator.order):
-        late = lfilter([0.0, 2 * gain] if stage == 0 else [gain, gain], [1.0, -pole], late)
+        late, _ = first_order(late, pole, *((0.0, 2 * gain) if stage == 0 else (gain, gain)))
     return np.asarray(late[::parts])

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 import numpy as np
-from scipy.signal import lfilter
 
+from pmfid._stage import first_order
 from pmfid.estimators.base import Estimator, shapes_of
 from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.configuration import like
@@ -212,6 +212,6 @@ def _noise_power(estimator: Estimator) -> float:
     impulse[0], impulse[1] = 1 / estimator.dt, -1 / estimator.dt
     for _ in range(estimator.order):
         gain = estimator.cutoff / (2 / estimator.dt + estimator.cutoff)
-        impulse = lfilter([gain, gain], [1, -pole], impulse)
+        impulse, _ = first_order(impulse, pole, gain, gain)
     samples = CHECK_TIME_CONSTANTS / (estimator.cutoff * estimator.dt)
     return float(estimator.encoder.resolution**2 * np.sum(impulse**2) * samples)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
+from pmfid._stage import first_order
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.estimators.motion import mean_velocity, parts_for
@@ -119,7 +119,7 @@ class Difference:
         """The high-pass, from rest: white noise on top of a random walk leaves it white."""
         if self.pole == 0:
             return signal
-        return np.asarray(lfilter([1.0, -1.0], [1.0, -math.exp(-self.pole * self.dt)], signal))
+        return first_order(signal, math.exp(-self.pole * self.dt), 1.0, -1.0)[0]
 
     def summed(self, values: Floats) -> Floats:
         """What stands at the samples of the difference, (n, ...), at those of the record."""

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
+from pmfid._stage import first_order
 from pmfid.estimators.base import Estimator
 from pmfid.filters.columns import ColumnBuilder
 from pmfid.filters.network import LATE_POSITION, SPLIT_FORWARD, VELOCITY, Network, Taps
@@ -40,7 +40,7 @@ def impulse_products(estimator: Estimator, network: Network, columns: list[Taps]
 
 def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps]) -> Iterator[NDArray[np.float64]]:
     """(c, n) one after the other: the columns' responses to one wrong position, of a low cutoff millions of samples."""
-    samples, memories = 4 * estimator.settle_samples, [np.zeros(1) for _ in network.stages]
+    samples, memories = 4 * estimator.settle_samples, [0.0 for _ in network.stages]
     for first in range(0, samples, PART):
         nodes = [np.zeros(min(PART, samples - first)) for _ in range(network.first)]
         if first == 0:
@@ -51,7 +51,7 @@ def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps
             if source == len(nodes):  # of the simulated motion, which an encoder's error does not reach
                 nodes.append(np.zeros_like(nodes[0]))
                 continue
-            response, memories[k] = lfilter([b0, b1], [1.0, -a], nodes[source], zi=memories[k])
+            response, memories[k] = first_order(nodes[source], a, b0, b1, memories[k])
             nodes.append(response)
         yield np.array([sum(weight * nodes[node] for node, weight in taps) for taps in columns])
 

@@ -25,6 +25,8 @@ from pmfid.estimators.lattice import lattice_scatter
 from pmfid.estimators.least_squares import inverse_of
 from pmfid.estimators.results import Columns
 from pmfid.estimators.scatter import scatter
+from pmfid.models.axes import LINEAR, Units
+from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 from pmfid.types import Counts, Floats
 
 #: Nodes of each direction beside the one at rest.
@@ -39,11 +41,11 @@ BLOCKS, FOLDS = 32, 8
 LESS = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class FrictionCurve:
+@dataclass(frozen=True, eq=False, repr=False)
+class FrictionCurve(Shown):
     """velocity (k,) [m/s]: the nodes, rising, those backward first; force, std (k,) [N]; mass, mass_std [kg]; weight:
     of the bend, that was chosen; error (n,) [N] that is left of the n samples in use, the last of the record; notes:
-    for people."""
+    for people; motion: the units, of a rotary axis rad/s, N m and kg m2."""
 
     velocity: Floats
     force: Floats
@@ -53,6 +55,7 @@ class FrictionCurve:
     weight: float
     error: Floats
     notes: tuple[str, ...] = ()
+    motion: Units = LINEAR
 
     @property
     def visited(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -73,6 +76,33 @@ class FrictionCurve:
         v = np.asarray(velocity, np.float64)
         inside = np.any([(low <= v) & (v <= high) for low, high in self.visited], axis=0)
         return np.where(inside, np.interp(v, self.velocity, values), np.nan)
+
+    def summary(self) -> Summary:
+        own = self.motion
+        mass = f"{own.inertia} = {self.mass:.6g} ± {self.mass_std:.2g} {own.of_inertia}"
+        header = (f"velocity [{own.speed}]", f"friction [{own.force}]", f"std [{own.force}]")
+        found = zip(self.velocity, self.force, self.std, strict=True)
+        rows = [(f"{velocity:.4g}", f"{force:.5g}", f"{std:.2g}") for velocity, force, std in found]
+        ends = [rows[i] for i in np.flatnonzero(np.isin(self.velocity, self.visited)).tolist()]
+        lines = [f"{force} ± {std} {own.force} at {velocity} {own.speed}" for velocity, force, std in ends]
+        title = f"friction at {self.velocity.size} speeds; {mass}"
+        return Summary(title, header, rows, lines, remarks_of((), self.notes))
+
+    def columns(self) -> dict[str, object]:
+        """A row for each node."""
+        return {"velocity": self.velocity, "force": self.force, "std": self.std}
+
+    def to_dict(self) -> dict[str, object]:
+        rows = zip(self.velocity.tolist(), self.force.tolist(), self.std.tolist(), strict=True)
+        return plain_dict(
+            {
+                "samples": int(self.error.size),
+                self.motion.inertia: {"value": self.mass, "std": self.mass_std, "unit": self.motion.of_inertia},
+                "curve": [{"velocity": velocity, "force": force, "std": std} for velocity, force, std in rows],
+                "visited": [list(part) for part in self.visited],
+                "notes": list(self.notes),
+            }
+        )
 
 
 def friction_curve(

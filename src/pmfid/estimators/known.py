@@ -23,20 +23,21 @@ from pmfid.estimators.results import Fit
 from pmfid.estimators.runner import Runner
 from pmfid.estimators.track import Track, joined
 from pmfid.models.drive import Drive
+from pmfid.shown import Parameters, Shown, Summary, remarks_of
+from pmfid.status import status_names
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
 
-GAIN_UNIT = "N per u"
 #: Standard deviations, those of both sides together, from which on a fact and a record contradict each other.
 CONTRADICTED = 3.0
 #: Samples of a record over which the correlation of the parameters is taken for the same.
 PIECE = 200
 
 
-@dataclass(frozen=True, eq=False)
-class Posterior:
+@dataclass(frozen=True, eq=False, repr=False)
+class Posterior(Shown):
     """An estimate with what was known beside it. names, units: of the q parameters, the gain of the input last where it
     was to be found; theta: (q,); theta_cov: (q, q); model_spread: (q,) or None; notes: what contradicts what."""
 
@@ -55,6 +56,20 @@ class Posterior:
     def __getitem__(self, name: str) -> float:
         """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
         return float(self.theta[place_of(name, self.names)])
+
+    @property
+    def _parameters(self) -> Parameters:
+        return Parameters(self.names, self.units, self.theta, self.theta_std)
+
+    def summary(self) -> Summary:
+        return self._parameters.summary("an estimate with what was known beside it", remarks_of((), self.notes))
+
+    def columns(self) -> dict[str, object]:
+        """A row for each parameter."""
+        return self._parameters.columns
+
+    def to_dict(self) -> dict[str, object]:
+        return {"parameters": self._parameters.content, "notes": list(self.notes)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +110,12 @@ class Known:
         return (*self.estimator.names, *([INPUT_GAIN] if self.find_gain else []))
 
     @property
+    def _gain_unit(self) -> str:
+        return f"{self.estimator.equation.motion.force} per u"
+
+    @property
     def units(self) -> tuple[str, ...]:
-        return (*self.estimator.units, *([GAIN_UNIT] if self.find_gain else []))
+        return (*self.estimator.units, *([self._gain_unit] if self.find_gain else []))
 
     @property
     def _forces(self) -> NDArray[np.bool_]:
@@ -229,8 +248,8 @@ class Known:
         return joined(parts)
 
 
-@dataclass(frozen=True, eq=False)
-class Seen:
+@dataclass(frozen=True, eq=False, repr=False)
+class Seen(Shown):
     """The estimate of a step with what is known, put together when it is looked at; theta 0 and infinite error bars
     while nothing is estimated yet."""
 
@@ -259,6 +278,21 @@ class Seen:
     @property
     def status(self) -> int:
         return self.estimate.status
+
+    @property
+    def _parameters(self) -> Parameters:
+        return Parameters(self.known.names, self.known.units, self.theta, self.theta_std)
+
+    def summary(self) -> Summary:
+        title = "the estimate of a sample, with what is known beside it"
+        return self._parameters.summary(title, remarks_of(status_names(self.status)))
+
+    def columns(self) -> dict[str, object]:
+        """A row for each parameter."""
+        return self._parameters.columns
+
+    def to_dict(self) -> dict[str, object]:
+        return {"parameters": self._parameters.content, "status": status_names(self.status)}
 
 
 def with_gain(estimator: Estimator, gain: float) -> Estimator:

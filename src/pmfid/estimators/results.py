@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import place_of
+from pmfid.shown import Parameters, Shown, Summary, plain, remarks_of
+from pmfid.status import status_names
 
 
-@dataclass(frozen=True)
-class Fit:
+@dataclass(frozen=True, repr=False)
+class Fit(Shown):
     """Result of an off-line estimate with p parameters from n used samples.
 
     theta: (p,); theta_cov: (p, p), for coloured residuals (Newey and West 1987); names, units; samples: n;
@@ -39,6 +41,28 @@ class Fit:
     def __getitem__(self, name: str) -> float:
         """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
         return float(self.theta[place_of(name, self.names)])
+
+    @property
+    def _parameters(self) -> Parameters:
+        return Parameters(self.names, self.units, self.theta, self.theta_std)
+
+    def summary(self) -> Summary:
+        title = f"fit of {self.samples} samples, relative error {100 * self.relative_error:.3g} %"
+        return self._parameters.summary(title, remarks_of(status_names(self.status), self.notes))
+
+    def columns(self) -> dict[str, object]:
+        """A row for each parameter."""
+        return self._parameters.columns
+
+    def to_dict(self) -> dict[str, object]:
+        """Without the residual."""
+        return {
+            "samples": self.samples,
+            "parameters": self._parameters.content,
+            "relative_error": plain(self.relative_error),
+            "status": status_names(self.status),
+            "notes": list(self.notes),
+        }
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import place_of
-from pmfid.status import Status
+from pmfid.shown import Parameters, Shown, Summary, plain, remarks_of
+from pmfid.status import Status, status_names
 
 
-@dataclass(frozen=True)
-class Track:
+@dataclass(frozen=True, repr=False)
+class Track(Shown):
     """Estimates over a record of n samples with p parameters.
 
     theta: (n, p); innovation: (n,) a priori error in the unit of the target; innovation_variance: (n,);
@@ -63,6 +64,29 @@ class Track:
         """(n,) where a status bit is set."""
         return np.asarray((self.status & bit) != 0)
 
+    def summary(self) -> Summary:
+        """The last estimate."""
+        if not self.status.size:
+            return Summary("track of no samples", Parameters.header, [])
+        last = Parameters(self.names, self.units, self.theta[-1], self.theta_std[-1])
+        title = f"track of {self.status.size} samples, the last estimate:"
+        return last.summary(title, remarks_of(status_names(int(self.status[-1]))))
+
+    def columns(self) -> dict[str, object]:
+        """A row for each sample, numbered from 0: parameters with their standard deviations, innovation, status."""
+        found: dict[str, object] = {"sample": np.arange(self.status.size)}
+        for i, name in enumerate(self.names):
+            found |= {name: self.theta[:, i], f"{name}_std": self.theta_std[:, i]}
+        return found | {"innovation": self.innovation, "status": self.status}
+
+    def to_dict(self) -> dict[str, object]:
+        """Lists over the samples."""
+        return {
+            "samples": int(self.status.size),
+            "units": dict(zip(self.names, self.units, strict=True)),
+            **{name: plain(values) for name, values in self.columns().items()},
+        }
+
 
 def joined(parts: Sequence[Track]) -> Track:
     """One track of pieces that follow each other."""
@@ -71,7 +95,7 @@ def joined(parts: Sequence[Track]) -> Track:
     return Track(parts[0].names, parts[0].units, **whole)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Tracks(Track):
     """Estimates of many axes: a `Track` whose arrays have the axis in front.
 
@@ -93,3 +117,28 @@ class Tracks(Track):
             self.innovation_variance[index],
             self.status[index],
         )
+
+    def summary(self) -> Summary:
+        """The last estimates: their median over the axes, and between which values 90 % of them are."""
+        axes, kept = self.status.shape
+        title = f"tracks of {axes} axes, {kept} sample{'s' * (kept != 1)} kept, the last estimates:"
+        header = ("parameter", "median", "5 %", "95 %", "unit")
+        rows = [
+            (name, *self._quantiles(i), unit) for i, (name, unit) in enumerate(zip(self.names, self.units, strict=True))
+        ]
+        lines = [f"{name} {middle} {unit}, {low} to {high}" for name, middle, low, high, unit in rows]
+        status = int(np.bitwise_or.reduce(self.status[:, -1])) if self.status.size else 0
+        remarks = [f"of some axes {remark}" for remark in remarks_of(status_names(status))]
+        return Summary(title, header, rows, lines, remarks)
+
+    def _quantiles(self, i: int) -> list[str]:
+        last = self.theta[:, -1, i] if self.status.size else np.full(1, np.nan)
+        return [f"{value:.6g}" for value in np.quantile(last, (0.5, 0.05, 0.95))]
+
+    def columns(self) -> dict[str, object]:
+        """A row for each sample of each axis."""
+        axes, kept = self.status.shape
+        found: dict[str, object] = {"axis": np.repeat(np.arange(axes), kept), "sample": np.tile(self.samples, axes)}
+        for i, name in enumerate(self.names):
+            found |= {name: self.theta[..., i].ravel(), f"{name}_std": self.theta_std[..., i].ravel()}
+        return found | {"innovation": self.innovation.ravel(), "status": self.status.ravel()}

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import lfilter
 
+from pmfid._stage import first_order
 from pmfid.estimators.difference import rms
 from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import long_run_covariance
@@ -187,9 +187,9 @@ def low_pass(estimator: IV, signal: Floats) -> list[Floats]:
     """A signal (n,) behind 1, 2, ... `order` stages of the Poisson chain, as the kernel has them for velocities."""
     slope, cutoff = 2 / estimator.dt, estimator.cutoff
     gain, pole = cutoff / (slope + cutoff), (slope - cutoff) / (slope + cutoff)
-    nodes = [np.asarray(lfilter([2 * gain], [1, -pole], signal))]
+    nodes = [first_order(signal, pole, 2 * gain)[0]]
     for _ in range(estimator.order - 1):
-        nodes.append(np.asarray(lfilter([gain, gain], [1, -pole], nodes[-1])))
+        nodes.append(first_order(nodes[-1], pole, gain, gain)[0])
     return nodes
 
 

@@ -17,9 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 from scipy.special import fdtrc
 
+from pmfid._stage import first_order
 from pmfid.transfer.noise import Noise, fit_noise, whitened
 from pmfid.types import Flags, Floats, Places
 
@@ -128,6 +128,8 @@ def _noise_beside(columns: Floats, place: Places) -> Noise | None:
 
 def _settled(place: Places, order: int) -> Flags:
     """(N,) samples that do not lack their past for the whitening filter; all, where samples are missing everywhere."""
+    from scipy.signal import lfilter  # slow to import, and only transfer functions need it
+
     line = np.zeros(int(place[-1] - place[0]) + 1)
     line[place - place[0]] = 1.0
     past = lfilter(np.ones(order + 1), [1.0], line)[place - place[0]]
@@ -155,7 +157,7 @@ def _past(u: Floats, lags: int, samples: int) -> Floats:
     slow, time = [], lags / 2
     while time < samples / 4:
         keep = np.exp(-1 / time)
-        slow += [lfilter([1 - keep], [1.0, -keep], u), np.exp(-np.arange(u.size) / time)]
+        slow += [first_order(u, keep, 1 - keep)[0], np.exp(-np.arange(u.size) / time)]
         time *= 2
     return np.column_stack([*lagged, *slow, np.ones(u.size)])
 

@@ -8,6 +8,7 @@ from pmfid.estimators.difference import rms
 from pmfid.estimators.least_squares import long_run_covariance
 from pmfid.judge.balance import Balance, Binned
 from pmfid.judge.correlations import correlations
+from pmfid.models.axes import Units
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, OFFSET
 
 #: Standard deviations from which on a difference is taken for real: there are many bins and lags to choose from.
@@ -86,13 +87,15 @@ def friction_sentence(balance: Balance) -> str:
     if not np.any(real):
         return text + "It lies on the model's line."
     worst, slowest = int(np.argmax(real * np.abs(left.mean))), int(np.argmin(np.where(real, np.abs(left.x), np.inf)))
-    places = " and ".join(_off_the_line(left, k) for k in dict.fromkeys((worst, slowest)))
+    places = " and ".join(
+        _off_the_line(left, k, balance.estimator.equation.motion) for k in dict.fromkeys((worst, slowest))
+    )
     return text + f"Look here: the model's line is not the friction, which is {places}."
 
 
-def _off_the_line(left: Binned, k: int) -> str:
+def _off_the_line(left: Binned, k: int, own: Units) -> str:
     more = "more" if left.mean[k] * left.x[k] > 0 else "less"
-    return f"{abs(left.mean[k]):.2g} N {more} at {left.x[k]:.2g} m/s"
+    return f"{abs(left.mean[k]):.2g} {own.force} {more} at {left.x[k]:.2g} {own.speed}"
 
 
 def correlation_sentence(balance: Balance) -> str:

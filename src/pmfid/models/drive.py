@@ -9,6 +9,7 @@ from numbers import Real
 from typing import ClassVar, Literal, Protocol, TypeVar
 
 from pmfid.errors import UsageError
+from pmfid.models.axes import AXES, LINEAR, ROTARY, AxisKind, rotary
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation, Term, check_late
 from pmfid.models.shapes import Square, Stribeck, Wave
 from pmfid.models.signals import Signal
@@ -100,8 +101,10 @@ class Drive:
     samples, for the methods that simulate (iv, riv, output-error, interval). lag: time constant [s] of a first-order
     lag that u goes through as well, as that of a current loop, up to 20 samples; "estimate": a parameter, too [, lag
     [s]], off-line (iv, output-error, interval).
-    Raises UsageError for an input gain that is 0 or not finite, an unknown friction, offset with directional friction,
-    and a dead time, lag, speed or period that is none.
+    axis: "linear", or "rotary": y is an angle, forces are torques, and the mass is an inertia [kg m2]; m, N and their
+    like above are rad and N m.
+    Raises UsageError for an input gain that is 0 or not finite, an unknown friction or axis, offset with directional
+    friction, and a dead time, lag, speed or period that is none.
     """
 
     kind: ClassVar[str] = "drive"
@@ -117,8 +120,11 @@ class Drive:
     cogging: float | None = None
     friction_period: float | None = None
     lag: Late = 0.0
+    axis: AxisKind = "linear"
 
     def __post_init__(self) -> None:
+        if self.axis not in AXES:
+            raise UsageError(f"axis must be one of {AXES}, got {self.axis!r}")
         known = self.input_gain != ESTIMATE
         if known and (not isinstance(self.input_gain, Real) or not 1e-30 < abs(self.input_gain) < 1e30):
             raise UsageError(
@@ -140,12 +146,18 @@ class Drive:
 
     @cached_property
     def equation(self) -> Equation:
-        unknown = [Term("output", 2, "mass", "kg"), *_FRICTION_TERMS[self.friction]]
+        turns = self.axis == "rotary"
+        unknown = [
+            Term("output", 2, ROTARY.inertia if turns else LINEAR.inertia, "kg"),
+            *_FRICTION_TERMS[self.friction],
+        ]
         if self.offset or (self.spring and self.friction == "symmetric"):
             unknown.append(Term("moving", 0, "offset", "N"))
         if self.spring:
             unknown.append(Term("output", 0, "stiffness", "N/m"))
         unknown += self._shaped()
+        if turns:
+            unknown = [replace(term, unit=rotary(str(term.unit))) for term in unknown]
         # forces over the gain, where that is to be found
         gain = 1.0 if isinstance(self.input_gain, str) else self.input_gain
         known = (Term("input", 0, coefficient=gain),)

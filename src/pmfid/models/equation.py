@@ -11,6 +11,7 @@ from typing import Literal
 
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.kernel.shapes import Table
+from pmfid.models.axes import LINEAR, Units, rotary, units_by
 from pmfid.models.shapes import ESTIMATE as ESTIMATE
 from pmfid.models.shapes import Shape, Stribeck
 from pmfid.models.signals import PROCESS_SIGNALS, SIGNALS, Signal, SignalFacts
@@ -147,7 +148,7 @@ class Equation:
             raise UsageError("one known term must be the input: without it nothing gives the unknown ones their scale")
         if not any(term.noisy for term in self.unknown) and not self.only_simulated:
             raise UsageError("one unknown term must be a derivative of the output, as of a mass or a viscous friction")
-        free = tuple((f"{term.name}_speed".replace("_friction", ""), "m/s") for term in self._free)
+        free = tuple((f"{term.name}_speed".replace("_friction", ""), self.motion.speed) for term in self._free)
         lag = ((LAG, "s"),) if self.lag == ESTIMATE else ()
         object.__setattr__(self, "further", tuple(dict.fromkeys((*lag, *self.further, *free))))
         places = [term.place for term in (*self.unknown, *self.known)]
@@ -255,6 +256,12 @@ class Equation:
         """The parameter of the highest derivative: the mass of a drive."""
         return self.noisy[0]
 
+    @property
+    def motion(self) -> Units:
+        """The units of travel, speed and force."""
+        second = [term.unit for term in self.unknown if term.signal == "output" and term.derivative == 2]
+        return units_by(second[0] if second else "")
+
     @cached_property
     def roles(self) -> tuple[int | None, ...]:
         """For each role of the auxiliary model the index of its parameter, or None."""
@@ -323,7 +330,10 @@ class Equation:
         if not any(split):
             return replace(self, unknown=tuple(kept), further=())
         there = {(term.signal, term.derivative) for term in kept}
-        merged = [term for term in SYMMETRIC if (term.signal, term.derivative) not in there]
+        both = (
+            SYMMETRIC if self.motion is LINEAR else tuple(replace(term, unit=rotary(term.unit)) for term in SYMMETRIC)
+        )
+        merged = [term for term in both if (term.signal, term.derivative) not in there]
         return replace(self, unknown=(*kept, *merged), further=())
 
     @property

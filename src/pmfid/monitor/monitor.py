@@ -31,6 +31,7 @@ from pmfid.monitor.events import (
     Watch,
 )
 from pmfid.monitor.scores import Blocks, Scale, ScoreFilter
+from pmfid.shown import Parameters, Shown, Summary, plain, remarks_of
 from pmfid.status import Status
 from pmfid.types import Floats
 
@@ -53,8 +54,8 @@ OUTLIERS = {Status.COUNT_JUMP: "counts", Status.INVALID_INPUT: "input"}
 NO_ALARM = Status.STARTING | Status.POOR_EXCITATION
 
 
-@dataclass
-class Monitor:
+@dataclass(repr=False)
+class Monitor(Shown):
     """Watches one axis.
 
     estimator: recursive, at its start; calibration: of its configuration and the reference parameters. `step` takes one
@@ -101,6 +102,41 @@ class Monitor:
     @property
     def units(self) -> tuple[str, ...]:
         return self.estimator.units if self.known is None else self.known.units
+
+    @property
+    def _parameters(self) -> Parameters:
+        """What deviations are measured from, with the standard deviations of one block."""
+        return Parameters(self.estimator.names, self.estimator.units, self.reference, self._seen.sigma)
+
+    def summary(self) -> Summary:
+        watch = self.watch
+        title = (
+            f"monitor by {watch.detector}: {self.state} after {self.samples} samples, "
+            f"statistic {self.statistic:.3g} of {self.threshold:.3g}; the reference, ± of one block:"
+        )
+        return self._parameters.summary(
+            title,
+            remarks_of(
+                (),
+                [f"a false alarm in {watch.mtbf_hours:g} h on average; {100 * watch.tolerance:g} % off is no change"],
+            ),
+        )
+
+    def columns(self) -> dict[str, object]:
+        """A row for each parameter of the reference."""
+        return self._parameters.columns
+
+    def to_dict(self) -> dict[str, object]:
+        return {
+            "state": self.state,
+            "samples": self.samples,
+            "statistic": plain(self.statistic),
+            "threshold": plain(self.threshold),
+            "detector": self.watch.detector,
+            "mtbf_hours": self.watch.mtbf_hours,
+            "tolerance": self.watch.tolerance,
+            "reference": self._parameters.content,
+        }
 
     def told(self, estimate: Estimate) -> Estimate | Seen:
         """An estimate with what is known beside it."""

@@ -18,25 +18,27 @@ MAX_DOTS = 1200
 def simulation_figure(balance: Balance) -> Figure:
     """Filtered velocity measured and simulated, and the position measured less simulated, over time."""
     followed = balance.measured, balance.simulated
-    left = "position, measured\nless simulated [m]"
-    return followed_figure(balance.t, followed, "filtered velocity [m/s]", balance.drift, left)
+    own = balance.estimator.equation.motion
+    left = f"position, measured\nless simulated [{own.travel}]"
+    return followed_figure(balance.t, followed, f"filtered velocity [{own.speed}]", balance.drift, left)
 
 
 def residual_figure(balance: Balance) -> Figure:
     """The residual over velocity and position: samples, and means with two standard errors."""
+    own = balance.estimator.equation.motion
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
         panels = figure.subplots(1, 2, sharey=True)
         views = (
-            (balance.velocity, balance.residual, balance.by_velocity, "filtered velocity [m/s]"),
-            (balance.position, balance.beside_velocity, balance.by_position, "filtered position [m]"),
+            (balance.velocity, balance.residual, balance.by_velocity, f"filtered velocity [{own.speed}]"),
+            (balance.position, balance.beside_velocity, balance.by_position, f"filtered position [{own.travel}]"),
         )
         for axes, (x, force, found, label) in zip(panels, views, strict=True):
             _dots(axes, x, force)
             _means(axes, found, found.mean)
             axes.set_xlabel(label)
-        panels[0].set_ylabel("residual [N]")
-        panels[1].set_ylabel("less its mean at the velocity [N]")
+        panels[0].set_ylabel(f"residual [{own.force}]")
+        panels[1].set_ylabel(f"less its mean at the velocity [{own.force}]")
         _limits(panels[0], balance.residual)
         panels[0].legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, borderaxespad=0.2)
     return figure
@@ -44,6 +46,7 @@ def residual_figure(balance: Balance) -> Figure:
 
 def friction_figure(balance: Balance) -> Figure:
     """Friction force over velocity, measured, with the model's line."""
+    own = balance.estimator.equation.motion
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.8), layout="constrained")
         axes = figure.subplots()
@@ -55,8 +58,8 @@ def friction_figure(balance: Balance) -> Figure:
         end = np.max(np.abs(balance.velocity)) * 1.02
         line = np.array([-end, -1e-9 * end, 1e-9 * end, end])
         axes.plot(line, balance.model_friction(line), color=MAGENTA, ls="--", label="model")
-        axes.set_xlabel("filtered velocity [m/s]")
-        axes.set_ylabel("filtered friction [N]")
+        axes.set_xlabel(f"filtered velocity [{own.speed}]")
+        axes.set_ylabel(f"filtered friction [{own.force}]")
         axes.legend(loc="upper left")
     return figure
 

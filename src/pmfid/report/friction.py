@@ -13,28 +13,24 @@ from pmfid.report.files import write_json
 from pmfid.report.html import Section, svg, write_report
 from pmfid.session.friction import curve_json
 
-HEADER = ("velocity [m/s]", "friction [N]", "std [N]")
-
 
 def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
     """Writes friction.html and friction.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "friction.json", curve_json(found, name))
     (back, _), (slow, ahead) = found.visited
+    own = found.motion
     text = (
-        f"Mass {found.mass:.5g} ± {found.mass_std:.2g} kg beside it. Points are the nodes, the band is two standard "
-        f"deviations. The record goes from {back:.3g} to {ahead:.3g} m/s; nothing is said beyond that, nor between "
-        f"{found.visited[0][1]:.3g} and {slow:.3g} m/s, which it hardly visits: friction at rest is not in the curve."
+        f"{own.inertia.capitalize()} {found.mass:.5g} ± {found.mass_std:.2g} {own.of_inertia} beside it. "
+        "Points are the nodes, the band is two standard deviations. "
+        f"The record goes from {back:.3g} to {ahead:.3g} {own.speed}; nothing is said beyond that, "
+        f"nor between {found.visited[0][1]:.3g} and {slow:.3g} {own.speed}, which it hardly visits: friction "
+        "at rest is not in the curve."
     )
     text = "\n\n".join([text, *(f"Note: {note}." for note in found.notes)])
-    section = Section("Friction over velocity", text, (HEADER, curve_rows(found)), svg(curve_figure(found)))
+    table = found.summary()
+    section = Section("Friction over velocity", text, (table.header, table.rows), svg(curve_figure(found)))
     write_report(out / "friction.html", f"{name}: friction over velocity", [section])
-
-
-def curve_rows(found: FrictionCurve) -> list[list[str]]:
-    """One row of text for each node."""
-    rows = zip(found.velocity, found.force, found.std, strict=True)
-    return [[f"{velocity:.4g}", f"{force:.5g}", f"{std:.2g}"] for velocity, force, std in rows]
 
 
 def curve_figure(found: FrictionCurve) -> Figure:
@@ -51,7 +47,7 @@ def curve_figure(found: FrictionCurve) -> Figure:
         axes.axvspan(slow_back, slow, color=GREY, alpha=0.25, lw=0, label="hardly visited")
         axes.axhline(0.0, color=GREY, lw=0.8)
         axes.set_xlim(*(1.03 * np.array([found.velocity[0], found.velocity[-1]])))
-        axes.set_xlabel("velocity [m/s]")
-        axes.set_ylabel("friction [N]")
+        axes.set_xlabel(f"velocity in {found.motion.speed}")
+        axes.set_ylabel(f"friction in {found.motion.force}")
         axes.legend(loc="upper left")
     return figure

@@ -26,8 +26,8 @@ class Section:
     """A part of the report.
 
     heading, text: plain text, an empty line in the text starts a new paragraph; table: (header, rows), numbers
-    are shown with 4 digits, text as it is; svg: an <svg> element as from `svg`, embedded as it is;
-    code: lines of a file, as they are.
+    are shown with 4 digits, text as it is; svg: an <svg> element as from `svg`, embedded as it is; first: it stands
+    above text and table, not below them; code: lines of a file, as they are.
     Raises UsageError where a row of the table has not as many cells as the header.
     """
 
@@ -36,6 +36,7 @@ class Section:
     table: Table | None = None
     svg: str | None = None
     code: str = ""
+    first: bool = False
 
     def __post_init__(self) -> None:
         header, rows = self.table or ((), ())
@@ -83,6 +84,7 @@ def _part(section: Section, prefix: str) -> dict[str, object]:
         "rows": [list(zip(row, numeric, strict=True)) for row in texts],
         "code": section.code,
         "svg": _own_ids(section.svg or "", prefix),
+        "first": section.first,
     }
 
 

@@ -45,6 +45,7 @@ def run_data(setup: Setup, run: MonitoredRun, history: History) -> RunData:
         np.array(state),
         setup.told,
         run.alarms,
+        setup.monitor.estimator.equation.motion,
     )
 
 

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from pmfid.models.axes import LINEAR, Units
 from pmfid.monitor.calibration import Tail
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, STARTING, SUSPICIOUS, WATCHING
 from pmfid.report.figures import (
@@ -62,6 +63,7 @@ class RunData:
     state: NDArray[np.str_]
     nominal: Floats
     alarms: Sequence[Told]
+    motion: Units = LINEAR
 
 
 def run_figure(data: RunData) -> Figure:
@@ -74,9 +76,9 @@ def run_figure(data: RunData) -> Figure:
         for i in range(p):
             _estimate_panel(panels[i], data, i)
         _strip_panel(panels[p], data.t, strip)
-        signals = (("input", data.u, "unit of u"), ("velocity", data.velocity, "m/s"))
+        signals = (("input", data.u, "unit of u"), ("velocity", data.velocity, data.motion.speed))
         for axes, (name, values, unit) in zip(
-            panels[p + 1 :], (*signals, ("innovation", data.innovation, "N")), strict=True
+            panels[p + 1 :], (*signals, ("innovation", data.innovation, data.motion.force)), strict=True
         ):
             _line(axes, data.t, values, lw=0.8, color=COLOURS[0])
             axes.set_ylabel(_label(name, unit))

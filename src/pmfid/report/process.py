@@ -12,7 +12,7 @@ from pmfid.judge.doubts import search_notes
 from pmfid.report.figures import COLOURS, GREY, WIDTH, decimation, figure_style, plain_ticks
 from pmfid.report.files import write_json
 from pmfid.report.html import Section, svg, write_report
-from pmfid.report.parameters import findings_lines, parameter_header, parameter_rows
+from pmfid.session.parameters import findings_lines, parameter_header, parameter_rows
 from pmfid.session.processes import search_json
 from pmfid.session.result import ProcessResult
 from pmfid.transfer.order import Search
@@ -50,38 +50,10 @@ def _parameters(result: ProcessResult) -> Section:
     )
 
 
-def dynamics_rows(process: Process) -> list[list[str]]:
-    """Poles, zeros and gain, each with its standard deviation."""
-    name, value, std, unit = process.slope
-    rows = [[name, f"{value:.5g}", f"{std:.2g}", unit]]
-    taus = zip(process.time_constants, process.time_constants_std, strict=True)
-    for (pole, std), (tau, tau_std) in zip(zip(process.poles, process.poles_std, strict=True), taus, strict=True):
-        time = f"time constant {tau:.4g} ± {tau_std:.2g} s" if pole else "integrator"
-        rows.append(["pole", _number(pole), _spread(*std) if pole else "", time])
-    for zero, std in zip(process.zeros, process.zeros_std, strict=True):
-        rows.append(["zero", _number(zero), _spread(*std), ""])
-    if process.delay:
-        rows.append(
-            ["dead time", f"{process.delay:.4g} s", f"{process.delay_std:.2g}" if process.delay_std else "", ""]
-        )
-    return rows
-
-
-def _number(value: complex) -> str:
-    if value.imag == 0:
-        return f"{value.real:.4g}"
-    return f"{value.real:.4g} {'+' if value.imag > 0 else '-'} {abs(value.imag):.4g} j"
-
-
-def _spread(real: float, imaginary: float) -> str:
-    """Standard deviations of real and imaginary part."""
-    return f"{real:.2g}" if imaginary == 0 else f"{real:.2g}, {imaginary:.2g} j"
-
-
 def _dynamics(process: Process) -> Section:
     header = ("", "value", "std", "")
     text = "Poles and zeros in rad/s, their standard deviations of real and imaginary part. Time constant: 1 / |pole|."
-    return Section("Poles, zeros, gain", text, (header, dynamics_rows(process)))
+    return Section("Poles, zeros, gain", text, (header, process.rows))
 
 
 def _residual_text(result: ProcessResult) -> str:
@@ -118,11 +90,15 @@ def output_figure(result: ProcessResult) -> Figure:
 
 
 def bode_figure(result: ProcessResult) -> Figure:
-    """Magnitude and phase over frequency with two standard deviations, up to half the sampling frequency."""
-    process = result.process
+    """Of a result; see `bode_of`."""
+    return bode_of(result.process, result.estimator.dt)
+
+
+def bode_of(process: Process, dt: float) -> Figure:
+    """Magnitude and phase over frequency with two standard deviations, up to half the sampling frequency; dt [s]."""
     corners = np.abs(np.r_[process.poles, process.zeros])
     corners = corners[corners > 0]
-    nyquist = np.pi / result.estimator.dt
+    nyquist = np.pi / dt
     low, high = np.log10(np.min(corners)) - DECADES, min(np.log10(np.max(corners)) + DECADES, np.log10(nyquist))
     w = np.logspace(low, max(high, low + DECADES), POINTS)
     G, magnitude, phase = process.frequency_response(w)

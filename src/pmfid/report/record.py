@@ -7,12 +7,15 @@ import os
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from pmfid.models.axes import LINEAR
 from pmfid.report.figures import estimate_figure, residual_figure, signals_figure, status_figure
 from pmfid.report.files import replace_file, write_json
 from pmfid.report.html import Section, svg, write_report
 from pmfid.report.model_checks import model_checks
-from pmfid.report.parameters import findings_lines, parameter_header, parameter_rows
+from pmfid.session.parameters import findings_lines, parameter_header, parameter_rows
+from pmfid.session.records import Record
 from pmfid.session.result import DriveResult
 from pmfid.session.row_file import fresh
 
@@ -69,18 +72,23 @@ def _parameters(result: DriveResult) -> Section:
     return Section("Parameters", text, (parameter_header(result), parameter_rows(result)))
 
 
-def _figures(result: DriveResult) -> list[Section]:
-    record = result.record
-    t = np.arange(record.u.size) * record.dt
+def motion_figure(record: Record, speed: str = LINEAR.speed) -> Figure:
+    """Input and velocity of a record; speed: its unit."""
     velocity = np.gradient(record.counts * record.resolution, record.dt)
-    signals = signals_figure(t, record.u, velocity)
+    signals = signals_figure(np.arange(record.u.size) * record.dt, record.u, velocity, velocity_unit=speed)
     signals.axes[0].set_ylabel("input u")  # no record says in which unit
-    sections = [Section("Input and motion", svg=svg(signals))]
+    return signals
+
+
+def _figures(result: DriveResult) -> list[Section]:
+    record, own = result.record, result.estimator.equation.motion
+    t = np.arange(record.u.size) * record.dt
+    sections = [Section("Input and motion", svg=svg(motion_figure(record, own.speed)))]
     if result.track is not None:
         sections.insert(0, Section("Estimates", svg=svg(estimate_figure(t, result.track, None))))
         sections.append(Section("Status", svg=svg(status_figure(t, result.track.status))))
     if result.fit is not None:
         used = t[record.u.size - result.fit.samples :]
-        figure = residual_figure(used, result.fit.residual)
+        figure = residual_figure(used, result.fit.residual, unit=own.force)
         sections.append(Section("Residual of the filtered equation", svg=svg(figure)))
     return sections

@@ -16,11 +16,12 @@ from pmfid.findings import Finding
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.session.config import NO_ENCODER, Axis
+from pmfid.session.config import Axis
 from pmfid.session.identify import check as checked
 from pmfid.session.identify import identify as run
 from pmfid.session.kinds import Records, parameters_of
 from pmfid.session.model_config import SHAPES, keys_of
+from pmfid.session.record_config import NO_ENCODER
 from pmfid.session.records import Record, record_of
 from pmfid.session.result import Result
 from pmfid.session.terms import TermSearch, places_of, search_drive

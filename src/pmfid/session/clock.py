@@ -15,7 +15,7 @@ from pmfid.errors import UsageError
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
-    from pmfid.session.config import RecordConfig
+    from pmfid.session.record_config import RecordConfig
 
 __all__ = ["UNITS", "named_unit", "sample_period", "time_factor"]
 

@@ -11,22 +11,17 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
 from pmfid.estimators import Method
 from pmfid.estimators.facts import INPUT_GAIN, check_known
 from pmfid.models.equation import ESTIMATE
 from pmfid.monitor.names import DetectorName
+from pmfid.session.conversion import Sections, axis_kind
 from pmfid.session.model_config import ModelConfig, Name, Positive
+from pmfid.session.record_config import NO_ENCODER, EncoderConfig, RecordConfig
 from pmfid.session.toml_file import FileSection, load_sections
 
 __all__ = ["Axis", "check_sampling", "load_axis"]
-
-
-def _usable_scale(value: float | str) -> float | str:
-    if value in (0, ""):
-        raise ValueError("it must be neither zero nor empty")
-    return value
 
 
 def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
@@ -35,61 +30,7 @@ def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
     return value
 
 
-#: Resolution of an output that is a number and no count: finer than any.
-NO_ENCODER = 1e-29
-
 Negative = Annotated[float, Field(lt=0)]
-
-
-class RecordConfig(FileSection):
-    """[record]: which columns of the file hold the input u, the output and the time [s]."""
-
-    input: Name = Field(description="the name of the column that holds the input")
-    output: Name = Field(description="the name of the column that holds the position or the counts")
-    output_kind: Literal["position", "counts"] = Field("position", description="what the output column holds")
-    time: Name | None = Field(None, description="the name of the time column")
-    time_unit: Literal["s", "ms", "us", "ns"] | None = Field(
-        None, description="the unit of the time column, or leave it out where the column's name or s is right"
-    )
-    reference: Name | None = Field(
-        None, description="the name of the column that holds what a controller was told, of a transfer function"
-    )
-    hold: Literal["zoh", "foh"] = Field("zoh", description="what the input does between samples: holds, or a line")
-    gap: Positive | None = Field(None, description="the time step in s beyond which the record is interrupted")
-    dt: Positive | None = Field(None, description="the sample period in s, for example 1e-3")
-    input_scale: Annotated[float | str, AfterValidator(_usable_scale)] = Field(
-        1.0,
-        description="a factor, u = input_scale * column, or the name of a scalar variable in the file",
-    )
-
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        if self.time is None and self.dt is None:
-            raise ValueError("neither time nor dt is there; give the time column, or dt in s, or both")
-        if self.time is None and self.time_unit is not None:
-            raise ValueError("time_unit is that of the time column; name it with time, or drop time_unit")
-        if len({self.input, self.output, self.time}) < 3:
-            raise ValueError("input, output and time must be different columns; correct the names")
-        return self
-
-
-class EncoderConfig(FileSection):
-    """[encoder]: resolution in unit of y per count, and what is known of the counter and the motion."""
-
-    resolution: Positive = Field(description="the unit of y per count, for example 22.75e-6 (m)")
-    bits: int | None = Field(
-        None,
-        ge=1,
-        le=32,
-        description="the width of the counter that wraps at 2**bits, 1 to 32, or leave it out",
-    )
-    standstill_time: Positive = Field(0.2, description="the time in s without a new count that means standstill")
-    max_speed: Positive | None = Field(None, description="the highest possible speed in unit of y per s")
-    guard: bool = Field(True, description="true, or false to let samples in that no motion explains")
-
-    def made(self, resolution: float) -> Encoder:
-        """What the estimators know of the encoder, read in steps of `resolution` [unit of y per count]."""
-        return Encoder(resolution, standstill_time=self.standstill_time, max_speed=self.max_speed, guard=self.guard)
 
 
 class EstimatorConfig(FileSection):
@@ -160,6 +101,9 @@ _KEYS_OF_ONE_KIND = (
     ("record", "gap", True),
     ("record", "hold", True),
     ("record", "reference", True),
+    ("record", "input_unit", False),
+    ("record", "output_unit", False),
+    ("encoder", "range", False),
     ("encoder", "standstill_time", False),
     ("encoder", "max_speed", False),
     ("estimator", "window", False),
@@ -190,12 +134,25 @@ class Axis(FileSection):
             if value != type(part).model_fields[key].default and of_process != (kind == "transfer_function"):
                 cure = f"drop it{_CURE.get(key, '')}"
                 raise UsageError(f'[{section}] {key} = {value!r} is not used with kind = "{kind}"; {cure}')
+        self._check_units()
         if kind == "transfer_function" and self.estimator.cutoff is None:
             raise UsageError(
                 "[estimator] cutoff is missing; give the pole of the filters in rad/s, near those of the process"
             )
         self._check_known()
         return self
+
+    def _check_units(self) -> None:
+        """Units tell the kind of axis, and a velocity has no place."""
+        if self.model.kind != "drive":
+            if self.record.output_kind == "velocity":
+                raise UsageError('output_kind = "velocity" is for kind = "drive"; integrate the column, or change it')
+            return
+        places = [key for key in ("spring", "gravity", "cogging", "friction_period") if getattr(self.model, key)]
+        if self.record.output_kind == "velocity" and places:
+            raise UsageError(f"a velocity does not tell the place: drop {', '.join(places)}, or record the position")
+        if axis_kind(Sections(self.record, self.encoder, self.model)) == "rotary":
+            object.__setattr__(self, "model", self.model.model_copy(update={"axis": "rotary"}))
 
     def _check_known(self) -> None:
         """What is known beforehand is of parameters of the model."""

@@ -14,9 +14,10 @@ from pmfid.design.trial.appraisal import Appraisal, appraise
 from pmfid.design.trial.calibration import DesignedRun
 from pmfid.design.trial.sequential import Commissioning, redesign, sequential, simulated_experiment
 from pmfid.errors import UsageError
-from pmfid.session.config import Axis, EncoderConfig, EstimatorConfig
+from pmfid.session.config import Axis, EstimatorConfig
 from pmfid.session.design_spec import Spec, make_problem
 from pmfid.session.model_config import ModelConfig
+from pmfid.session.record_config import EncoderConfig
 from pmfid.session.records import read_record
 
 __all__ = ["appraised", "campaigned", "commissioned", "designed", "read_run"]

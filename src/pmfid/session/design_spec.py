@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from pmfid.design.problem.problem import Limits, Problem
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
-from pmfid.session.config import RecordConfig
+from pmfid.session.record_config import RecordConfig
 from pmfid.session.toml_file import FileSection, load_sections
 
 __all__ = ["Spec", "load_spec", "make_problem"]

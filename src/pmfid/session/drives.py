@@ -68,6 +68,7 @@ class Drives(Kind[Record]):
         return data.name, int(data.u.size)
 
     def prepared(self, data: Record, axis: Axis) -> Axis:
+        axis = of_kind(data, axis)
         if axis.estimator.cutoff is not None or data.counts.size == 0:
             return axis
         known = believed_of(data, axis).record
@@ -105,7 +106,7 @@ class Drives(Kind[Record]):
         stored.check_equation(equation.text)
 
     def unit_of_output(self, axis: Axis) -> str:
-        return "m" if axis.model.kind == "drive" else ""
+        return axis.model.make().equation.motion.travel if axis.model.kind == "drive" else ""
 
 
 def _identified(data: Record, axis: Axis, asked: Axis, progress: Progress | None) -> DriveResult:
@@ -119,6 +120,18 @@ def _identified(data: Record, axis: Axis, asked: Axis, progress: Progress | None
     result = _estimate(estimator, data, asked, progress, choice)
     _check_known(result)
     return result.with_findings(*noted("method", [f"auto chose {reason}"])) if reason else result
+
+
+def of_kind(record: Record, axis: Axis) -> Axis:
+    """The same axis, rotary where the file says that its output is an angle. Raises UsageError where parameters of a
+    linear one are known."""
+    if not record.rotary or axis.model.kind != "drive" or axis.model.axis == "rotary":
+        return axis
+    if axis.estimator.given or axis.estimator.prior or axis.monitor.nominal:
+        raise UsageError(
+            'the file has an angle for output: write [model] axis = "rotary", and inertia where a mass is known'
+        )
+    return axis.model_copy(update={"model": axis.model.model_copy(update={"axis": "rotary"})})
 
 
 def make_estimator(axis: Axis, record: Record) -> Estimator:

@@ -12,10 +12,11 @@ from pmfid.estimators.base import memory_of
 from pmfid.estimators.plants import plant_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
-from pmfid.session.config import NO_ENCODER, Axis, EstimatorConfig
+from pmfid.session.config import Axis, EstimatorConfig
 from pmfid.session.drives import make_estimator
 from pmfid.session.identify import kind_of
 from pmfid.session.known import check_numbers_known
+from pmfid.session.record_config import NO_ENCODER
 from pmfid.session.records import Record
 
 

@@ -19,6 +19,7 @@ from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.session.arrays import axis_of
 from pmfid.session.config import Axis, check_sampling
+from pmfid.session.drives import of_kind
 from pmfid.session.known import check_numbers_known
 from pmfid.session.outliers import believed_of
 from pmfid.session.records import Record
@@ -59,6 +60,7 @@ def friction_curve(
 
 def record_curve(record: Record, axis: Axis, nodes: int = NODES, rising_from: float | None = None) -> FrictionCurve:
     """The same of a record that was read for `axis`, without what no motion explains."""
+    axis = of_kind(record, axis)
     without, encoder = believed_of(record, axis), axis.encoder.made(record.resolution)
     found = _found(without.record.u, without.record.counts, record.dt, encoder, axis, nodes, rising_from)
     return replace(found, notes=(*record.notes, *filter(None, (without.told,)), *found.notes))
@@ -94,17 +96,9 @@ def _found(
         )
     change = np.diff(u, prepend=u[:1])[-found.error.size :]
     follows = correlation_score(found.error, change) > SIGNIFICANT
-    return replace(found, notes=(FEEDBACK,)) if follows else found
+    return replace(found, notes=(FEEDBACK,) if follows else (), motion=model.equation.motion)
 
 
 def curve_json(found: FrictionCurve, name: str) -> dict[str, object]:
     """The object that `--json` prints."""
-    rows = zip(found.velocity.tolist(), found.force.tolist(), found.std.tolist(), strict=True)
-    return {
-        "record": name,
-        "samples": int(found.error.size),
-        "mass": {"value": found.mass, "std": found.mass_std, "unit": "kg"},
-        "curve": [{"velocity": velocity, "force": force, "std": std} for velocity, force, std in rows],
-        "visited": [list(part) for part in found.visited],
-        "notes": list(found.notes),
-    }
+    return {"record": name, **found.to_dict()}

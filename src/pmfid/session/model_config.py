@@ -9,15 +9,17 @@ from collections.abc import Callable
 from dataclasses import fields
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, ValidatorFunctionWrapHandler, WrapValidator, model_validator
 
 from pmfid.errors import UsageError
+from pmfid.models.axes import AxisKind
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation, Term
 from pmfid.models.shapes import Along, Shape, Square, Stribeck, Wave
 from pmfid.models.signals import Signal
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.toml_file import FileSection
+from pmfid.session.units import gain, kept, quantity
 
 #: What makes the model of a kind, beside the user's own terms.
 MODELS: dict[str, type[Drive | TransferFunction]] = {cls.kind: cls for cls in (Drive, TransferFunction)}
@@ -26,6 +28,18 @@ NOT_IN_FILES = ("initial_conditions",)
 #: The forms of forces, by their names in files.
 SHAPES: dict[str, Callable[..., Shape]] = {"stribeck": Stribeck, "square": Square, "wave": Wave, "along": Along}
 Positive = Annotated[float, Field(gt=0)]
+
+
+def _travel(value: object, check: ValidatorFunctionWrapHandler) -> object:
+    return kept(value, check, quantity)
+
+
+def _gain(value: object, check: ValidatorFunctionWrapHandler) -> object:
+    return kept(value, check, gain)
+
+
+#: A length, an angle or a speed: a number in SI, or a text with its unit.
+Travel = Annotated[float, Field(gt=0), WrapValidator(_travel)]
 Name = Annotated[str, Field(min_length=1)]
 
 
@@ -36,6 +50,8 @@ def _usable_gain(value: float | Literal["estimate"]) -> float | Literal["estimat
         raise ValueError(str(error).partition(";")[0]) from None
 
 
+#: A force per unit of input: a number in SI, a text with its unit, or "estimate".
+Gain = Annotated[Literal["estimate"] | float, AfterValidator(_usable_gain), WrapValidator(_gain)]
 FORMS = '"stribeck" with speed, "square", "wave" with period, or "along" with start, step and values'
 
 
@@ -61,23 +77,27 @@ class ShapeConfig(FileSection):
             raise UsageError(f"a shape has the form {FORMS}; got {self.form} with {list(given)}") from None
 
 
+SIGNAL = 'what the term is of: "input", "output", "direction" of motion, "constant", and others for friction and places'
+DERIVATIVE = "which derivative of the signal, 0 for the signal itself"
+
+
 class UnknownTerm(FileSection):
     """A term of the user's own equation, whose coefficient is to be found."""
 
-    signal: Signal
-    derivative: int = 0
-    coefficient: float = 1.0
-    name: Name
-    unit: str = ""
-    shape: ShapeConfig | None = None
+    signal: Signal = Field(description=SIGNAL)
+    derivative: int = Field(0, description=DERIVATIVE)
+    coefficient: float = Field(1.0, description="a known factor of the term, beside what is to be found")
+    name: Name = Field(description='the name of the parameter, as "inertia"')
+    unit: str = Field("", description='the unit of the parameter, as "kg m2"')
+    shape: ShapeConfig | None = Field(None, description="the form of a friction or a force at a place")
 
 
 class KnownTerm(FileSection):
     """A term of the user's own equation with a known coefficient."""
 
-    signal: Signal = "input"
-    derivative: int = 0
-    coefficient: float = 1.0
+    signal: Signal = Field("input", description=SIGNAL)
+    derivative: int = Field(0, description=DERIVATIVE)
+    coefficient: float = Field(1.0, description="the factor of the term, which is known")
 
 
 class ModelConfig(FileSection):
@@ -100,25 +120,29 @@ class ModelConfig(FileSection):
     unstable: bool = Field(
         False, description="true if a controller holds a transfer function with poles in the right half-plane"
     )
-    input_gain: Annotated[Literal["estimate"] | float, AfterValidator(_usable_gain)] | None = Field(
-        None,
-        description='the force in N per unit of u, for example 2.0, negative where they point apart, or "estimate" to '
-        "find it",
+    axis: AxisKind = Field("linear", description='"linear" or "rotary", or leave it out where units tell it')
+    input_gain: Annotated[Literal["estimate"] | float, AfterValidator(_usable_gain), WrapValidator(_gain)] | None = (
+        Field(
+            None,
+            description='the force in N per unit of u, for example 2.0 or "0.35 N m/A", negative where they '
+            'point apart, or "estimate" to '
+            "find it",
+        )
     )
     friction: Literal["symmetric", "directional"] = Field(
         "symmetric", description="whether friction differs between forward and backward"
     )
     offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
     spring: bool = Field(False, description="true if the load hangs on a spring, false if there is none")
-    stribeck: Positive | Literal["estimate"] | None = Field(
+    stribeck: Annotated[Positive | Literal["estimate"], WrapValidator(_travel)] | None = Field(
         None, description='the speed over which friction at rest falls, in unit of y per s, or "estimate" to find it'
     )
     quadratic: bool = Field(False, description="true if friction grows with the square of the speed as well")
-    gravity: bool | Positive = Field(
+    gravity: Annotated[bool | Positive, WrapValidator(_travel)] = Field(
         False, description="true if gravity turns a rotary axis and y is in rad, or the turn in the unit of y"
     )
-    cogging: Positive | None = Field(None, description="the pitch of a cogging force in the unit of y")
-    friction_period: Positive | None = Field(
+    cogging: Travel | None = Field(None, description="the pitch of a cogging force in the unit of y")
+    friction_period: Travel | None = Field(
         None, description="the period in the unit of y of friction that changes along the travel"
     )
     unknown: tuple[UnknownTerm, ...] = Field(

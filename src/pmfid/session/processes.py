@@ -31,8 +31,9 @@ from pmfid.judge.free_process import process_run
 from pmfid.judge.free_run import FreeRun
 from pmfid.judge.verdict import flags_on
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.session.config import NO_ENCODER, Axis, check_sampling
+from pmfid.session.config import Axis, check_sampling
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
+from pmfid.session.record_config import NO_ENCODER
 from pmfid.session.records import read_experiment
 from pmfid.session.result import ProcessResult, delay_of, expects_unstable
 from pmfid.session.stored import Stored

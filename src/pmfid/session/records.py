@@ -15,14 +15,18 @@ import numpy as np
 
 from pmfid.errors import UsageError
 from pmfid.session.clock import named_unit, sample_period, time_factor
-from pmfid.session.config import NO_ENCODER
+from pmfid.session.conversion import Sections, conversion
+from pmfid.session.formats.layout import Stated
 from pmfid.session.formats.reading import read_table
-from pmfid.session.tables import Table, column, from_array, lookup, notes_of, times, unit_of, whole_name
+from pmfid.session.formats.signals import Signals
+from pmfid.session.record_config import NO_ENCODER, RecordConfig
+from pmfid.session.tables import Table, column, from_array, lookup, notes_of, times, whole_name
+from pmfid.session.travel import travelled
 from pmfid.transfer.experiment import Experiment
 from pmfid.types import Counts, Floats
 
 if TYPE_CHECKING:
-    from pmfid.session.config import Axis, RecordConfig
+    from pmfid.session.config import Axis
 
 __all__ = ["MIN_SAMPLES", "Record", "read_experiment", "read_record", "record_of"]
 
@@ -38,7 +42,8 @@ class Record:
     """One evenly sampled run of a drive.
 
     u: input, (n,), already scaled; counts: encoder counts, (n,), unwrapped; dt: sample period [s];
-    resolution: unit of y per count; notes: what was done to the data, for people; name: name of the file.
+    resolution: unit of y per count; notes: what was done to the data, for people; name: name of the file; rotary: is
+    the output an angle?
     """
 
     u: Floats
@@ -47,6 +52,7 @@ class Record:
     resolution: float
     notes: tuple[str, ...]
     name: str
+    rotary: bool = False
 
 
 def read_experiment(path: Path, axis: Axis) -> Experiment:
@@ -55,8 +61,8 @@ def read_experiment(path: Path, axis: Axis) -> Experiment:
     Of output_kind = "counts" in units of the encoder's resolution. Raises UsageError naming the file and the remedy.
     """
     try:
-        table = read_table(path)
-        config, columns = _columns(axis.record, table)
+        table = read_table(path, Stated(axis.record.separator, axis.record.decimal))
+        config, table, columns = _columns(axis.record, table)
         keys = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
         _check_lengths(columns, keys)
         scale, _ = _input_scale(table, config.input_scale)
@@ -95,7 +101,7 @@ def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record
             f"{resolution:g}; give a larger step"
         )
     try:
-        return _build(read_table(path), axis, quantize, path.name)
+        return _build(read_table(path, Stated(axis.record.separator, axis.record.decimal)), axis, quantize, path.name)
     except UsageError as error:
         # one line, whatever the names in a damaged file contain
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from None
@@ -106,11 +112,13 @@ def record_of(table: Table, axis: Axis, name: str = "record") -> Record:
     return _build(table, axis, None, name)
 
 
-def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, dict[str, Floats]]:
-    """The columns that are named, and the configuration with the names that they have in the file, units and all, and
-    with the unit of a time that is written as a date or a time of day."""
+def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, Table, dict[str, Floats]]:
+    """The columns that are named, on one clock, and the configuration with the names that they have in the file, units
+    and all, and with the unit of a time that is written as a date or a time of day."""
     names = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
     found = {key: whole_name(table, name) for key, name in names.items() if name is not None}
+    if isinstance(table, Signals):
+        table = table.on(found["output"], tuple(found[key] for key in ("input", "reference") if key in found))
     columns = {key: column(table, key, name) for key, name in found.items() if key != "time"}
     changed: dict[str, str] = dict(found)
     if "time" in found:
@@ -120,7 +128,7 @@ def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, dict[str
                 f"[record] time_unit = {config.time_unit!r}: the time column has dates or times of day; drop time_unit"
             )
         changed |= {"time_unit": "s"} if written else {}
-    return config.model_copy(update=changed), columns
+    return config.model_copy(update=changed), table, columns
 
 
 def _stated_factor(config: RecordConfig) -> float:
@@ -135,29 +143,26 @@ def _stated_factor(config: RecordConfig) -> float:
 
 
 def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Record:
-    config, columns = _columns(axis.record.model_copy(update={"reference": None}), table)
+    config, table, columns = _columns(axis.record.model_copy(update={"reference": None}), table)
     keys = {"input": config.input, "output": config.output, "time": config.time}
     _check_lengths(columns, keys)
     for key, values in columns.items():
         _check_finite(f"{key} column {keys[key]!r}", values)
     scale, scale_notes = _input_scale(table, config.input_scale)
     dt, time_notes = sample_period(columns.get("time"), config)
-    counts, count_notes = _counts(columns["output"], axis)
+    units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
+    y = _scaled(columns["output"], units.y, "the unit of the output")
+    travel, motion_notes = travelled(y, dt, axis)
+    counts, count_notes = _counts(travel, axis)
     resolution = axis.encoder.resolution
     if quantize is not None:
         # y comes anew from the counts only where there is nothing better: a position is not floored twice
-        y = columns["output"] if config.output_kind == "position" else counts.astype(np.float64) * resolution
+        y = travel if config.output_kind != "counts" else counts.astype(np.float64) * resolution
         counts, resolution = _floor_counts(y, quantize, 1e-9), quantize
         count_notes += (f"position quantised anew with a step of {quantize:g}",)
-    notes = notes_of(table) + _units_said(config) + scale_notes + time_notes + count_notes
-    return Record(_scaled(columns["input"], scale), counts, dt, resolution, notes, name)
-
-
-def _units_said(config: RecordConfig) -> tuple[str, ...]:
-    """The units that the file itself gives for input and output, as rows of units and names have them."""
-    found = {key: unit_of(name) for key, name in (("u", config.input), ("y", config.output))}
-    said = " and ".join(f"{key} in {unit}" for key, unit in found.items() if unit)
-    return (f"the file has {said}: input_gain and resolution must be for that",) if said else ()
+    notes = notes_of(table) + units.notes + scale_notes + time_notes + motion_notes + count_notes
+    u = _scaled(columns["input"], scale * units.u)
+    return Record(u, counts, dt, resolution, notes, name, units.kind == "rotary")
 
 
 def _check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None]) -> None:
@@ -208,8 +213,9 @@ def _scaled(column: Floats, scale: float, key: str = "[record] input_scale") -> 
 
 def _counts(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
     bits = axis.encoder.bits
-    if axis.record.output_kind == "position":
-        _check_position(output, axis)
+    if axis.record.output_kind != "counts":
+        if axis.record.output_kind == "position":
+            _check_position(output, axis)
         # A position that is a multiple of the resolution in decimal often falls just below it in binary, and
         # a bare floor would lose a whole count: hence the tiny tolerance.
         counts = _floor_counts(output, axis.encoder.resolution, 1e-6)

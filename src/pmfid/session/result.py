@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -16,7 +16,9 @@ from pmfid.estimators.track import Track
 from pmfid.findings import Finding, codes, ordered, texts
 from pmfid.judge.assess import Assessment
 from pmfid.models.transfer_function import TransferFunction
+from pmfid.session.parameters import parameter_header, parameter_rows
 from pmfid.session.records import Record
+from pmfid.shown import Parameters, Shown, Summary, plain_dict
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.process import Process
 from pmfid.types import Floats
@@ -25,8 +27,8 @@ from pmfid.types import Floats
 NORMAL_95 = 1.96
 
 
-@dataclass(frozen=True, eq=False)
-class Result(ABC):
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(Shown):
     """Parameters of a plant: theta, theta_std (p,) with the estimator's names and units; findings: what there is to say
     of them and of the record, most important first. `result["mass"]` is one parameter.
 
@@ -101,17 +103,41 @@ class Result(ABC):
 
     def __str__(self) -> str:
         """A line for each parameter, then the status and what to mind."""
-        estimator = self.estimator
-        rows = zip(self.names, self.theta, self.theta_std, self.units, strict=True)
-        lines = [f"{self.name}: {estimator.method}, {self.samples} samples"]
-        told = {name: f" ({known})" for name, known in self.beforehand.items()}
-        lines += [
-            f"  {name} = {value:.6g} ± {std:.2g} {unit}".rstrip() + told.get(name, "")
-            for name, value, std, unit in rows
-        ]
+        lines = [self.title, *(f"  {line}" for line in self._lines)]
         lines += [f"  95 % with what the model may lack: {told}" for told in self._told_beyond_noise()]
-        lines += [f"status: {', '.join(self.status)}"] if self.status else []
-        return "\n".join([*lines, *(finding.line for finding in self.findings)])
+        return "\n".join([*lines, *self._remarks])
+
+    @property
+    def _remarks(self) -> list[str]:
+        """The status, and a line for each finding."""
+        status = [f"status: {', '.join(self.status)}"] if self.status else []
+        return [*status, *(finding.line for finding in self.findings)]
+
+    @property
+    def title(self) -> str:
+        return f"{self.name}: {self.estimator.method}, {self.samples} samples"
+
+    @property
+    def _lines(self) -> list[str]:
+        """One for each parameter."""
+        told = {name: f" ({known})" for name, known in self.beforehand.items()}
+        lines = Parameters(self.names, self.units, self.theta, self.theta_std).lines
+        return [line + told.get(name, "") for name, line in zip(self.names, lines, strict=True)]
+
+    def summary(self) -> Summary:
+        return Summary(self.title, parameter_header(self), parameter_rows(self), self._lines, self._remarks)
+
+    def columns(self) -> dict[str, object]:
+        """A row for each parameter; with what its model lacks: model_spread, low and high, where it is in 95 %."""
+        own = Parameters(self.names, self.units, self.theta, self.theta_std).columns
+        if self.model_spread is None or self.interval_95 is None:
+            return own
+        low, high = self.interval_95.T
+        return own | {"model_spread": self.model_spread, "low": low, "high": high}
+
+    def to_dict(self) -> dict[str, object]:
+        """What `--json` prints."""
+        return plain_dict(self.to_json())
 
     def _told_beyond_noise(self) -> list[str]:
         """One line for each parameter of which something is known beside the noise."""
@@ -159,7 +185,7 @@ class Result(ABC):
         }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DriveResult(Result):
     """Of a machine with friction. relative_error: of the filtered equation at theta; fit or track: the details of an
     off-line or of a recursive method, of what the record alone says; known: what was known beside it."""
@@ -206,7 +232,7 @@ class DriveResult(Result):
         }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ProcessResult(Result):
     """Of a transfer function. process: the transfer function; assessment: fit and residual tests over all records."""
 
@@ -221,6 +247,10 @@ class ProcessResult(Result):
     @property
     def samples(self) -> int:
         return sum(part.size for part in self.assessment.samples)
+
+    @property
+    def title(self) -> str:
+        return f"{super().title}, {self.fit_text}"
 
     @property
     def delay(self) -> int:

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError, did_you_mean
+from pmfid.session.formats.signals import Signals
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["TWICE", "Columns", "Table", "column", "from_array", "lookup", "notes_of", "times", "unit_of", "whole_name"]
+__all__ = ["TWICE", "Columns", "Table", "column", "from_array", "lookup", "notes_of", "times", "whole_name"]
 
 #: Column by name: an array or a polars series, whichever the reader of the file has.
 Table = Mapping[str, object]
@@ -39,19 +40,22 @@ class Columns(dict[str, object]):
 
 def notes_of(table: Table) -> tuple[str, ...]:
     """How a table was read, where that was not plain."""
-    return table.notes if isinstance(table, Columns) else ()
+    return table.notes if isinstance(table, Columns | Signals) else ()
 
 
 def whole_name(table: Table, name: str) -> str:
-    """The name of the column that is called so, there maybe with a unit in brackets: "t [ms]" for "t"."""
-    found = [full for full in table if _UNIT.sub("", full) == name]
-    return found[0] if name not in table and len(found) == 1 else name
-
-
-def unit_of(name: str) -> str:
-    """The unit in brackets at the end of a column's name; empty where there is none."""
-    found = _UNIT.search(name)
-    return found.group().strip(" []()") if found else ""
+    """The name of the column that is called so, there maybe with a unit in brackets, "t [ms]" for "t", or at the end of
+    a path that no other has, "/run.t"."""
+    if name in table:
+        return name
+    plain = {full: _UNIT.sub("", full) for full in table}
+    for found in (
+        [full for full, called in plain.items() if called == name],
+        [full for full, called in plain.items() if called.endswith(f".{name}")],
+    ):
+        if found:
+            return found[0] if len(found) == 1 else name
+    return name
 
 
 #: Polars' end of the name of a column that is there already.
@@ -149,7 +153,7 @@ def _from_series(label: str, series: pl.Series, remedy: str = NUMBERS) -> Floats
         if len(bad):
             raise UsageError(f"{label} is not numeric: {series[bad[0]]!r} in row {bad[0] + 1}; {remedy}")
         series = numbers
-    if not series.dtype.is_numeric():
+    if not series.dtype.is_numeric() and series.dtype != pl.Null:
         raise UsageError(f"{label} is not numeric but {series.dtype}; store it as numbers (time in s)")
     values: Floats = series.cast(pl.Float64).fill_null(np.nan).to_numpy()
     return values

@@ -22,13 +22,14 @@ from pmfid.judge.terms import KEPT, Step, Terms, search
 from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.session.config import Axis, check_sampling
-from pmfid.session.drives import Drives, all_known
+from pmfid.session.drives import Drives, all_known, of_kind
 from pmfid.session.identify import explained
 from pmfid.session.kinds import Progress
 from pmfid.session.known import check_numbers_known
 from pmfid.session.nested import Nested, nested, spoken
 from pmfid.session.outliers import believed_of
 from pmfid.session.records import Record
+from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 
 #: What the flags of `pmfid identify` do not say.
 AMBIGUOUS, UNRESOLVED = "ambiguous_term", "unresolved"
@@ -43,8 +44,8 @@ class Hidden:
     unit: str
 
 
-@dataclass(frozen=True, eq=False)
-class TermSearch:
+@dataclass(frozen=True, eq=False, repr=False)
+class TermSearch(Shown):
     """What a search has found. name, samples, resolution [unit of y]: of the record; models: from that to begin with to
     the chosen one; hidden: terms that are not in it; status, notes: as of a result."""
 
@@ -100,6 +101,29 @@ class TermSearch:
             "notes": list(self.notes),
         }
 
+    def summary(self) -> Summary:
+        header = ("model", "parameters", "log-likelihood", "unexplained")
+        rows = [
+            (model.label, str(model.trial.theta.size), f"{model.trial.log_likelihood:.6g}", _share(model))
+            for model in self.models
+        ]
+        lines = [f"{label}: log-likelihood {likelihood}" for label, _, likelihood, _ in rows]
+        title = f"{self.name}, {self.samples} samples. {self.sentence}"
+        return Summary(title, header, rows, lines, remarks_of(self.status, self.notes))
+
+    def columns(self) -> dict[str, object]:
+        """A row for each parameter of each of the models."""
+        rows = [
+            (model.label, name, *told.values())
+            for model in self.models
+            for name, told in _parameters_json(model).items()
+        ]
+        return dict(zip(("model", "parameter", "value", "std"), map(list, zip(*rows, strict=True)), strict=True))
+
+    def to_dict(self) -> dict[str, object]:
+        """What `--json` prints."""
+        return plain_dict(self.to_json())
+
 
 def _share(model: Nested) -> str:
     whole, slow = model.unexplained
@@ -112,19 +136,23 @@ def _finite(value: float) -> float | None:
 
 
 def _model_json(model: Nested, resolution: float) -> dict[str, object]:
-    trial = model.trial
-    names = [*trial.model.equation.names, *(name for name, _ in trial.model.equation.further)]
-    std = [None] * len(names) if model.fit is None else model.fit.theta_std.tolist()
-    rows = zip(names, trial.theta.tolist(), std, strict=True)
     return {
         "added": model.added,
-        "log_likelihood": trial.log_likelihood,
+        "log_likelihood": model.trial.log_likelihood,
         "held_out": _finite(model.error),
         "held_out_counts": _finite(model.error / resolution),
         "unexplained": _finite(model.unexplained[0]),
         "unexplained_slow": _finite(model.unexplained[1]),
-        "parameters": {name: {"value": value, "std": bar} for name, value, bar in rows},
+        "parameters": _parameters_json(model),
     }
+
+
+def _parameters_json(model: Nested) -> dict[str, dict[str, float | None]]:
+    equation = model.trial.model.equation
+    names = [*equation.names, *(name for name, _ in equation.further)]
+    std = [None] * len(names) if model.fit is None else model.fit.theta_std.tolist()
+    rows = zip(names, model.trial.theta.tolist(), std, strict=True)
+    return {name: {"value": value, "std": bar} for name, value, bar in rows}
 
 
 def _step_json(step: Step) -> dict[str, object]:
@@ -153,6 +181,7 @@ def search_drive(
     the same machine, which the models are to predict in place of parts of the first. Raises UsageError for what is no
     drive and NotIdentifiableError where the record is too short, or cannot identify the model to begin with.
     """
+    axis = of_kind(data, axis)
     model = axis.model.make()
     if not isinstance(model, Drive):
         raise UsageError(
@@ -203,7 +232,8 @@ def _told(data: Record, bench: Bench, found: Terms, told: tuple[str, ...], statu
     own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * (not found.adequacy.adequate)
     notes = (*told, *_sentences(found), *texts(judged))
     names = tuple(dict.fromkeys((*status, *own, *codes(judged))))
-    return TermSearch(data.name, int(data.u.size), data.resolution, found, models, tuple(_hidden(found)), names, notes)
+    hidden = tuple(_hidden(found, found.trials[0].model.equation.motion.force))
+    return TermSearch(data.name, int(data.u.size), data.resolution, found, models, hidden, names, notes)
 
 
 def _judged(bench: Bench, chosen: Nested) -> tuple[Finding, ...]:
@@ -230,12 +260,12 @@ def _sentences(found: Terms) -> Iterator[str]:
         yield "something is left that no term of the list explains on data that it was not fitted to"
 
 
-def _hidden(found: Terms) -> Iterator[Hidden]:
+def _hidden(found: Terms, force: str) -> Iterator[Hidden]:
     """Of several forms of a term the one that is seen last."""
     adequacy, sizes = found.adequacy, dict[str, tuple[float, str]]()
     for lack, std in zip(adequacy.lacks, adequacy.size_std, strict=True):
         if lack.changes and lack.name != "cogging":
-            unit = "s" if lack.name == "dead_time" else "N"
+            unit = "s" if lack.name == "dead_time" else force
             sizes[lack.says] = (max(MISSED * float(std), sizes.get(lack.says, (0.0, ""))[0]), unit)
     yield from (Hidden(says, size, unit) for says, (size, unit) in sizes.items())
 

@@ -15,6 +15,7 @@ from pmfid.session.identify import kind_of
 from pmfid.session.kinds import Records, parameters_of
 from pmfid.session.known import at_stored_gain
 from pmfid.session.stored import Stored
+from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 from pmfid.types import Floats
 
 __all__ = ["Validation", "read_records", "validate_stored", "validated"]
@@ -23,8 +24,8 @@ __all__ = ["Validation", "read_records", "validate_stored", "validated"]
 WITHIN = 1.5
 
 
-@dataclass(frozen=True, eq=False)
-class Validation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Validation(Shown):
     """Free runs over one record or more. kind, method: of the model and of its estimate; names, units, theta: (p,) of
     its parameters; unit: of the output, empty where it has none."""
 
@@ -52,6 +53,36 @@ class Validation:
             "records": [_as_json(run) for run in self.runs],
             "notes": list(self.notes),
         }
+
+    def summary(self) -> Summary:
+        header = ("record", "samples", "error", "fit [%]", "stands still", "unit")
+        return Summary(
+            f"{self.method} against {len(self.runs)} record{'s' * (len(self.runs) != 1)}, simulated from the input",
+            header,
+            [(run.name, str(run.t.size), *_numbers(run), self.unit) for run in self.runs],
+            [self._line(run) for run in self.runs],
+            remarks_of((), self.notes),
+        )
+
+    def _line(self, run: FreeRun) -> str:
+        error, fit, still = _numbers(run)
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{run.name}: error {error}{unit}, fit {fit} %; standing still {still}{unit}; {run.t.size} samples"
+
+    def columns(self) -> dict[str, object]:
+        """A row for each record."""
+        rows = [_as_json(run) for run in self.runs]
+        return {key: [row[key] for row in rows] for key in _as_json(self.runs[0]) if key != "horizons"}
+
+    def to_dict(self) -> dict[str, object]:
+        """What `--json` prints."""
+        return plain_dict(self.to_json())
+
+
+def _numbers(run: FreeRun) -> tuple[str, str, str]:
+    """Root mean square error, fit, and the error of what stays where it begins."""
+    fit = "unknown" if run.fit is None else f"{run.fit:.4g}"
+    return f"{run.rmse:.3g}", fit, f"{run.standstill:.3g}"
 
 
 def _as_json(run: FreeRun) -> dict[str, object]:

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
+from pmfid._stage import first_order
 from pmfid.transfer.experiment import Stretch
 from pmfid.transfer.propagate import Grid
 from pmfid.transfer.sensitivity import Structure, channels
@@ -37,8 +37,8 @@ class Filter:
         """cutoff / (s + cutoff), or s times it."""
         high = 2 / self.dt
         gain, pole = cutoff / (high + cutoff), (high - cutoff) / (high + cutoff)
-        top = [gain * high, -gain * high] if differentiating else [gain, gain]
-        return np.asarray(lfilter(top, [1.0, -pole], signal))
+        top = (gain * high, -gain * high) if differentiating else (gain, gain)
+        return first_order(signal, pole, *top)[0]
 
     def equation(self, signal: Floats, A: Floats) -> Floats:
         """F_T A(s_T) of a sampled signal (N,); A: (n+1,) from the constant on."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
+from pmfid.shown import Shown, Summary, plain
 from pmfid.transfer.propagate import Grid
 from pmfid.types import Floats
 
@@ -26,8 +27,8 @@ RESPONSE = 200
 SAMPLES_PER_COEFFICIENT = 10
 
 
-@dataclass(frozen=True, eq=False)
-class Experiment:
+@dataclass(frozen=True, eq=False, repr=False)
+class Experiment(Shown):
     """One record of a process.
 
     u, y: (N,) input and output at the same instants; y is NaN where a sample is missing, u where it is not known, which
@@ -78,6 +79,26 @@ class Experiment:
             raise UsageError(f"t must be as long as u, got shape {t.shape}")
         _check_rising(t)
         object.__setattr__(self, "t", t)
+
+    def summary(self) -> Summary:
+        span = f"{self.times[-1] - self.times[0]:.4g} s, about {self.period:.4g} s apart"
+        title = f"{self.name}: {self.u.size} samples over {span}, {self.hold}"
+        signals = {
+            key: values for key, values in self.columns().items() if key != "t" and isinstance(values, np.ndarray)
+        }
+        rows = [(key, *_range(values), str(np.count_nonzero(~np.isfinite(values)))) for key, values in signals.items()]
+        lines = [f"{key} from {low} to {high}" + f", {gone} missing" * (gone != "0") for key, low, high, gone in rows]
+        return Summary(title, ("signal", "lowest", "highest", "missing"), rows, lines)
+
+    def columns(self) -> dict[str, object]:
+        """A row for each sample."""
+        found: dict[str, object] = {"t": self.times, "u": self.u, "y": self.y}
+        return found if self.reference is None else found | {"reference": self.reference}
+
+    def to_dict(self) -> dict[str, object]:
+        """Lists over the samples."""
+        own = {"name": self.name, "hold": self.hold, "gap": self.gap, "dt": self.dt}
+        return {key: plain(value) for key, value in (own | self.columns()).items()}
 
     @cached_property
     def times(self) -> Floats:
@@ -195,6 +216,11 @@ class Experiment:
         else:
             inputs = [np.interp(grid_t, late, signal) for signal in signals]
         return Stretch(Grid(np.diff(grid_t), grid_t.size), np.array(inputs), filled, rows_of[rows], part[rows], held)
+
+
+def _range(values: Floats) -> tuple[str, str]:
+    known = values[np.isfinite(values)]
+    return (f"{known.min():.4g}", f"{known.max():.4g}") if known.size else ("unknown", "unknown")
 
 
 def _shrinking(signal: Floats) -> float:

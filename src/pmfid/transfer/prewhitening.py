@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from pmfid.transfer.experiment import Stretch
 from pmfid.transfer.noise import Noise
@@ -36,6 +35,8 @@ def prewhitened(problem: ProcessProblem, noise: Noise) -> ProcessProblem:
 
 
 def _filtered(stretch: Stretch, weights: Floats) -> Stretch | None:
+    from scipy.signal import lfilter  # slow to import, and only transfer functions need it
+
     lost = weights.size - 1
     if stretch.grid.size < lost + 2:
         return None

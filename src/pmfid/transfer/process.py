@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
+from pmfid.shown import Shown, Summary, plain_dict
 from pmfid.transfer.experiment import Stretch
 from pmfid.transfer.propagate import Grid
 from pmfid.transfer.sensitivity import Structure, channels
+from pmfid.transfer.written import number, polynomial, root_with_bars, spread, with_bar
 from pmfid.types import Complex, Floats
 
 if TYPE_CHECKING:
@@ -25,8 +27,8 @@ INTERVAL = 2.0
 GAINS = (("gain", ""), ("velocity gain", "1/s"), ("acceleration gain", "1/s^2"))
 
 
-@dataclass(frozen=True, eq=False)
-class Process:
+@dataclass(frozen=True, eq=False, repr=False)
+class Process(Shown):
     """G(s) = exp(-delay s) (b_0 + ... + b_m s^m) / (a_0 + ... + a_{n-1} s^{n-1} + s^n).
 
     a: (n,), b: (m+1,), both from the constant upwards; cov: (n+m+1, n+m+1) covariance of a and b, with one row and
@@ -143,8 +145,8 @@ class Process:
         slopes = [-(s**i) * G / A for i in range(self.a.size)] + [s**j / A for j in range(self.b.size)]
         slopes += [-s * G] * self._late
         relative = np.array(slopes) / G
-        spread = [np.sqrt(np.einsum("if,ij,jf->f", part, self.cov, part)) for part in (relative.real, relative.imag)]
-        return G * np.exp(-s * self.delay), spread[0], spread[1]
+        parts_std = [np.sqrt(np.einsum("if,ij,jf->f", part, self.cov, part)) for part in (relative.real, relative.imag)]
+        return G * np.exp(-s * self.delay), parts_std[0], parts_std[1]
 
     def step_response(self, t: ArrayLike) -> tuple[Floats, Floats]:
         """Response (k,) to a unit step at evenly spaced t (k,) [s] from 0 on, and its standard deviation."""
@@ -192,12 +194,62 @@ class Process:
 
     def __repr__(self) -> str:
         name, value, std, unit = self.slope
-        rows = [str(self), "", f"{name} {_value(value, std)} {unit}".rstrip()]
+        rows = [str(self), "", f"{name} {with_bar(value, std)} {unit}".rstrip()]
         for pole, std, tau in zip(self.poles, self.poles_std, self.time_constants, strict=True):
             known = "pole 0, an integrator"
-            rows.append(f"pole {_complex(pole, std)} rad/s, time constant {tau:.4g} s" if pole else known)
-        rows += [f"zero {_complex(zero, std)} rad/s" for zero, std in zip(self.zeros, self.zeros_std, strict=True)]
+            rows.append(f"pole {root_with_bars(pole, std)} rad/s, time constant {tau:.4g} s" if pole else known)
+        rows += [
+            f"zero {root_with_bars(zero, std)} rad/s" for zero, std in zip(self.zeros, self.zeros_std, strict=True)
+        ]
         return "\n".join(rows)
+
+    @property
+    def rows(self) -> list[list[str]]:
+        """Gain, poles, zeros and dead time as text, each with its standard deviation."""
+        name, value, std, unit = self.slope
+        rows = [[name, f"{value:.5g}", f"{std:.2g}", unit]]
+        taus = zip(self.time_constants, self.time_constants_std, strict=True)
+        for (pole, bar), (tau, tau_std) in zip(zip(self.poles, self.poles_std, strict=True), taus, strict=True):
+            time = f"time constant {tau:.4g} ± {tau_std:.2g} s" if pole else "integrator"
+            rows.append(["pole", number(pole), spread(*bar) if pole else "", time])
+        for zero, bar in zip(self.zeros, self.zeros_std, strict=True):
+            rows.append(["zero", number(zero), spread(*bar), ""])
+        if self.delay:
+            bar = f"{self.delay_std:.2g}" if self.delay_std else ""
+            rows.append(["dead time", f"{self.delay:.4g} s", bar, ""])
+        return rows
+
+    def summary(self) -> Summary:
+        top, bottom = polynomial(self.b), polynomial(np.r_[self.a, 1.0])
+        dead = f" exp(-{self.delay:g} s)" if self.delay else ""
+        return Summary(f"G(s) = ({top}) / ({bottom}){dead}", ("", "value", "std", ""), self.rows)
+
+    def columns(self) -> dict[str, object]:
+        """A row for each pole and each zero, with the standard deviations of real and imaginary part [rad/s]."""
+        roots, bars = np.r_[self.poles, self.zeros], np.r_[self.poles_std, self.zeros_std.reshape(-1, 2)]
+        return {
+            "root": ["pole"] * self.poles.size + ["zero"] * self.zeros.size,
+            "real": roots.real,
+            "imaginary": roots.imag,
+            "real_std": bars[:, 0],
+            "imaginary_std": bars[:, 1],
+        }
+
+    def to_dict(self) -> dict[str, object]:
+        """Coefficients from the constant upwards, poles and zeros as [real, imaginary] in rad/s."""
+        name, value, std, unit = self.slope
+        return plain_dict(
+            {
+                "a": self.a,
+                "b": self.b,
+                "dead_time": {"value": self.delay, "std": self.delay_std, "unit": "s"},
+                name.replace(" ", "_"): {"value": value, "std": std, "unit": unit},
+                "poles": self.poles,
+                "zeros": self.zeros,
+                "time_constants": self.time_constants,
+                "damping": self.damping,
+            }
+        )
 
     def _repr_latex_(self) -> str:
         dead = rf"\,e^{{-{self.delay:g}s}}" if self.delay else ""
@@ -248,18 +300,6 @@ def _real(name: str, values: ArrayLike) -> Floats:
         raise UsageError(f"{name} must be real numbers, got {values!r}") from None
 
 
-def polynomial(coefficients: Floats, power: str = "^%d") -> str:
-    """Text of sum c_i s^i, highest power first."""
-    parts: list[str] = []
-    for i in range(coefficients.size - 1, -1, -1):
-        value = float(coefficients[i])
-        number = "" if i and abs(value) == 1 else f"{abs(value):.5g}"
-        symbol = "" if i == 0 else "s" if i == 1 else "s" + power % i
-        sign = ("-" if value < 0 else "") if not parts else (" - " if value < 0 else " + ")
-        parts.append(f"{sign}{number}{' ' if number and symbol else ''}{symbol}")
-    return "".join(parts)
-
-
 def _nearest(found: Complex, root: complex) -> complex:
     return complex(found[np.argmin(np.abs(found - root))]) if found.size else complex(np.inf)
 
@@ -268,14 +308,3 @@ def _roots(coefficients: Floats) -> Complex:
     """Slowest first, of a pair the one with the positive imaginary part."""
     found = [complex(root) for root in np.roots(coefficients[::-1])]
     return np.array(sorted(found, key=lambda root: (round(abs(root), 12), root.real, -root.imag)), np.complex128)
-
-
-def _value(value: float, std: float) -> str:
-    return f"{value:.5g} ± {std:.2g}"
-
-
-def _complex(value: complex, std: Floats) -> str:
-    if value.imag == 0:
-        return _value(value.real, float(std[0]))
-    sign = "+" if value.imag > 0 else "-"
-    return f"{value.real:.5g} ± {std[0]:.2g} {sign} j ({abs(value.imag):.5g} ± {std[1]:.2g})"

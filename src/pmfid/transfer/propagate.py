@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm, schur
-from scipy.signal import lfilter
 
 from pmfid.types import Floats
 
@@ -93,6 +92,8 @@ def respond(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, *, held:
 def _recur(T: Floats, forced: list[Floats], start: Floats) -> list[Floats]:
     """x[k+1] = T x[k] + forced[k], T upper triangular (a Schur form keeps close poles exact): a first-order recursion
     for each state, the last one first."""
+    from scipy.signal import lfilter  # slow to import, and only transfer functions need it
+
     states: list[Floats] = []
     for i in range(T.shape[0] - 1, -1, -1):
         drive = np.empty((start.shape[1], forced[i].shape[1] + 1), complex)

@@ -32,6 +32,7 @@ LASTING = 10.0
 #: Change of the velocity from row to row, in parts of the velocity: of a column that is no position, and of one that
 #: may be.
 ROUGH, SMOOTH = 0.6, 0.1
+RATE = 'give [record] output_kind = "velocity"'
 INTEGRATE = (
     "name the column of the position or the counts, or integrate this one, its cumulative sum times the sample period"
 )
@@ -59,11 +60,11 @@ def _other_reading(log: Log) -> Finding | None:
     better = ALIKE if hasty(log.change) > ROUGH > SMOOTH > hasty(np.diff(log.record.u)) else BETTER
     if exchanged < min(FOLLOWS, better * left, velocity):
         return _said("exchanged", "input and output are exchanged", _exchange(log), exchanged)
-    if log.sudden_stops or log.view is None or log.view.one_way:
+    if log.sudden_stops or log.view is None or log.view.one_way or log.axis.record.output_kind == "velocity":
         return None
     if velocity < min(FOLLOWS, (BETTER if heavy else ALIKE) * left):
         mistake = f"the output column {log.axis.record.output!r} is a velocity and no position"
-        return _said("velocity", mistake, INTEGRATE, velocity)
+        return _said("velocity", mistake, RATE, velocity)
     return None
 
 

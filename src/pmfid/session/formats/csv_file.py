@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import re
-import zlib
 from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
-from pmfid.session.formats.layout import LOOKED_AT, Layout, layout_of
-from pmfid.session.formats.safety import MOST_BYTES, MOST_TIMES, check_unpacked
+from pmfid.session.formats.layout import LOOKED_AT, NOTHING, Layout, Stated, layout_of
+from pmfid.session.formats.packed import unpacked
 from pmfid.session.tables import TWICE, Columns
 
 if TYPE_CHECKING:
     import polars as pl
 
-GZIP = b"\x1f\x8b"
-#: How zlib, zstd, bzip2, xz and ZIP begin.
-_PACKED = (b"x\x01", b"x\x9c", b"x\xda", b"\x28\xb5\x2f\xfd", b"BZh9", b"\xfd7zXZ", b"PK\x03\x04")
+#: How zlib, bzip2, xz and ZIP begin.
+_PACKED = (b"x\x01", b"x\x9c", b"x\xda", b"BZh9", b"\xfd7zXZ", b"PK\x03\x04")
 _MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _MISSING = ["", "NA", "N/A", "null", "NULL", "None", "-"]
 _COMMENT = re.compile(rb"(?m)^[ \t]*(#|%|//).*(\n|\Z)")
@@ -24,27 +22,13 @@ _COMMENT = re.compile(rb"(?m)^[ \t]*(#|%|//).*(\n|\Z)")
 _WIDE, _FIRST = 30, 2000
 
 
-def parse_csv(data: bytes) -> Columns:
-    """The columns as text, numbers with a decimal point. Raises UsageError for what is packed other than by gzip, no
-    text, or no table."""
-    text = _text(_unpacked(data) if data.startswith(GZIP) else data)
+def parse_csv(data: bytes, stated: Stated = NOTHING) -> Columns:
+    """The columns as text, numbers with a decimal point; stated: what is known of the layout. Raises UsageError for
+    what is packed other than by gzip or zstd, no text, or no table."""
+    text = _text(unpacked(data))
     head = text[: _end_of_line(text, LOOKED_AT)].decode("utf-8")
-    layout = layout_of(head.splitlines())
+    layout = layout_of(head.splitlines(), stated)
     return Columns(_columns(text[_end_of_line(text, layout.first) :], layout), layout.notes)
-
-
-def _unpacked(data: bytes) -> bytes:
-    """What gzip has packed, in one member or more, and no more than a file may unpack to."""
-    most, unpacked = max(MOST_BYTES, MOST_TIMES * len(data)), bytearray()
-    rest = data
-    while rest.startswith(GZIP):
-        member = zlib.decompressobj(wbits=31)
-        unpacked += member.decompress(rest, most + 1 - len(unpacked))
-        check_unpacked(len(unpacked), len(data), "the text")
-        if not member.eof:
-            raise UsageError("not a readable .gz file, truncated or corrupt; export it again")
-        rest = member.unused_data
-    return bytes(unpacked)
 
 
 def _text(data: bytes) -> bytes:
@@ -101,9 +85,16 @@ def _columns(body: bytes, layout: Layout) -> dict[str, object]:
             f"not every line from line {layout.first + 1} on has {len(layout.names)} columns: remove lines that are no "
             "data, as a sum at the end or settings at the beginning"
         ) from None
+    return named_columns(frame, layout)
+
+
+def named_columns(frame: pl.DataFrame, layout: Layout) -> dict[str, object]:
+    """The columns with the names of a layout, text with a decimal point."""
+    import polars as pl
+
     table: dict[str, object] = {}
     for name, column in zip(layout.names, frame.iter_columns(), strict=True):
-        text = _with_points(column) if layout.decimal == "," else column
+        text = _with_points(column) if layout.decimal == "," and column.dtype == pl.String else column
         table[f"{name}{TWICE}" if name in table else name] = text.alias(name)
     return table
 

@@ -57,10 +57,22 @@ class Layout:
         return tuple(said)
 
 
-def layout_of(lines: Sequence[str]) -> Layout:
-    """The layout of the first lines of a file. Raises UsageError where they are no table."""
+@dataclass(frozen=True)
+class Stated:
+    """What is known of a layout; None: what the text shows."""
+
+    separator: str | None = None
+    decimal: str | None = None
+
+
+NOTHING = Stated()
+
+
+def layout_of(lines: Sequence[str], stated: Stated = NOTHING) -> Layout:
+    """The layout of the first lines of a file. Raises UsageError where they are no table, or none as it is stated."""
     looked = lines[:LOOKED_AT]
-    found = {reading: rows for reading in product(SEPARATORS, ".,") if (rows := _data(looked, *reading))}
+    readings = product(stated.separator or SEPARATORS, stated.decimal or ".,")
+    found = {reading: rows for reading in readings if (rows := _data(looked, *reading))}
     if not found and sum(bool(line.strip()) for line in looked) == 1:
         return _empty(looked)
     if not found:
@@ -122,6 +134,12 @@ def _numeric(fields: Sequence[str], decimal: str) -> bool:
     return any(_NUMBER[decimal].fullmatch(field) for field in fields) and 100 * known >= NUMBERS * len(fields)
 
 
+def is_data(line: str) -> bool:
+    """Is this a line of data without a word in it, however its fields are separated?"""
+    rows = ((split(line, separator), decimal) for separator, decimal in product(SEPARATORS, ".,"))
+    return any(len(row) > 1 and all(_known(field, decimal) for field in row) for row, decimal in rows)
+
+
 def _known(field: str, decimal: str) -> bool:
     return bool(_NUMBER[decimal].fullmatch(field) or _TIME.fullmatch(field)) or field.lower() in _WORDS
 
@@ -134,10 +152,15 @@ def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple
     if not rows:
         return tuple(f"column_{k}" for k in range(1, len(fields) + 1)), False
     header, units = rows[0], [""] * len(fields)
-    if len(rows) > 1 and all(_UNIT.fullmatch(name) for name in header if name):
+    if len(rows) > 1 and are_units(header):
         header, units = rows[1], [unit.strip("[]() ") for unit in header]
     names = [name or f"column_{k}" for k, name in enumerate(header, 1)]
     return tuple(f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)), True
+
+
+def are_units(fields: Sequence[str]) -> bool:
+    """Is this a row of units, and of nothing else?"""
+    return all(_UNIT.fullmatch(field) for field in fields if field)
 
 
 def _as_long(line: list[str], fields: Sequence[str]) -> list[str]:

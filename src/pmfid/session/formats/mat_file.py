@@ -1,4 +1,4 @@
-"""MATLAB v5 files."""
+"""MATLAB files: v5, and v7.3, which is HDF5."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pmfid.errors import UsageError
+from pmfid.session.formats.hdf5_file import MATLAB_HEADER, SIGNATURE, parse_hdf5
+from pmfid.session.formats.nested import by_path
 from pmfid.session.formats.safety import MOST_BYTES, MOST_TIMES, check_unpacked
 from pmfid.session.tables import Table
 
@@ -20,21 +21,19 @@ _CHAR_CLASS, _SPARSE_CLASS, _LAST_NUMERIC_CLASS, _COMPLEX = 4, 5, 15, 0x800
 
 
 def parse_mat(data: bytes) -> Table:
-    """The variables as arrays. Raises UsageError for v7.3, and with ValueError what `readable` turns into one."""
+    """The variables as arrays, those in structures by dotted path: "run.axis.u". Raises with ValueError what `readable`
+    turns into a UsageError."""
     import scipy.io
 
-    remedy = "a MATLAB v7.3 file is not read; save it in MATLAB with save(name, '-v7')"
-    if data.startswith(b"\x89HDF"):
-        raise UsageError(remedy)
+    if SIGNATURE in (data[: len(SIGNATURE)], data[MATLAB_HEADER : MATLAB_HEADER + len(SIGNATURE)]):
+        return parse_hdf5(data)
     _check_mat(data)
-    try:
-        with warnings.catch_warnings(action="error", category=scipy.io.matlab.MatReadWarning):
-            variables = scipy.io.loadmat(io.BytesIO(data))
-    except NotImplementedError:
-        raise UsageError(remedy) from None
+    with warnings.catch_warnings(action="error", category=scipy.io.matlab.MatReadWarning):
+        variables = scipy.io.loadmat(io.BytesIO(data))
     named = {name: value for name, value in variables.items() if not name.startswith("__")}
     # a sparse matrix, or another class, is no column, and says so when it is asked for
-    return {name: value if isinstance(value, np.ndarray) else np.empty(0, object) for name, value in named.items()}
+    arrays = {name: value if isinstance(value, np.ndarray) else np.empty(0, object) for name, value in named.items()}
+    return by_path(arrays)
 
 
 def _check_mat(data: bytes) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -26,10 +28,38 @@ def readable(kind: str) -> Iterator[None]:
         raise UsageError(f"not a readable {kind} file, truncated or corrupt ({reason}); export it again") from None
 
 
+@contextmanager
+def needed(extra: str) -> Iterator[None]:
+    """Around the import of a library that comes with an extra of the package: raises UsageError, with what to install,
+    where it is not there."""
+    try:
+        yield
+    except ImportError as error:
+        name = (error.name or extra).partition(".")[0]
+        raise UsageError(f"{name} reads such a file, and is not installed: pip install 'pmfid[{extra}]'") from None
+
+
+def most_of(packed: int) -> int:
+    """Bytes that so many may unpack to."""
+    return max(MOST_BYTES, MOST_TIMES * packed)
+
+
 def check_unpacked(size: int, packed: int, what: str) -> None:
     """Raises UsageError before so many bytes are taken from so few."""
-    if size > max(MOST_BYTES, MOST_TIMES * packed):
+    if size > most_of(packed):
         raise UsageError(
             f"{what} takes {size / 1e6:.0f} MB or more out of a file of {packed / 1e6:.2g} MB; decimate or cut the "
             "record"
         )
+
+
+def checked_archive(data: bytes) -> zipfile.ZipFile:
+    """A ZIP archive whose parts are whole and no larger than they say. Raises UsageError for a bomb and ValueError or
+    BadZipFile for damage."""
+    archive = zipfile.ZipFile(io.BytesIO(data))
+    check_unpacked(sum(part.file_size for part in archive.infolist()), len(data), "what is packed")
+    if any(part.flag_bits & 1 for part in archive.infolist()):
+        raise UsageError("the file is encrypted; save it without a password")
+    if (bad := archive.testzip()) is not None:
+        raise ValueError(f"{bad} is damaged")
+    return archive

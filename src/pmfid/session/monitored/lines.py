@@ -1,13 +1,18 @@
-"""Lines of CSV as a logger writes them into a pipe: its header, comments, and the values of a line."""
+"""Lines of text as a logger writes them into a pipe: its header, comments, and the values of a line."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.session.clock import time_factor
 from pmfid.session.config import Axis
+from pmfid.session.conversion import Sections, conversion
+from pmfid.session.formats.layout import SEPARATORS, are_units, split
 from pmfid.session.monitored.timeline import Line
+from pmfid.session.tables import whole_name
 
 #: Beyond it neighbouring whole numbers are no longer separate doubles.
 _MAX_COUNT = 2.0**53
@@ -17,48 +22,81 @@ _MOST_TIME = 1e30
 COMMENTS = ("#", "%", "//", ";")
 
 
+@dataclass(frozen=True)
+class _Header:
+    """How lines are separated, the names of the columns, and the places of those that are wanted."""
+
+    separator: str
+    names: tuple[str, ...]
+    places: tuple[int, ...]
+
+
 class LineParser:
-    """Takes u, counts and, where [record] names it, the time out of lines.
+    """Takes u, counts and, where [record] names it, the time out of lines, separated and with a decimal sign as in a
+    file.
 
     header: the first line. Raises UsageError where it lacks a column of [record].
     """
 
     def __init__(self, header: bytes, axis: Axis) -> None:
-        config = axis.record
+        self._config = config = axis.record
         if isinstance(config.input_scale, str):
             raise UsageError(f"[record] input_scale = {config.input_scale!r} names a variable; a pipe needs a number")
         self._wanted = [config.input, config.output] + ([config.time] if config.time else [])
-        self._scale, self._unit = config.input_scale, time_factor(config)
-        self._step = axis.encoder.resolution if config.output_kind == "position" else None
-        self._read_header(_names(header))
+        if config.output_kind == "velocity" or axis.encoder.range is not None:
+            raise UsageError("a pipe has positions that go on, or counts: unwrap or integrate the output before")
+        self._sections = Sections(axis.record, axis.encoder, axis.model)
+        self._read_header(_likeliest(_text(header), self._wanted))
 
-    def _read_header(self, names: list[str]) -> None:
-        for name in self._wanted:
-            if name not in names:
-                known = ", ".join(names[:30])
-                raise UsageError(f"standard input has no column {name!r}; it has {known}{did_you_mean(name, names)}")
-            if names.count(name) > 1:
+    def _read_header(self, header: _Header) -> None:
+        for name, place in zip(self._wanted, header.places, strict=True):
+            if place < 0:
+                known = ", ".join(header.names[:30])
+                hint = did_you_mean(name, header.names)
+                raise UsageError(f"standard input has no column {name!r}; it has {known}{hint}")
+            if header.names.count(header.names[place]) > 1:
                 raise UsageError(f"standard input has two columns {name!r}; rename one of them")
-        self._columns, self._width = [names.index(name) for name in self._wanted], len(names)
+        config, encoder = self._config, self._sections.encoder
+        units = conversion(self._sections, *(header.names[place] for place in header.places[:2]))
+        self._header = header
+        self._scale = float(config.input_scale) * units.u
+        self._step = encoder.resolution / units.y if config.output_kind == "position" else None
+        time = header.names[header.places[2]] if len(header.places) == 3 else None  # its unit may stand in it
+        self._unit = time_factor(self._config.model_copy(update={"time": time}))
 
     def __call__(self, line: bytes) -> Line | None:
-        """What a line says; None of a comment, and of a header: a logger that starts again writes its own."""
-        if is_comment(line):
+        """What a line says; None of a comment, of units, and of a header: a logger that starts again writes its own."""
+        text = _text(line)
+        if _for_people(text) and not (self._header.separator == ";" and text.startswith(";")):
             return None
         try:
-            return self._values(self._cells(line))
+            return self._values(self._cells(text))
         except (ValueError, OverflowError) as error:
-            names = _names(line)
-            if set(self._wanted) <= set(names):
-                self._read_header(names)
+            if self._is_header(text) or _are_units(split(text, self._header.separator)):
                 return None
             return Line(math.nan, math.nan, 0, str(error))
 
-    def _cells(self, line: bytes) -> list[str]:
-        cells = line.decode("utf-8", "replace").split(",")
-        if len(cells) != self._width:
-            raise ValueError(f"{len(cells)} cells in place of {self._width}")
-        return [cells[column] for column in self._columns]
+    def _is_header(self, text: str) -> bool:
+        """Takes a line for the header of those that follow, if it has the columns."""
+        if not all(name in text for name in self._wanted):
+            return False
+        header = _likeliest(text, self._wanted)
+        if min(header.places) < 0:
+            return False
+        try:
+            self._read_header(header)
+        except UsageError:  # of other units, or with a column twice: the lines behind it are read as those before
+            return False
+        return True
+
+    def _cells(self, text: str) -> list[str]:
+        separator = self._header.separator
+        plain = separator != " " and '"' not in text
+        cells = text.split(separator) if plain else split(text, separator)
+        if len(cells) != len(self._header.names):
+            raise ValueError(f"{len(cells)} cells in place of {len(self._header.names)}")
+        found = [cells[place] for place in self._header.places]
+        return found if separator == "," and plain else [cell.replace(",", ".") for cell in found]
 
     def _values(self, cells: list[str]) -> Line:
         time = self._unit * float(cells[2]) if len(cells) == 3 else math.nan
@@ -84,9 +122,35 @@ class LineParser:
 
 def is_comment(line: bytes) -> bool:
     """Whether a line is empty or begins as one for people does."""
-    text = line.decode("utf-8-sig", "replace").strip()
+    return _for_people(_text(line))
+
+
+def _for_people(text: str) -> bool:
     return not text or text.startswith(COMMENTS)
 
 
-def _names(line: bytes) -> list[str]:
-    return [name.strip().strip('"') for name in line.decode("utf-8-sig", "replace").split(",")]
+def _text(line: bytes) -> str:
+    text = line.decode("utf-8", "replace").strip(" \r\n\ufeff")
+    return text.replace("\r", " ") if "\r" in text else text  # where one ends a line inside, as some loggers have it
+
+
+def _are_units(fields: Sequence[str]) -> bool:
+    """A row of units says one at least; what is empty or 1 may be a line of data that lost the rest."""
+    return are_units(fields) and any(field.strip("-1%") for field in fields)
+
+
+def _likeliest(text: str, wanted: Sequence[str]) -> _Header:
+    """The line read as a header with the separator by which it has most of the columns; spaces, which may be inside of
+    names, where no other has as many."""
+    readings = [_header(text, separator, wanted) for separator in SEPARATORS]
+    return max(readings, key=_columns_in)
+
+
+def _columns_in(header: _Header) -> tuple[int, bool, int]:
+    return sum(place >= 0 for place in header.places), header.separator != " ", len(header.names)
+
+
+def _header(text: str, separator: str, wanted: Sequence[str]) -> _Header:
+    names = tuple(split(text, separator))
+    places = (whole_name(dict.fromkeys(names), name) for name in wanted)
+    return _Header(separator, names, tuple(names.index(name) if name in names else -1 for name in places))

@@ -12,6 +12,7 @@ from typing import BinaryIO, NoReturn
 
 from pmfid.errors import UsageError
 from pmfid.session.config import Axis
+from pmfid.session.formats.layout import is_data
 from pmfid.session.monitored.lines import LineParser, is_comment
 from pmfid.session.monitored.timeline import BAD, COMMENT, REPEATED, Found, Metronome, Sample, Skipped, Timeline
 from pmfid.session.records import Record
@@ -83,10 +84,10 @@ def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterato
     dt: sample period [s]. Raises UsageError for a header without the columns of [record], for no line at all, for lines
     with another period than dt, and where the first lines, or most of all lines, cannot be used.
     """
-    header = _header(stream, stop)
-    if header is None:
+    parse = _begun(stream, axis, stop)
+    if parse is None:
         return
-    parse, timeline = LineParser(header, axis), Timeline(dt) if axis.record.time else Metronome(dt)
+    timeline = Timeline(dt) if axis.record.time else Metronome(dt)
     tally = _Tally()
     while line := stop.read(stream):
         if not line.strip():
@@ -99,14 +100,25 @@ def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterato
     tally.check()
 
 
-def _header(stream: BinaryIO, stop: Stop) -> bytes | None:
-    """The first line that is no comment; None if a signal comes before it."""
-    while line := stop.read(stream):
-        if not is_comment(line):
-            return line
+def _begun(stream: BinaryIO, axis: Axis, stop: Stop) -> LineParser | None:
+    """With the header: the first line that has the columns; None if a signal comes before it. What stands in front of
+    it, as the name of the logger, is not read; but where data come there will be no header."""
+    refused = UsageError("standard input is empty: write the header with the names of the columns first")
+    lines = 0
+    while lines < FIRST_LINES and (line := stop.read(stream)):
+        if is_comment(line):
+            continue
+        lines += 1
+        data = is_data(line.decode("utf-8", "replace"))
+        try:
+            return LineParser(line, axis)
+        except UsageError as error:
+            refused = refused if data and lines > 1 else error
+        if data:
+            break
     if stop.requested:
         return None
-    raise UsageError("standard input is empty: write the header with the names of the columns first")
+    raise refused
 
 
 @dataclass

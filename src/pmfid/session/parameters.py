@@ -1,25 +1,50 @@
-"""The table of a result's parameters, for the report and for the terminal."""
+"""The table of a result's parameters, for the report, the terminal and Python."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 
-from pmfid.session.result import Result
+from pmfid.findings import Finding
+from pmfid.types import Floats
 
 UNKNOWN = "–"
 #: Columns with spaces, which may take several lines.
 FOLDED = ("model spread", "95 %")
 
 
-def parameter_header(result: Result) -> tuple[str, ...]:
+class Parametric(Protocol):
+    """Of a `Result`, p parameters: theta, theta_std, model_spread (p,), interval_95 (p, 2); beforehand: what each is
+    beside the record."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def units(self) -> tuple[str, ...]: ...
+    @property
+    def theta(self) -> Floats: ...
+    @property
+    def theta_std(self) -> Floats: ...
+    @property
+    def model_spread(self) -> Floats | None: ...
+    @property
+    def interval_95(self) -> Floats | None: ...
+    @property
+    def beforehand(self) -> Mapping[str, str]: ...
+    @property
+    def findings(self) -> tuple[Finding, ...]: ...
+
+
+def parameter_header(result: Parametric) -> tuple[str, ...]:
     """Of the columns of `parameter_rows`."""
     beyond = () if result.model_spread is None else FOLDED
     return ("parameter", "value", "std", *beyond, "unit")
 
 
-def parameter_rows(result: Result) -> list[list[str]]:
+def parameter_rows(result: Parametric) -> list[list[str]]:
     """One row of text for each parameter; of a machine also by how much what its model lacks may move it, and between
     which values it is then."""
     names, units = result.names, result.units
@@ -29,12 +54,12 @@ def parameter_rows(result: Result) -> list[list[str]]:
     ]
 
 
-def findings_lines(result: Result) -> list[str]:
+def findings_lines(result: Parametric) -> list[str]:
     """The findings, most important first, a paragraph each."""
     return [f"{finding.line[0].upper()}{finding.line[1:]}." for finding in result.findings]
 
 
-def _named(result: Result, name: str) -> str:
+def _named(result: Parametric, name: str) -> str:
     known = result.beforehand.get(name)
     return name if known is None else f"{name} ({known})"
 
@@ -46,7 +71,7 @@ def between(low: float, high: float) -> str:
     return f"{low:.{digits}g} to {high:.{digits}g}"
 
 
-def _beyond(result: Result) -> list[list[str]]:
+def _beyond(result: Parametric) -> list[list[str]]:
     if result.model_spread is None or result.interval_95 is None:
         return [[]] * len(result.names)
     return [

@@ -1,0 +1,25 @@
+"""What the flags mean that no single sample sets, beside the bits of `Status`."""
+
+from __future__ import annotations
+
+#: Name -> what it means, and what to do.
+FLAGS = {
+    "model_spread": (
+        "something that machines have, Stribeck friction or a dead time, would not show in this record, and would move "
+        "a parameter beyond its error bar; of a transfer function, the record does not tell the hold of its input"
+    ),
+    "biased": "the method has an error of its own here, beyond its error bar; the note has the better number",
+    "std_too_small": "the error bar leaves out the method's own error; the note says how large that is",
+    "not_followed": "the simulated motion does not follow the record: the model, a sign or a column is wrong",
+    "prior_contradicted": (
+        "what is known beforehand and the record are three standard deviations apart, or more: one of them is wrong"
+    ),
+    "uncertain": "a parameter is not known to half its value: excite it more, or use a simpler model",
+    "implausible": "a parameter is negative that never is in a machine: check sign and scale of input and encoder",
+    "coarse_motion": "the axis moves less than a count per sample, and this method needs more: use iv",
+    "unstable": (
+        "a pole is in the right half-plane, and no controller is known to hold it: set unstable = true if one does"
+    ),
+    "ambiguous_term": "two terms explain the record alike: record a motion that tells them apart",
+    "unresolved": "no term that was searched explains all that the record shows",
+}

@@ -1,0 +1,45 @@
+"""Linear and rotary axes: the same equations, in other units and with another name for what is accelerated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+AxisKind = Literal["linear", "rotary"]
+AXES: Final = ("linear", "rotary")
+INERTIA: Final = "kg m2"
+#: Unit on a linear axis -> on a rotary one.
+_ROTARY = {
+    "kg": INERTIA,
+    "N": "N m",
+    "N s/m": "N m s/rad",
+    "N/m": "N m/rad",
+    "N s2/m2": "N m s2/rad2",
+    "m/s": "rad/s",
+    "m": "rad",
+    "N per u": "N m per u",
+}
+
+
+@dataclass(frozen=True)
+class Units:
+    """Of travel, speed, force and what is accelerated, and the name of the latter."""
+
+    travel: str
+    speed: str
+    force: str
+    of_inertia: str
+    inertia: str
+
+
+LINEAR, ROTARY = Units("m", "m/s", "N", "kg", "mass"), Units("rad", "rad/s", "N m", INERTIA, "inertia")
+
+
+def rotary(unit: str) -> str:
+    """What a unit of a linear axis is on a rotary one."""
+    return _ROTARY.get(unit, unit)
+
+
+def units_by(inertia: str) -> Units:
+    """The units of an axis by that of what is accelerated."""
+    return ROTARY if inertia == INERTIA else LINEAR

@@ -1,0 +1,178 @@
+"""From the units of a file's columns to SI, and which kind of axis they tell of.
+
+A unit is believed where the configuration says it or the column's name does; one that the configuration contradicts is
+refused, and so is a number of AXIS.toml that may be meant in either unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from pmfid.errors import UsageError
+from pmfid.models.axes import AxisKind
+from pmfid.session.model_config import ModelConfig
+from pmfid.session.record_config import EncoderConfig, RecordConfig
+from pmfid.session.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit
+
+__all__ = ["Conversion", "Sections", "axis_kind", "conversion"]
+
+#: Kind of axis that something measured in these is of.
+_KINDS: dict[str, AxisKind] = {
+    "length": "linear",
+    "speed": "linear",
+    "angle": "rotary",
+    "angular speed": "rotary",
+}
+_SPEEDS = ("speed", "angular speed")
+#: Keys with lengths or angles, and with speeds.
+_TRAVELS = (
+    ("encoder", "resolution"),
+    ("encoder", "range"),
+    ("model", "cogging"),
+    ("model", "friction_period"),
+    ("model", "gravity"),
+)
+_RATES = (("encoder", "max_speed"), ("model", "stribeck"))
+
+
+@dataclass(frozen=True)
+class Sections:
+    """What AXIS.toml says that has a unit."""
+
+    record: RecordConfig
+    encoder: EncoderConfig
+    model: ModelConfig
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """Factors to SI of u and y; kind: of axis, None where nothing tells; notes: for people."""
+
+    u: float
+    y: float
+    kind: AxisKind | None
+    notes: tuple[str, ...]
+
+
+def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
+    """How the columns, which are called so in the file, become SI units. Raises UsageError for a unit that the
+    configuration contradicts, and for a number in it that may be meant in two."""
+    own = {"u": column_unit(input_name, INPUTS), "y": column_unit(output_name, OUTPUTS)}
+    if axis.model.kind != "drive":  # its user says in which units it is, and everything else is in these
+        said = " and ".join(f"{key} in {unit.name}" for key, unit in own.items() if unit)
+        notes = (f"the file has {said}: the results are in these units",) if said else ()
+        return Conversion(1.0, 1.0, None, notes)
+    y, u = _output_unit(axis, output_name), _input_unit(axis, input_name)
+    kind = axis_kind(axis, y)
+    told = [f"{key} in {_told(unit)}" for key, unit in (("u", u), ("y", y)) if unit]
+    notes = (f"the file has {' and '.join(told)}",) if told else ()
+    return Conversion(u.factor if u else 1.0, y.factor if y else 1.0, kind, notes)
+
+
+def axis_kind(axis: Sections, unit: Unit | None = None) -> AxisKind | None:
+    """The kind of axis by what the configuration says, and a column in `unit`; None where nothing tells. Raises
+    UsageError where they contradict each other."""
+    told: dict[AxisKind, str] = {}
+    for what, kind in _evidence(axis, unit):
+        told.setdefault(kind, what)
+    if len(told) > 1:
+        raise UsageError(
+            f"{told['rotary']} is of a rotary axis, {told['linear']} of a linear one: correct the unit of one of them"
+        )
+    return next(iter(told), None)
+
+
+def _evidence(axis: Sections, unit: Unit | None) -> Iterator[tuple[str, AxisKind]]:
+    """What tells the kind of axis, for people, and the kind."""
+    if "axis" in axis.model.model_fields_set:
+        yield f'[model] axis = "{axis.model.axis}"', axis.model.axis
+    for section, key, value in _numbers(axis, (*_TRAVELS, *_RATES)):
+        if isinstance(value, Quantity):
+            yield f"[{section}] {key} in {value.unit.name}", _KINDS[value.unit.of]
+    if isinstance(axis.model.input_gain, Quantity):
+        name = axis.model.input_gain.unit.name
+        yield f"[model] input_gain in {name}", "rotary" if name.partition("/")[0].endswith("N m") else "linear"
+    if unit is None and axis.record.output_kind != "counts":
+        unit = OUTPUTS.get(axis.record.output_unit or "") or column_unit(axis.record.output, OUTPUTS)
+    if unit is not None:
+        yield f"the output column {axis.record.output!r} in {unit.name}", _KINDS[unit.of]
+
+
+def _numbers(axis: Sections, keys: tuple[tuple[str, str], ...]) -> Iterator[tuple[str, str, float]]:
+    """Section, key and value of those that are numbers."""
+    for section, key in keys:
+        value = getattr(getattr(axis, section), key)
+        if isinstance(value, float):
+            yield section, key, value
+
+
+def _believed(key: str, given: str | None, name: str, table: dict[str, Unit]) -> Unit | None:
+    """The unit that is configured, or that the name of the column says; None where neither does. Raises UsageError
+    where they differ."""
+    named, stated = column_unit(name, table), table.get(given or "")
+    if named and stated and (named.of, named.factor) != (stated.of, stated.factor):
+        raise UsageError(
+            f'the name of the column {name!r} says {named.name}, and [record] {key} = "{given}": write {key} = '
+            f'"{named.name}", or rename the column'
+        )
+    return stated or named
+
+
+def _output_unit(axis: Sections, name: str) -> Unit | None:
+    config = axis.record
+    unit, kind = _believed("output_unit", config.output_unit, name, OUTPUTS), config.output_kind
+    if unit is None:
+        return None
+    fitting = "velocity" if unit.of in _SPEEDS else "position"
+    if kind != fitting:
+        raise UsageError(f'the output column {name!r} is in {unit.name}: give [record] output_kind = "{fitting}"')
+    if not unit.plain:
+        _check_written(axis, name, unit)
+    return unit
+
+
+def _check_written(axis: Sections, name: str, unit: Unit) -> None:
+    """Raises UsageError for numbers without a unit beside a column that is not in SI."""
+    travel = unit.name.partition("/")[0] if unit.name != "rpm" else "rev"
+    base = SI["angle" if _KINDS[unit.of] == "rotary" else "length"]
+    ways = [(*found, travel, base) for found in _numbers(axis, _TRAVELS)]
+    ways += [(*found, f"{travel}/s", f"{base}/s") for found in _numbers(axis, _RATES)]
+    bare = [way for way in ways if not isinstance(way[2], Quantity)]
+    if bare:
+        written = "; ".join(
+            f'[{section}] {key} = "{value:.9g} {own}" or "{value:.9g} {other}"'
+            for section, key, value, own, other in bare
+        )
+        raise UsageError(
+            f"the output column {name!r} is in {unit.name}, and a number beside it may be meant in that or in {base}: "
+            f"write {written}"
+        )
+
+
+def _input_unit(axis: Sections, name: str) -> Unit | None:
+    """Of the input, as far as no scale is configured, which is another way to say it."""
+    scaled = isinstance(axis.record.input_scale, str) or abs(axis.record.input_scale) != 1.0
+    unit = _believed("input_unit", axis.record.input_unit, "" if scaled else name, INPUTS)
+    gain = axis.model.input_gain
+    if unit is None or isinstance(gain, str) or gain is None:
+        return unit
+    if isinstance(gain, Quantity):
+        of = gain.unit.of.partition("/")[2]
+        if of not in (unit.of, "ratio"):
+            raise UsageError(
+                f"the input column {name!r} is in {unit.name}, and [model] input_gain is per {of}: write it per "
+                f"{SI[unit.of]}"
+            )
+    elif not unit.plain:
+        force = "N m" if axis.model.axis == "rotary" else "N"
+        raise UsageError(
+            f"the input column {name!r} is in {unit.name}, and input_gain = {gain:.9g} may be meant for that or for "
+            f'{SI[unit.of]}: write [model] input_gain = "{gain:.9g} {force}/{unit.name}" or '
+            f'"{gain:.9g} {force}/{SI[unit.of]}"'
+        )
+    return unit
+
+
+def _told(unit: Unit) -> str:
+    return unit.name if unit.plain else f"{unit.name} (converted to {SI[unit.of]})"

@@ -1,0 +1,49 @@
+"""Text that is packed by gzip or zstd, and no more of it than a file may unpack to."""
+
+from __future__ import annotations
+
+import io
+import zlib
+
+from pmfid.errors import UsageError
+from pmfid.session.formats.safety import check_unpacked, most_of, needed
+
+GZIP, ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
+
+
+def unpacked(data: bytes) -> bytes:
+    """What is packed in the bytes of a file; the bytes themselves where nothing is. Raises UsageError for a bomb, and
+    for what is cut off."""
+    if data.startswith(GZIP):
+        return _gunzipped(data)
+    return from_zstd(data, most_of(len(data)), "the text") if data.startswith(ZSTD) else data
+
+
+def from_zstd(data: bytes, most: int, what: str) -> bytes:
+    """What zstd has packed, in one frame or more, of at most so many bytes."""
+    with needed("zst"):
+        import zstandard
+    packed = io.BytesIO(data)
+    try:
+        text = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True).read(most + 1)
+    except zstandard.ZstdError:
+        text = b""
+    if len(text) > most:
+        check_unpacked(most_of(len(data)) + 1, len(data), what)
+    if not text:
+        raise UsageError("not a readable .zst file, truncated or corrupt; export it again")
+    return text
+
+
+def _gunzipped(data: bytes) -> bytes:
+    """What gzip has packed, in one member or more."""
+    most, text = most_of(len(data)), bytearray()
+    rest = data
+    while rest.startswith(GZIP):
+        member = zlib.decompressobj(wbits=31)
+        text += member.decompress(rest, most + 1 - len(text))
+        check_unpacked(len(text), len(data), "the text")
+        if not member.eof:
+            raise UsageError("not a readable .gz file, truncated or corrupt; export it again")
+        rest = member.unused_data
+    return bytes(text)

@@ -1,0 +1,76 @@
+"""Files in which every signal has a clock of its own: how two of them stand side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.types import Floats
+
+#: The column of stamps [s].
+TIME: Final = "time"
+#: Stamps of one cycle of a task are apart by at most this part of it.
+CYCLE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """time: stamps (n,) [s]; values (n,) at these."""
+
+    time: Floats
+    values: NDArray[np.generic]
+
+
+class Signals(Mapping[str, object]):
+    """Signals by name, on the clock of one of them: `TIME` has its stamps. Another with one value in each of its cycles
+    is taken cycle by cycle, and any other holds its last value."""
+
+    def __init__(self, signals: Mapping[str, Signal], base: str = "", others: tuple[str, ...] = ()) -> None:
+        """base: the signal with the clock, the longest one if it is not there; others: those that must have begun."""
+        self._signals = signals
+        usual = max(signals, key=lambda name: signals[name].time.size, default="")
+        stamps = signals[base if base in signals else usual].time if signals else np.empty(0)
+        starts = [signals[name].time[0] for name in others if name in signals and signals[name].time.size]
+        self._from = int(np.searchsorted(stamps, max(starts, default=-np.inf) - CYCLE * _period(stamps)))
+        self._stamps, self._held = stamps, dict[str, None]()
+
+    def on(self, base: str, others: tuple[str, ...]) -> Signals:
+        """The same on the clock of `base`, from where the others have begun."""
+        return Signals(self._signals, base, others)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Which columns hold their last value, of those that were asked for."""
+        return tuple(
+            f"{name} has stamps of its own: its last value is taken at those of the output" for name in self._held
+        )
+
+    def __getitem__(self, name: str) -> object:
+        if name == TIME and name not in self._signals:
+            return self._stamps[self._from :]
+        return self._seen(name, self._signals[name])[self._from :]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys((TIME, *self._signals)))
+
+    def __len__(self) -> int:
+        return len(set(self._signals) | {TIME})
+
+    def _seen(self, name: str, signal: Signal) -> NDArray[np.generic]:
+        """The values of a signal at the stamps."""
+        stamps, time = self._stamps, signal.time
+        if time.size == stamps.size and np.all(np.abs(time - stamps) <= CYCLE * _period(stamps)):
+            return signal.values
+        self._held[name] = None
+        last = np.searchsorted(time, stamps, side="right") - 1
+        if not time.size:
+            return np.full(stamps.size, np.nan)
+        return np.where(last < 0, np.nan, np.asarray(signal.values, np.float64)[np.maximum(last, 0)])
+
+
+def _period(stamps: Floats) -> float:
+    return float(np.median(np.diff(stamps))) if stamps.size > 1 else 0.0

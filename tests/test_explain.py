@@ -1,0 +1,119 @@
+"""What is said of keys and of words of a status: all of them, from where they are used, and in one page."""
+
+from __future__ import annotations
+
+import ast
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import pmfid
+from pmfid.cli.main import main
+from pmfid.errors import UsageError
+from pmfid.judge.flags import FLAGS
+from pmfid.session.config import Axis, load_axis
+from pmfid.session.reference import entries, find, page
+from pmfid.status import Status
+
+ROOT = Path(__file__).parents[1]
+KEYS = {entry.name: entry for entry in entries() if "." in entry.name}
+
+
+def said(*arguments: str) -> str:
+    result = CliRunner().invoke(main, ["explain", *arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.stderr
+    return result.output
+
+
+def test_the_page_of_all_keys_is_up_to_date() -> None:
+    """If it is not: pmfid explain --page > docs/axis_toml.md"""
+    assert (ROOT / "docs" / "axis_toml.md").read_text(encoding="utf-8") == page() == said("--page")
+
+
+def test_every_key_says_what_it_is() -> None:
+    assert {name.partition(".")[0] for name in KEYS} == set(Axis.model_fields)
+    for section, field in Axis.model_fields.items():
+        assert set(field.annotation.model_fields) <= {  # type: ignore[union-attr]
+            name.split(".")[1] for name in KEYS if name.startswith(f"{section}.")
+        }
+    assert [name for name, entry in KEYS.items() if len(entry.meaning) < 8 or not entry.kind or not entry.default] == []
+
+
+def test_a_key_has_its_type_its_unit_its_default_and_its_models() -> None:
+    cutoff, dead, hold, zeros = (
+        KEYS[name] for name in ("estimator.cutoff", "model.dead_time", "record.hold", "estimator.prefilter_zeros")
+    )
+    assert (cutoff.kind, cutoff.unit, cutoff.default) == ("number > 0", "rad/s", "none")
+    assert (dead.kind, dead.unit, dead.default, dead.models) == ('number or "estimate"', "s", "0", "")
+    assert (hold.kind, hold.default, hold.models) == ('"zoh" or "foh"', '"zoh"', 'kind = "transfer_function"')
+    assert zeros.kind == "list of number < 0, 2 of them"
+    assert KEYS["encoder.resolution"].default == "required"
+    assert KEYS["model.unknown.shape.speed"].unit == "unit of y per s"
+
+
+def test_a_default_may_be_written_down(tmp_path: Path) -> None:
+    """What the page calls the default is TOML, and changes nothing."""
+    text = (ROOT / "examples" / "cart.toml").read_text(encoding="utf-8").replace("# [monitor]", "[monitor]")
+    plain = tomllib.loads(text)
+    for name, entry in KEYS.items():
+        section, key, *inside = name.split(".")
+        if inside or entry.models or entry.default in ("required", "none") or key in plain[section]:
+            continue
+        (tmp_path / "axis.toml").write_text(text.replace(f"[{section}]\n", f"[{section}]\n{key} = {entry.default}\n"))
+        assert load_axis(tmp_path / "axis.toml") == load_axis(ROOT / "examples" / "cart.toml")
+
+
+def test_every_flag_that_is_raised_is_explained() -> None:
+    """Flags are the first of the pairs that the judges of machines yield, and the keys of those of processes."""
+    known = {entry.name for entry in entries()}
+    assert {str(bit.name).lower() for bit in Status} | set(FLAGS) <= known
+    folder, found = Path(pmfid.__file__).parent / "judge", set()
+    for path in (folder / "drive.py", folder / "late.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            pair = node.value if isinstance(node, ast.Yield) else None
+            if isinstance(pair, ast.Tuple) and isinstance(pair.elts[0], ast.Constant):
+                found.add(pair.elts[0].value)
+    for node in ast.walk(ast.parse((folder / "verdict.py").read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Dict):
+            found |= {key.value for key in node.keys if isinstance(key, ast.Constant)}
+    assert len(found) > 8
+    assert found <= known
+
+
+@pytest.mark.parametrize(
+    "word", ["record.time_unit", "time_unit", "[record] time_unit", "RECORD.time-unit", "time unit", " time_unit "]
+)
+def test_a_key_is_found_however_it_is_written(word: str) -> None:
+    assert [entry.name for entry in find(word)] == ["record.time_unit"]
+
+
+def test_a_word_of_a_status_and_a_key_may_have_one_name() -> None:
+    assert [(entry.name, "." in entry.name) for entry in find("dead_time")] == [
+        ("model.dead_time", True),
+        ("dead_time", False),
+    ]
+
+
+def test_the_command_says_it_in_the_terminal() -> None:
+    text = said("record.time_unit")
+    assert text.startswith("[record] time_unit: the unit of the time column")
+    assert 'type: "s" or "ms"' in text
+    assert "move more, or use a longer memory" in said("poor_excitation")
+    assert said("encoder").count("\n") == 5
+    assert said().count("\n") == len(entries())
+    (entry,) = json.loads(said("estimator.cutoff", "--json"))["entries"]
+    assert (entry["name"], entry["unit"]) == ("estimator.cutoff", "rad/s")
+
+
+def test_what_is_unknown_is_refused_with_what_it_may_mean() -> None:
+    result = CliRunner().invoke(main, ["explain", "record.timeunit"])
+    assert result.exit_code == 2
+    assert result.stderr == (
+        "pmfid: there is nothing called 'record.timeunit'; did you mean 'record.time_unit'?; pmfid explain alone lists "
+        "all keys and words\n"
+    )
+    with pytest.raises(UsageError, match="nothing called ''"):
+        find("")

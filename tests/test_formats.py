@@ -1,0 +1,227 @@
+"""Files of machines, robots and laboratories: the same record in all of them, and what is theirs alone."""
+
+from __future__ import annotations
+
+import json
+import struct
+import sys
+from pathlib import Path
+
+import h5py
+import mcap.writer
+import numpy as np
+import polars as pl
+import pytest
+import scipy.io
+import zstandard
+
+from pmfid.errors import UsageError
+from pmfid.session.config import Axis
+from pmfid.session.formats.reading import READERS, read_table
+from pmfid.session.formats.signals import Signal, Signals
+from pmfid.session.records import Record, read_record
+from pmfid.session.tables import column, whole_name
+from tests.formats import WRITERS, wpilog_record, write_excel, write_matlab_7_3
+
+DT, N = 0.004, 200
+rng = np.random.default_rng(11)
+RUN = {"t": np.arange(N) * DT, "u": np.round(rng.normal(size=N), 3), "y": np.cumsum(rng.integers(-2, 3, N)) * 0.25}
+
+
+def read(path: Path, **record: object) -> Record:
+    sections = {
+        "record": {"input": "u", "output": "y", "time": "t"} | record,
+        "encoder": {"resolution": 0.25},
+        "model": {"input_gain": 2.0},
+    }
+    return read_record(path, Axis.model_validate(sections))
+
+
+def same(record: Record) -> None:
+    np.testing.assert_allclose(record.u, RUN["u"])
+    np.testing.assert_array_equal(record.counts, np.rint(RUN["y"] / 0.25))
+    assert record.dt == pytest.approx(DT, rel=1e-6)
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+@pytest.mark.parametrize("ending", ["", ".txt", ".bin"])
+def test_the_content_tells_the_format_where_the_name_does_not(tmp_path: Path, suffix: str, ending: str) -> None:
+    WRITERS[suffix](tmp_path / f"run{suffix}", RUN)
+    path = (tmp_path / f"run{suffix}").rename(tmp_path / f"run{ending or suffix}")
+    if (ending == ".bin" and suffix == ".csv") or (ending and suffix in (".npz", ".xlsx")):  # both are ZIP
+        with pytest.raises(UsageError, match=r"'\.bin' is not known|a packed file"):
+            read(path)
+        return
+    same(read(path))
+
+
+def test_matlab_7_3_and_structures_by_path(tmp_path: Path) -> None:
+    write_matlab_7_3(tmp_path / "new.mat", RUN)
+    same(read(tmp_path / "new.mat"))
+    scipy.io.savemat(tmp_path / "old.mat", {"run": {"axis": {"u": RUN["u"], "y": RUN["y"]}, "t": RUN["t"]}})
+    same(read(tmp_path / "old.mat", input="run.axis.u", output="run.axis.y", time="run.t"))
+    with h5py.File(tmp_path / "groups.h5", "w") as file:
+        for name, values in RUN.items():
+            file[f"run/axis/{name}"] = values
+        file["run/title"] = "no number"
+        file["away"] = h5py.ExternalLink("/etc/hostname", "/")
+    same(read(tmp_path / "groups.h5", input="run.axis.u", output="run.axis.y", time="run.axis.t"))
+    assert list(read_table(tmp_path / "groups.h5")) == ["run.axis.t", "run.axis.u", "run.axis.y"]
+
+
+def test_fields_and_rows_of_an_array(tmp_path: Path) -> None:
+    fields = np.rec.fromarrays(list(RUN.values()), names=list(RUN))
+    np.save(tmp_path / "fields.npy", fields)
+    same(read(tmp_path / "fields.npy"))
+    np.save(tmp_path / "rows.npy", np.column_stack(list(RUN.values())))
+    same(read(tmp_path / "rows.npy", time="column_1", input="column_2", output="column_3"))
+
+
+def test_objects_are_never_unpickled(tmp_path: Path) -> None:
+    np.savez(tmp_path / "run.npz", u=np.array([{}, 1], dtype=object))
+    with pytest.raises(UsageError, match="an array of objects is not read: save numbers"):
+        read_table(tmp_path / "run.npz")
+
+
+def test_lists_of_a_robot_data_set_are_columns(tmp_path: Path) -> None:
+    """As LeRobot has them: a folder with one file of data, lists of states and actions."""
+    folder = tmp_path / "lerobot"
+    (folder / "data/chunk-000").mkdir(parents=True)
+    (folder / "meta").mkdir()
+    pl.DataFrame({"index": [0]}).write_parquet(folder / "meta/episodes.parquet")
+    path = folder / "data/chunk-000/file-000.parquet"
+    state, action = (np.column_stack([np.zeros(N), RUN[name]]) for name in "yu")
+    data = {"observation.state": state.tolist(), "action": action.tolist(), "timestamp": RUN["t"]}
+    pl.DataFrame(data).write_parquet(path)
+    same(read(folder, input="action.1", output="observation.state.1", time="timestamp"))
+    with pytest.raises(UsageError, match=r"'action\.2': there is no such column"):
+        read(path, input="action.2", output="observation.state.1", time="timestamp")
+    pl.DataFrame(data).write_parquet(folder / "data/chunk-000/file-001.parquet")
+    with pytest.raises(UsageError, match=r"has data/chunk-000/file-000\.parquet, .*; give the path of a file"):
+        read(folder)
+
+
+def test_a_sheet_with_a_preamble_has_all_digits(tmp_path: Path) -> None:
+    """Text of a cell has nine digits: an epoch in s, read so, would stand still."""
+    epoch = 1_772_582_400.0 + RUN["t"]
+    rows = [["Scope", "", ""], ["", "", ""], ["t", "u", "y"], ["s", "V", "m"]]
+    rows += [list(row) for row in zip(epoch, RUN["u"], RUN["y"], strict=True)]
+    # the first row is the header of the writer
+    write_excel(tmp_path / "run.xlsx", {"abc"[k]: np.array([row[k] for row in rows], object) for k in range(3)})
+    same(read(tmp_path / "run.xlsx"))
+
+
+def test_text_packed_by_zstd(tmp_path: Path) -> None:
+    WRITERS[".csv"](tmp_path / "run.csv", RUN)
+    data = (tmp_path / "run.csv").read_bytes()
+    (tmp_path / "run.csv.zst").write_bytes(zstandard.compress(data[:700]) + zstandard.compress(data[700:]))
+    same(read(tmp_path / "run.csv.zst"))
+    (tmp_path / "cut.csv.zst").write_bytes(zstandard.compress(data)[:-20])
+    with pytest.raises(UsageError):
+        read(tmp_path / "cut.csv.zst")
+    (tmp_path / "bomb.csv.zst").write_bytes(zstandard.compress(b"t,u,y\n" + b"0,0,0\n" * 50_000_000))
+    with pytest.raises(UsageError, match="decimate or cut the record"):
+        read(tmp_path / "bomb.csv.zst")
+
+
+def test_messages_have_paths_and_stamps(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as stream:
+        writer = mcap.writer.Writer(stream, compression=mcap.writer.CompressionType.LZ4)
+        writer.start()
+        schema = writer.register_schema("State", "jsonschema", b"{}")
+        channel = writer.register_channel("/joint", "json", schema)
+        for k in range(N):
+            stamp = {"sec": 1_772_582_400 + k // 250, "nsec": k % 250 * 4_000_000}
+            message = {"stamp": stamp, "position": [0.0, RUN["y"][k]], "effort": [RUN["u"][k]], "name": "axis"}
+            late = int(1e6 * (k % 3))  # the recorder's clock is not that of the joint
+            writer.add_message(channel, int(k * DT * 1e9) + late, json.dumps(message).encode(), 0)
+        writer.finish()
+    same(read(path, input="/joint.effort.0", output="/joint.position.1", time="/joint.stamp"))
+    assert whole_name(read_table(path), "effort.0") == "/joint.effort.0"
+
+
+def test_messages_that_nobody_knows_are_refused(tmp_path: Path) -> None:
+    with (tmp_path / "run.mcap").open("wb") as stream:
+        writer = mcap.writer.Writer(stream)
+        writer.start()
+        channel = writer.register_channel("/run", "protobuf", writer.register_schema("Row", "protobuf", b""))
+        writer.add_message(channel, 0, b"\x08", 0)
+        writer.finish()
+    with pytest.raises(UsageError, match="messages in 'protobuf' are not read, those in JSON and of ROS 2 are"):
+        read_table(tmp_path / "run.mcap")
+
+
+def entry(number: int, name: str) -> bytes:
+    start = b"".join(struct.pack("<I", len(text)) + text.encode() for text in (name, "double", ""))
+    return wpilog_record(0, 0, b"\x00" + struct.pack("<I", number) + start)
+
+
+def test_signals_with_clocks_of_their_own_stand_side_by_side(tmp_path: Path) -> None:
+    """An input that is logged where it changes holds its value; one of the same cycle is taken as it stands."""
+    log = b"WPILOG\x00\x01" + struct.pack("<I", 0) + entry(1, "drive/u") + entry(2, "drive/y") + entry(3, "late")
+    held, last = np.repeat(RUN["u"][::5], 5), None
+    for k in range(N):
+        stamp = 1000 + round(1e6 * RUN["t"][k])
+        if held[k] != last:
+            last = held[k]
+            log += wpilog_record(1, stamp - 100, struct.pack("<d", last))
+        log += wpilog_record(2, stamp, struct.pack("<d", RUN["y"][k]))
+        log += wpilog_record(3, stamp + 900, struct.pack("<d", RUN["u"][k]))
+    (tmp_path / "run.wpilog").write_bytes(log)
+    record = read(tmp_path / "run.wpilog", input="drive/u", output="drive/y", time="time")
+    np.testing.assert_array_equal(record.u, held)
+    assert record.notes == ("drive/u has stamps of its own: its last value is taken at those of the output",)
+    record = read(tmp_path / "run.wpilog", input="late", output="drive/y", time="time")
+    same(record)
+    assert record.notes == ()
+
+
+def test_the_clock_is_that_of_the_output_from_where_the_input_has_begun() -> None:
+    slow, fast = np.arange(20) * 0.01 + 0.05, np.arange(300) * 0.001
+    table = Signals({"u": Signal(slow, np.arange(20.0)), "y": Signal(fast, np.arange(300.0))}).on("y", ("u",))
+    assert column(table, "time", "time")[0] == pytest.approx(0.05)
+    assert not np.isnan(column(table, "input", "u")).any()
+    assert list(table) == ["time", "u", "y"]
+
+
+EXTRAS = {".xlsx": "excel", ".h5": "hdf5", ".mcap": "mcap", ".db3": "ros", ".mf4": "mdf4", ".tdms": "tdms"}
+LIBRARIES = {
+    "excel": "fastexcel",
+    "hdf5": "h5py",
+    "mcap": "mcap.",
+    "ros": "rosbags.",
+    "mdf4": "asammdf.",
+    "tdms": "nptdms",
+}
+
+
+@pytest.mark.parametrize("suffix", EXTRAS)
+def test_a_library_that_is_not_there_is_named_with_what_installs_it(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    WRITERS[suffix](tmp_path / f"run{suffix}", RUN)
+    begins = LIBRARIES[EXTRAS[suffix]]
+    for module in [name for name in sys.modules if name == begins or (begins[-1] == "." and name.startswith(begins))]:
+        monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(UsageError, match=rf"not installed: pip install 'pmfid\[{EXTRAS[suffix]}\]'"):
+        read_table(tmp_path / f"run{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [suffix for suffix in READERS if suffix != ".csv"])
+def test_damage_is_told_or_harmless(tmp_path: Path, suffix: str) -> None:
+    """A few bytes changed at a time: a sentence, or a table."""
+    path = tmp_path / f"run{suffix}"
+    WRITERS[suffix](path, RUN)
+    data, draw = path.read_bytes(), np.random.default_rng(5)
+    refused = 0
+    for _ in range(25):
+        spot = int(draw.integers(min(len(data), 400)))
+        path.write_bytes(data[:spot] + draw.bytes(4) + data[spot + 4 :])
+        try:
+            table = read_table(path)
+            for name in list(table)[:5]:
+                column(table, "input", name)
+        except UsageError as error:
+            refused += bool(str(error))
+    assert refused > 0

@@ -1,0 +1,252 @@
+"""Units: what a column's name or a key says, numbers with a unit, and what is refused as it may be meant in two."""
+
+from __future__ import annotations
+
+import math
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from pmfid.errors import UsageError
+from pmfid.models.drive import Drive
+from pmfid.session.config import Axis
+from pmfid.session.identify import identify, kind_of
+from pmfid.session.monitored.stream import Stop, line_samples
+from pmfid.session.records import Record, read_record
+from pmfid.session.units import INPUTS, OUTPUTS, column_unit, gain, quantity
+from tests.conftest import cart_run
+
+DT, STEP = 0.01, 22.75e-6
+RUN = cart_run(1, samples=1000)
+DEG = math.pi / 180
+
+
+def axis(
+    output: str, input_name: str = "u", resolution: object = STEP, input_gain: object = 2.0, **more: object
+) -> Axis:
+    """Of the cart; more: keys as record_output_unit."""
+    raw: dict[str, dict[str, object]] = {
+        "record": {"input": input_name, "output": output, "dt": DT},
+        "encoder": {"resolution": resolution},
+        "model": {"input_gain": input_gain},
+        "estimator": {"method": "iv", "cutoff": 20.0},
+    }
+    for key, value in more.items():
+        section, _, name = key.partition("_")
+        raw[section][name] = value
+    return Axis.model_validate(raw)
+
+
+def logged(folder: Path, output: str, factor: float = 1.0, input_name: str = "u", input_factor: float = 1.0) -> Path:
+    """The cart's counts in units of which one has `factor` m, and its input."""
+    y = RUN.counts * STEP / factor
+    pl.DataFrame({input_name: RUN.u / input_factor, output: y}).write_csv(folder / "run.csv")
+    return folder / "run.csv"
+
+
+def same(record: Record) -> Record:
+    np.testing.assert_array_equal(record.counts - record.counts[0], RUN.counts - RUN.counts[0])
+    np.testing.assert_allclose(record.u, RUN.u, rtol=1e-12)
+    return record
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("pos_mm", "mm"),
+        ("y [mm]", "mm"),
+        ("phi (deg)", "deg"),
+        ("pos [°]", "deg"),
+        ("n_rpm", "rpm"),
+        ("Drehzahl [U/min]", "rpm"),
+        ("v [m/s]", "m/s"),
+        ("angle/deg", "deg"),
+        ("x_um", "um"),
+        ("x [µm]", "um"),
+        ("y_rad", "rad"),
+        ("y_m", None),
+        ("items", None),
+        ("position", None),
+        ("encoder [inc]", None),
+        ("torque [Nm]", None),
+        ("t_ms", None),
+    ],
+)
+def test_units_of_outputs(name: str, unit: str | None) -> None:
+    found = column_unit(name, OUTPUTS)
+    assert (found and found.name) == unit
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("Current [mA]", "mA"),
+        ("Iq [A]", "A"),
+        ("i_mA", "mA"),
+        ("M [N·m]", "N m"),
+        ("M [N-m]", "N m"),
+        ("torque_Nm", "N m"),
+        ("u [mNm]", "mN m"),
+        ("Torque [%]", "%"),
+        ("load_pct", "%"),
+        ("F_kN", "kN"),
+        ("u_v", None),
+        ("u", None),
+    ],
+)
+def test_units_of_inputs(name: str, unit: str | None) -> None:
+    found = column_unit(name, INPUTS)
+    assert (found and found.name) == unit
+
+
+def test_numbers_with_units() -> None:
+    assert quantity("0.001 mm") == pytest.approx(1e-6)
+    assert quantity("3000 rpm") == pytest.approx(100 * math.pi)
+    assert quantity("estimate") == "estimate"
+    assert gain("0.35 N m/A") == pytest.approx(0.35)
+    assert gain("0.5 mNm/mA") == pytest.approx(0.5)
+    assert gain("0.12 N m/%") == pytest.approx(12.0)
+    with pytest.raises(ValueError, match="'parsec' is no unit here; known are m, "):
+        quantity("1 parsec")
+    with pytest.raises(ValueError, match="'A/N' is no force or torque per unit of input"):
+        gain("2 A/N")
+
+
+CASES: dict[str, tuple[str, float, object, dict[str, object]]] = {
+    "a name in mm": ("pos_mm", 1e-3, "0.02275 mm", {}),
+    "a name in um": ("y [µm]", 1e-6, "22.75 um", {}),
+    "a resolution in m": ("pos_mm", 1e-3, "22.75e-6 m", {}),
+    "a key": ("y", 1e-3, "0.02275 mm", {"record_output_unit": "mm"}),
+    "SI": ("y [m]", 1.0, STEP, {}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_positions_in_any_unit_are_the_same_record(tmp_path: Path, case: str) -> None:
+    name, factor, resolution, more = CASES[case]
+    record = same(read_record(logged(tmp_path, name, factor), axis(name, resolution=resolution, **more)))
+    assert record.resolution == pytest.approx(STEP)
+    assert not record.rotary
+    assert case == "SI" or any("(converted to m)" in note for note in record.notes)
+
+
+@pytest.mark.parametrize("extra", [{}, {"encoder_max_speed": 3.0}, {"record_output_unit": "mm"}])
+def test_a_number_that_may_be_meant_in_two_units_is_refused_and_either_remedy_is_taken_literally(
+    tmp_path: Path, extra: dict[str, object]
+) -> None:
+    """A resolution of 0.02275 beside a column in mm once gave a mass a thousand times too small, in "kg"."""
+    path = logged(tmp_path, "pos_mm", 1e-3)
+    with pytest.raises(UsageError, match=r'write \[encoder\] resolution = "0.02275 mm" or "0.02275 m"') as caught:
+        read_record(path, axis("pos_mm", resolution=0.02275, **extra))
+    assert ('max_speed = "3 mm/s" or "3 m/s"' in str(caught.value)) == ("encoder_max_speed" in extra)
+    record = read_record(path, axis("pos_mm", resolution="0.02275 mm"))
+    assert identify(record, axis("pos_mm", resolution="0.02275 mm"))["mass"] == pytest.approx(1.07, rel=0.02)
+
+
+def test_an_input_in_another_unit(tmp_path: Path) -> None:
+    path = logged(tmp_path, "y", input_name="Current [mA]", input_factor=1e-3)
+    with pytest.raises(UsageError, match=r'write \[model\] input_gain = "2 N/mA" or "2 N/A"'):
+        read_record(path, axis("y", "Current [mA]"))
+    right = axis("y", "Current [mA]", input_gain="2 N/A")
+    assert identify(same(read_record(path, right)), right)["mass"] == pytest.approx(1.07, rel=0.02)
+    per_unit = axis("y", "Current [mA]", input_gain="0.002 N/mA")
+    assert per_unit.model.input_gain == pytest.approx(2.0)
+    with pytest.raises(UsageError, match=r"is in mA, and .* input_gain is per voltage: write it per A"):
+        read_record(path, axis("y", "Current [mA]", input_gain="2 N/V"))
+    scaled = read_record(path, axis("y", "Current [mA]", record_input_scale=1e-3))
+    same(scaled)  # the user converts
+
+
+def test_a_name_that_the_configuration_contradicts_is_refused(tmp_path: Path) -> None:
+    path = logged(tmp_path, "pos_mm", 1e-3)
+    with pytest.raises(UsageError, match=r'says mm, and .* output_unit = "m": write output_unit = "mm", or rename'):
+        read_record(path, axis("pos_mm", record_output_unit="m"))
+    with pytest.raises(UsageError, match=r'is in mm: give .* output_kind = "position"'):
+        read_record(path, axis("pos_mm", record_output_kind="counts"))
+    with pytest.raises(UsageError, match='output_kind = "velocity"'):
+        read_record(logged(tmp_path, "v [mm/s]"), axis("v [mm/s]"))
+    with pytest.raises(UsageError, match=r"resolution in deg is of a rotary axis, .* in N/V of a linear one"):
+        axis("y", resolution="0.01 deg", input_gain="2 N/V")
+
+
+def test_a_rotary_axis_has_its_units_everywhere(tmp_path: Path) -> None:
+    rotary = axis("phi_deg", resolution=f"{STEP / DEG} deg", input_gain="2 N m/V")
+    result = identify(same(read_record(logged(tmp_path, "phi_deg", DEG), rotary)), rotary)
+    assert result.names == ("inertia", "viscous_friction", "coulomb_friction")
+    assert result.units == ("kg m2", "N m s/rad", "N m")
+    linear = axis("y")
+    expected = identify(read_record(logged(tmp_path, "y"), linear), linear)
+    np.testing.assert_allclose(result.theta, expected.theta, rtol=1e-9)
+    assert result.to_json()["parameters"]["inertia"]["unit"] == "kg m2"  # type: ignore[index]
+
+
+def test_a_row_of_units_tells_a_rotary_axis(tmp_path: Path) -> None:
+    y = RUN.counts * STEP
+    rows = "".join(f"{u:.9g};{x:.9g}\n" for u, x in zip(RUN.u, y, strict=True))
+    (tmp_path / "run.csv").write_text(f"u;y\n[V];[rad]\n{rows}")
+    plain = axis("y")
+    record = read_record(tmp_path / "run.csv", plain)
+    assert "the file has u in V and y in rad" in record.notes
+    assert identify(record, plain).names[0] == "inertia"
+    with pytest.raises(UsageError, match=r'write .model. axis = "rotary", and inertia where a mass is known'):
+        kind_of(plain).prepared(record, axis("y", estimator_given={"mass": 1.0}, model_input_gain="estimate"))
+    with pytest.raises(UsageError, match=r'axis = "linear" of a linear one'):
+        read_record(tmp_path / "run.csv", axis("y", model_axis="linear"))
+
+
+@pytest.mark.parametrize("friction", ["symmetric", "directional"])
+def test_every_term_of_a_rotary_drive(friction: str) -> None:
+    own = {"friction": friction, "spring": True, "stribeck": "estimate", "quadratic": True, "gravity": True}
+    drive = Drive(1.0, axis="rotary", **own)  # type: ignore[arg-type]
+    units = drive.equation.units
+    assert set(units) <= {"kg m2", "N m s/rad", "N m", "N m/rad", "N m s2/rad2"}
+    assert dict(drive.equation.further)["stribeck_speed"] == "rad/s"
+    assert set(drive.equation.symmetric.units) <= {"kg m2", "N m s/rad", "N m", "N m/rad"}
+
+
+def test_a_pipe_converts_as_a_record_does() -> None:
+    lines = BytesIO(b"u,pos_mm\n1.0,0.5\n1.0,0.6\n")
+    samples = list(line_samples(lines, axis("pos_mm", resolution="0.1 mm"), 0.01, Stop()))
+    assert [sample.counts for sample in samples] == [5, 6]
+
+
+# --- velocity, and angles that begin anew -----------------------------------------------------------------------------
+
+
+def test_differences_of_counts_add_up_to_the_counts(tmp_path: Path) -> None:
+    v = np.diff(RUN.counts, prepend=RUN.counts[:1]) * STEP / DT
+    pl.DataFrame({"u": RUN.u, "v": v}).write_csv(tmp_path / "run.csv")
+    moving = axis("v", record_output_kind="velocity")
+    record = same(read_record(tmp_path / "run.csv", moving))
+    assert any("change of counts, which are added up" in note for note in record.notes)
+
+
+def test_a_velocity_that_is_no_change_of_counts_is_integrated(tmp_path: Path) -> None:
+    v = np.gradient(RUN.x, DT) if hasattr(RUN, "x") else np.gradient(RUN.counts * STEP, DT)
+    pl.DataFrame({"u": RUN.u, "v_rpm": v * 30 / math.pi}).write_csv(tmp_path / "run.csv")
+    moving = axis("v_rpm", resolution="22.75e-6 rad", record_output_kind="velocity")
+    record = read_record(tmp_path / "run.csv", moving)
+    assert np.max(np.abs((record.counts - record.counts[0]) - (RUN.counts - RUN.counts[0]))) < 3 / STEP * 1e-3
+    assert identify(record, moving)["inertia"] == pytest.approx(1.07, rel=0.03)
+    with pytest.raises(UsageError, match="a velocity does not tell the place: drop spring"):
+        axis("v", record_output_kind="velocity", model_spring=True)
+
+
+@pytest.mark.parametrize("span", ["0.05 m", "50 mm"])
+def test_a_position_that_begins_anew(tmp_path: Path, span: str) -> None:
+    y = np.mod(RUN.counts * STEP, 0.05)
+    pl.DataFrame({"u": RUN.u, "y": y}).write_csv(tmp_path / "run.csv")
+    record = read_record(tmp_path / "run.csv", axis("y", encoder_range=span))
+    assert np.max(np.abs(np.diff(record.counts) - np.diff(RUN.counts))) <= 1
+    assert any("began anew" in note for note in record.notes)
+
+
+def test_counts_that_begin_anew_at_any_number(tmp_path: Path) -> None:
+    pl.DataFrame({"u": RUN.u, "y": RUN.counts % 3600}).write_csv(tmp_path / "run.csv")
+    turns = axis("y", resolution="0.1 deg", encoder_range="360 deg", record_output_kind="counts")
+    same(read_record(tmp_path / "run.csv", turns))
+    with pytest.raises(UsageError, match="range and bits both say where"):
+        read_record(tmp_path / "run.csv", axis("y", encoder_range=1.0, encoder_bits=8, record_output_kind="counts"))
