@@ -34,11 +34,6 @@ class Parametric(Protocol):
     def interval_95(self) -> Floats | None: ...
     @property
     def beforehand(self) -> Mapping[str, str]: ...
-
-
-class Found(Protocol):
-    """What findings there are."""
-
     @property
     def findings(self) -> tuple[Finding, ...]: ...
 
@@ -59,7 +54,7 @@ def parameter_rows(result: Parametric) -> list[list[str]]:
     ]
 
 
-def findings_lines(result: Found) -> list[str]:
+def findings_lines(result: Parametric) -> list[str]:
     """The findings, most important first, a paragraph each."""
     return [f"{finding.line[0].upper()}{finding.line[1:]}." for finding in result.findings]
 

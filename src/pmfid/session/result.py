@@ -18,7 +18,7 @@ from pmfid.judge.assess import Assessment
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.parameters import parameter_header, parameter_rows
 from pmfid.session.records import Record
-from pmfid.shown import Parameters, Shown, Summary, plain_dict, remarks_of
+from pmfid.shown import Parameters, Shown, Summary, plain_dict
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.process import Process
 from pmfid.types import Floats

@@ -38,7 +38,7 @@ class Wrap:
         what = f"the output column {column!r} wraps at {size:.4g}, the first time at row {self.row}"
         if kind == "counts" and self.bits is not None:
             return what, f"give [encoder] bits = {self.bits}"
-        return what, f"unwrap it before (as numpy.unwrap with period = {size:.4g} does)"
+        return what, f"give [encoder] range = {self.span * resolution:.9g}"
 
 
 def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:

@@ -24,9 +24,9 @@ Check = Callable[[Log], Iterator[Finding]]
 
 #: Families of checks, in this order: what one finds would look like the next ones' faults, and ends the search.
 SOON: tuple[tuple[Check, ...], ...] = (
-    (no_motion, forgotten_bits),
+    (no_motion, forgotten_bits, too_fast),
     (read_as,),
-    (jump, held_output, frozen, held_input, saturated, too_slow, too_fast),
+    (jump, held_output, frozen, held_input, saturated, too_slow),
 )
 LATER: tuple[tuple[Check, ...], ...] = ((drifts,), (no_inertia,))
 

@@ -21,6 +21,7 @@ LEVELS = 20
 AT_LIMIT, PILED, BESIDE = 0.005, 5.0, 20
 #: The force that is missing there: in standard deviations, and in parts of the largest.
 CERTAIN, SHORT = 4.0, 0.02
+LARGER = "log the force or current that the drive gave with a larger range, or record with a smaller motion"
 #: Filters through which that is looked for [samples].
 TIMES = (10.0, 30.0, 100.0)
 
@@ -39,21 +40,23 @@ def held_input(log: Log) -> Iterator[Finding]:
 
 
 def saturated(log: Log) -> Iterator[Finding]:
-    """An input that is cut off at its largest or smallest value, while the motion shows that more force was there."""
+    """An input that stays at its largest or smallest value: limited by the drive, or cut off in the log."""
     u = log.record.u
     if not _varies(u):
         return
     limits = [limit for limit in (float(u.min()), float(u.max())) if _piles_up(u, limit)]
     there = np.isin(u, limits)
-    if not limits or not _falls_short(log, there):
+    if not limits:
         return
-    yield Finding(
-        "saturated",
-        f"the input column {log.axis.record.input!r} ends at {' and '.join(f'{limit:.4g}' for limit in limits)}, in "
-        f"{100 * np.mean(there):.2g} % of the rows, first in row {int(np.argmax(there)) + 1}, and there it falls short "
-        "of what moves the axis: the log cuts off the force",
-        "log the force or current with a larger range, or record with a smaller motion",
+    said = (
+        f"the input column {log.axis.record.input!r} stays at {' and '.join(f'{limit:.4g}' for limit in limits)} in "
+        f"{100 * np.mean(there):.2g} % of the rows, first in row {int(np.argmax(there)) + 1}"
     )
+    if _falls_short(log, there):
+        sentence, remedy = f"{said}, and falls short of what moves the axis there: the log cuts off the force", LARGER
+        yield Finding("saturated", sentence, remedy)
+    else:
+        yield Finding("saturated", f"{said}: right where the drive gave no more", f"else {LARGER}", "note")
 
 
 def _varies(u: Floats) -> bool:

@@ -20,18 +20,20 @@ from pmfid.types import Counts, Floats
 __all__ = ["INTEGRATE", "integrated", "read_as", "turned"]
 
 #: Part of the input that a reading may leave unexplained, of all of it, and of what the record as it stands leaves.
-FOLLOWS, BETTER = 0.3, 0.5
+FOLLOWS, BETTER = 0.3, 0.3
 #: With a part this small left, and a mass that is seen, no other reading need be tried.
 CLEARLY = 0.001
 #: Standard deviations from which on a sign is certain, and from which on it is likely.
 CERTAIN, LIKELY = 4.5, 3.0
-#: A body comes to speed within more samples than this; where none does, a velocity may leave so many times as much.
-SAMPLES, ALIKE = 1.5, 1.5
+#: A body comes to speed within more samples than this; where there is no body, a velocity may leave so many times as
+#: much.
+SAMPLES, ALIKE = 1.5, 2.0
 #: A reading is one of a motion that lasts for so many time constants of the filters.
 LASTING = 10.0
 #: Change of the velocity from row to row, in parts of the velocity: of a column that is no position, and of one that
 #: may be.
 ROUGH, SMOOTH = 0.6, 0.1
+RATE = 'give [record] output_kind = "velocity"'
 INTEGRATE = (
     "name the column of the position or the counts, or integrate this one, its cumulative sum times the sample period"
 )
@@ -51,7 +53,7 @@ def read_as(log: Log) -> Iterator[Finding]:
 
 def _other_reading(log: Log) -> Finding | None:
     """Of exchanged columns or a velocity, where these explain the input so much better."""
-    heavy = log.view is not None and _has_inertia(log.view, log.record.dt)
+    heavy = log.view is not None and _has_inertia(log.view, log.record.dt) and _is_one_body(log.view)
     left = _left(log.view)
     if heavy and left < CLEARLY:
         return None
@@ -59,11 +61,11 @@ def _other_reading(log: Log) -> Finding | None:
     better = ALIKE if hasty(log.change) > ROUGH > SMOOTH > hasty(np.diff(log.record.u)) else BETTER
     if exchanged < min(FOLLOWS, better * left, velocity):
         return _said("exchanged", "input and output are exchanged", _exchange(log), exchanged)
-    if log.sudden_stops or log.view is None or log.view.one_way:
+    if log.sudden_stops or log.view is None or log.view.one_way or log.axis.record.output_kind == "velocity":
         return None
-    if velocity < min(FOLLOWS, (BETTER if heavy else ALIKE) * left):
+    if velocity < min(FOLLOWS, left * (BETTER if heavy else 1.0 if _is_one_body(log.view) else ALIKE)):
         mistake = f"the output column {log.axis.record.output!r} is a velocity and no position"
-        return _said("velocity", mistake, INTEGRATE, velocity)
+        return _said("velocity", mistake, RATE, velocity)
     return None
 
 
@@ -82,6 +84,12 @@ def _has_inertia(view: View, dt: float) -> bool:
     """Is there a mass, which takes more than a sample to come to speed?"""
     mass, viscous = abs(view.theta[MASS]), abs(view.theta[VISCOUS])
     return abs(view.sure(np.eye(view.theta.size)[MASS])) > CERTAIN and mass > SAMPLES * dt * viscous
+
+
+def _is_one_body(view: View) -> bool:
+    """Does friction take power from the motion where the mass is positive, and drive where all is turned?"""
+    mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
+    return mass * work > 0 or abs(work) < LIKELY
 
 
 def _left(view: View | None) -> float:
@@ -108,7 +116,8 @@ def _seen(force: Floats, counts: Counts, encoder: Encoder, dt: float) -> View | 
     view = best_view(force[part], counts[part], encoder, dt)
     if view is None:
         return None
-    return view if _has_inertia(view, dt) and view.moving > LASTING * view.time else None
+    lasts = view.moving > LASTING * view.time
+    return view if lasts and _has_inertia(view, dt) and _is_one_body(view) else None
 
 
 def _exchange(log: Log) -> str:

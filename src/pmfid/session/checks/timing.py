@@ -22,7 +22,7 @@ __all__ = ["acts_late", "drifts", "too_fast", "too_slow"]
 
 #: Change of the velocity from sample to sample, in parts of the velocity, beyond which samples miss the motion; counts
 #: per sample from which on that is not the encoder's.
-HASTY, FINE = 0.6, 3.0
+HASTY, FINE = 0.42, 3.0
 #: Counts per sample below which most samples say nothing, and those that are plenty.
 IDLE, PLENTY = 0.02, 0.2
 #: Filters through which a drift is looked for [samples]; of a drift: samples, standard deviations, and what may be left

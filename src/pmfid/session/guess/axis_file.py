@@ -13,8 +13,9 @@ from pmfid.session.clock import UNITS, even_grid, named_unit
 from pmfid.session.formats.reading import read_table
 from pmfid.session.guess.columns import Pair, numeric, pair_of, time_of
 from pmfid.session.guess.lattice import step_of
-from pmfid.session.guess.names import ROTARY, role_of, spoken_unit
+from pmfid.session.guess.names import role_of
 from pmfid.session.tables import Table
+from pmfid.session.units import INPUTS, OUTPUTS, SI, Unit, column_unit
 from pmfid.session.wrap import wrap_of
 from pmfid.types import Floats
 
@@ -65,7 +66,7 @@ def guess(path: Path, ask: Ask | None = None) -> Guess:
         raise UsageError(f"{path}: no two columns can be input and output of an axis, of these: {listed}; name them")
     result = Guess(path.name)
     _record(result, pair, found, dt)
-    _encoder(result, pair, columns[pair.output], ask)
+    _encoder(result, pair, columns[pair.output], dt, ask)
     _model(result, pair, ask)
     return result
 
@@ -113,33 +114,54 @@ def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple
     return (name, unit, f"it steps by {step:g}: in s no axis is sampled so"), step * UNITS[unit]
 
 
-def _encoder(result: Guess, pair: Pair, output: Floats, ask: Ask | None) -> None:
+def _encoder(result: Guess, pair: Pair, output: Floats, dt: float, ask: Ask | None) -> None:
+    wrap = wrap_of(output.astype(np.int64)) if pair.kind == "counts" else None
     if pair.kind == "counts":
         answer = ask("travel per count, in m or rad (1: results in counts)", "1") if ask else ""
         told = "as told" if answer else f"{TO_DO}travel per count in m or rad; with 1 a length is in counts"
         result.add("encoder", f"resolution = {_number(answer, 1.0)!r}", told)
-        wrap = wrap_of(output.astype(np.int64))
         if wrap is not None and wrap.bits is not None:
             result.add("encoder", f"bits = {wrap.bits}", f"the counter wraps, the first time at row {wrap.row}")
+        elif wrap is not None:
+            size = _number(answer, 1.0) * wrap.span
+            result.add("encoder", f"range = {size!r}", f"it begins anew, the first time at row {wrap.row}")
         return
     step, found = step_of(output)
     reason = "the smallest step of the column" if found else "the column has no steps: as fine as its numbers"
-    result.add("encoder", f"resolution = {step!r}", reason)
+    unit = column_unit(pair.output, OUTPUTS)
+    if pair.kind == "velocity":
+        step, reason = step * dt * (unit.factor if unit else 1.0), f"{reason}, times the sample period"
+        unit = None
+    result.add("encoder", f"resolution = {_written(step, unit)}", reason)
+    wrap = wrap_of(np.floor(output / step + 0.5).astype(np.int64)) if found and pair.kind == "position" else None
+    if wrap is not None:
+        size = float(f"{wrap.span * step:.9g}")
+        result.add("encoder", f"range = {_written(size, unit)}", f"it begins anew, the first time at row {wrap.row}")
+
+
+def _written(value: float, unit: Unit | None) -> str:
+    """A number as TOML has it, with its unit where that is not the one of SI."""
+    return repr(value) if unit is None or unit.plain else f'"{value:.12g} {unit.name}"'
 
 
 def _model(result: Guess, pair: Pair, ask: Ask | None) -> None:
-    unit = spoken_unit(pair.output)
-    axis = f"a {'rotary' if unit.lower() in ROTARY else 'linear'} axis: {unit}" if unit else "mass and friction"
-    result.add("model", 'kind = "drive"', axis)
-    answer = ask("force or torque per unit of the input, in N or N m (1: results per unit of it)", "1") if ask else ""
-    gain = _number(answer, 1.0)
-    sign = "; negative, for the input drives against the output" if pair.turned else ""
-    told = (
-        "as told"
-        if answer
-        else f"{TO_DO}force in N or torque in N m per unit of the input; with 1 results are per unit"
-    )
-    result.add("model", f"input_gain = {-abs(gain) if pair.turned else gain!r}", told + sign)
+    result.add("model", 'kind = "drive"', "mass and friction")
+    unit = column_unit(pair.input, INPUTS)
+    force = "N m" if (measured := column_unit(pair.output, OUTPUTS)) and "ang" in measured.of else "N"
+    if unit is not None and unit.of in ("force", "torque"):
+        result.add("model", f"input_gain = {-1.0 if pair.turned else 1.0}", f"the input is a {unit.of}{_sign(pair)}")
+        return
+    per = f"per {SI[unit.of]} of" if unit else "per unit of"
+    answer = ask(f"force or torque {per} the input, in N or N m (1: results per that)", "1") if ask else ""
+    value = _number(answer, 1.0)
+    told = "as told" if answer else f"{TO_DO}force or torque {per} the input; with 1 results are {per} it"
+    signed = -abs(value) if pair.turned else value
+    written = repr(signed) if unit is None or unit.plain else f'"{signed:.12g} {force}/{SI[unit.of]}"'
+    result.add("model", f"input_gain = {written}", told + _sign(pair))
+
+
+def _sign(pair: Pair) -> str:
+    return "; negative, for it drives against the output" if pair.turned else ""
 
 
 def _number(answer: str, usual: float) -> float:

@@ -85,7 +85,9 @@ def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
         one
         for output in outputs[:MOST_COLUMNS]
         for name in inputs[:MOST_COLUMNS]
-        if name != output and (one := _tried(columns, name, output, roles[output], dt))
+        if name != output
+        and columns[name].size == columns[output].size
+        and (one := _tried(columns, name, output, roles[output], dt))
     ]
     if not tried:
         return None

@@ -6,8 +6,9 @@ import re
 from typing import Literal
 
 from pmfid.session.clock import named_unit
+from pmfid.session.units import INPUTS, OUTPUTS, column_unit
 
-__all__ = ["ROTARY", "Role", "role_of", "spoken_unit"]
+__all__ = ["Role", "role_of"]
 
 Role = Literal["time", "number", "counts", "position", "velocity", "acceleration", "input", "other", ""]
 
@@ -23,39 +24,23 @@ _WORDS: tuple[tuple[Role, str], ...] = (
     ("input", r"u|i|iq|input|torque|moment|drehmoment|current|strom|force|kraft|volts?|voltage|spannung|pwm|effort|tau|"
               r"duty|stell\w*|motor|m|f|eingang|drive"),
 )  # fmt: skip
-#: Units of a turning axis.
-ROTARY = frozenset({"deg", "degree", "degrees", "grad", "°", "rad", "mrad", "rpm", "rev", "turn", "u/min", "1/min"})
-#: Units of input, output and its rate -> what the column holds, where the name says nothing.
-_UNITS: dict[str, Role] = {
-    **dict.fromkeys(("v", "mv", "a", "ma", "nm", "n m", "mnm", "n", "kn", "%"), "input"),
-    **dict.fromkeys(("m", "mm", "um", "µm", "deg", "°", "grad", "rad", "mrad", "rev"), "position"),
-    **dict.fromkeys(("m/s", "mm/s", "rad/s", "deg/s", "°/s", "rpm", "u/min", "1/min"), "velocity"),
-    **dict.fromkeys(("m/s^2", "m/s²", "rad/s^2", "rad/s²"), "acceleration"),
-    **dict.fromkeys(("inc", "counts", "ticks", "cnt"), "counts"),
+#: What is measured in a unit -> what the column holds.
+_MEASURED: dict[str, Role] = {
+    "length": "position",
+    "angle": "position",
+    "speed": "velocity",
+    "angular speed": "velocity",
 }
-#: Ends of names, behind an underscore, that are units.
-_BRACKETS = re.compile(r"\s*[\[(]([^\])]*)[\])]$")
-_ENDS = re.compile(r"_(deg|rad|mrad|mm|um|m|rpm|ma|a|mv|v|nm|n|counts|inc)$", re.IGNORECASE)
-
-
-def unit_of(name: str) -> str:
-    """The unit in brackets at the end of a column's name; empty where there is none."""
-    found = _BRACKETS.search(name)
-    return found[1].strip() if found else ""
-
-
-def spoken_unit(name: str) -> str:
-    """The unit in a column's name, in brackets or behind an underscore; empty where there is none."""
-    found = _ENDS.search(name)
-    return unit_of(name) or (found.group(1) if found else "")
 
 
 def role_of(name: str) -> Role:
     """What the column of this name holds; empty where the name does not say."""
-    unit = unit_of(name)
-    bare = name[: name.rfind(unit) - 1] if unit else name
+    bare = re.sub(r"\s*[\[(][^\])]*[\])]\s*$", "", name)
+    output, driven = column_unit(name, OUTPUTS), column_unit(name, INPUTS)
     split = re.sub(r"([a-zäöüß0-9])([A-ZÄÖÜ])", r"\1 \2", bare)  # MotorTorque
     words = [word for word in re.split(r"[\s_.,:/()\[\]-]+", split.lower()) if word]
+    if output is not None and _MEASURED[output.of] == "velocity":
+        return "velocity"  # whatever it is called
     for role, pattern in _WORDS:
         if any(re.fullmatch(pattern, word) for word in words):
             return role
@@ -64,7 +49,6 @@ def role_of(name: str) -> Role:
         long = "|".join(part for part in pattern.split("|") if len(part.replace(r"\w*", "")) > 3)
         if re.search(rf"({long})$", joined) or re.match(rf"({long})", joined):
             return role
-    by_unit = _UNITS.get(unit.strip().lower())
-    if by_unit:
-        return by_unit
-    return "time" if unit and named_unit(f"x [{unit}]") else ""
+    if output is not None:
+        return _MEASURED[output.of]
+    return "input" if driven is not None else "time" if named_unit(name) else ""
