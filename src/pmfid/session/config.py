@@ -41,6 +41,15 @@ NO_ENCODER = 1e-29
 Negative = Annotated[float, Field(lt=0)]
 
 
+def _forward(value: tuple[float, float]) -> tuple[float, float]:
+    if not value[0] < value[1]:
+        raise ValueError("the first time must be before the second")
+    return value
+
+
+Span = Annotated[tuple[float, float], Field(strict=False), AfterValidator(_forward)]
+
+
 class RecordConfig(FileSection):
     """[record]: which columns of the file hold the input u, the output and the time [s]."""
 
@@ -56,6 +65,12 @@ class RecordConfig(FileSection):
     )
     hold: Literal["zoh", "foh"] = Field("zoh", description="what the input does between samples: holds, or a line")
     gap: Positive | None = Field(None, description="the time step in s beyond which the record is interrupted")
+    exclude: tuple[Span, ...] = Field(
+        (), strict=False, description="parts to leave out, from and to in s as in the time column: [[1.5, 2.0]]"
+    )
+    mask: Name | None = Field(
+        None, description="the name of a column that is not zero in the rows that are to be left out"
+    )
     dt: Positive | None = Field(None, description="the sample period in s, for example 1e-3")
     input_scale: Annotated[float | str, AfterValidator(_usable_scale)] = Field(
         1.0,

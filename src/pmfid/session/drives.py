@@ -36,6 +36,8 @@ from pmfid.models.drive import EquationModel
 from pmfid.models.equation import ESTIMATE, LATE
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction, diagnose
+from pmfid.session.gaps.joining import one_of
+from pmfid.session.gaps.motion import by_motion
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.session.known import at_gain, at_some_gain, finds_gain, known_of, of_either_sign, put_together
 from pmfid.session.outliers import Believed, believed
@@ -57,9 +59,8 @@ class Drives(Kind[Record]):
     on_line: ClassVar[str] = "riv"
 
     def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Record:
-        if len(paths) > 1:
-            raise UsageError("several records make one estimate of a transfer function only; give one record")
-        return read_record(paths[0], axis, quantize)
+        place_matters = axis.model.make().equation.place_matters
+        return one_of([read_record(path, axis, quantize) for path in paths], place_matters)
 
     def name_and_samples(self, data: Record) -> tuple[str, int]:
         return data.name, int(data.u.size)
@@ -72,6 +73,21 @@ class Drives(Kind[Record]):
         models = [one.model.make() for one in either]
         cutoff = choose_cutoff(models, axis.encoder.made(data.resolution), data.dt, known.u, known.counts)
         return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
+
+    def completed(self, data: Record, axis: Axis) -> Record:
+        if data.there is None or np.all(data.there | np.isnan(data.u)):
+            return data
+        known = believed_of(data, axis).record
+        for one in [at_gain(axis, 1.0), at_gain(axis, -1.0)] if finds_gain(axis) else [axis]:
+            model = one.model.make()
+            if IV.refuses(model.simple.equation):
+                return data
+            method = IV(model.simple, one.encoder.made(data.resolution), data.dt, one.estimator.pole)
+            found = by_motion(method, known.u, known.counts, data.there)
+            if found is not None:
+                u, counts = (np.where(data.there, *pair) for pair in zip((data.u, data.counts), found, strict=True))
+                return replace(data, u=u, counts=counts)
+        return data
 
     def check(self, data: Record, axis: Axis) -> None:
         axis = at_some_gain(axis)
@@ -185,11 +201,17 @@ def _estimate(
         notes = (*notes, f'{estimator.method} simulates no windows: window is not used; set method = "output-error"')
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
         notes = (*notes, f"{estimator.method} is an off-line method: forgetting is not used")
-    notes = (*record.notes, *fit.notes, *notes, *Status(fit.status).advice)
-    status = tuple(dict.fromkeys((*status_names(fit.status), *flags)))  # both may tell of a jump
+    bits = fit.status & ~_told(record)
+    notes = (*record.notes, *fit.notes, *notes, *Status(bits).advice)
+    status = tuple(dict.fromkeys((*status_names(bits), *flags)))  # both may tell of a jump
     found = fit.theta, fit.theta_std, status, notes
     result = DriveResult(estimator, *found, record, fit.relative_error, fit=fit, model_spread=spread)
     return result if known is None else put_together(result, known, axis, known.of(fit, spread))
+
+
+def _told(record: Record) -> int:
+    """Status bits of what the record's notes say: its gaps."""
+    return int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.STANDSTILL) if np.any(np.isnan(record.u)) else 0
 
 
 def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: Choice | None) -> Adequacy | None:
@@ -284,6 +306,7 @@ def _recursive(
         free = np.delete(free, late, axis=1)
     relative = _relative_error(columns, free, track.status)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
+    occurred &= ~_told(record)
     closer = Status.UNMODELLED | Status.FEEDBACK | Status.DEAD_TIME  # `judge` looks closer at these
     held = occurred | (last & ~int(Status.SETTLING | closer))
     last_estimate: Estimate | Posterior = estimator.estimate
