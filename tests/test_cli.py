@@ -134,11 +134,6 @@ def edited(column: str, row: int, value: float) -> Change:
     return change
 
 
-def with_gap(row: int, seconds: float) -> Change:
-    late = pl.when(pl.int_range(pl.len()) >= row).then(seconds).otherwise(0.0)
-    return lambda frame: frame.with_columns(pl.col.t + late)
-
-
 # --- records that cannot be used ------------------------------------------------------------------------------------
 
 
@@ -147,10 +142,7 @@ def with_gap(row: int, seconds: float) -> Change:
     [
         (lambda frame: frame.drop("u"), "input = 'u': there is no such column", "available are t, counts"),
         (lambda frame: frame.rename({"u": "U"}), "there is no such column", "did you mean 'U'?"),
-        (edited("u", 101, np.nan), "'u' is missing, NaN or infinite in 1 row, the first is row 101", "cut the record"),
-        (edited("t", 7, np.nan), "'t' is missing, NaN or infinite in 1 row, the first is row 7", "cut the record"),
         (edited("counts", 9, 0.5), "counts must be integers below 2**53, got 0.5 in row 9", "output_kind"),
-        (with_gap(1500, 0.5), "time has 1 gap", "cut the record at the gap"),
         (
             lambda frame: frame.with_columns(pl.col("t") + pl.col("t") ** 2 / 200),
             "time steps differ by up to",

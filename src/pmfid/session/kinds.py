@@ -50,6 +50,10 @@ class Kind(ABC, Generic[Data]):
         """The configuration with what it leaves to the record; the same where it leaves nothing."""
         return axis
 
+    def completed(self, data: Data, axis: Axis) -> Data:
+        """The records with what the model of a complete configuration says of samples that they lack."""
+        return data
+
     @abstractmethod
     def estimate(self, data: Data, axis: Axis, progress: Progress | None = None) -> Result:
         """The result of the method that is configured. Raises UsageError for a method that cannot take the model or the

@@ -120,7 +120,9 @@ class Result(Shown):
 
     @property
     def _remarks(self) -> list[str]:
-        return [*remarks_of(self.status), *(finding.line for finding in self.findings)]
+        """The status, and a line for each finding."""
+        status = [f"status: {', '.join(self.status)}"] if self.status else []
+        return [*status, *(finding.line for finding in self.findings)]
 
     def summary(self) -> Summary:
         return Summary(self.title, parameter_header(self), parameter_rows(self), self._lines, self._remarks)
