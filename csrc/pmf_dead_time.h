@@ -69,6 +69,7 @@ static void correct_direct(const pmf_config_t *config, const pmf_state_t *state,
 }
 
 #if PMF_FOUND
+#define APART PMF_R(4.0) /* standard deviations */
 #define GUESSED PMF_R(5.0) /* times that: it does not know it at all */
 #define WELL_KNOWN PMF_R(0.1) /* standard deviation [samples] of a dead time that the recursion knows well itself */
 
@@ -157,6 +158,19 @@ static void covariance_there(const pmf_recursion_config_t *config, const pmf_rec
     }
 }
 
+/* Does the recursion in charge know it otherwise? */
+static uint32_t contradicted(const pmf_config_t *config, const pmf_state_t *state)
+{
+    const pmf_estimate_t *own = &state->instrument.estimate;
+    uint32_t last = config->instrument.n_parameters - 1U;
+    real_t apart = own->theta[last] - state->found.dead_time, variance;
+    real_t inflation = own->inflation[last] > PMF_R(1.0) ? own->inflation[last] : PMF_R(1.0);
+    variance = own->innovation_variance * inflation *
+               (own->variance_factor[last] + state->found.believed.variance_factor[last]);
+    return state->auxiliary.in_charge != 0U && variance > PMF_R(0.0) && apart * apart > APART * APART * variance ? 1U
+                                                                                                                 : 0U;
+}
+
 /* What tells the dead time makes its step, and it is said where nothing does. */
 static whole_t find_dead_time(const pmf_config_t *config, pmf_state_t *state, uint32_t settled, uint32_t in_charge)
 {
@@ -171,8 +185,12 @@ static whole_t find_dead_time(const pmf_config_t *config, pmf_state_t *state, ui
         believe(config, state, &state->instrument, config->instrument.n_parameters);
     } else {
         believe(config, state, &state->direct, config->direct.n_parameters);
+        if (found->believes == PMF_BELIEVES_WITHIN && state->auxiliary.trusted == 0U) {
+            pmf_within_lend(config, state);
+        }
     }
-    return found->believes <= PMF_BELIEVES_HELD ? (whole_t)PMF_DEAD_TIME : PMF_W(0);
+    return found->believes <= PMF_BELIEVES_HELD || contradicted(config, state) != 0U ? (whole_t)PMF_DEAD_TIME
+                                                                                      : PMF_W(0);
 }
 
 /* The slow copy has the dead time that is believed at once, and what was gathered far from it counts less. */

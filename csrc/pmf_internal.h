@@ -111,6 +111,8 @@ typedef struct {
 /* A motion of its own, moved by that, is brought within the next count, and what moves it with it. `usable`: the counts
  * are what the axis did. */
 void pmf_within_step(const pmf_config_t *config, pmf_state_t *state, const acts_t *acts, uint32_t usable);
+/* The auxiliary model is set to that motion, which the counts have judged already. */
+void pmf_within_lend(const pmf_config_t *config, pmf_state_t *state);
 /* Is the dead time of that motion to be believed, and its variance. */
 uint32_t pmf_within_known(const pmf_config_t *config, const pmf_state_t *state, real_t *variance);
 #endif

@@ -34,8 +34,8 @@
 #define NEAR PMF_R(3.0) /* deviations from an edge */
 #define FAR PMF_R(5.0) /* from there on a count says nothing */
 #define YOUNG 10U
-#define ENOUGH_AGE 200U /* before it is believed, and this near an edge: */
-#define ENOUGH_NEAR 50U
+#define ENOUGH_AGE 100U /* before it is believed, and this near an edge: */
+#define ENOUGH_NEAR 100U
 #define SHARP PMF_R(0.15) /* standard deviation [samples] of a dead time that is known */
 #define LEAST_KEPT PMF_R(0.3) /* of mass and viscous friction in one sample */
 
@@ -430,6 +430,17 @@ void pmf_within_step(const pmf_config_t *config, pmf_state_t *state, const acts_
         one_sample(config, state, acts);
     }
     found->change = state->encoder.change;
+}
+
+void pmf_within_lend(const pmf_config_t *config, pmf_state_t *state)
+{
+    pmf_auxiliary_state_t *model = &state->auxiliary;
+    roles_of(config, state->found.theta, model->parameter);
+    forget_sensitivity(model);
+    model->velocity = state->found.velocity;
+    model->power = model->mismatch = PMF_R(0.0);
+    model->trusted = 1U;
+    model->trial = 0U;
 }
 
 uint32_t pmf_within_known(const pmf_config_t *config, const pmf_state_t *state, real_t *variance)
