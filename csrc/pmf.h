@@ -424,6 +424,7 @@ typedef struct {
     real_t place; /* in counts, from the lower edge of the last one on */
     real_t velocity;
     real_t push, speed; /* the largest force of the input, and speed */
+    real_t before, unsure; /* its dead time a while ago, and the variance of that */
     real_t surprise, expected; /* squares of what it was beyond an edge by, over its own deviation */
     integer_t change; /* of the counts in the last interval */
     whole_t running;

@@ -159,7 +159,8 @@ PMF_SELDOM uint32_t check_auxiliary(const pmf_auxiliary_config_t *config, const 
 PMF_SELDOM uint32_t check_found(const pmf_found_state_t *state)
 {
     uint32_t i, fine = check_estimate(&state->believed) & finite(state->theta, REALS(state->theta)) &
-                       finite(&state->dead_time, 1U) &
+                       finite(&state->dead_time, 1U) & finite(&state->before, 1U) &
+                       not_negative(&state->unsure, 1U) &
                        finite(&state->covariance[0][0], REALS(state->covariance)) & finite(&state->velocity, 1U) &
                        within(&state->place, 1U, -MOST_COUNTS, MOST_COUNTS) & not_negative(&state->push, 1U) &
                        not_negative(&state->speed, 1U) & not_negative(&state->surprise, 1U) &

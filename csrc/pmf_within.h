@@ -33,6 +33,10 @@
 #define SURPRISED PMF_R(1.3) /* as many times as large as expected is another motion */
 #define NEAR PMF_R(3.0) /* deviations from an edge */
 #define FAR PMF_R(5.0) /* from there on a count says nothing */
+#define STRAYED PMF_R(6.0) /* square of deviations by which a dead time moves away from what it was: too sure of that, */
+#define WIDENED PMF_R(4.0) /* which counts a quarter */
+#define SLACK PMF_R(0.1)
+#define WHILE PMF_R(0.25) /* a while is as long as it takes for a variance to come down to this part */
 #define YOUNG 10U
 #define ENOUGH_AGE 100U /* before it is believed, and this near an edge: */
 #define ENOUGH_NEAR 100U
@@ -365,10 +369,32 @@ static void begin(const pmf_config_t *config, pmf_state_t *state)
         }
     }
     anchor(config, state);
+    found->before = role[PMF_DELAY];
+    found->unsure = found->covariance[FIRST + index[PMF_DELAY]][FIRST + index[PMF_DELAY]];
     found->surprise = PMF_R(0.0);
     found->expected = PMF_R(1.0);
     found->age = found->near = 0U;
     found->running = role[PMF_MASS] > PMF_R(0.0) ? 1U : 0U;
+}
+
+/* A dead time that moves as its own variance does not allow was linearised too far away: what was learned counts less. */
+static void doubt(const pmf_config_t *config, pmf_found_state_t *found)
+{
+    uint32_t late = config->auxiliary.index[PMF_DELAY], i, j, n = FIRST + parameters_of(config);
+    real_t now = found->theta[late], apart = now - found->before, variance = found->covariance[FIRST + late][FIRST + late];
+    real_t learned = found->unsure - variance;
+    uint32_t strayed;
+    learned = (learned > PMF_R(0.0) ? learned : PMF_R(0.0)) + SLACK * found->unsure;
+    strayed = apart * apart > STRAYED * learned ? 1U : 0U;
+    for (i = 0; i < n && strayed != 0U; ++i) {
+        for (j = 0; j < n; ++j) {
+            found->covariance[i][j] *= WIDENED;
+        }
+    }
+    if (strayed != 0U || variance < WHILE * found->unsure) {
+        found->before = now;
+        found->unsure = found->covariance[FIRST + late][FIRST + late];
+    }
 }
 
 static uint32_t is_lost(const pmf_found_state_t *found, uint32_t n)
@@ -409,6 +435,7 @@ static void one_sample(const pmf_config_t *config, pmf_state_t *state, const act
     }
     cut_off(found, FIRST + p);
     keep_possible(config, found, before);
+    doubt(config, found);
     found->age += found->age < PMF_OLDEST ? 1U : 0U;
     if (is_lost(found, FIRST + p) != 0U) {
         found->tries = found->tries < PMF_MOST_TRIES ? found->tries + 1U : 0U;
