@@ -429,6 +429,7 @@ typedef struct {
     integer_t change; /* of the counts in the last interval */
     whole_t running;
     whole_t age, near; /* samples since it began, and those near an edge; saturating */
+    whole_t looks; /* 1: it began from what it had found itself */
     whole_t tries; /* beginnings since it was last believed */
     whole_t believes; /* what is believed, PMF_BELIEVES_... */
 } pmf_found_state_t;

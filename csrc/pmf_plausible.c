@@ -166,7 +166,7 @@ PMF_SELDOM uint32_t check_found(const pmf_found_state_t *state)
                        not_negative(&state->speed, 1U) & not_negative(&state->surprise, 1U) &
                        not_negative(&state->expected, 1U) & at_most(state->running, 1U) &
                        at_most(state->age, PMF_OLDEST) & at_most(state->near, PMF_OLDEST) &
-                       at_most(state->tries, PMF_MOST_TRIES) & at_most(state->believes, PMF_BELIEVES_WITHIN);
+                       at_most(state->looks, 1U) & at_most(state->tries, PMF_MOST_TRIES) & at_most(state->believes, PMF_BELIEVES_WITHIN);
     for (i = 0; i < PMF_MAX_PARAMETERS + 2U; ++i) {
         fine &= not_negative(&state->covariance[i][i], 1U);
     }

@@ -347,20 +347,13 @@ static void anchor(const pmf_config_t *config, pmf_state_t *state)
     found->covariance[SPEED][SPEED] = PMF_R(0.25) * step * step;
 }
 
-/* From what is believed. Before anything is, that is at the dead time of an estimate that hardly knows it: another one is
- * tried with every beginning. */
-static void begin(const pmf_config_t *config, pmf_state_t *state)
+/* Anew from parameters by roles. */
+static void begin_at(const pmf_config_t *config, pmf_state_t *state, const real_t *role, uint32_t looks)
 {
     pmf_found_state_t *found = &state->found;
-    const uint32_t *index = config->auxiliary.index, *from;
-    real_t role[PMF_ROLES];
+    const uint32_t *index = config->auxiliary.index;
     uint32_t i;
-    from = state->auxiliary.in_charge != 0U ? index : config->auxiliary.direct_index;
     pmf_clear(found->covariance, (uint32_t)sizeof found->covariance);
-    for (i = 0; i < (uint32_t)PMF_BODY_ROLES; ++i) {
-        role[i] = from[i] == PMF_NO_PARAMETER ? PMF_R(0.0) : found->believed.theta[from[i]];
-        role[i] = role[i] > PMF_R(0.0) || i == (uint32_t)PMF_OFFSET ? role[i] : PMF_R(0.0);
-    }
     for (i = 0; i < (uint32_t)PMF_BODY_ROLES; ++i) {
         if (index[i] != PMF_NO_PARAMETER) {
             real_t unknown = unknown_of(config, found, role, i);
@@ -374,7 +367,32 @@ static void begin(const pmf_config_t *config, pmf_state_t *state)
     found->surprise = PMF_R(0.0);
     found->expected = PMF_R(1.0);
     found->age = found->near = 0U;
+    found->looks = looks;
     found->running = role[PMF_MASS] > PMF_R(0.0) ? 1U : 0U;
+}
+
+/* From what is believed. Before anything is, that is at the dead time of an estimate that hardly knows it: another one is
+ * tried with every beginning. */
+static void begin(const pmf_config_t *config, pmf_state_t *state)
+{
+    const uint32_t *from = config->auxiliary.direct_index;
+    real_t role[PMF_ROLES];
+    uint32_t i;
+    from = state->auxiliary.in_charge != 0U ? config->auxiliary.index : from;
+    for (i = 0; i < (uint32_t)PMF_BODY_ROLES; ++i) {
+        role[i] = from[i] == PMF_NO_PARAMETER ? PMF_R(0.0) : state->found.believed.theta[from[i]];
+        role[i] = role[i] > PMF_R(0.0) || i == (uint32_t)PMF_OFFSET ? role[i] : PMF_R(0.0);
+    }
+    begin_at(config, state, role, 0U);
+}
+
+/* What led it here was linearised further away, and would stay: once more, from what it has found. */
+static void look_again(const pmf_config_t *config, pmf_state_t *state)
+{
+    real_t role[PMF_ROLES];
+    roles_of(config, state->found.theta, role);
+    state->found.tries = 0U;
+    begin_at(config, state, role, 1U);
 }
 
 /* A dead time that moves as its own variance does not allow was linearised too far away: what was learned counts less. */
@@ -417,11 +435,21 @@ static void note_size(const pmf_config_t *config, pmf_found_state_t *found, real
     found->speed = speed > found->speed ? speed : found->speed;
 }
 
+static uint32_t is_known(const pmf_config_t *config, const pmf_found_state_t *found, real_t *variance)
+{
+    uint32_t late = FIRST + config->auxiliary.index[PMF_DELAY];
+    real_t limit = SHARP / config->late.rate, scatter = PMF_R(2.0) * found->surprise / found->expected;
+    *variance = found->covariance[late][late] * (scatter > PMF_R(1.0) ? scatter : PMF_R(1.0));
+    return found->running != 0U && found->age > ENOUGH_AGE && found->near > ENOUGH_NEAR && *variance < limit * limit ? 1U
+                                                                                                                    : 0U;
+}
+
 static void one_sample(const pmf_config_t *config, pmf_state_t *state, const acts_t *acts)
 {
     pmf_found_state_t *found = &state->found;
     uint32_t p = parameters_of(config), i, j;
     real_t growth = config->late.growth * (PMF_R(1.0) + PMF_R(1.0) / ((real_t)found->age + GROWING)), before[PMF_MAX_PARAMETERS];
+    real_t variance;
     motion_t motion;
     follow_motion(config, state, acts, &motion);
     found->place += motion.distance - PMF_TO_REAL(found->change);
@@ -440,6 +468,10 @@ static void one_sample(const pmf_config_t *config, pmf_state_t *state, const act
     if (is_lost(found, FIRST + p) != 0U) {
         found->tries = found->tries < PMF_MOST_TRIES ? found->tries + 1U : 0U;
         begin(config, state);
+    } else if (found->looks == 0U && is_known(config, found, &variance) != 0U) {
+        look_again(config, state);
+    } else {
+        /* it goes on */
     }
 }
 
@@ -472,12 +504,7 @@ void pmf_within_lend(const pmf_config_t *config, pmf_state_t *state)
 
 uint32_t pmf_within_known(const pmf_config_t *config, const pmf_state_t *state, real_t *variance)
 {
-    const pmf_found_state_t *found = &state->found;
-    uint32_t late = FIRST + config->auxiliary.index[PMF_DELAY];
-    real_t limit = SHARP / config->late.rate, scatter = PMF_R(2.0) * found->surprise / found->expected;
-    *variance = found->covariance[late][late] * (scatter > PMF_R(1.0) ? scatter : PMF_R(1.0));
-    return found->running != 0U && found->age > ENOUGH_AGE && found->near > ENOUGH_NEAR && *variance < limit * limit ? 1U
-                                                                                                                    : 0U;
+    return state->found.looks & is_known(config, &state->found, variance);
 }
 
 #endif
