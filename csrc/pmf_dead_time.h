@@ -185,7 +185,7 @@ static whole_t find_dead_time(const pmf_config_t *config, pmf_state_t *state, ui
         believe(config, state, &state->instrument, config->instrument.n_parameters);
     } else {
         believe(config, state, &state->direct, config->direct.n_parameters);
-        if (found->believes == PMF_BELIEVES_WITHIN && state->auxiliary.trusted == 0U) {
+        if (found->looks != 0U && found->believes >= PMF_BELIEVES_HELD && state->auxiliary.trusted == 0U) {
             pmf_within_lend(config, state);
         }
     }

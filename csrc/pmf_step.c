@@ -179,7 +179,7 @@ static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
     enough = enough & ((own->variance_factor[mass] < TAKE_OVER * direct->variance_factor[direct_mass]) |
                        (own->variance_factor[mass] * own->inflation[mass] * own->innovation_variance < small * small));
 #if PMF_FOUND
-    if (config->late.found != 0U && state->found.believes == PMF_BELIEVES_WITHIN) {
+    if (config->late.found != 0U && state->found.looks != 0U) {
         enough = TAKE_OVER * gathered > state->direct.sums.weight; /* neither need find the dead time any more */
     }
 #endif

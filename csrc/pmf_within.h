@@ -386,12 +386,15 @@ static void begin(const pmf_config_t *config, pmf_state_t *state)
     begin_at(config, state, role, 0U);
 }
 
-/* What led it here was linearised further away, and would stay: once more, from what it has found. */
+/* What led it here was linearised further away, and would stay: once more, from what it has found, which is good enough
+ * for the auxiliary model till then. */
 static void look_again(const pmf_config_t *config, pmf_state_t *state)
 {
     real_t role[PMF_ROLES];
     roles_of(config, state->found.theta, role);
     state->found.tries = 0U;
+    state->found.dead_time = role[PMF_DELAY];
+    state->found.believes = PMF_BELIEVES_HELD;
     begin_at(config, state, role, 1U);
 }
 
