@@ -123,7 +123,7 @@ static uint32_t late_fits(const pmf_config_t *config)
 {
     uint32_t last = config->instrument.n_parameters - 1U;
     return config->late.room < PMF_MAX_LATE - 1U &&
-                   (config->late.found == 0U || config->auxiliary.enabled == 0U ||
+                   (config->late.found == 0U || config->auxiliary.adapt == 0U ||
                     (config->late.room > 0U && config->auxiliary.index[PMF_DELAY] == last))
                ? 1U
                : 0U;
