@@ -190,7 +190,7 @@ static whole_t find_dead_time(const pmf_config_t *config, pmf_state_t *state, ui
         }
     }
     return found->believes <= PMF_BELIEVES_HELD || contradicted(config, state) != 0U ? (whole_t)PMF_DEAD_TIME
-                                                                                      : PMF_W(0);
+                                                                                     : PMF_W(0);
 }
 
 /* The slow copy has the dead time that is believed at once, and what was gathered far from it counts less. */

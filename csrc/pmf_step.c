@@ -146,8 +146,7 @@ static void borrow_estimate(const pmf_config_t *config, const pmf_estimate_t *di
     for (i = 0; i < PMF_ROLES; ++i) {
         if (auxiliary->index[i] != PMF_NO_PARAMETER && auxiliary->direct_index[i] != PMF_NO_PARAMETER) {
             borrowed->theta[auxiliary->index[i]] = direct->theta[auxiliary->direct_index[i]];
-            borrowed->variance_factor[auxiliary->index[i]] =
-                direct->variance_factor[auxiliary->direct_index[i]];
+            borrowed->variance_factor[auxiliary->index[i]] = direct->variance_factor[auxiliary->direct_index[i]];
             borrowed->inflation[auxiliary->index[i]] = direct->inflation[auxiliary->direct_index[i]];
         }
     }

@@ -1,15 +1,15 @@
 /* A motion that is held within the counts, recursively, which tells how late the input acts (for pmf_auxiliary.c).
  * SPDX-License-Identifier: Apache-2.0
  *
- * Under control through a coarse encoder the input follows the encoder's error, and instruments made of it are none. What
- * does not mind is the likelihood of the counts: a body moved by the input alone lies between two edges at every sample.
- * Its place and velocity and all parameters have a normal distribution, which the model carries from sample to sample
- * and each count cuts off at its nearest edge; of what is left mean and covariance are kept (assumed density filtering).
- * Far from an edge a count says nothing, near one more than any variance of a twelfth, so that the bars shrink with the
- * number of edges and not with its root.
+ * Under control through a coarse encoder the input follows the encoder's error, and instruments made of it are none.
+ * What does not mind is the likelihood of the counts: a body moved by the input alone lies between two edges at every
+ * sample. Its place and velocity and all parameters have a normal distribution, which the model carries from sample to
+ * sample and each count cuts off at its nearest edge; of what is left mean and covariance are kept (assumed density
+ * filtering). Far from an edge a count says nothing, near one more than any variance of a twelfth, so that the bars
+ * shrink with the number of edges and not with its root.
  *
- * That believes the model. How far the place was beyond an edge is compared with its own deviation, and where that is too
- * often too much, it begins again.
+ * That believes the model. How far the place was beyond an edge is compared with its own deviation, and where that is
+ * too often too much, it begins again.
  */
 #ifndef PMF_WITHIN_H
 #define PMF_WITHIN_H
@@ -33,14 +33,15 @@
 #define SURPRISED PMF_R(1.3) /* as many times as large as expected is another motion */
 #define NEAR PMF_R(3.0) /* deviations from an edge */
 #define FAR PMF_R(5.0) /* from there on a count says nothing */
-#define STRAYED PMF_R(6.0) /* square of deviations by which a dead time moves away from what it was: too sure of that, */
+#define STRAYED \
+    PMF_R(6.0) /* square of deviations by which a dead time moves away from what it was: too sure of that, */
 #define WIDENED PMF_R(4.0) /* which counts a quarter */
 #define SLACK PMF_R(0.1)
 #define WHILE PMF_R(0.25) /* a while is as long as it takes for a variance to come down to this part */
 #define YOUNG 10U
 #define ENOUGH_AGE 100U /* before it is believed, and this near an edge: */
 #define ENOUGH_NEAR 100U
-#define SHARP PMF_R(0.15) /* standard deviation [samples] of a dead time that is known */
+#define SHARP PMF_R(0.1) /* standard deviation [samples] of a dead time that is known */
 #define LEAST_KEPT PMF_R(0.3) /* of mass and viscous friction in one sample */
 
 /* Where a sample leads, and its derivatives by place, velocity and theta before it. */
@@ -51,16 +52,16 @@ typedef struct {
 
 /* Density over distribution of a standard normal variable, from -6 in steps of a quarter. */
 static const scalar_t mills[45] = {
-    PMF_SCALAR(6.1584826),     PMF_SCALAR(5.91470462),    PMF_SCALAR(5.67141031),    PMF_SCALAR(5.42865539),
-    PMF_SCALAR(5.18650397),    PMF_SCALAR(4.94503014),    PMF_SCALAR(4.70431984),    PMF_SCALAR(4.46447317),
-    PMF_SCALAR(4.22560714),    PMF_SCALAR(3.98785918),    PMF_SCALAR(3.75139126),    PMF_SCALAR(3.51639514),
-    PMF_SCALAR(3.28309865),    PMF_SCALAR(3.05177351),    PMF_SCALAR(2.8227448),     PMF_SCALAR(2.59640254),
-    PMF_SCALAR(2.37321553),    PMF_SCALAR(2.15374775),    PMF_SCALAR(1.93867717),    PMF_SCALAR(1.72881663),
-    PMF_SCALAR(1.52513528),    PMF_SCALAR(1.32877797),    PMF_SCALAR(1.14107777),    PMF_SCALAR(0.963553979),
-    PMF_SCALAR(0.797884561),   PMF_SCALAR(0.645839371),   PMF_SCALAR(0.509160434),   PMF_SCALAR(0.389382057),
-    PMF_SCALAR(0.287599971),   PMF_SCALAR(0.204225459),   PMF_SCALAR(0.13878975),    PMF_SCALAR(0.0898777455),
-    PMF_SCALAR(0.0552478627),  PMF_SCALAR(0.0321324541),  PMF_SCALAR(0.0176378255),  PMF_SCALAR(0.00912074015),
-    PMF_SCALAR(0.00443783904), PMF_SCALAR(0.00203021954), PMF_SCALAR(0.000872885754), PMF_SCALAR(0.000352626861),
+    PMF_SCALAR(6.1584826),      PMF_SCALAR(5.91470462),     PMF_SCALAR(5.67141031),     PMF_SCALAR(5.42865539),
+    PMF_SCALAR(5.18650397),     PMF_SCALAR(4.94503014),     PMF_SCALAR(4.70431984),     PMF_SCALAR(4.46447317),
+    PMF_SCALAR(4.22560714),     PMF_SCALAR(3.98785918),     PMF_SCALAR(3.75139126),     PMF_SCALAR(3.51639514),
+    PMF_SCALAR(3.28309865),     PMF_SCALAR(3.05177351),     PMF_SCALAR(2.8227448),      PMF_SCALAR(2.59640254),
+    PMF_SCALAR(2.37321553),     PMF_SCALAR(2.15374775),     PMF_SCALAR(1.93867717),     PMF_SCALAR(1.72881663),
+    PMF_SCALAR(1.52513528),     PMF_SCALAR(1.32877797),     PMF_SCALAR(1.14107777),     PMF_SCALAR(0.963553979),
+    PMF_SCALAR(0.797884561),    PMF_SCALAR(0.645839371),    PMF_SCALAR(0.509160434),    PMF_SCALAR(0.389382057),
+    PMF_SCALAR(0.287599971),    PMF_SCALAR(0.204225459),    PMF_SCALAR(0.13878975),     PMF_SCALAR(0.0898777455),
+    PMF_SCALAR(0.0552478627),   PMF_SCALAR(0.0321324541),   PMF_SCALAR(0.0176378255),   PMF_SCALAR(0.00912074015),
+    PMF_SCALAR(0.00443783904),  PMF_SCALAR(0.00203021954),  PMF_SCALAR(0.000872885754), PMF_SCALAR(0.000352626861),
     PMF_SCALAR(0.000133834464), PMF_SCALAR(4.77191466e-05), PMF_SCALAR(1.59837954e-05), PMF_SCALAR(5.0295124e-06),
     PMF_SCALAR(1.48671994e-06),
 };
@@ -129,12 +130,8 @@ static void note_causes(const pmf_config_t *config, const phase_t *whole, real_t
 {
     const uint32_t *index = config->auxiliary.index;
     const real_t cause[6] = {
-        change,
-        whole->distance[0],
-        whole->distance[1],
-        whole->moving[0],
-        -whole->moving[1],
-        whole->moving[0] + whole->moving[1],
+        change,           whole->distance[0], whole->distance[1],
+        whole->moving[0], -whole->moving[1],  whole->moving[0] + whole->moving[1],
     };
     uint32_t i;
     for (i = 0; i <= (uint32_t)PMF_OFFSET; ++i) {
@@ -152,13 +149,15 @@ static void add_phase(phase_t *whole, const phase_t *part)
     whole->moving[1] += part->moving[1];
 }
 
-/* Derivatives of an interval that ran through `whole` from one velocity by way of that at the switch to the last one. */
+/* Derivatives of an interval that ran through `whole` from one velocity by way of that at the switch to the last one.
+ */
 static void differentiate(const pmf_config_t *config, const body_t *first, const body_t *second, const phase_t *whole,
                           const real_t velocity[3], real_t part, motion_t *motion)
 {
     scalar_t dt = config->auxiliary.dt;
     uint32_t p = parameters_of(config), late = FIRST + config->auxiliary.index[PMF_DELAY], i;
-    real_t z = second->viscous[velocity[2] < PMF_R(0.0) ? 1U : 0U] / second->mass * dt, moved, mean, keeps, left, switched;
+    real_t z = second->viscous[velocity[2] < PMF_R(0.0) ? 1U : 0U] / second->mass * dt, moved, mean, keeps, left,
+           switched;
     real_t divisor = PMF_R(12.0) + z * (PMF_R(6.0) + z), rest = PMF_R(1.0) - part;
     uint32_t was = velocity[0] != PMF_R(0.0), stops = was != 0U && !(velocity[0] * velocity[2] > PMF_R(0.0)), early;
     early = stops != 0U && !(velocity[0] * velocity[1] > PMF_R(0.0));
@@ -323,7 +322,8 @@ static real_t unknown_of(const pmf_config_t *config, const pmf_found_state_t *fo
     case PMF_MASS: return PMF_R(0.1) * role[which];
     case PMF_VISCOUS_FORWARD:
     case PMF_VISCOUS_BACKWARD:
-        return PMF_R(0.1) * role[which] + (found->speed > PMF_R(0.0) ? PMF_R(0.02) * found->push / found->speed : PMF_R(0.0));
+        return PMF_R(0.1) * role[which] +
+               (found->speed > PMF_R(0.0) ? PMF_R(0.02) * found->push / found->speed : PMF_R(0.0));
     case PMF_DELAY: return PMF_R(0.5) * (real_t)(1U + found->tries) / config->late.rate;
     default: return friction + PMF_R(0.01) * found->push;
     }
@@ -371,8 +371,8 @@ static void begin_at(const pmf_config_t *config, pmf_state_t *state, const real_
     found->running = role[PMF_MASS] > PMF_R(0.0) ? 1U : 0U;
 }
 
-/* From what is believed. Before anything is, that is at the dead time of an estimate that hardly knows it: another one is
- * tried with every beginning. */
+/* From what is believed. Before anything is, that is at the dead time of an estimate that hardly knows it: another one
+ * is tried with every beginning. */
 static void begin(const pmf_config_t *config, pmf_state_t *state)
 {
     const uint32_t *from = config->auxiliary.direct_index;
@@ -398,11 +398,13 @@ static void look_again(const pmf_config_t *config, pmf_state_t *state)
     begin_at(config, state, role, 1U);
 }
 
-/* A dead time that moves as its own variance does not allow was linearised too far away: what was learned counts less. */
+/* A dead time that moves as its own variance does not allow was linearised too far away: what was learned counts less.
+ */
 static void doubt(const pmf_config_t *config, pmf_found_state_t *found)
 {
     uint32_t late = config->auxiliary.index[PMF_DELAY], i, j, n = FIRST + parameters_of(config);
-    real_t now = found->theta[late], apart = now - found->before, variance = found->covariance[FIRST + late][FIRST + late];
+    real_t now = found->theta[late], apart = now - found->before,
+           variance = found->covariance[FIRST + late][FIRST + late];
     real_t learned = found->unsure - variance;
     uint32_t strayed;
     learned = (learned > PMF_R(0.0) ? learned : PMF_R(0.0)) + SLACK * found->unsure;
@@ -443,15 +445,17 @@ static uint32_t is_known(const pmf_config_t *config, const pmf_found_state_t *fo
     uint32_t late = FIRST + config->auxiliary.index[PMF_DELAY];
     real_t limit = SHARP / config->late.rate, scatter = PMF_R(2.0) * found->surprise / found->expected;
     *variance = found->covariance[late][late] * (scatter > PMF_R(1.0) ? scatter : PMF_R(1.0));
-    return found->running != 0U && found->age > ENOUGH_AGE && found->near > ENOUGH_NEAR && *variance < limit * limit ? 1U
-                                                                                                                    : 0U;
+    return found->running != 0U && found->age > ENOUGH_AGE && found->near > ENOUGH_NEAR && *variance < limit * limit
+               ? 1U
+               : 0U;
 }
 
 static void one_sample(const pmf_config_t *config, pmf_state_t *state, const acts_t *acts)
 {
     pmf_found_state_t *found = &state->found;
     uint32_t p = parameters_of(config), i, j;
-    real_t growth = config->late.growth * (PMF_R(1.0) + PMF_R(1.0) / ((real_t)found->age + GROWING)), before[PMF_MAX_PARAMETERS];
+    real_t growth = config->late.growth * (PMF_R(1.0) + PMF_R(1.0) / ((real_t)found->age + GROWING)),
+           before[PMF_MAX_PARAMETERS];
     real_t variance;
     motion_t motion;
     follow_motion(config, state, acts, &motion);

@@ -131,9 +131,8 @@ static uint32_t late_fits(const pmf_config_t *config)
 
 uint32_t pmf_fits(const pmf_config_t *config)
 {
-    return late_fits(config) & network_fits(&config->network) &
-           recursion_fits(&config->direct) & recursion_fits(&config->instrument) &
-           pmf_shapes_fit(&config->auxiliary.shapes) &
+    return late_fits(config) & network_fits(&config->network) & recursion_fits(&config->direct) &
+           recursion_fits(&config->instrument) & pmf_shapes_fit(&config->auxiliary.shapes) &
            (config->auxiliary.enabled == 0U ? 1U : auxiliary_fits(&config->auxiliary)) &
            (config->linear.enabled == 0U ? 1U : linear_fits(&config->linear) & one_level(config));
 }
