@@ -424,12 +424,13 @@ typedef struct {
     real_t place; /* in counts, from the lower edge of the last one on */
     real_t velocity;
     real_t push, speed; /* the largest force of the input, and speed */
+    real_t begun; /* its dead time at the beginning */
     real_t before, unsure; /* its dead time a while ago, and the variance of that */
     real_t surprise, expected; /* squares of what it was beyond an edge by, over its own deviation */
     integer_t change; /* of the counts in the last interval */
     whole_t running;
     whole_t age, near; /* samples since it began, and those near an edge; saturating */
-    whole_t looks; /* 1: it began from what it had found itself */
+    whole_t looks; /* 1: it began from what it had found itself, 2: and stayed there */
     whole_t tries; /* beginnings since it was last believed */
     whole_t believes; /* what is believed, PMF_BELIEVES_... */
 } pmf_found_state_t;

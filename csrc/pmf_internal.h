@@ -65,6 +65,7 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_BELIEVES_WITHIN 3U /* the motion within the counts */
 
 #define PMF_OLDEST 1000000U /* samples that it counts */
+#define PMF_LOOKS 2U /* until it is believed */
 #define PMF_MOST_TRIES 3U /* beginnings */
 
 #define PMF_FOLLOWED 4U /* so often is the slow copy of the estimate taken on; a power of two */

@@ -38,6 +38,7 @@
 #define WIDENED PMF_R(4.0) /* which counts a quarter */
 #define SLACK PMF_R(0.1)
 #define WHILE PMF_R(0.25) /* a while is as long as it takes for a variance to come down to this part */
+#define STAYED PMF_R(0.25) /* [samples] */
 #define YOUNG 10U
 #define ENOUGH_AGE 100U /* before it is believed, and this near an edge: */
 #define ENOUGH_NEAR 100U
@@ -362,7 +363,7 @@ static void begin_at(const pmf_config_t *config, pmf_state_t *state, const real_
         }
     }
     anchor(config, state);
-    found->before = role[PMF_DELAY];
+    found->begun = found->before = role[PMF_DELAY];
     found->unsure = found->covariance[FIRST + index[PMF_DELAY]][FIRST + index[PMF_DELAY]];
     found->surprise = PMF_R(0.0);
     found->expected = PMF_R(1.0);
@@ -386,16 +387,22 @@ static void begin(const pmf_config_t *config, pmf_state_t *state)
     begin_at(config, state, role, 0U);
 }
 
-/* What led it here was linearised further away, and would stay: once more, from what it has found, which is good enough
- * for the auxiliary model till then. */
+/* What led it here was linearised further away, and would stay: once more, from what it has found, until that stays where
+ * it is. Till then it is good enough for the auxiliary model. */
 static void look_again(const pmf_config_t *config, pmf_state_t *state)
 {
-    real_t role[PMF_ROLES];
-    roles_of(config, state->found.theta, role);
-    state->found.tries = 0U;
-    state->found.dead_time = role[PMF_DELAY];
-    state->found.believes = PMF_BELIEVES_HELD;
-    begin_at(config, state, role, 1U);
+    pmf_found_state_t *found = &state->found;
+    real_t role[PMF_ROLES], apart;
+    roles_of(config, found->theta, role);
+    apart = (role[PMF_DELAY] - found->begun) * config->late.rate;
+    found->tries = 0U;
+    found->dead_time = role[PMF_DELAY];
+    if (found->looks != 0U && apart * apart < STAYED * STAYED) {
+        found->looks = PMF_LOOKS;
+    } else {
+        found->believes = PMF_BELIEVES_HELD;
+        begin_at(config, state, role, 1U);
+    }
 }
 
 /* A dead time that moves as its own variance does not allow was linearised too far away: what was learned counts less.
@@ -475,7 +482,7 @@ static void one_sample(const pmf_config_t *config, pmf_state_t *state, const act
     if (is_lost(found, FIRST + p) != 0U) {
         found->tries = found->tries < PMF_MOST_TRIES ? found->tries + 1U : 0U;
         begin(config, state);
-    } else if (found->looks == 0U && is_known(config, found, &variance) != 0U) {
+    } else if (found->looks < PMF_LOOKS && is_known(config, found, &variance) != 0U) {
         look_again(config, state);
     } else {
         /* it goes on */
@@ -511,7 +518,7 @@ void pmf_within_lend(const pmf_config_t *config, pmf_state_t *state)
 
 uint32_t pmf_within_known(const pmf_config_t *config, const pmf_state_t *state, real_t *variance)
 {
-    return state->found.looks & is_known(config, &state->found, variance);
+    return state->found.looks == PMF_LOOKS ? is_known(config, &state->found, variance) : 0U;
 }
 
 #endif
