@@ -13,6 +13,7 @@
 
 /* What was gathered while the dead time was further away [samples] was linearised too far from it: */
 #define FAR_AWAY PMF_R(0.25)
+#define ROOT_OF_ANOTHER PMF_R(0.1) /* where it is known by now */
 #define ROOT_OF_FAR_AWAY PMF_R(0.25) /* the square of this of it counts on. */
 
 static real_t dead_time_of(const pmf_config_t *config, const pmf_state_t *state)
@@ -70,6 +71,7 @@ static void correct_direct(const pmf_config_t *config, const pmf_state_t *state,
 
 #if PMF_FOUND
 #define APART PMF_R(4.0) /* standard deviations */
+#define HALF PMF_R(0.5) /* sample: the least standard deviation of one that is held */
 #define GUESSED PMF_R(5.0) /* times that: it does not know it at all */
 #define WELL_KNOWN PMF_R(0.1) /* standard deviation [samples] of a dead time that the recursion knows well itself */
 
@@ -123,14 +125,15 @@ static void believe(const pmf_config_t *config, pmf_state_t *state, const pmf_re
     } else {
         variance = estimate->variance_factor[p - 1U] * estimate->innovation_variance * inflation;
         found->believes = had == PMF_BELIEVES_NONE ? PMF_BELIEVES_NONE : PMF_BELIEVES_HELD;
-        if (variance > PMF_R(0.0) && variance < limit * limit) {
-            found->believes = PMF_BELIEVES_OWN;
+        if (had == PMF_BELIEVES_OWN || had == PMF_BELIEVES_NONE) { /* else what it gathered was at another one */
+            found->believes = variance > PMF_R(0.0) && variance < limit * limit ? PMF_BELIEVES_OWN : PMF_BELIEVES_NONE;
         }
         dead_time = found->believes == PMF_BELIEVES_HELD ? found->dead_time : dead_time;
         if (found->believes == PMF_BELIEVES_NONE && !(variance < GUESSED * GUESSED * limit * limit)) {
             dead_time = (real_t)found->tries / late->rate; /* few samples, rather than any number */
         }
-        variance = PMF_R(0.0);
+        limit = found->believes == PMF_BELIEVES_HELD ? HALF / late->rate : PMF_R(0.0);
+        variance = variance > limit * limit ? PMF_R(0.0) : limit * limit;
     }
     found->dead_time = within_reach(late, dead_time);
     pmf_copy(estimate, &found->believed, (uint32_t)sizeof found->believed);
@@ -208,10 +211,8 @@ static void follow_dead_time(const pmf_config_t *config, pmf_state_t *state)
     if (apart * apart <= FAR_AWAY * FAR_AWAY) {
         return;
     }
-    pmf_clear(&state->auxiliary.lag, (uint32_t)sizeof state->auxiliary.lag); /* of another model */
-    state->auxiliary.late = 0U;
     state->late.gathered = *copied;
-    pmf_open(config, state, PMF_NO_PARAMETER, ROOT_OF_FAR_AWAY);
+    pmf_open(config, state, PMF_NO_PARAMETER, state->found.looks != 0U ? ROOT_OF_ANOTHER : ROOT_OF_FAR_AWAY);
 }
 #endif
 #endif

@@ -216,8 +216,11 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     status = PMF_IF(trusted & settled, stepped, status);
     status |= pmf_auxiliary_feedback(&state->auxiliary, &state->instrument, trusted & settled,
                                      state->encoder.input - state->encoder.input_before);
-    status |= pmf_auxiliary_late(auxiliary, &state->auxiliary, state->network.column,
-                                 trusted & settled & (state->auxiliary.in_charge != 0U));
+#if PMF_FOUND
+    if (config->late.within == 0U) /* else there is more to judge it by */
+#endif
+        status |= pmf_auxiliary_late(auxiliary, &state->auxiliary, state->network.column,
+                                     trusted & settled & (state->auxiliary.in_charge != 0U));
     in_charge = trusted & (state->auxiliary.in_charge != 0U);
     if (PMF_ANY(trusted & PMF_NOT(in_charge))) {
         in_charge = in_charge | (trusted & takes_over(config, state));

@@ -387,8 +387,8 @@ static void begin(const pmf_config_t *config, pmf_state_t *state)
     begin_at(config, state, role, 0U);
 }
 
-/* What led it here was linearised further away, and would stay: once more, from what it has found, until that stays where
- * it is. Till then it is good enough for the auxiliary model. */
+/* What led it here was linearised further away, and would stay: once more, from what it has found, until that stays
+ * where it is. Till then it is good enough for the auxiliary model. */
 static void look_again(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_found_state_t *found = &state->found;
