@@ -15,6 +15,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import pmfid
+from pmfid.findings import Finding
 from pmfid.report.html import svg
 from pmfid.shown import Shown, Summary
 from tests.gallery import gallery
@@ -142,7 +143,7 @@ def test_what_is_not_known_is_none_to_a_program() -> None:
 def test_hostile_names_are_text() -> None:
     experiment = replace(gallery()["experiment"], name=HOSTILE)  # type: ignore[type-var]
     drive = gallery()["drive"]
-    result = replace(drive, record=replace(drive.record, name=HOSTILE), notes=(HOSTILE,))  # type: ignore[type-var, union-attr]
+    result = replace(drive, record=replace(drive.record, name=HOSTILE), findings=(Finding("hostile", HOSTILE),))  # type: ignore[type-var, union-attr]
     for one in (experiment, result):
         page = Text(one._repr_html_())
         assert "script" not in page.tags

@@ -12,12 +12,14 @@ from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.findings import Finding
 from pmfid.judge.free_run import FreeRun
 from pmfid.models.drive import Model
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.records import Record
 from pmfid.session.result import Result
 from pmfid.session.stored import Stored
+from pmfid.session.tables import Table
 from pmfid.transfer.experiment import Experiment
 from pmfid.types import Floats
 
@@ -40,9 +42,17 @@ class Kind(ABC, Generic[Data]):
     def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Data:
         """The records at `paths`. Raises UsageError for what is no such record, or too many of them."""
 
+    @abstractmethod
+    def of_table(self, table: Table, axis: Axis) -> Data:
+        """The same of a table of columns. Raises UsageError as `read` does."""
+
     def prepared(self, data: Data, axis: Axis) -> Axis:
         """The configuration with what it leaves to the record; the same where it leaves nothing."""
         return axis
+
+    def completed(self, data: Data, axis: Axis) -> Data:
+        """The records with what the model of a complete configuration says of samples that they lack."""
+        return data
 
     @abstractmethod
     def estimate(self, data: Data, axis: Axis, progress: Progress | None = None) -> Result:
@@ -72,9 +82,13 @@ class Kind(ABC, Generic[Data]):
     def check_on_line(self, axis: Axis) -> None:
         """Raises UsageError for what a record may have and a drive, sample by sample, has not."""
 
-    def mistake(self, data: Data, axis: Axis) -> str:
-        """What a log may have got wrong, with its remedy; empty where nothing is found."""
-        return ""
+    def glanced(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
+        """What the log may have got wrong, as far as it costs next to nothing to tell."""
+        return ()
+
+    def checked(self, data: Data, axis: Axis, judged: bool = False) -> tuple[Finding, ...]:
+        """All that the log may have got wrong; judged: but for what an estimate is judged by as well."""
+        return self.glanced(data, axis)
 
 
 def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:

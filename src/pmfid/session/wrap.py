@@ -32,13 +32,13 @@ class Wrap:
         """The width of a counter of that range, None where it is no power of two."""
         return self.span.bit_length() - 1 if self.span.bit_count() == 1 else None
 
-    def sentence(self, column: str, kind: str, resolution: float) -> str:
+    def said(self, column: str, kind: str, resolution: float) -> tuple[str, str]:
         """The mistake and its remedy, for an output column of that output_kind."""
         size = self.span if kind == "counts" else self.span * resolution
         what = f"the output column {column!r} wraps at {size:.4g}, the first time at row {self.row}"
         if kind == "counts" and self.bits is not None:
-            return f"{what}: give [encoder] bits = {self.bits}"
-        return f"{what}: unwrap it before (as numpy.unwrap with period = {size:.4g} does)"
+            return what, f"give [encoder] bits = {self.bits}"
+        return what, f"give [encoder] range = {self.span * resolution:.9g}"
 
 
 def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:
