@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 
 import pmfid
+from pmfid.design import Limits, Problem, appraise, evaluate
 from pmfid.monitor.calibration import calibrate
 from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
@@ -18,6 +19,9 @@ from tests.conftest import cart_run, unjudged
 CUTOFF = 100 / 3
 RUN = cart_run(3, samples=1200)
 DRIVE = pmfid.Drive(CART.input_gain)
+NOMINAL = {"mass": CART.mass, "viscous_friction": CART.viscous_friction, "coulomb_friction": CART.coulomb_friction}
+LIMITS = Limits(input=3.0, position=(0.0, 0.4), min_speed=0.01)
+PROBLEM = Problem(DRIVE, NOMINAL, ("mass", "viscous_friction"), 2.0, 40, LIMITS, resolution=91e-6)
 THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 
 
@@ -64,6 +68,7 @@ def gallery() -> dict[str, Shown | pmfid.Estimate]:
     fleet = pmfid.Fleet(bcrls, 3, workers=1)
     longer = np.round(1.02 * RUN.counts).astype(np.int64)  # an axis on which the same force moves a bit less
     track = bcrls.run(RUN.u, RUN.counts)
+    design = evaluate(PROBLEM, 3.0 * np.sign(np.sin(np.arange(40) / 4)), "A")
     return {
         "drive": offline,
         "drive, on-line": online,
@@ -82,4 +87,6 @@ def gallery() -> dict[str, Shown | pmfid.Estimate]:
         "experiment": experiments[0],
         "transfer function": process.process,  # type: ignore[attr-defined]
         "monitor": _monitor(),
+        "design": design,
+        "appraisal": appraise(design),
     }

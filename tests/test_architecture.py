@@ -49,7 +49,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "monitor": JUDGE | {"door"},
     "testing": JUDGE,
     "simulation": {"errors", "types"},
-    "design": {"errors", "types", "door", "models", "simulation"},
+    "design": {"errors", "types", "shown", "door", "models", "simulation"},
     "export": JUDGE | {"pmfid"},
     "session": SESSION,
     "report": SESSION | {"session"},

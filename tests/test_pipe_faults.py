@@ -80,6 +80,24 @@ def test_the_next_good_lines_count_again(axis: Axis, name: str) -> None:
         assert all(s.missing == 0 and s.jump == 0 for s in samples[after - size :])
 
 
+#: Faults that show in a line by itself.
+OF_LINES = ["a comment", "an empty line", "the header again", "the header again, with a row of units", "semicolons"]
+OF_LINES += ["columns in another order", "another column", "everything in quotes", "no text", "a line cut in two"]
+
+
+@pytest.mark.parametrize("name", OF_LINES)
+def test_without_a_time_every_line_is_the_next_sample(axis: Axis, name: str) -> None:
+    """A line that cannot be used takes its time; what is for people takes none."""
+    rng, fault = np.random.default_rng(len(name)), FAULTS[name]
+    bare = axis.model_copy(update={"record": axis.record.model_copy(update={"time": None, "dt": CART_DT})})
+    for k in range(1, PLACES):
+        clean = [(i * CART_DT, 0.5 * i, i) for i in range(k + 40)]
+        samples = [s for s in found(bare, fault.do(clean, k, rng)) if isinstance(s, Sample)]
+        assert [s.time for s in samples] == pytest.approx([i * CART_DT for i in range(len(samples))])
+        assert [(s.u, s.counts) for s in samples[-38:]] == [(0.5 * i, i) for i in range(k + 2, k + 40)]
+        assert len(samples) - len(clean) == (name == "a line cut in two")
+
+
 @pytest.mark.parametrize("name", FAULTS)
 def test_the_change_is_found_behind_a_fault(axis: Axis, calibration: Calibration, rows: list[Row], name: str) -> None:
     rng, fault = np.random.default_rng(len(name)), FAULTS[name]

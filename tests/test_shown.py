@@ -23,7 +23,17 @@ from tests.test_architecture import modules_after
 
 #: Those with parameters by name, and all.
 NAMED = ("drive", "drive, on-line", "drive, mass given", "process", "fit", "track", "tracks", "estimate", "posterior")
-KINDS = (*NAMED, "curve", "validation", "validation of two", "experiment", "transfer function", "monitor")
+KINDS = (
+    *NAMED,
+    "curve",
+    "validation",
+    "validation of two",
+    "experiment",
+    "transfer function",
+    "monitor",
+    "design",
+    "appraisal",
+)
 HOSTILE = "<script>alert(1)</script>\x1b[2J\n$x$.csv"
 
 
@@ -54,7 +64,7 @@ def test_the_gallery_has_all_of_them() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_person_reads_a_few_lines(kind: str) -> None:
     text = repr(gallery()[kind])
-    assert 2 <= len(text.splitlines()) <= 8
+    assert 2 <= len(text.splitlines()) <= 9
     assert max(map(len, text.splitlines())) < 120
     assert not re.search(r"array\(|object at|\(\w+=", text)
 
@@ -159,6 +169,15 @@ def test_figures_take_times_and_nominal_values() -> None:
     assert track.plot().axes[-1].get_xlabel() == "sample [-]"
     with pytest.raises(pmfid.UsageError, match=r"the figure of Track has no such option: .*'colour'"):
         track.plot(colour="red")
+
+
+def test_what_cannot_be_simulated_has_a_figure_too() -> None:
+    drive, process = gallery()["drive"], gallery()["process"]
+    nonsense = replace(drive, theta=-drive.theta)  # type: ignore[type-var, union-attr]
+    assert [axes.get_ylabel() for axes in nonsense.plot().axes] == ["input u", "velocity [m/s]"]
+    unstable = replace(process, process=replace(process.process, a=np.array([-1.0])))  # type: ignore[type-var, union-attr]
+    assert "fit unknown, unstable" in repr(unstable)
+    assert [axes.get_ylabel() for axes in unstable.plot().axes] == ["magnitude [dB]", "phase [degrees]"]
 
 
 def test_a_figure_has_the_style_of_the_report_whatever_the_user_has_set() -> None:

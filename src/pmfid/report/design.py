@@ -42,7 +42,7 @@ def write_design(out: Path, appraisal: Appraisal, campaign: Campaign | None = No
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "design.json", appraisal.to_json())
     design = appraisal.design
-    for name, columns in _motions(appraisal).items():
+    for name, columns in motions_of(appraisal).items():
         _write_csv(out / f"{name}.csv", design.t, *columns)
     unknown = ", ".join(_words(name) for name in design.problem.unknown)
     title = f"Input for {unknown}: criterion {design.criterion}"
@@ -93,7 +93,7 @@ def _percent(std: float, nominal: float) -> str:
 
 def _sections(appraisal: Appraisal) -> list[Section]:
     design = appraisal.design
-    motions = {name: columns for name, columns in _motions(appraisal).items() if name in ("design", *SHOWN)}
+    motions = {name: columns for name, columns in motions_of(appraisal).items() if name in ("design", *SHOWN)}
     curves = {name: gathered(design.problem, appraisal.rule, columns[0]) for name, columns in motions.items()}
     problem = design.problem
     nominal = np.array([abs(problem.nominal[name]) or 1.0 for name in problem.unknown])
@@ -206,7 +206,8 @@ def _summary(appraisal: Appraisal) -> str:
     return "\n\n".join([meaning, proof(design), *price, *(f"Warning: {text}." for text in appraisal.warnings)])
 
 
-def _motions(appraisal: Appraisal) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def motions_of(appraisal: Appraisal) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Input, position and velocity by name of the input."""
     design = appraisal.design
     return {"design": (design.u, design.x, design.v)} | {
         name: (found.u, found.x, found.v) for name, found in appraisal.standard.items()

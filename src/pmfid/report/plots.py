@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from pmfid._estimate import Estimate
+from pmfid.design.problem.result import Design
+from pmfid.design.trial.appraisal import Appraisal
 from pmfid.errors import PmfidError, UsageError
 from pmfid.estimators.friction_curve import FrictionCurve
 from pmfid.estimators.known import Posterior, Seen
@@ -19,6 +21,8 @@ from pmfid.estimators.track import Track, Tracks
 from pmfid.judge.correlations import make_balance
 from pmfid.monitor.monitor import Monitor
 from pmfid.report.check_figures import simulation_figure
+from pmfid.report.design import motions_of
+from pmfid.report.design_figures import motion_figure as designed_figure
 from pmfid.report.figures import estimate_figure, figure_style, residual_figure
 from pmfid.report.friction import curve_figure
 from pmfid.report.monitored_figures import calibration_figure
@@ -144,6 +148,18 @@ def _process(process: Process, dt: float | None = None) -> Figure:
 @_draw.register
 def _experiment(experiment: Experiment) -> Figure:
     return experiment_figure(experiment)
+
+
+@_draw.register
+def _design(design: Design) -> Figure:
+    """Input and nominal motion, with the limits."""
+    return designed_figure(design.problem, {"design": (design.u, design.x, design.v)})
+
+
+@_draw.register
+def _appraisal(appraisal: Appraisal) -> Figure:
+    """The same of all inputs."""
+    return designed_figure(appraisal.design.problem, motions_of(appraisal))
 
 
 @_draw.register

@@ -6,13 +6,14 @@ import math
 from dataclasses import dataclass
 
 from pmfid.design.problem.problem import Problem
+from pmfid.shown import Shown, Summary, plain_dict
 from pmfid.types import Floats
 
 __all__ = ["Design"]
 
 
-@dataclass(frozen=True, eq=False)
-class Design:
+@dataclass(frozen=True, eq=False, repr=False)
+class Design(Shown):
     """An input, its nominal motion, and what it tells.
 
     t: (n+1,) nodes [s]; u: (n,) input, held from t[k] to t[k+1]; x, v: (n+1,) nominal position [m] and velocity [m/s].
@@ -52,3 +53,23 @@ class Design:
         except LinAlgError:
             return dict.fromkeys(names, math.inf)
         return {name: math.sqrt(v) if v > 0 else math.inf for name, v in zip(names, variance, strict=True)}
+
+    def summary(self) -> Summary:
+        """The error bars that one run is worth."""
+        proved = "no bound proved" if self.gap is None else f"at most {100 * self.gap:.3g} % below the optimum"
+        title = f"design by {self.criterion}: {self.u.size} intervals over {self.t[-1]:g} s, {proved}; after one run:"
+        nominal = self.problem.nominal
+        rows = [
+            (name, f"{nominal[name]:.4g}", f"{std:.2g}", f"{100 * std / abs(nominal[name]):.2g}")
+            for name, std in self.predicted_std.items()
+        ]
+        lines = [f"{name} = {value} ± {std}, {percent} %" for name, value, std, percent in rows]
+        return Summary(title, ("parameter", "nominal", "std", "std [%]"), rows, lines, self.warnings)
+
+    def columns(self) -> dict[str, object]:
+        """A row for each interval, at its beginning."""
+        return {"t": self.t[:-1], "u": self.u, "x": self.x[:-1], "v": self.v[:-1]}
+
+    def to_dict(self) -> dict[str, object]:
+        own = {"criterion": self.criterion, "value": self.value, "bound": self.bound, "gap": self.gap}
+        return plain_dict({**own, "predicted_std": self.predicted_std, "warnings": self.warnings, **self.columns()})

@@ -19,6 +19,7 @@ from pmfid.design.search.standard import StandardInput, standard_inputs
 from pmfid.design.trial.choice import USUAL, best_input, stds
 from pmfid.design.trial.encoder_error import expected_covariance, is_counted
 from pmfid.design.trial.simulated import simulated_information
+from pmfid.shown import Shown, Summary, plain_dict
 from pmfid.types import Floats
 
 __all__ = ["Appraisal", "Worth", "appraise", "gathered", "worth_of"]
@@ -49,8 +50,8 @@ class Worth:
     covariance: Floats | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Appraisal:
+@dataclass(frozen=True, eq=False, repr=False)
+class Appraisal(Shown):
     """A design beside the standard inputs; worths: by name, that of the design itself as "design".
 
     price: part of the nominal information that robustness costs, None where the design is not robust.
@@ -96,6 +97,27 @@ class Appraisal:
             "warnings": list(self.warnings),
             "price_of_robustness": self.price,
         }
+
+    def summary(self) -> Summary:
+        """The error bars of each input; in words, of the design and of what is to be run."""
+        unknown = self.design.problem.unknown
+        rows = [(name, *(f"{worth.predicted_std[own]:.2g}" for own in unknown)) for name, worth in self.worths.items()]
+        title = f"{self.design.criterion}, standard deviations after one run; to be run: {self.recommended}"
+        own = [row for row in rows if row[0] in ("design", self.recommended)]
+        lines = [
+            f"{row[0]}: {', '.join(f'{n} ± {std}' for n, std in zip(unknown, row[1:], strict=True))}" for row in own
+        ]
+        return Summary(title, ("input", *unknown), rows, lines, self.warnings)
+
+    def columns(self) -> dict[str, object]:
+        """A row for each input."""
+        stds = [worth.predicted_std for worth in self.worths.values()]
+        values = {"input": list(self.worths), "value": [worth.value for worth in self.worths.values()]}
+        return values | {f"{name}_std": [std[name] for std in stds] for name in self.design.problem.unknown}
+
+    def to_dict(self) -> dict[str, object]:
+        """What `--json` prints."""
+        return plain_dict(self.to_json())
 
 
 def appraise(design: Design, combination: Mapping[str, float] | None = None, seed: int = 0) -> Appraisal:
