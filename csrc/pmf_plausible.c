@@ -159,12 +159,13 @@ PMF_SELDOM uint32_t check_auxiliary(const pmf_auxiliary_config_t *config, const 
 PMF_SELDOM uint32_t check_found(const pmf_found_state_t *state)
 {
     uint32_t i, fine = check_estimate(&state->believed) & finite(state->theta, REALS(state->theta)) &
-                       finite(&state->dead_time, 1U) & finite(&state->begun, 1U) & finite(&state->before, 1U) & not_negative(&state->unsure, 1U) &
-                       finite(&state->covariance[0][0], REALS(state->covariance)) & finite(&state->velocity, 1U) &
-                       within(&state->place, 1U, -MOST_COUNTS, MOST_COUNTS) & not_negative(&state->push, 1U) &
-                       not_negative(&state->speed, 1U) & not_negative(&state->surprise, 1U) &
-                       not_negative(&state->expected, 1U) & at_most(state->running, 1U) &
-                       at_most(state->age, PMF_OLDEST) & at_most(state->near, PMF_OLDEST) & at_most(state->looks, PMF_LOOKS) &
+                       finite(&state->dead_time, 1U) & finite(&state->begun, 1U) & finite(&state->before, 1U) &
+                       not_negative(&state->unsure, 1U) & finite(&state->covariance[0][0], REALS(state->covariance)) &
+                       finite(&state->velocity, 1U) & within(&state->place, 1U, -MOST_COUNTS, MOST_COUNTS) &
+                       not_negative(&state->push, 1U) & not_negative(&state->speed, 1U) &
+                       not_negative(&state->surprise, 1U) & not_negative(&state->expected, 1U) &
+                       at_most(state->running, 1U) & at_most(state->age, PMF_OLDEST) &
+                       at_most(state->near, PMF_OLDEST) & at_most(state->looks, PMF_LOOKS) &
                        at_most(state->tries, PMF_MOST_TRIES) & at_most(state->believes, PMF_BELIEVES_WITHIN);
     for (i = 0; i < PMF_MAX_PARAMETERS + 2U; ++i) {
         fine &= not_negative(&state->covariance[i][i], 1U);

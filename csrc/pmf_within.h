@@ -213,9 +213,9 @@ static void carry(pmf_found_state_t *found, const motion_t *motion, uint32_t n)
     real_t place[MOST_KNOWN], velocity[MOST_KNOWN];
     real_t own = PMF_R(0.0), both = PMF_R(0.0), speed = PMF_R(0.0);
     uint32_t i, j;
-    for (i = 0; i < n; ++i) {
+    for (i = 0; i < MOST_KNOWN; ++i) {
         place[i] = velocity[i] = PMF_R(0.0);
-        for (j = 0; j < n; ++j) {
+        for (j = 0; j < n && i < n; ++j) {
             place[i] += motion->place_by[j] * found->covariance[j][i];
             velocity[i] += motion->velocity_by[j] * found->covariance[j][i];
         }
@@ -240,8 +240,8 @@ static void learn(pmf_found_state_t *found, uint32_t n, uint32_t which, real_t m
 {
     real_t gain[MOST_KNOWN], own = found->covariance[which][which];
     uint32_t i, j;
-    for (i = 0; i < n; ++i) {
-        gain[i] = found->covariance[i][which] / own;
+    for (i = 0; i < MOST_KNOWN; ++i) {
+        gain[i] = i < n ? found->covariance[i][which] / own : PMF_R(0.0);
     }
     found->place += gain[PLACE] * moved;
     found->velocity += gain[SPEED] * moved;

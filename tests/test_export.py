@@ -97,6 +97,7 @@ VARIANTS = {
     "late": {"drive": pmfid.Drive(2.0, dead_time=0.017)},
     "behind a lag": {"drive": pmfid.Drive(2.0, dead_time=0.017, lag=0.006)},
     "late by how much": {"drive": pmfid.Drive(2.0, dead_time="estimate", stribeck=0.05)},
+    "late, within the counts": {"drive": pmfid.Drive(2.0, dead_time="estimate")},
     "order": {"order": 4},
 }
 
@@ -112,7 +113,7 @@ def test_every_configuration_is_exported(variant: str, cls: type[RecursiveEstima
     assert difference(exported(estimator, tmp_path, *hostile()), GCC, "-O0", *WARNINGS) is None
 
 
-@pytest.mark.parametrize("variant", ["shapes", "behind a lag", "late by how much"])
+@pytest.mark.parametrize("variant", ["shapes", "behind a lag", "late by how much", "late, within the counts"])
 @pytest.mark.parametrize("target", [pytest.param(t, marks=needs(t), id=t.name) for t in (CLANG, M4F, M7)])
 def test_shapes_and_dead_times_have_the_bits_of_python_everywhere(target: Target, variant: str, tmp_path: Path) -> None:
     """Its two recursions have different sizes: no compiler may find code for a third one."""
