@@ -26,7 +26,8 @@ Check = Callable[[Log], Iterator[Finding]]
 SOON: tuple[tuple[Check, ...], ...] = (
     (no_motion, forgotten_bits, too_fast),
     (read_as,),
-    (jump, held_output, frozen, held_input, saturated, too_slow),
+    (held_output, frozen, held_input, saturated),
+    (too_slow, jump),
 )
 LATER: tuple[tuple[Check, ...], ...] = ((drifts,), (no_inertia,))
 

@@ -8,6 +8,7 @@ from contextlib import suppress
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.cutoff import choose_cutoff
 from pmfid.estimators.interval import IntervalML
 from pmfid.findings import Finding
 from pmfid.judge.counts import counts_per_sample
@@ -92,10 +93,12 @@ def acts_late(log: Log) -> Iterator[Finding]:
         return
     axis, record = at_some_gain(log.axis), log.known
     model = axis.model.make()
-    if model.equation.further or axis.estimator.cutoff is None:
+    if model.equation.further:
         return
-    method = IntervalML(model, log.encoder, record.dt, axis.estimator.pole, order=axis.estimator.order)
+    encoder = axis.encoder.made(record.resolution)
     with suppress(NotIdentifiableError, UsageError):
+        cutoff = axis.estimator.cutoff or choose_cutoff([model], encoder, record.dt, record.u, record.counts)
+        method = IntervalML(model, encoder, record.dt, cutoff, order=axis.estimator.order)
         found = examined(method, record.u, record.counts, np.zeros(len(method.equation.names)))
         if found is not None and not found.adequate:
             yield from late(found)
