@@ -186,8 +186,9 @@ def cut(log: Logged, text: str) -> Mended:
 
 
 def stretched(log: Logged, text: str) -> Mended:
-    factor, rows = float(value_of(r"by (\S+) and interpolate", text)), np.arange(log.columns["u"].size)
-    return Mended({**log.columns, "u": np.interp(rows, rows * factor, log.columns["u"])}, {})
+    factor, rows = float(value_of(r"by (\S+) and take the latest", text)), np.arange(log.columns["u"].size)
+    latest = np.searchsorted(rows * factor, rows, side="right") - 1
+    return Mended({**log.columns, "u": log.columns["u"][latest]}, {})
 
 
 def thinned(log: Logged, text: str) -> Mended:
@@ -238,7 +239,7 @@ def test_the_remedy_helps_when_it_is_followed_literally(fault: str) -> None:
     before = abs(mass_of(log.record(), log.configuration) / truth - 1)
     after = abs(mass_of(record_of(mended.columns, axis), axis) / truth - 1)
     assert after < max(0.5 * before, 0.005)
-    assert after < 0.1
+    assert after < 0.2
 
 
 # --- findings ---------------------------------------------------------------------------------------------------------
