@@ -36,7 +36,7 @@ SLIPPED, BEFORE, DRIFT, MEMORY = 0.7, 1 / 3, 1 / 3, 0.06
 LENGTH = 3
 
 
-def estimated(axis: Axis, record: CartRecord, **settings: object) -> Result:
+def estimated(axis: Axis, record: CartRecord, **settings: Any) -> Result:
     """With the mass given; the gain is to be found."""
     return pmfid.identify(
         record.u,

@@ -129,7 +129,7 @@ def write_mcap(path: Path, columns: Columns) -> None:
         for k, stamp in enumerate(_stamps(columns)):
             row = {name: values[k].item() for name, values in arrays.items()}
             writer.add_message(channel, stamp, json.dumps(row).encode(), stamp)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def write_rosbag(path: Path, columns: Columns) -> None:
@@ -166,7 +166,7 @@ WRITERS: dict[str, Callable[[Path, Columns], object]] = {
     ".csv": lambda path, columns: frame(columns).write_csv(path),
     ".parquet": lambda path, columns: frame(columns).write_parquet(path),
     ".mat": lambda path, columns: scipy.io.savemat(path, dict(columns)),
-    ".npz": lambda path, columns: np.savez(path, **_arrays(columns)),
+    ".npz": lambda path, columns: np.savez(path, **_arrays(columns)),  # type: ignore[arg-type]
     ".xlsx": write_excel,
     ".arrow": lambda path, columns: frame(columns).write_ipc(path),
     ".h5": write_hdf5,

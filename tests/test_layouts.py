@@ -235,3 +235,31 @@ def test_a_layout_that_is_stated_is_kept(tmp_path: Path) -> None:
     whole = "t;u;y\n" + "".join(f"{k * DT:.3f};1.000;{k / 4:.3f}\n".replace(".", ",") for k in range(N))
     record = read(tmp_path, whole, more='decimal = ","')
     assert record.u[0] == 1.0
+
+
+def test_an_export_of_twincat_scope(tmp_path: Path) -> None:
+    """Settings of a channel each in pairs of key and value, then a column of stamps in ms before every channel."""
+    settings = {"Name": ("drive.u", "drive.y"), "SampleTime[ms]": ("4", "4"), "Unit": ("V", "m"), "Offset": ("0", "0")}
+    lines = ["Name\trun", "File\tC:\\run.svdx", "Starttime of export\t133238090039920000", ""]
+    lines += ["\t".join(f"{key}\t{value}" for value in values) for key, values in settings.items()] + [""]
+    lines += [f"{4 * k}\t{U[k]:.6g}\t{4 * k}\t{Y[k]:.6g}".replace(".", ",") for k in range(N)] + ["EOF"]
+    (tmp_path / "axis.toml").write_text(TOML.format(more="").replace('"t"', '"time"'))
+    (tmp_path / "run.csv").write_text("\n".join(lines))
+    same(read_record(tmp_path / "run.csv", load_axis(tmp_path / "axis.toml")))
+
+
+def test_a_trace_of_codesys(tmp_path: Path) -> None:
+    """Its first column counts the cycles, so it says nothing of the period."""
+    rows = "\n".join(f"{k} {U[k]:.6g} {Y[k]:.6g}" for k in range(N))
+    trace = f"BODAS Trace\nD:\\PROJECTS\\RUN.PRO\nCycle u y\n{rows}\n"
+    (tmp_path / "run.txt").write_text(trace)
+    for more, said in (("", r"steps by 1: if it counts the samples, give .record. dt in s"), (f"dt = {DT}\n", "")):
+        (tmp_path / "axis.toml").write_text(TOML.format(more=more).replace('"t"', '"Cycle"'))
+        axis = load_axis(tmp_path / "axis.toml")
+        if said:
+            with pytest.raises(UsageError, match=said):
+                read_record(tmp_path / "run.txt", axis)
+        else:
+            record = read_record(tmp_path / "run.txt", axis)
+    same(record)
+    assert "the time column 'Cycle' counts samples of 0.004 s" in record.notes

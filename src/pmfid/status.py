@@ -61,7 +61,8 @@ ADVICE = {
     ),
     Status.DEAD_TIME: (
         "the plant moves later than the model: the input acts late, or friction at low speed is not that of the model; "
-        'set dead_time = "estimate"; the error bars do not cover it'
+        'set dead_time = "estimate"; the error bars do not cover it. Where that is set, it is not known yet, or not '
+        "believed: livelier motion shows it, best steps in open loop; or find it off-line, and give it"
     ),
 }
 

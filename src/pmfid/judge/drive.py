@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import CONTRADICTED, Adequacy, examine, force_moves
+from pmfid.estimators.arguments import held
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.configuration import like
@@ -292,7 +293,8 @@ def _feedback(
             "unmodelled", "the motion simulated with this estimate leaves the range of numbers: do not believe it"
         )
         return
-    change, last = np.diff(u, prepend=u[0])[columns.used], recent(estimator, error.size)
+    given = held(u)
+    change, last = np.diff(given, prepend=given[0])[columns.used], recent(estimator, error.size)
     if correlation_score(error[last], change[last]) > SIGNIFICANT:
         yield Finding(
             "feedback",

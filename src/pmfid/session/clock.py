@@ -72,9 +72,11 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
     if not grid:
         _check_steps(time, steps, median)
         mean = float((time[-1] - time[0]) / (len(time) - 1))
+    if config.dt is not None and _counts_samples(time, config):
+        return config.dt, (f"the time column {config.time!r} counts samples of {config.dt:g} s",)
     epoch = _epoch(float(time[0]), mean, config)
     factor = UNITS[epoch] if epoch else time_factor(config)
-    _check_unit(mean, factor, config, epoch)
+    _check_unit(mean, factor, config, epoch, _counts_samples(time, config))
     jitter = float(np.max(np.abs(steps - median)) / median)
     notes = [f"time steps vary by up to {jitter:.1%} of their median"] if jitter > 1e-3 else []
     if grid and jitter > EVEN:
@@ -106,6 +108,12 @@ def even_grid(time: Floats) -> tuple[float, bool]:
     return float(period), bool(even)
 
 
+def _counts_samples(time: Floats, config: RecordConfig) -> bool:
+    """Is the time column nothing but the numbers of the samples?"""
+    unit = config.time_unit or named_unit(config.time or "")
+    return unit is None and bool(np.all(np.diff(time) == 1.0) and time[0] == np.rint(time[0]))
+
+
 def _epoch(first: float, step: float, config: RecordConfig) -> str | None:
     """The unit in which the first stamp is a date of this century and the step a period of an axis; None if there is
     none, or the unit is known."""
@@ -115,8 +123,10 @@ def _epoch(first: float, step: float, config: RecordConfig) -> str | None:
     return next((unit for unit in dated if _SHORTEST <= step * UNITS[unit] < _LONGEST), None)
 
 
-def _check_unit(step: float, factor: float, config: RecordConfig, epoch: str | None = None) -> None:
-    """`step` is the mean step of the time column in its own unit."""
+def _check_unit(
+    step: float, factor: float, config: RecordConfig, epoch: str | None = None, counted: bool = False
+) -> None:
+    """`step` is the mean step of the time column in its own unit; counted: it may count the samples."""
     if config.dt is not None:
         if abs(step * factor - config.dt) <= _SAME * config.dt:
             return
@@ -127,6 +137,11 @@ def _check_unit(step: float, factor: float, config: RecordConfig, epoch: str | N
         )
     if epoch or config.time_unit is not None or _SHORTEST <= step * factor < _LONGEST:
         return
+    if counted:
+        raise UsageError(
+            f"the time column {config.time!r} steps by 1: if it counts the samples, give [record] dt in s, the sample "
+            'period; if it is a time, give [record] time_unit = "ms" (0.001 s), or "s"'
+        )
     taken = next(unit for unit, length in UNITS.items() if length == factor)
     others = [unit for unit, length in UNITS.items() if _SHORTEST <= step * length < _LONGEST]
     ways = " or ".join(f'"{unit}" ({step * UNITS[unit]:g} s)' for unit in others)

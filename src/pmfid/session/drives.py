@@ -37,12 +37,15 @@ from pmfid.models.equation import ESTIMATE, LATE
 from pmfid.session import checks
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction
+from pmfid.session.gaps.joining import one_of
+from pmfid.session.gaps.motion import by_motion
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.session.known import at_gain, at_some_gain, finds_gain, known_of, of_either_sign, put_together
 from pmfid.session.outliers import believed_of
-from pmfid.session.records import Record, read_record
+from pmfid.session.records import Record, read_record, record_of
 from pmfid.session.result import DriveResult
 from pmfid.session.stored import Stored
+from pmfid.session.tables import Table
 from pmfid.status import Status, status_findings
 from pmfid.types import Counts, Floats
 
@@ -60,9 +63,11 @@ class Drives(Kind[Record]):
     on_line: ClassVar[str] = "riv"
 
     def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Record:
-        if len(paths) > 1:
-            raise UsageError("several records make one estimate of a transfer function only; give one record")
-        return read_record(paths[0], axis, quantize)
+        place_matters = axis.model.make().equation.place_matters
+        return one_of([read_record(path, axis, quantize) for path in paths], place_matters)
+
+    def of_table(self, table: Table, axis: Axis) -> Record:
+        return record_of(table, axis)
 
     def name_and_samples(self, data: Record) -> tuple[str, int]:
         return data.name, int(data.u.size)
@@ -76,6 +81,21 @@ class Drives(Kind[Record]):
         models = [one.model.make() for one in either]
         cutoff = choose_cutoff(models, axis.encoder.made(data.resolution), data.dt, known.u, known.counts)
         return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
+
+    def completed(self, data: Record, axis: Axis) -> Record:
+        if data.there is None or np.all(data.there | np.isnan(data.u)):
+            return data
+        known = believed_of(data, axis).record
+        for one in [at_gain(axis, 1.0), at_gain(axis, -1.0)] if finds_gain(axis) else [axis]:
+            model = one.model.make()
+            if IV.refuses(model.simple.equation):
+                return data
+            method = IV(model.simple, one.encoder.made(data.resolution), data.dt, one.estimator.pole)
+            found = by_motion(method, known.u, known.counts, data.there)
+            if found is not None:
+                u, counts = (np.where(data.there, *pair) for pair in zip((data.u, data.counts), found, strict=True))
+                return replace(data, u=u, counts=counts)
+        return data
 
     def check(self, data: Record, axis: Axis) -> None:
         axis = at_some_gain(axis)
@@ -226,10 +246,15 @@ def _estimate(
     notes = noted("record", record.notes) + noted("method", fit.notes) + noted("unused", unused)
     judged = judge(*asked, adequacy)
     notes += _check_error(estimator, fit.relative_error, adequacy, judged)
-    findings = ordered((*status_findings(fit.status), *judged, *notes))
+    findings = ordered((*status_findings(fit.status & ~_told(record)), *judged, *notes))
     found = fit.theta, fit.theta_std, findings
     result = DriveResult(estimator, *found, record, fit.relative_error, fit=fit, model_spread=spread)
     return result if known is None else put_together(result, known, axis, known.of(fit, spread))
+
+
+def _told(record: Record) -> int:
+    """Status bits of what the record's notes say: its gaps."""
+    return int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.STANDSTILL) if np.any(np.isnan(record.u)) else 0
 
 
 def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: Choice | None) -> Adequacy | None:
@@ -324,6 +349,7 @@ def _recursive(
         free = np.delete(free, late, axis=1)
     relative = _relative_error(columns, free, track.status)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
+    occurred &= ~_told(record)
     closer = Status.UNMODELLED | Status.FEEDBACK | Status.DEAD_TIME  # `judge` looks closer at these
     held = occurred | (last & ~int(Status.SETTLING | closer))
     last_estimate: Estimate | Posterior = estimator.estimate

@@ -37,6 +37,9 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     kind, given = kind_of(axis), axis
     axis = kind.prepared(data, given)
     kind.check(data, axis)
+    whole = kind.completed(data, axis)
+    if whole is not data:  # behind another pole it may say more
+        data, axis = whole, kind.prepared(whole, given)
     try:
         result = kind.estimate(data, axis, progress)
     except NotIdentifiableError as error:

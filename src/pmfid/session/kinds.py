@@ -19,6 +19,7 @@ from pmfid.session.config import Axis, check_sampling
 from pmfid.session.records import Record
 from pmfid.session.result import Result
 from pmfid.session.stored import Stored
+from pmfid.session.tables import Table
 from pmfid.transfer.experiment import Experiment
 from pmfid.types import Floats
 
@@ -41,9 +42,17 @@ class Kind(ABC, Generic[Data]):
     def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Data:
         """The records at `paths`. Raises UsageError for what is no such record, or too many of them."""
 
+    @abstractmethod
+    def of_table(self, table: Table, axis: Axis) -> Data:
+        """The same of a table of columns. Raises UsageError as `read` does."""
+
     def prepared(self, data: Data, axis: Axis) -> Axis:
         """The configuration with what it leaves to the record; the same where it leaves nothing."""
         return axis
+
+    def completed(self, data: Data, axis: Axis) -> Data:
+        """The records with what the model of a complete configuration says of samples that they lack."""
+        return data
 
     @abstractmethod
     def estimate(self, data: Data, axis: Axis, progress: Progress | None = None) -> Result:

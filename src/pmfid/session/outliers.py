@@ -172,7 +172,7 @@ def _without(counts: Counts, runs: list[_Run]) -> Counts:
 
 def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
     """Places of the input (n,) to which the counts (n,) do not answer."""
-    size = np.abs(u)
+    size = np.abs(np.nan_to_num(u))  # in a gap nobody knows it
     large = np.flatnonzero(size > SPIKE * np.quantile(size, 1 - MOST_INPUTS, method="lower"))
     if large.size == 0 or counts.size < 4 * ANSWER_SAMPLES:
         return large[:0]

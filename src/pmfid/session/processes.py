@@ -34,9 +34,10 @@ from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.session.record_config import NO_ENCODER
-from pmfid.session.records import read_experiment
+from pmfid.session.records import experiment_of, read_experiment
 from pmfid.session.result import ProcessResult, delay_of, expects_unstable
 from pmfid.session.stored import Stored
+from pmfid.session.tables import Table
 from pmfid.status import Status, status_findings
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.order import DELAYS, ORDERS, UNSTABLE, Candidate, Search, accepted_first, search_structure
@@ -63,6 +64,9 @@ class Processes(Kind[Sequence[Experiment]]):
         if quantize is not None:
             raise UsageError("quantize is for a drive; floor the column of the record for a transfer function")
         return [read_experiment(path, axis) for path in paths]
+
+    def of_table(self, table: Table, axis: Axis) -> Sequence[Experiment]:
+        return [experiment_of(table, axis)]
 
     def name_and_samples(self, data: Sequence[Experiment]) -> tuple[str, int]:
         return ", ".join(experiment.name for experiment in data), sum(part.u.size for part in data)

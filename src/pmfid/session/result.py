@@ -10,7 +10,7 @@ import numpy as np
 
 from pmfid.errors import place_of
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.known import Known
+from pmfid.estimators.known import Known, told_by
 from pmfid.estimators.results import Fit
 from pmfid.estimators.track import Track
 from pmfid.findings import Finding, codes, ordered, texts
@@ -108,12 +108,6 @@ class Result(Shown):
         return "\n".join([*lines, *self._remarks])
 
     @property
-    def _remarks(self) -> list[str]:
-        """The status, and a line for each finding."""
-        status = [f"status: {', '.join(self.status)}"] if self.status else []
-        return [*status, *(finding.line for finding in self.findings)]
-
-    @property
     def title(self) -> str:
         return f"{self.name}: {self.estimator.method}, {self.samples} samples"
 
@@ -123,6 +117,12 @@ class Result(Shown):
         told = {name: f" ({known})" for name, known in self.beforehand.items()}
         lines = Parameters(self.names, self.units, self.theta, self.theta_std).lines
         return [line + told.get(name, "") for name, line in zip(self.names, lines, strict=True)]
+
+    @property
+    def _remarks(self) -> list[str]:
+        """The status, and a line for each finding."""
+        status = [f"status: {', '.join(self.status)}"] if self.status else []
+        return [*status, *(finding.line for finding in self.findings)]
 
     def summary(self) -> Summary:
         return Summary(self.title, parameter_header(self), parameter_rows(self), self._lines, self._remarks)
@@ -198,11 +198,11 @@ class DriveResult(Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        return self.estimator.names if self.known is None else self.known.names
+        return told_by(self.estimator, self.known).names
 
     @property
     def units(self) -> tuple[str, ...]:
-        return self.estimator.units if self.known is None else self.known.units
+        return told_by(self.estimator, self.known).units
 
     @property
     def beforehand(self) -> dict[str, str]:

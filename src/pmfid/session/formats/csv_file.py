@@ -70,7 +70,7 @@ def _end_of_line(text: bytes, lines: int) -> int:
 def _columns(body: bytes, layout: Layout) -> dict[str, object]:
     import polars as pl
 
-    body = _COMMENT.sub(b"", body).rstrip(b"\n")
+    body = _COMMENT.sub(b"", body).rstrip().removesuffix(b"\nEOF")
     if not body.strip():
         return {name: pl.Series(name, [], dtype=pl.String) for name in layout.names}
     if layout.separator == " ":

@@ -129,7 +129,10 @@ def _fields(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[st
 
 
 def _numeric(fields: Sequence[str], decimal: str) -> bool:
-    """Is this a line of data? One number at least, and few words."""
+    """Is this a line of data? One number at least, and few words, and no settings, a word in front of each number."""
+    words = [field for field in fields if not _known(field, decimal)]
+    if len(words) > 1 and set(words) == {fields[0]}:
+        return False
     known = sum(_known(field, decimal) for field in fields)
     return any(_NUMBER[decimal].fullmatch(field) for field in fields) and 100 * known >= NUMBERS * len(fields)
 
@@ -148,6 +151,8 @@ def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple
     """The names of the columns with these fields, from the nearest line above with as many, which may be a comment,
     with the units of a row of nothing else; and whether there was one."""
     lines = [split(line.strip().lstrip("#%/ "), separator) for line in above]
+    if scope := _scope_names([line for line in lines if len(line) == len(fields)]):
+        return scope, True
     rows = [row for line in reversed(lines) if any(row := _as_long(line, fields))]
     if not rows:
         return tuple(f"column_{k}" for k in range(1, len(fields) + 1)), False
@@ -156,6 +161,20 @@ def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple
         header, units = rows[1], [unit.strip("[]() ") for unit in header]
     names = [name or f"column_{k}" for k, name in enumerate(header, 1)]
     return tuple(f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)), True
+
+
+def _scope_names(lines: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """The names of an export of TwinCAT Scope, whose lines of settings repeat their key above each column of stamps,
+    which are in ms; empty of any other file."""
+    settings = {line[0]: line for line in lines if line.count(line[0]) * 2 <= len(line)}
+    if not {"Name", "SampleTime[ms]"} <= set(settings):
+        return ()
+    units = settings.get("Unit", [""] * len(settings["Name"]))
+    names = []
+    for k, (name, unit) in enumerate(zip(settings["Name"], units, strict=True)):
+        stamps = "time [ms]" if k == 0 else f"time_{k} [ms]"
+        names.append(stamps if name == "Name" else f"{name} [{unit}]" if unit and unit != "Unit" else name)
+    return tuple(names)
 
 
 def are_units(fields: Sequence[str]) -> bool:

@@ -1,0 +1,166 @@
+"""Study: what becomes of logs as they come? `python -m studies.logs --out docs/logs.md`."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.paper.truth import table
+from pmfid.session.config import Axis
+from pmfid.session.identify import identify, kind_of
+from pmfid.session.toml_file import validated
+from pmfid.types import Floats
+from studies.log_bench import BENCHES, Keys, Log
+from studies.log_folder import clean, logs
+
+#: Parameters may differ by this part from those of the clean log.
+SAME = 0.005
+#: Remedies that one follows before giving up.
+PATIENCE = 4
+#: "[encoder] resolution = "0.01 mm" or "0.01 m"", "give bits = 12".
+_KEY = re.compile(r'(?:\[(?P<section>\w+)\] )?(?P<key>\w+) = (?P<first>"[^"]*"|-?[\d.]+(?:e-?\d+)?)')
+#: An estimate, or the sentence of a refusal. Keys: as AXIS.toml has them.
+Run = Callable[[Path, Keys], Floats]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """error: the largest of the parameters' relative deviations from the clean log, None: none was found; said: the
+    refusals on the way; followed: what was done about them."""
+
+    error: float | None
+    said: tuple[str, ...]
+    followed: tuple[str, ...]
+
+    @property
+    def verdict(self) -> str:
+        if self.error is None:
+            return "refused"
+        return "same" if self.error <= SAME else "WRONG"
+
+
+def by_config(path: Path, keys: Keys) -> Floats:
+    """The estimate that `pmfid identify` gives with these keys. Raises as it does."""
+    axis = validated(Axis, keys)
+    return identify(kind_of(axis).read([path], axis), axis).theta
+
+
+def outcome(log: Log, folder: Path, reference: Floats, run: Run = by_config) -> Outcome:
+    """What becomes of a log of which every remedy is followed literally."""
+    path, keys = log.write(folder, BENCHES[log.bench]), deepcopy(log.config())
+    said: list[str] = []
+    followed: list[str] = []
+    for _ in range(PATIENCE):
+        try:
+            theta = run(path, keys)
+        except (UsageError, NotIdentifiableError) as error:
+            said.append(str(error).removeprefix(f"{path}: "))
+            done = _follow(said[-1], log, keys, path)
+            if done is None:
+                break
+            followed.append(done)
+            continue
+        return Outcome(float(np.max(np.abs(theta / reference - 1))), tuple(said), tuple(followed))
+    return Outcome(None, tuple(said), tuple(followed))
+
+
+def _follow(sentence: str, log: Log, keys: Keys, path: Path) -> str | None:
+    """Does what a refusal says, with the user's own units where it asks for them; None where it names no key, and the
+    user cannot do it to the file."""
+    if "dt" in log.units and "give [record] dt" in sentence:
+        keys["record"]["dt"] = BENCHES[log.bench].dt
+        return f"dt = {BENCHES[log.bench].dt:g}"
+    remedy = re.search(r"\b(?:give|write|set)\b(.*)", sentence)
+    found = _KEY.search(remedy.group(1)) if remedy else None
+    if found is None or remedy is None:
+        if log.mend is None:
+            return None
+        log.mend(path)
+        return "the file is mended"
+    section = found["section"] or next(name for name, own in _homes().items() if found["key"] in own)
+    ways = re.findall(r'"[^"]*"', remedy.group(1)[found.start("first") :].split(";")[0]) or [found["first"]]
+    value = next((way for unit in log.units for way in ways if re.search(rf'[ /"]{re.escape(unit)}"', way)), ways[0])
+    keys[section][found["key"]] = (
+        value.strip('"') if value.startswith('"') else int(value) if value.isdigit() else float(value)
+    )
+    return f"{found['key']} = {value}"
+
+
+def _homes() -> dict[str, set[str]]:
+    return {name: set(getattr(field.annotation, "model_fields", {})) for name, field in Axis.model_fields.items()}
+
+
+def outcomes(chosen: list[Log], run: Run = by_config) -> Iterator[tuple[Log, Outcome]]:
+    """Of each log, in a folder of its own."""
+    with tempfile.TemporaryDirectory() as home:
+        references = {name: _reference(name, Path(home)) for name in BENCHES}
+        for k, log in enumerate(chosen):
+            folder = Path(home) / str(k)
+            folder.mkdir()
+            yield log, outcome(log, folder, references[log.bench], run)
+
+
+def _reference(name: str, folder: Path) -> Floats:
+    log = clean(name)
+    return by_config(log.write(folder, BENCHES[name]), log.config())
+
+
+def rows(found: list[tuple[Log, Outcome]]) -> list[list[str]]:
+    """One for each log."""
+    made = []
+    for log, result in found:
+        error = "" if result.error is None else f"{100 * result.error:.3f}"
+        said = result.said[0].replace("|", "\\|").replace("\n", " ") if result.said else ""
+        followed = ", ".join(result.followed).replace("|", "\\|")
+        made.append([log.name, log.bench, result.verdict, error, said, followed])
+    return made
+
+
+PAGE = """\
+# Logs as they come
+
+Written by
+
+    python -m studies.logs --out docs/logs.md
+
+Logs of a rotary and a linear axis with known truth, in every format, layout, unit and way to tell the time, with every
+defect, alone and in twos. The AXIS.toml of each is that of a user who knows the names of the columns and the numbers of
+the data sheet, in whatever unit these are. Where the log is refused, the remedy is followed literally, as often as
+{patience} times, until there is an estimate. It is the same where mass, viscous and Coulomb friction are within
+{same:.1f} % of what the clean log gives.
+
+{count} logs: {same_count} the same ({at_once} of them at once), {refused} refused, {wrong} wrong.
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m studies.logs", description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="Markdown page to write")
+    parser.add_argument("--only", default="", help="logs with this in their name")
+    options = parser.parse_args(arguments)
+    found = list(outcomes([log for log in logs() if options.only in log.name]))
+    verdicts = [result.verdict for _, result in found]
+    page = PAGE.format(
+        patience=PATIENCE,
+        same=100 * SAME,
+        count=len(found),
+        same_count=verdicts.count("same"),
+        at_once=sum(result.verdict == "same" and not result.said for _, result in found),
+        refused=verdicts.count("refused"),
+        wrong=verdicts.count("WRONG"),
+    )
+    header = ["log", "axis", "outcome", "deviation [%]", "what was said first", "what was done"]
+    options.out.write_text("\n".join([page, *table(header, rows(found))]), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,121 @@
+"""Records that are frames: pandas, Polars, Arrow and dicts of arrays, by an AXIS.toml."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pytest
+
+import pmfid
+from pmfid.errors import UsageError
+from pmfid.session.config import Axis
+from pmfid.session.frames import table_of
+from pmfid.session.records import record_of
+from pmfid.session.tables import column, times
+from tests.conftest import cart_run, unjudged
+
+TOML = """\
+[record]
+input = "u"
+output = "counts"
+output_kind = "counts"
+time = "t"
+[encoder]
+resolution = 22.75e-6
+[model]
+input_gain = 2.0
+[estimator]
+method = "iv"
+cutoff = 20.0
+"""
+RUN = cart_run(1, samples=800)
+START = datetime.datetime(2026, 3, 4, tzinfo=datetime.UTC)
+COLUMNS = {"t": np.arange(800) * 0.01, "u": RUN.u, "counts": RUN.counts}
+
+
+class Capsule:
+    """Another owner of Arrow data."""
+
+    def __init__(self, frame: pl.DataFrame) -> None:
+        self.frame = frame
+
+    def __arrow_c_stream__(self, requested_schema: object = None) -> object:
+        return self.frame.__arrow_c_stream__(requested_schema)
+
+
+FRAMES = {
+    "dict": COLUMNS,
+    "pandas": pd.DataFrame(COLUMNS),
+    "polars": pl.DataFrame(COLUMNS),
+    "arrow": Capsule(pl.DataFrame(COLUMNS)),
+    "lists": {name: values.tolist() for name, values in COLUMNS.items()},
+    "pandas moments": pd.DataFrame(COLUMNS | {"t": pd.date_range("2026-03-04", periods=800, freq="10ms", tz="UTC")}),
+    "polars moments": pl.DataFrame(
+        COLUMNS | {"t": [START + datetime.timedelta(milliseconds=10 * k) for k in range(800)]}
+    ),
+    "pandas nullable": pd.DataFrame(COLUMNS).convert_dtypes(),
+}
+
+
+@pytest.fixture(scope="module")
+def axis(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("axis") / "axis.toml"
+    path.write_text(TOML)
+    return path
+
+
+@pytest.mark.parametrize("kind", FRAMES)
+def test_every_frame_is_the_same_record(kind: str, axis: Path) -> None:
+    from pmfid.session.config import load_axis
+
+    record = record_of(table_of(FRAMES[kind]), load_axis(axis))
+    np.testing.assert_array_equal(record.u, RUN.u)
+    np.testing.assert_array_equal(record.counts, RUN.counts)
+    assert record.dt == pytest.approx(0.01, rel=1e-9)
+
+
+def test_identify_takes_a_frame_a_file_and_an_axis(axis: Path, tmp_path: Path) -> None:
+    pl.DataFrame(COLUMNS).write_parquet(tmp_path / "run.parquet")
+    with unjudged():
+        first = pmfid.identify(FRAMES["pandas"], axis=axis)
+        assert first["mass"] == pytest.approx(1.07, rel=0.03)
+        for record in (FRAMES["arrow"], tmp_path / "run.parquet", str(tmp_path / "run.parquet")):
+            np.testing.assert_array_equal(pmfid.identify(record, axis=str(axis)).theta, first.theta)
+
+
+def test_epochs_in_ns_keep_their_digits_and_missing_numbers_are_missing() -> None:
+    epoch = 1_772_582_400_000_000_000 + 10_000_000 * np.arange(5)
+    stamps, _ = times(table_of(pd.DataFrame({"t": epoch})), "t")
+    np.testing.assert_allclose(np.diff(stamps), 1e7, atol=256)
+    with_gap = pd.DataFrame({"u": pd.array([1, None, 3], dtype="Int64")})
+    np.testing.assert_array_equal(column(table_of(with_gap), "input", "u"), [1.0, np.nan, 3.0])
+
+
+def test_what_is_no_frame_is_refused(axis: Path) -> None:
+    for wrong in (pl.LazyFrame(COLUMNS), 7, [1, 2]):
+        with pytest.raises(UsageError, match="a record is a frame of pandas, Polars or Arrow, a dict of arrays or"):
+            pmfid.identify(wrong, axis=axis)
+    with pytest.raises(UsageError, match="axis says everything but the record"):
+        pmfid.identify(FRAMES["dict"], axis=axis, dt=0.01)
+    with pytest.raises(UsageError, match="neither model nor axis is given"):
+        pmfid.identify(RUN.u, RUN.counts, dt=0.01)
+
+
+def test_a_transfer_function_of_a_frame() -> None:
+    sections = {
+        "record": {"input": "u", "output": "y", "dt": 0.1},
+        "encoder": {"resolution": 1e-29},
+        "model": {"kind": "transfer_function", "n": 1, "m": 0},
+        "estimator": {"cutoff": 2.0},
+    }
+    u = np.repeat(np.random.default_rng(2).normal(size=60), 5)
+    y = np.zeros(u.size)
+    for k in range(1, u.size):
+        y[k] = np.exp(-0.1) * y[k - 1] + 2 * (1 - np.exp(-0.1)) * u[k - 1]
+    result = pmfid.identify(pl.DataFrame({"u": u, "y": y}), axis=Axis.model_validate(sections))
+    assert result.names == ("b0", "a0") or len(result.theta) == 2
+    assert float(np.max(np.abs(np.sort(np.abs(result.theta)) - [1.0, 2.0]))) < 0.02
