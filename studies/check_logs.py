@@ -83,7 +83,7 @@ def run_of(seed: int, axes: Mapping[str, Axis], motions: tuple[str, ...] = MOTIO
 
 
 def moved(axis: Axis, machine: Machine, motion: str, coarser: int, seed: int, label: str = "") -> Run:
-    free = MappingProxyType({**axis.control, "u_max": 1e3 * axis.control["u_max"]})  # a limit is a fault of the list
+    free = MappingProxyType({**axis.control, "u_max": 4 * axis.control["u_max"]})  # a limit is a fault of the list
     axis = replace(axis, samples=min(axis.samples, MOST), control=free)
     if motion != "ramps":
         record = machines.record_of(axis, machine, motion, 4096 // coarser, seed)

@@ -107,7 +107,7 @@ class Drives(Kind[Record]):
         return checks.glanced(data, axis)
 
     def checked(self, data: Record, axis: Axis, judged: bool = False) -> tuple[Finding, ...]:
-        return ordered((*checks.checked(data, axis, judged), *believed_of(data, axis).findings))
+        return checks.checked(data, axis, judged) or believed_of(data, axis).findings
 
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
         known = believed_of(data, axis)

@@ -64,7 +64,5 @@ def explained(error: NotIdentifiableError, findings: tuple[Finding, ...]) -> Not
 
 
 def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
-    """What a log may have got wrong, most important first, before anything is estimated. Raises UsageError for a
-    configuration that does not fit the data."""
-    kind = kind_of(axis)
-    return kind.checked(data, kind.prepared(data, axis))
+    """What a log may have got wrong, most important first, before anything is estimated."""
+    return kind_of(axis).checked(data, axis)

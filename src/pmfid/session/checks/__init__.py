@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pmfid.findings import Finding, ordered
 from pmfid.session.checks.counter import forgotten_bits, frozen, held_output, jump
 from pmfid.session.checks.inputs import held_input, saturated
-from pmfid.session.checks.log import Log
+from pmfid.session.checks.log import Log, without_gaps
 from pmfid.session.checks.motion import no_inertia, no_motion
 from pmfid.session.checks.readings import read_as
 from pmfid.session.checks.timing import acts_late, drifts, too_fast, too_slow
@@ -26,20 +26,21 @@ Check = Callable[[Log], Iterator[Finding]]
 SOON: tuple[tuple[Check, ...], ...] = (
     (no_motion, forgotten_bits, too_fast),
     (read_as,),
-    (jump, held_output, frozen, held_input, saturated, too_slow),
+    (held_output, frozen, held_input, saturated),
+    (too_slow, jump),
 )
 LATER: tuple[tuple[Check, ...], ...] = ((drifts,), (no_inertia,))
 
 
 def glanced(record: Record, axis: Axis) -> tuple[Finding, ...]:
     """What the columns show at a glance."""
-    return ordered(_found(Log(record, axis), SOON))
+    return ordered(_found(Log(without_gaps(record), axis), SOON))
 
 
 def checked(record: Record, axis: Axis, judged: bool = False) -> tuple[Finding, ...]:
     """All that is found; judged: but for an input that acts late, which an estimate is judged by as well."""
     families = (*SOON, *LATER) if judged else (*SOON, *LATER, (acts_late,))
-    return ordered(_found(Log(record, axis), families))
+    return ordered(_found(Log(without_gaps(record), axis), families))
 
 
 def _found(log: Log, families: tuple[tuple[Check, ...], ...]) -> Iterator[Finding]:

@@ -10,6 +10,7 @@ from pmfid.findings import Finding
 from pmfid.judge.counts import count_jump
 from pmfid.session.checks.log import Log
 from pmfid.session.checks.repeats import period_of
+from pmfid.session.checks.stops import Stop
 from pmfid.session.wrap import wrap_of
 
 __all__ = ["forgotten_bits", "frozen", "held_output", "jump"]
@@ -59,7 +60,7 @@ def frozen(log: Log) -> Iterator[Finding]:
             f"the output column {output!r} ends at {size:.6g} while the axis goes on, {len(ends)} "
             f"time{'s' * (len(ends) > 1)}, first in rows {first[0] + 1} to {first[1] + 1}: the range of the counter or "
             "the sensor ends there, and what moves on is taken for rest",
-            "use rows in front of the first, or record within the range",
+            f"use rows {_between(ends, counts.size)}, the most without, or record within the range",
         )
         return
     yield Finding(
@@ -67,5 +68,12 @@ def frozen(log: Log) -> Iterator[Finding]:
         f"the output column {output!r} stands still while the axis goes on, {len(stops)} "
         f"time{'s' * (len(stops) > 1)}, first in rows {first[0] + 1} to {first[1] + 1}: "
         "the counter, or what reads it, was stuck",
-        "use the rows in front of that or behind it, and check the wiring",
+        f"use rows {_between(stops, counts.size)}, the most without, and check the wiring",
     )
+
+
+def _between(stops: list[Stop], rows: int) -> str:
+    """The longest stretch of rows, from 1 on, without any of the stops."""
+    edges = [-1, *(edge for stop in stops for edge in stop), rows]
+    first, last = max(zip(edges[::2], edges[1::2], strict=True), key=lambda pair: pair[1] - pair[0])
+    return f"{first + 2} to {last}"

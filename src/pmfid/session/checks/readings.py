@@ -20,7 +20,7 @@ from pmfid.types import Counts, Floats
 __all__ = ["INTEGRATE", "integrated", "read_as", "turned"]
 
 #: Part of the input that a reading may leave unexplained, of all of it, and of what the record as it stands leaves.
-FOLLOWS, BETTER = 0.3, 0.3
+FOLLOWS, BETTER = 0.15, 0.3
 #: With a part this small left, and a mass that is seen, no other reading need be tried.
 CLEARLY = 0.001
 #: Standard deviations from which on a sign is certain, and from which on it is likely.

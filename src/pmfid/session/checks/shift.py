@@ -29,12 +29,18 @@ SLOW = 0.1
 
 @dataclass(frozen=True)
 class Drift:
-    """samples: by how many the input moves against the output from the beginning of the record to its end, later if
-    positive; sure: in standard deviations; less: what is left unexplained, over what is left without."""
+    """samples: by how many the input moves against the output over `rows` of the record, later if positive; sure: in
+    standard deviations; less: what is left unexplained, over what is left without."""
 
     samples: float
+    rows: int
     sure: float
     less: float
+
+    @property
+    def rate(self) -> float:
+        """Of the samples, per row."""
+        return self.samples / self.rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +77,7 @@ def drift_of(view: View) -> Drift | None:
     whole, best, least = _best(sums)
     others = np.array([_best(sums.without(piece))[0] for piece in range(PIECES)])
     spread = np.sqrt((PIECES - 1) / PIECES * np.sum((others - others.mean()) ** 2) + STEP**2 / 12)
-    return Drift(whole, abs(whole) / float(spread), best / max(least, 1e-300))
+    return Drift(whole, n, abs(whole) / float(spread), best / max(least, 1e-300))
 
 
 def _best(sums: _Sums) -> tuple[float, float, float]:

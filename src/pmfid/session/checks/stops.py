@@ -22,6 +22,8 @@ Stop = tuple[int, int]
 SPANS, COUNTS = (1, 2, 4, 8, 16, 32), 6
 #: It is no stop of the axis where that moves on to it so many times as far as it can be slowed down elsewhere.
 ABRUPT = 2.5
+#: Part of the record that must be apart from stops, to tell that.
+APART = 0.2
 #: Samples of a stop, at the least, and counts that would have come in it at the usual speed.
 SHORTEST, MISSED = 5, 4.0
 #: Rows outside of stops, at the least: a column of steps has none.
@@ -57,7 +59,10 @@ def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
             break
         turn = np.zeros(counts.size)
         turn[span:-span] = np.abs(counts[2 * span :] - 2 * counts[span:-span] + counts[: -2 * span])
-        limit = ABRUPT * (float(np.max(turn[~_near(edges, span)], initial=0.0)) + 1)
+        apart = ~_near(edges, span)
+        if np.mean(apart) < APART:
+            break
+        limit = ABRUPT * (float(np.max(turn[apart])) + 1)
         found |= {
             (first, last)
             for first, last in stops

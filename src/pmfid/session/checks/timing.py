@@ -8,6 +8,7 @@ from contextlib import suppress
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.cutoff import choose_cutoff
 from pmfid.estimators.interval import IntervalML
 from pmfid.findings import Finding
 from pmfid.judge.counts import counts_per_sample
@@ -17,6 +18,7 @@ from pmfid.session.checks.log import Log, hasty, liveliest
 from pmfid.session.checks.shift import Drift, drift_of
 from pmfid.session.checks.view import view
 from pmfid.session.known import at_some_gain
+from pmfid.types import Counts, Floats
 
 __all__ = ["acts_late", "drifts", "too_fast", "too_slow"]
 
@@ -28,6 +30,8 @@ IDLE, PLENTY = 0.02, 0.2
 #: Filters through which a drift is looked for [samples]; of a drift: samples, standard deviations, and what may be left
 #: of the unexplained part with it.
 DRIFT_TIMES, DRIFTED, SURE, LESS = (10.0, 30.0, 100.0), 1.5, 4.5, 0.95
+#: Looks behind a correction, and how far these may move a drift, in parts of the first.
+CORRECTIONS, MOST = 3, 1.5
 #: Samples in which it is looked for.
 MOST_SAMPLES = 40_000
 
@@ -63,23 +67,42 @@ def drifts(log: Log) -> Iterator[Finding]:
     """An input whose rows are those of another clock than the output's."""
     if not log.is_machine or log.view is None:
         return
-    drift = _drift(log)
-    if drift is None:
+    rate, n = _drift(log), log.record.u.size
+    if rate == 0:
         return
-    n = min(log.record.u.size, MOST_SAMPLES)
     yield Finding(
         "drift",
-        f"the input moves against the output by {abs(drift.samples):.2g} rows within {n}, for then the motion explains "
+        f"the input moves against the output by {abs(rate) * n:.2g} rows within {n}, for then the motion explains "
         "it better throughout: they are of two clocks",
-        f"log both by one clock, or multiply the time of the input by {1 + drift.samples / n:.6f} and interpolate it "
-        "at that of the output",
+        f"log both by one clock, or multiply the time of the input by {1 + rate:.6f} and take the latest "
+        "one at each time of the output",
     )
 
 
-def _drift(log: Log) -> Drift | None:
-    """The surest drift that is beyond chance."""
+def _drift(log: Log) -> float:
+    """The surest drift that is beyond chance, per row, 0 where there is none; found again behind a first correction,
+    which large ones need."""
     part = liveliest(log.known.counts, MOST_SAMPLES)
     u, counts = log.force[part], log.known.counts[part]
+    first = _surest(log, u, counts)
+    if first is None:
+        return 0.0
+    rate = first.rate
+    for _ in range(CORRECTIONS):
+        further = _surest(log, _resampled(u, rate), counts)
+        if further is None or abs(rate + further.rate) > MOST * abs(first.rate):
+            break
+        rate += further.rate
+    return rate
+
+
+def _resampled(u: Floats, rate: float) -> Floats:
+    """The input (n,), held between its rows, at the rows of an output against which it drifts by a rate."""
+    rows = np.arange(u.size) / (1 + rate)
+    return np.asarray(u[np.minimum(rows, u.size - 1).astype(int)])
+
+
+def _surest(log: Log, u: Floats, counts: Counts) -> Drift | None:
     views = [view(u, counts, log.encoder, log.record.dt, time) for time in DRIFT_TIMES]
     found = [drift for one in views if one is not None and (drift := drift_of(one)) is not None]
     sure = [one for one in found if abs(one.samples) >= DRIFTED and one.sure > SURE and one.less < LESS]
@@ -92,10 +115,12 @@ def acts_late(log: Log) -> Iterator[Finding]:
         return
     axis, record = at_some_gain(log.axis), log.known
     model = axis.model.make()
-    if model.equation.further or axis.estimator.cutoff is None:
+    if model.equation.further:
         return
-    method = IntervalML(model, log.encoder, record.dt, axis.estimator.pole, order=axis.estimator.order)
+    encoder = axis.encoder.made(record.resolution)
     with suppress(NotIdentifiableError, UsageError):
+        cutoff = axis.estimator.cutoff or choose_cutoff([model], encoder, record.dt, record.u, record.counts)
+        method = IntervalML(model, encoder, record.dt, cutoff, order=axis.estimator.order)
         found = examined(method, record.u, record.counts, np.zeros(len(method.equation.names)))
         if found is not None and not found.adequate:
             yield from late(found)

@@ -1,0 +1,264 @@
+"""Faults of logs: found, said in one sentence everywhere, and mended by what that says; no other is found."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import pmfid
+from pmfid.cli.main import main
+from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
+from pmfid.findings import Finding, codes, ordered
+from pmfid.report.result import write_result
+from pmfid.session.checks import checked
+from pmfid.session.config import Axis
+from pmfid.session.identify import identify
+from pmfid.session.records import Record, record_of
+from pmfid.session.result import Result
+from pmfid.simulation import make_scenario
+from studies.check_logs import FAULTS, Logged, clean, faulty
+from studies.friction_axes import BENCHES
+
+#: Small machines, so that a log is made and read at once.
+AXES = {name: BENCHES[name] for name in ("cart", "slide")}
+SEED = 2
+#: Faults that a file shows which cannot be read, and one that an estimate is judged by.
+UNREADABLE, JUDGED = "counts as position", "dead time"
+SEEN = [fault for fault in FAULTS if fault not in (UNREADABLE, JUDGED)]
+
+
+@cache
+def log_of(fault: str) -> Logged:
+    return faulty(fault, SEED, AXES)
+
+
+@cache
+def found_in(fault: str) -> tuple[Finding, ...]:
+    log = log_of(fault)
+    return checked(log.record(), log.configuration, judged=fault != JUDGED)
+
+
+def plainly(record: Record, axis: Axis) -> Result | NotIdentifiableError:
+    """By least squares, or why not; what is thought of the estimate is that its model lacks something."""
+    doubt = Finding("unmodelled", "the model lacks something")
+    ways = {"judge": mock.Mock(return_value=(doubt,)), "examined": mock.Mock(return_value=None)}
+    options = axis.estimator.model_copy(update={"method": "ls", "cutoff": axis.estimator.cutoff or 1 / (5 * record.dt)})
+    try:
+        with mock.patch.multiple("pmfid.session.drives", **ways):
+            return identify(record, axis.model_copy(update={"estimator": options}))
+    except NotIdentifiableError as error:
+        return error
+
+
+# --- found ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fault", SEEN)
+def test_the_fault_is_named_with_its_remedy(fault: str) -> None:
+    found = found_in(fault)
+    assert FAULTS[fault][1] & {finding.code for finding in found}
+    assert all(finding.remedy for finding in found)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_clean_log_has_no_fault(seed: int) -> None:
+    log = clean(seed, AXES)
+    assert checked(log.record(), log.configuration, judged=True) == ()
+
+
+# --- one sentence -----------------------------------------------------------------------------------------------------
+
+
+def written(log: Logged, folder: Path) -> tuple[Path, Path]:
+    """The log as a file with its AXIS.toml."""
+    names = list(log.columns)
+    rows = np.column_stack([log.columns[name] for name in names])
+    np.savetxt(folder / "log.csv", rows, "%.17g", delimiter=",", header=",".join(names), comments="")
+    lines = []
+    for section, part in log.configuration:
+        given = {key: getattr(part, key) for key in part.model_fields_set}
+        lines += [f"[{section}]", *(f"{key} = {json.dumps(value)}" for key, value in given.items())] if given else []
+    (folder / "axis.toml").write_text("\n".join(lines), encoding="utf-8")
+    return folder / "log.csv", folder / "axis.toml"
+
+
+@pytest.mark.parametrize("fault", SEEN)
+def test_the_same_sentence_everywhere(fault: str, tmp_path: Path) -> None:
+    log, sentences = log_of(fault), [finding.text for finding in found_in(fault)]
+    record, axis = written(log, tmp_path)
+    with mock.patch("pmfid.session.checks.acts_late", return_value=iter(())):
+        command = ["check", str(record), "--config", str(axis)]
+        terminal, as_json = (CliRunner().invoke(main, [*command, *more]) for more in ([], ["--json"]))
+    wrong = any(finding.severity == "wrong" for finding in found_in(fault))
+    assert terminal.exit_code == as_json.exit_code == (3 if wrong else 1)
+    assert [line.partition(": ")[2] for line in terminal.stdout.splitlines()[1:]] == sentences
+    assert json.loads(as_json.stdout)["findings"] == [finding.to_json() for finding in found_in(fault)]
+    result = plainly(log.record(), log.configuration)
+    if isinstance(result, NotIdentifiableError):
+        assert all(sentence in str(result) for sentence in sentences)
+        return
+    assert [note for note in result.notes if note in sentences] == sentences
+    shown = result.to_json()
+    assert [finding.to_json() for finding in found_in(fault)] == [
+        one for one in shown["findings"] if f"{one['sentence']}: {one['remedy']}" in sentences
+    ]
+    assert all(sentence in str(result) for sentence in sentences)
+    with mock.patch("pmfid.report.record.model_checks", return_value=[]):
+        write_result(tmp_path / "out", result)
+    page = html.unescape((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
+    assert all(sentence in page for sentence in sentences)
+
+
+def test_python_says_what_the_command_says() -> None:
+    log = log_of("reversed sign")
+    record, gain = log.record(), log.run.axis.drive.input_gain
+    encoder = pmfid.Encoder(record.resolution)
+    found = pmfid.check(record.u, record.counts, model=pmfid.Drive(gain), dt=record.dt, encoder=encoder)
+    assert [finding.code for finding in found] == ["reversed"]
+    assert found[0].text == found_in("reversed sign")[0].text
+
+
+def test_an_input_that_acts_late_is_said_as_of_the_estimate() -> None:
+    log = log_of(JUDGED)
+    late = [finding for finding in found_in(JUDGED) if finding.code == "dead_time"]
+    assert len(late) == 1
+    assert late[0].text in identify(log.record(), log.configuration).notes
+
+
+def test_counts_that_are_taken_for_a_position_are_refused_in_the_same_words(tmp_path: Path) -> None:
+    record, axis = written(log_of(UNREADABLE), tmp_path)
+    said = [CliRunner().invoke(main, [name, str(record), "--config", str(axis)]) for name in ("check", "identify")]
+    assert [result.exit_code for result in said] == [2, 2]
+    assert said[0].stderr == said[1].stderr
+    assert 'give output_kind = "counts"' in said[0].stderr
+
+
+def test_a_clean_log_ends_with_0(tmp_path: Path) -> None:
+    log = clean(1, AXES)
+    record, axis = written(log, tmp_path)
+    with mock.patch("pmfid.session.checks.acts_late", return_value=iter(())):
+        result = CliRunner().invoke(main, ["check", str(record), "--config", str(axis)])
+    assert (result.exit_code, result.stdout) == (0, f"log.csv: {log.run.u.size} samples, nothing found\n")
+
+
+# --- remedies, followed literally -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Mended:
+    columns: dict[str, np.ndarray]
+    changes: dict[str, dict[str, object]]
+
+
+def value_of(pattern: str, text: str) -> str:
+    found = re.search(pattern, text)
+    assert found is not None, text
+    return found.group(1)
+
+
+def keyed(section: str, key: str) -> Callable[[Logged, str], Mended]:
+    """The key that the remedy names, with its value."""
+
+    def mend(log: Logged, text: str) -> Mended:
+        return Mended(log.columns, {section: {key: json.loads(value_of(rf"{key} = (\S+)", text))}})
+
+    return mend
+
+
+def swapped(log: Logged, text: str) -> Mended:
+    names = {key: value_of(rf'{key} = "(\w)"', text) for key in ("input", "output")}
+    return Mended(log.columns, {"record": dict(names)})
+
+
+def cut(log: Logged, text: str) -> Mended:
+    part = slice(int(value_of(r"use rows (\d+) to", text)) - 1, int(value_of(r"use rows \d+ to (\d+)", text)))
+    return Mended({name: values[part] for name, values in log.columns.items()}, {})
+
+
+def stretched(log: Logged, text: str) -> Mended:
+    factor, rows = float(value_of(r"by (\S+) and take the latest", text)), np.arange(log.columns["u"].size)
+    latest = np.searchsorted(rows * factor, rows, side="right") - 1
+    return Mended({**log.columns, "u": log.columns["u"][latest]}, {})
+
+
+def thinned(log: Logged, text: str) -> Mended:
+    every = int(value_of(r"keep every (\d+)th row", text))
+    starts = np.arange(0, log.columns["u"].size - every, every)
+    y = log.columns["y"]
+    first = int(np.flatnonzero(np.diff(y))[0] + 1) % every if "new value" in text else 0
+    u = log.columns["u"]
+    means = np.array([u[start : start + every].mean() for start in starts + first if start + every <= u.size])
+    columns = {"u": means, "y": y[starts[: means.size] + first]}
+    return Mended(columns, {"record": {"dt": log.run.dt * every}})
+
+
+REMEDIES: dict[str, Callable[[Logged, str], Mended]] = {
+    "reversed sign": keyed("model", "input_gain"),
+    "forgotten bits": keyed("encoder", "bits"),
+    "velocity as position": keyed("record", "output_kind"),
+    "exchanged columns": swapped,
+    "clipped counter": cut,
+    "stuck counter": cut,
+    "input of another clock": stretched,
+    "output held": thinned,
+    "sample rate too high": thinned,
+    "dead time": keyed("model", "dead_time"),
+}
+
+
+def mass_of(record: Record, axis: Axis) -> float:
+    """By instrumental variables; infinite where these do not settle."""
+    options = axis.estimator.model_copy(update={"method": "iv"})
+    ways = {"judge": mock.Mock(return_value=()), "examined": mock.Mock(return_value=None)}
+    try:
+        with mock.patch.multiple("pmfid.session.drives", **ways):
+            return float(identify(record, axis.model_copy(update={"estimator": options})).theta[0])
+    except PmfidError:
+        return np.inf
+
+
+@pytest.mark.parametrize("fault", REMEDIES)
+def test_the_remedy_helps_when_it_is_followed_literally(fault: str) -> None:
+    log, truth = log_of(fault), log_of(fault).run.axis.drive.mass
+    text = next(finding.text for finding in found_in(fault) if finding.code in FAULTS[fault][1])
+    mended = REMEDIES[fault](log, text)
+    raw = {name: dict(part) for name, part in log.configuration.model_dump(exclude_unset=True).items()}
+    for section, keys in mended.changes.items():
+        raw[section] |= keys
+    axis = Axis.model_validate(raw)
+    before = abs(mass_of(log.record(), log.configuration) / truth - 1)
+    after = abs(mass_of(record_of(mended.columns, axis), axis) / truth - 1)
+    assert after < max(0.5 * before, 0.005)
+    assert after < 0.2
+
+
+# --- findings ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_most_important_finding_comes_first_and_each_once() -> None:
+    note, doubt, wrong = (Finding(word, word, severity=word) for word in ("note", "doubt", "wrong"))
+    assert ordered([note, doubt, wrong, doubt]) == (wrong, doubt, note)
+    assert codes((wrong, doubt, note)) == ("wrong", "doubt")
+
+
+def test_a_relative_error_that_nobody_would_accept_is_no_result() -> None:
+    run = make_scenario("moves", seed=1, duration=10.0)
+    rng = np.random.default_rng(3)
+    u = rng.normal(size=run.counts.size)  # of another record
+    with pytest.raises(NotIdentifiableError):
+        pmfid.identify(u, run.counts, model=pmfid.Drive(2.0), dt=run.dt, encoder=pmfid.Encoder(run.resolution))
+
+
+def test_a_check_needs_whole_counts() -> None:
+    with pytest.raises(UsageError):
+        pmfid.check(np.ones(50), np.linspace(0, 1, 50), model=pmfid.Drive(1.0), dt=0.01, encoder=pmfid.Encoder(1e-3))

@@ -1,0 +1,150 @@
+"""`pmfid init`: columns, units, step and wrap guessed from a record alone, and what it writes is good to go on with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner
+
+from pmfid.cli.main import main
+from pmfid.session.config import Axis, load_axis
+from pmfid.session.guess.axis_file import guess
+from pmfid.session.guess.lattice import step_of
+from pmfid.session.guess.names import role_of
+from pmfid.session.identify import kind_of
+from pmfid.simulation import CART, Scenario, make_scenario
+from tests.conftest import unjudged
+
+RESOLUTION = 22.75e-6
+Frame = dict[str, np.ndarray]
+
+
+@cache
+def run() -> Scenario:
+    return make_scenario("moves", seed=4, duration=12.0)
+
+
+def position() -> np.ndarray:
+    return run().counts * RESOLUTION
+
+
+#: A log -> its columns, and the mass that init and identify find in it, of the cart's.
+LOGS: dict[str, tuple[Callable[[], Frame], float]] = {
+    "counts": (lambda: {"t": run().motion.t, "u": run().motion.u, "counts": run().counts}, RESOLUTION / 2),
+    "German": (
+        lambda: {"Zeit": run().motion.t, "Drehmoment [N m]": run().motion.u, "Istposition": position()},
+        0.5,
+    ),
+    "ms": (lambda: {"time": np.round(1000 * run().motion.t), "force": run().motion.u, "pos": position()}, 0.5),
+    "mm": (lambda: {"t [s]": run().motion.t, "Force [N]": run().motion.u, "pos_mm": 1000 * position()}, 0.5),
+    "turned": (lambda: {"t": run().motion.t, "u": -run().motion.u, "y": position()}, 0.5),
+    "wrapped": (lambda: {"t": run().motion.t, "u": run().motion.u, "cnt": run().counts % 4096}, RESOLUTION / 2),
+    "velocity": (
+        lambda: {"t": run().motion.t, "u": run().motion.u, "speed": run().motion.v},
+        0.5,
+    ),
+    "many": (
+        lambda: {
+            "index": np.arange(run().counts.size),
+            "t": run().motion.t,
+            "target": np.roll(position(), -3),
+            "temperature": np.sin(np.arange(run().counts.size) / 400),
+            "current": run().motion.u,
+            "torque": np.random.default_rng(1).normal(size=run().counts.size),
+            "encoder": run().counts,
+        },
+        RESOLUTION / 2,
+    ),
+    "nameless": (lambda: {"c0": run().motion.t, "c1": position(), "c2": run().motion.u}, 0.5),
+}
+
+
+def saved(name: str, folder: Path) -> Path:
+    path = folder / "log.csv"
+    pl.DataFrame(LOGS[name][0]()).write_csv(path)
+    return path
+
+
+def told(path: Path) -> Axis:
+    """What init writes, read again."""
+    place = path.with_suffix(".toml")
+    place.write_text(guess(path).text, encoding="utf-8")
+    return load_axis(place)
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_init_then_identify_is_right_with_nothing_edited(name: str, tmp_path: Path) -> None:
+    path = saved(name, tmp_path)
+    axis = told(path)
+    axis = axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"method": "iv", "cutoff": 20.0})})
+    kind = kind_of(axis)
+    with unjudged():
+        result = kind.estimate(kind.read([path], axis), axis)
+    assert result.theta[0] == pytest.approx(LOGS[name][1] * CART.mass, rel=0.01)
+
+
+def test_each_line_has_its_reason_and_what_is_not_told_is_marked(tmp_path: Path) -> None:
+    lines = guess(saved("counts", tmp_path)).text.splitlines()
+    assert all("# " in line for line in lines if "=" in line)
+    marked = [line.partition(" =")[0] for line in lines if "TO DO" in line and "=" in line]
+    assert marked == ["resolution", "input_gain"]
+
+
+def test_of_several_inputs_the_one_that_explains_the_motion_is_taken(tmp_path: Path) -> None:
+    assert told(saved("many", tmp_path)).record.input == "current"
+
+
+def test_what_is_asked_is_written(tmp_path: Path) -> None:
+    answers = iter([str(RESOLUTION), "2,0"])
+    text = guess(saved("counts", tmp_path), lambda question, usual: next(answers)).text
+    assert f"resolution = {RESOLUTION!r}" in text
+    assert "input_gain = 2.0" in text
+    assert "TO DO: travel" not in text
+
+
+def test_the_command_never_writes_over_a_file(tmp_path: Path) -> None:
+    path, place = saved("counts", tmp_path), tmp_path / "AXIS.toml"
+    command = ["init", str(path), "--out", str(place)]
+    first = CliRunner().invoke(main, command)
+    assert first.exit_code == 0
+    assert f"pmfid identify {path} --config {place}" in first.stdout
+    before = place.read_bytes()
+    again = CliRunner().invoke(main, command)
+    assert (again.exit_code, place.read_bytes()) == (2, before)
+    assert "is there already" in again.stderr
+
+
+def test_a_record_without_two_columns_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "one.csv").write_text("t,u\n" + "".join(f"{k / 100},1.0\n" for k in range(50)), encoding="utf-8")
+    result = CliRunner().invoke(main, ["init", str(tmp_path / "one.csv"), "--out", str(tmp_path / "a.toml")])
+    assert result.exit_code == 2
+    assert "no two columns can be input and output" in result.stderr
+    assert not (tmp_path / "a.toml").exists()
+
+
+def test_a_record_without_time_says_what_to_fill_in(tmp_path: Path) -> None:
+    pl.DataFrame({"u": run().motion.u, "counts": run().counts}).write_csv(tmp_path / "log.csv")
+    assert "dt = 0.001  # TO DO: no column is a time" in guess(tmp_path / "log.csv").text
+
+
+@pytest.mark.parametrize("step", [22.75e-6, 0.36, 1.0, 2 * np.pi / 4096])
+def test_the_step_of_a_column_is_found(step: float) -> None:
+    counts = np.round(300 * np.cumsum(np.random.default_rng(0).normal(size=4000)) / 10)
+    found, there = step_of(counts * step)
+    assert there
+    assert found == pytest.approx(step, rel=1e-5)
+    assert not step_of(np.random.default_rng(0).normal(size=4000))[1]
+
+
+ROLES = {"Zeit [ms]": "time", "MotorTorque": "input", "iq": "input", "Strom (A)": "input", "Lage": "position"}
+ROLES |= {"ActualPosition": "position", "Drehzahl": "velocity", "encoder": "counts", "Sollposition": "other"}
+
+
+@pytest.mark.parametrize("name", ROLES)
+def test_names_in_english_and_german(name: str) -> None:
+    assert role_of(name) == ROLES[name]
