@@ -62,8 +62,9 @@ class Reading:
 def diagnose(record: Record, axis: Axis) -> str:
     """The mistake that explains why a record does not fit `axis`, with its remedy; empty where none is found."""
     wrap = wrap_of(record.counts)
-    if wrap is not None and axis.encoder.bits is None:
-        return wrap.sentence(axis.record.output, axis.record.output_kind, record.resolution)
+    if wrap is not None and axis.encoder.bits is None and axis.encoder.range is None:
+        unit = axis.model.make().equation.motion.travel if axis.model.kind == "drive" else ""
+        return wrap.sentence(axis.record.output, axis.record.output_kind, record.resolution, unit)
     model, config = axis.model.make(), axis.estimator
     shaped = model.equation.further  # speeds of friction, which the readings are not made with
     if model.equation.without_simulation or shaped or not np.any(np.diff(record.counts)):
@@ -170,7 +171,8 @@ def _loaded(log: Reading, axis: Axis) -> Reading:
 def _velocity(log: Reading, dt: float, axis: Axis) -> Reading:
     finer, counts = fine_counts(integrated(log.encoder.position(log.counts), dt))
     mistake = f"the output column {axis.record.output!r} is a velocity and no position"
-    return Reading(log.u, counts, finer, mistake, INTEGRATE)
+    there = axis.model.kind == "drive" and axis.record.output_kind == "position"
+    return Reading(log.u, counts, finer, mistake, 'give [record] output_kind = "velocity"' if there else INTEGRATE)
 
 
 def _lamer(log: Reading, estimator: IV, axis: Axis) -> Iterator[Reading]:
