@@ -391,6 +391,12 @@ typedef struct {
     uint32_t room; /* whole samples at most; 0: it acts at once */
     scalar_t rate; /* samples per second */
     scalar_t dead_time; /* [s], where no auxiliary model has its own */
+#if PMF_WITH_DEAD_TIME_FOUND
+    uint32_t found; /* it is estimated, as the last parameter */
+    uint32_t within; /* also by the motion within the counts */
+    scalar_t counts; /* per unit of position */
+    scalar_t growth; /* of the covariance of what is estimated, per sample */
+#endif
 #if PMF_WITH_LAG
     uint32_t lags; /* is there a lag? Then the dead time is known */
     pmf_decay_t decay[2]; /* over the older input's part of an interval and over the newer one's */
@@ -407,6 +413,28 @@ typedef struct {
 #endif
     whole_t at;
 } pmf_late_state_t;
+
+#if PMF_WITH_DEAD_TIME_FOUND
+/* The estimate at the dead time that is believed, and a motion that is held within the counts, which tells it. */
+typedef struct {
+    pmf_estimate_t believed; /* in the parameters of the recursion in charge */
+    real_t dead_time; /* that it is at */
+    real_t theta[PMF_MAX_PARAMETERS]; /* of the motion */
+    real_t covariance[PMF_MAX_PARAMETERS + 2][PMF_MAX_PARAMETERS + 2]; /* of its place, its velocity and theta */
+    real_t place; /* in counts, from the lower edge of the last one on */
+    real_t velocity;
+    real_t push, speed; /* the largest force of the input, and speed */
+    real_t begun; /* its dead time at the beginning */
+    real_t before, unsure; /* its dead time a while ago, and the variance of that */
+    real_t surprise, expected; /* squares of what it was beyond an edge by, over its own deviation */
+    integer_t change; /* of the counts in the last interval */
+    whole_t running;
+    whole_t age, near; /* samples since it began, and those near an edge; saturating */
+    whole_t looks; /* 1: it began from what it had found itself, 2: and stayed there */
+    whole_t tries; /* beginnings since it was last believed */
+    whole_t believes; /* what is believed, PMF_BELIEVES_... */
+} pmf_found_state_t;
+#endif
 #endif
 
 #if PMF_WITH_LINEAR
@@ -488,6 +516,9 @@ typedef struct {
     pmf_recursion_state_t direct;
 #if PMF_WITH_DEAD_TIME
     pmf_late_state_t late;
+#if PMF_WITH_DEAD_TIME_FOUND
+    pmf_found_state_t found;
+#endif
 #endif
 #if PMF_WITH_PROCESS
     pmf_estimate_t lifted; /* the estimate with the constant of the output itself */

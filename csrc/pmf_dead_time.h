@@ -13,6 +13,7 @@
 
 /* What was gathered while the dead time was further away [samples] was linearised too far from it: */
 #define FAR_AWAY PMF_R(0.25)
+#define ROOT_OF_ANOTHER PMF_R(0.1) /* where it is known by now */
 #define ROOT_OF_FAR_AWAY PMF_R(0.25) /* the square of this of it counts on. */
 
 static real_t dead_time_of(const pmf_config_t *config, const pmf_state_t *state)
@@ -26,21 +27,28 @@ static real_t dead_time_of(const pmf_config_t *config, const pmf_state_t *state)
     return config->late.dead_time;
 }
 
+/* What acts in the interval that the counts speak of, behind a dead time of so many samples. */
+static void acts_behind(const pmf_late_config_t *late, const pmf_late_state_t *state, real_t samples, real_t *older,
+                        real_t *newer, real_t *part)
+{
+    uint32_t kept = late->room + 2U, whole;
+    samples = samples > PMF_R(0.0) ? samples : PMF_R(0.0);
+    samples = samples < (real_t)late->room ? samples : (real_t)late->room;
+    whole = (uint32_t)samples;
+    *part = samples - (real_t)whole;
+    *older = state->past[(state->at + whole + 1U) % kept];
+    *newer = state->past[(state->at + whole) % kept];
+}
+
 /* After the encoder: its input is that of the interval before the last, as the other signals are. */
 static void delay_input(const pmf_config_t *config, pmf_state_t *state)
 {
     const pmf_late_config_t *late = &config->late;
-    real_t *signal = state->network.node, *past = state->late.past, mean;
+    real_t *signal = state->network.node, mean;
     real_t samples = dead_time_of(config, state) * late->rate;
-    uint32_t kept = late->room + 2U, whole;
-    state->late.at = state->late.at == 0U ? kept - 1U : state->late.at - 1U;
-    past[state->late.at] = signal[PMF_LATE_INPUT];
-    samples = samples > PMF_R(0.0) ? samples : PMF_R(0.0);
-    samples = samples < (real_t)late->room ? samples : (real_t)late->room;
-    whole = (uint32_t)samples;
-    state->late.part = samples - (real_t)whole;
-    state->late.older = past[(state->late.at + whole + 1U) % kept];
-    state->late.newer = past[(state->late.at + whole) % kept];
+    state->late.at = state->late.at == 0U ? late->room + 1U : state->late.at - 1U;
+    state->late.past[state->late.at] = signal[PMF_LATE_INPUT];
+    acts_behind(late, &state->late, samples, &state->late.older, &state->late.newer, &state->late.part);
 #if PMF_WITH_LAG
     if (late->lags != 0U) {
         lag_input(late->decay, &state->late);
@@ -61,16 +69,152 @@ static void correct_direct(const pmf_config_t *config, const pmf_state_t *state,
     }
 }
 
-static void follow_dead_time(const pmf_config_t *config, pmf_state_t *state)
+#if PMF_FOUND
+#define APART PMF_R(4.0) /* standard deviations */
+#define HALF PMF_R(0.5) /* sample: the least standard deviation of one that is held */
+#define GUESSED PMF_R(5.0) /* times that: it does not know it at all */
+#define WELL_KNOWN PMF_R(0.1) /* standard deviation [samples] of a dead time that the recursion knows well itself */
+
+static real_t within_reach(const pmf_late_config_t *late, real_t dead_time)
 {
-    real_t now = state->auxiliary.parameter[PMF_DELAY];
-    real_t apart = (now - state->late.gathered) * config->late.rate;
-    if (config->auxiliary.index[PMF_DELAY] == PMF_NO_PARAMETER || apart * apart <= FAR_AWAY * FAR_AWAY) {
+    real_t most = (real_t)late->room / late->rate;
+    dead_time = dead_time > PMF_R(0.0) ? dead_time : PMF_R(0.0);
+    return dead_time < most ? dead_time : most;
+}
+
+/* The estimate at another dead time than the recursion's: it goes along the direction in which that is unsure. With a
+ * variance of the other one, which replaces the recursion's; without (0) that is kept. */
+static void move_to(const pmf_recursion_state_t *own, uint32_t p, real_t dead_time, real_t variance,
+                    pmf_estimate_t *believed)
+{
+    real_t along[PMF_MAX_PARAMETERS], unsure = own->inverse_pivot[p - 1U];
+    real_t apart = dead_time - own->estimate.theta[p - 1U];
+    uint32_t i = p, j;
+    while (i > 0U) {
+        --i;
+        along[i] = i == p - 1U ? PMF_R(1.0) : PMF_R(0.0);
+        for (j = i + 1U; j < p; ++j) {
+            along[i] -= own->factor[j][i] * along[j];
+        }
+        believed->theta[i] += along[i] * apart;
+        if (variance > PMF_R(0.0) && believed->innovation_variance > PMF_R(0.0)) {
+            real_t inflation = believed->inflation[i] > PMF_R(0.0) ? believed->inflation[i] : PMF_R(1.0), left;
+            left = believed->variance_factor[i] - along[i] * along[i] * unsure;
+            left = left > PMF_R(0.0) ? left : PMF_R(0.0);
+            believed->variance_factor[i] =
+                left + along[i] * along[i] * variance / (believed->innovation_variance * inflation);
+        }
+    }
+    believed->theta[p - 1U] = dead_time;
+}
+
+/* What there is to believe, best first: the motion within the counts, the recursion where it knows, what was believed
+ * last, what the recursion has. `own`: the recursion that is in charge. */
+static void believe(const pmf_config_t *config, pmf_state_t *state, const pmf_recursion_state_t *own, uint32_t p)
+{
+    const pmf_late_config_t *late = &config->late;
+    const pmf_estimate_t *estimate = &own->estimate;
+    pmf_found_state_t *found = &state->found;
+    uint32_t had = found->believes;
+    real_t dead_time = estimate->theta[p - 1U], variance = PMF_R(0.0), limit = WELL_KNOWN / late->rate, inflation;
+    inflation = estimate->inflation[p - 1U] > PMF_R(0.0) ? estimate->inflation[p - 1U] : PMF_R(1.0);
+    if (late->within != 0U && pmf_within_known(config, state, &variance) != 0U) {
+        found->believes = PMF_BELIEVES_WITHIN;
+        found->tries = 0U;
+        dead_time = found->theta[config->auxiliary.index[PMF_DELAY]];
+    } else {
+        variance = estimate->variance_factor[p - 1U] * estimate->innovation_variance * inflation;
+        found->believes = had == PMF_BELIEVES_NONE ? PMF_BELIEVES_NONE : PMF_BELIEVES_HELD;
+        if (had == PMF_BELIEVES_OWN || had == PMF_BELIEVES_NONE) { /* else what it gathered was at another one */
+            found->believes = variance > PMF_R(0.0) && variance < limit * limit ? PMF_BELIEVES_OWN : PMF_BELIEVES_NONE;
+        }
+        dead_time = found->believes == PMF_BELIEVES_HELD ? found->dead_time : dead_time;
+        if (found->believes == PMF_BELIEVES_NONE && !(variance < GUESSED * GUESSED * limit * limit)) {
+            dead_time = (real_t)found->tries / late->rate; /* few samples, rather than any number */
+        }
+        limit = found->believes == PMF_BELIEVES_HELD ? HALF / late->rate : PMF_R(0.0);
+        variance = variance > limit * limit ? PMF_R(0.0) : limit * limit;
+    }
+    found->dead_time = within_reach(late, dead_time);
+    pmf_copy(estimate, &found->believed, (uint32_t)sizeof found->believed);
+    move_to(own, p, found->dead_time, variance, &found->believed);
+}
+
+/* P at the dead time that is believed (n x n): what the recursion does not know of it gives way to what is known. */
+static void covariance_there(const pmf_recursion_config_t *config, const pmf_recursion_state_t *own,
+                             const pmf_estimate_t *believed, real_t *p)
+{
+    uint32_t n = config->n_parameters, last = n - 1U, i, j;
+    real_t unsure = p[last * n + last], now = believed->variance_factor[last] * believed->inflation[last];
+    real_t along[PMF_MAX_PARAMETERS];
+    if (!(unsure > PMF_R(0.0)) || believed->variance_factor[last] == own->estimate.variance_factor[last]) {
         return;
     }
-    state->late.gathered = now;
-    pmf_open(config, state, PMF_NO_PARAMETER, ROOT_OF_FAR_AWAY);
+    for (i = 0; i < n; ++i) {
+        along[i] = p[i * n + last] / unsure;
+    }
+    for (i = 0; i < n; ++i) {
+        for (j = 0; j < n; ++j) {
+            real_t inflation = PMF_R(0.5) * (believed->inflation[i] + believed->inflation[j]);
+            p[i * n + j] += along[i] * along[j] * (now / inflation - unsure);
+        }
+    }
 }
+
+/* Does the recursion in charge know it otherwise? */
+static uint32_t contradicted(const pmf_config_t *config, const pmf_state_t *state)
+{
+    const pmf_estimate_t *own = &state->instrument.estimate;
+    uint32_t last = config->instrument.n_parameters - 1U;
+    real_t apart = own->theta[last] - state->found.dead_time, variance;
+    real_t inflation = own->inflation[last] > PMF_R(1.0) ? own->inflation[last] : PMF_R(1.0);
+    variance = own->innovation_variance * inflation *
+               (own->variance_factor[last] + state->found.believed.variance_factor[last]);
+    return state->auxiliary.in_charge != 0U && variance > PMF_R(0.0) && apart * apart > APART * APART * variance ? 1U
+                                                                                                                 : 0U;
+}
+
+/* What tells the dead time makes its step, and it is said where nothing does. */
+static whole_t find_dead_time(const pmf_config_t *config, pmf_state_t *state, uint32_t settled, uint32_t in_charge)
+{
+    pmf_found_state_t *found = &state->found;
+    if (config->late.within != 0U) {
+        real_t samples = found->theta[config->instrument.n_parameters - 1U] * config->late.rate;
+        acts_t acts;
+        acts_behind(&config->late, &state->late, samples, &acts.older, &acts.newer, &acts.part);
+        pmf_within_step(config, state, &acts, settled);
+    }
+    if (in_charge != 0U) {
+        believe(config, state, &state->instrument, config->instrument.n_parameters);
+    } else {
+        believe(config, state, &state->direct, config->direct.n_parameters);
+        if (found->looks != 0U && found->believes >= PMF_BELIEVES_HELD && state->auxiliary.trusted == 0U) {
+            pmf_within_lend(config, state);
+        }
+    }
+    return found->believes <= PMF_BELIEVES_HELD || contradicted(config, state) != 0U ? (whole_t)PMF_DEAD_TIME
+                                                                                     : PMF_W(0);
+}
+
+/* The slow copy has the dead time that is believed at once, and what was gathered far from it counts less. */
+static void follow_dead_time(const pmf_config_t *config, pmf_state_t *state)
+{
+    real_t *copied = &state->auxiliary.parameter[PMF_DELAY], apart;
+    if (config->late.found == 0U) {
+        return;
+    }
+    if (state->found.believes == PMF_BELIEVES_HELD || state->found.believes == PMF_BELIEVES_WITHIN) {
+        *copied = state->found.dead_time;
+    }
+    *copied = within_reach(&config->late, *copied);
+    apart = (*copied - state->late.gathered) * config->late.rate;
+    if (apart * apart <= FAR_AWAY * FAR_AWAY) {
+        return;
+    }
+    state->late.gathered = *copied;
+    pmf_open(config, state, PMF_NO_PARAMETER, state->found.looks != 0U ? ROOT_OF_ANOTHER : ROOT_OF_FAR_AWAY);
+}
+#endif
 #endif
 
 #endif

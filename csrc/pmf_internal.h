@@ -40,6 +40,7 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #else
 #define PMF_LATE PMF_WITH_DEAD_TIME
 #endif
+#define PMF_FOUND (PMF_LATE && PMF_WITH_DEAD_TIME_FOUND)
 #ifdef PMF_FLOAT32
 #define PMF_ENDLESS PMF_WITH_ENDLESS
 #else
@@ -56,6 +57,16 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #endif
 
 #define PMF_STATUS_BITS (2 * PMF_DEAD_TIME - 1) /* all of them */
+
+/* Of a dead time that is estimated: what is believed of it. */
+#define PMF_BELIEVES_NONE 0U /* what the recursion has, for there is nothing better */
+#define PMF_BELIEVES_HELD 1U /* what was believed last */
+#define PMF_BELIEVES_OWN 2U /* the recursion, which knows it well */
+#define PMF_BELIEVES_WITHIN 3U /* the motion within the counts */
+
+#define PMF_OLDEST 1000000U /* samples that it counts */
+#define PMF_LOOKS 2U /* until it is believed */
+#define PMF_MOST_TRIES 3U /* beginnings */
 
 #define PMF_FOLLOWED 4U /* so often is the slow copy of the estimate taken on; a power of two */
 
@@ -91,6 +102,20 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
 /* The same where the input changes inside the interval. */
 void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                              const pmf_late_state_t *late, real_t *signal);
+#endif
+#if PMF_FOUND
+/* What acts in an interval: `part` of it the older input, then the newer one. */
+typedef struct {
+    real_t older, newer, part;
+} acts_t;
+
+/* A motion of its own, moved by that, is brought within the next count, and what moves it with it. `usable`: the counts
+ * are what the axis did. */
+void pmf_within_step(const pmf_config_t *config, pmf_state_t *state, const acts_t *acts, uint32_t usable);
+/* The auxiliary model is set to that motion, which the counts have judged already. */
+void pmf_within_lend(const pmf_config_t *config, pmf_state_t *state);
+/* Is the dead time of that motion to be believed, and its variance. */
+uint32_t pmf_within_known(const pmf_config_t *config, const pmf_state_t *state, real_t *variance);
 #endif
 #if PMF_SHAPED
 /* Forces of a place at that of the counts; needs the encoder's signals of the same step. */

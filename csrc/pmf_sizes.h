@@ -20,6 +20,7 @@
 #define PMF_WITH_LINEAR 1 /* the model of a linear process and its recursion */
 #define PMF_WITH_PROCESS 1 /* an output that no encoder's friction holds: its start and its own noise */
 #define PMF_WITH_DEAD_TIME 1 /* an input that acts late */
+#define PMF_WITH_DEAD_TIME_FOUND 1 /* and it is estimated */
 #define PMF_WITH_LAG 1 /* the same behind a first-order lag */
 #define PMF_WITH_SEPARATE 1 /* forgetting by parameter */
 #define PMF_WITH_GUARD 1 /* against samples that no motion explains */

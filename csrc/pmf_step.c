@@ -5,6 +5,8 @@
 
 #define TAKE_OVER PMF_R(3.0) /* times the samples, or the variance */
 #define SHORT_BAR PMF_R(0.01) /* of the mass */
+/* What the instrumental recursion says beside the estimate of the simpler method. */
+#define KEPT_ON_FALLBACK ((uint32_t)(PMF_RESET | PMF_UNMODELLED | PMF_FEEDBACK))
 
 #ifndef PMF_LANES
 PMF_API void pmf_clear(void *memory, uint32_t size)
@@ -136,17 +138,16 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
 
 #if PMF_WITH_AUXILIARY
 /* The direct estimate in the parameters of the instrumental one. */
-static void borrow_estimate(const pmf_config_t *config, pmf_state_t *state)
+static void borrow_estimate(const pmf_config_t *config, const pmf_estimate_t *direct, pmf_state_t *state)
 {
     const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
     pmf_estimate_t *borrowed = &state->borrowed;
     uint32_t i;
     for (i = 0; i < PMF_ROLES; ++i) {
         if (auxiliary->index[i] != PMF_NO_PARAMETER && auxiliary->direct_index[i] != PMF_NO_PARAMETER) {
-            borrowed->theta[auxiliary->index[i]] = state->direct.estimate.theta[auxiliary->direct_index[i]];
-            borrowed->variance_factor[auxiliary->index[i]] =
-                state->direct.estimate.variance_factor[auxiliary->direct_index[i]];
-            borrowed->inflation[auxiliary->index[i]] = state->direct.estimate.inflation[auxiliary->direct_index[i]];
+            borrowed->theta[auxiliary->index[i]] = direct->theta[auxiliary->direct_index[i]];
+            borrowed->variance_factor[auxiliary->index[i]] = direct->variance_factor[auxiliary->direct_index[i]];
+            borrowed->inflation[auxiliary->index[i]] = direct->inflation[auxiliary->direct_index[i]];
         }
     }
 #if PMF_SHAPED
@@ -157,8 +158,8 @@ static void borrow_estimate(const pmf_config_t *config, pmf_state_t *state)
         }
     }
 #endif
-    borrowed->innovation = state->direct.estimate.innovation;
-    borrowed->innovation_variance = state->direct.estimate.innovation_variance;
+    borrowed->innovation = direct->innovation;
+    borrowed->innovation_variance = direct->innovation_variance;
 }
 
 /* The instrumental estimate takes over once it has gathered a fair part of what the direct one has, which began before,
@@ -176,6 +177,11 @@ static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
     truth_t enough = TAKE_OVER * gathered > state->direct.sums.weight;
     enough = enough & ((own->variance_factor[mass] < TAKE_OVER * direct->variance_factor[direct_mass]) |
                        (own->variance_factor[mass] * own->inflation[mass] * own->innovation_variance < small * small));
+#if PMF_FOUND
+    if (config->late.found != 0U && state->found.looks != 0U) {
+        enough = TAKE_OVER * gathered > state->direct.sums.weight; /* neither need find the dead time any more */
+    }
+#endif
     return (state->instrument.started > 0U) & ((state->direct.started == 0U) | enough);
 }
 
@@ -199,6 +205,7 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
 #endif
     truth_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column, held), in_charge,
             borrows;
+    const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;
     whole_t status, stepped = PMF_W(0);
     /* what was gathered with a wrong direction would stay */
     PMF_WHERE(PMF_NOT(trusted) & (state->instrument.updates != 0U), &state->instrument,
@@ -209,20 +216,27 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     status = PMF_IF(trusted & settled, stepped, status);
     status |= pmf_auxiliary_feedback(&state->auxiliary, &state->instrument, trusted & settled,
                                      state->encoder.input - state->encoder.input_before);
-    status |= pmf_auxiliary_late(auxiliary, &state->auxiliary, state->network.column,
-                                 trusted & settled & (state->auxiliary.in_charge != 0U));
+#if PMF_FOUND
+    if (config->late.within == 0U) /* else there is more to judge it by */
+#endif
+        status |= pmf_auxiliary_late(auxiliary, &state->auxiliary, state->network.column,
+                                     trusted & settled & (state->auxiliary.in_charge != 0U));
     in_charge = trusted & (state->auxiliary.in_charge != 0U);
     if (PMF_ANY(trusted & PMF_NOT(in_charge))) {
         in_charge = in_charge | (trusted & takes_over(config, state));
         forget_start(state, in_charge & (state->auxiliary.in_charge == 0U));
     }
     state->auxiliary.in_charge = PMF_BIT(in_charge, 1U);
-    pmf_auxiliary_follow(auxiliary, &state->auxiliary, in_charge, state->instrument.estimate.theta, auxiliary->index);
+#if PMF_FOUND
+    if (config->late.found != 0U) {
+        status |= find_dead_time(config, state, (uint32_t)settled, (uint32_t)in_charge);
+        own = direct = &state->found.believed;
+    }
+#endif
+    pmf_auxiliary_follow(auxiliary, &state->auxiliary, in_charge, own->theta, auxiliary->index);
     if (PMF_ALL(in_charge)) {
-#if PMF_LATE
-        if (config->late.room != 0U) {
-            follow_dead_time(config, state);
-        }
+#if PMF_FOUND
+        follow_dead_time(config, state);
 #endif
         return status;
     }
@@ -230,15 +244,18 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     if (auxiliary->has_initial != 0U) {
         borrows = borrows & PMF_NOT(trusted);
     }
-    pmf_auxiliary_follow(auxiliary, &state->auxiliary, borrows, state->direct.estimate.theta, auxiliary->direct_index);
-#if PMF_LATE
-    if (config->late.room != 0U) {
-        follow_dead_time(config, state);
-    }
+#if PMF_FOUND
+    if (config->late.found != 0U && state->found.believes == PMF_BELIEVES_WITHIN) {
+        pmf_auxiliary_follow(auxiliary, &state->auxiliary, 1, state->found.theta, auxiliary->index);
+    } else
 #endif
-    PMF_WHERE(PMF_NOT(in_charge), &state->borrowed, borrow_estimate(config, state));
+        pmf_auxiliary_follow(auxiliary, &state->auxiliary, borrows, direct->theta, auxiliary->direct_index);
+#if PMF_FOUND
+    follow_dead_time(config, state);
+#endif
+    PMF_WHERE(PMF_NOT(in_charge), &state->borrowed, borrow_estimate(config, direct, state));
     direct_status = (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK;
-    return PMF_IF(in_charge, status, direct_status | (status & (PMF_RESET | PMF_UNMODELLED | PMF_FEEDBACK)));
+    return PMF_IF(in_charge, status, direct_status | (status & KEPT_ON_FALLBACK));
 }
 
 #endif
@@ -266,6 +283,11 @@ const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t
 #endif
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
+#if PMF_FOUND
+        if (config->late.found != 0U && (state->status & PMF_FALLBACK) == 0U) {
+            return &state->found.believed;
+        }
+#endif
         return (state->status & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
     }
 #endif
@@ -378,6 +400,11 @@ void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state,
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U && (state->status & PMF_FALLBACK) == 0U) {
         pmf_recursion_covariance(&config->instrument, &state->instrument, p);
+#if PMF_FOUND
+        if (config->late.found != 0U) {
+            covariance_there(&config->instrument, &state->instrument, &state->found.believed, p);
+        }
+#endif
         return;
     }
     if (config->auxiliary.enabled != 0U) {

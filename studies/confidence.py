@@ -22,6 +22,7 @@ from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.results import Fit
+from pmfid.findings import codes
 from pmfid.judge.drive import judge
 from pmfid.models.drive import Drive
 from pmfid.paper.truth import CartRecord, Study, Task, table, tally
@@ -50,7 +51,7 @@ def work(name: str, wrong: str, motion: str, increments: int, seed: int) -> dict
     for method, (estimator, fit, adequacy) in estimates(
         IV(*settings), OE(*settings), IntervalML(*settings), record
     ).items():
-        flags = judge(estimator, record.u, record.counts, fit.theta, fit.theta_std, adequacy)[0]
+        flags = codes(judge(estimator, record.u, record.counts, fit.theta, fit.theta_std, adequacy))
         error, said = fit.theta - known, (*flags, *status_names(fit.status))
         found[method] = (error / fit.theta_std, error / known, fit.theta_std / known, said)
     return found

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 
 import numpy as np
 
 from pmfid.simulation import CART_DT
 
 HEADER = b"t,u,counts\n"
+NOON = datetime(2026, 3, 4, 12)
+
 Row = tuple[float, float, int]
 Text = list[bytes]
 
@@ -85,10 +88,13 @@ def starts_again(header: bytes, counts: bool) -> Fault:
 
 
 def goes_on(header: bytes, line: str, said: bool = True) -> Fault:
-    """Another program, or another version, writes on: line: with the places {t}, {ms}, {u} and {c}."""
+    """Another program, or another version, writes on: line: with the places {t}, {ms}, {day}, {u} and {c}."""
 
     def do(rows: list[Row], k: int, rng: np.random.Generator) -> Text:
-        later = [line.format(t=f"{t:.12g}", ms=f"{1000 * t:.12g}", u=repr(u), c=c) for t, u, c in rows[k:]]
+        later = [
+            line.format(t=f"{t:.12g}", ms=f"{1000 * t:.12g}", day=NOON + timedelta(seconds=t), u=repr(u), c=c)
+            for t, u, c in rows[k:]
+        ]
         return [*lines(rows[:k]), header, *(f"{one}\n".encode() for one in later)]
 
     return Fault(do, said=said)
@@ -142,6 +148,8 @@ FAULTS: dict[str, Fault] = {
     "columns of spaces": goes_on(b"  counts   u     t\n", "{c:8d}   {u}  {t}"),
     "everything in quotes": goes_on(b'"t","u","counts"\n', '"{t}","{u}","{c}"'),
     "the time in ms": goes_on(b"t [ms],u [V],counts\n", "{ms},{u},{c}"),
+    "the time as a date": goes_on(b"t,u,counts\n", "{day},{u},{c}"),
+    "the time of day": goes_on(b"t,u,counts\n", "{day:%H:%M:%S.%f},{u},{c}"),
     "lines of Windows": goes_on(b"t,u,counts\r\n", "{t},{u},{c}\r"),
     "two lines swapped": order([1, 0], said=False),
     "two pairs of lines swapped": order([1, 0, 3, 2], said=False),

@@ -13,6 +13,7 @@ from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.phases import phase_scatter
 from pmfid.estimators.scatter import block_scatter, scatter
+from pmfid.findings import codes
 from pmfid.judge.drive import judge
 from pmfid.simulation import (
     CART,
@@ -105,9 +106,9 @@ def test_a_wrong_model_is_known(name, motion, wrong):
     u, read, resolution = record(axis, wrong, motion, 1500.0)
     method = estimator(pmfid.IV, axis, resolution)
     fit = method.fit(u, read)
-    flags, sentences = judge(method, u, read, fit.theta, fit.theta_std)
-    assert "unmodelled" in flags
-    assert any("what the model lacks" in sentence for sentence in sentences)
+    found = judge(method, u, read, fit.theta, fit.theta_std)
+    assert "unmodelled" in codes(found)
+    assert any("what the model lacks" in finding.text for finding in found)
 
 
 @pytest.mark.parametrize(("name", "motion"), CELLS)
@@ -119,7 +120,7 @@ def test_nothing_is_confident_and_wrong_with_stribeck_friction(name, motion):
         found = first_choice(estimator(pmfid.IV, axis, resolution), u, read)
         fit = found.fit
         off = np.max(np.abs(fit.theta - truth) / fit.theta_std)
-        assert off < 3.5 or judge(found.estimator, u, read, fit.theta, fit.theta_std)[0], (counts, off)
+        assert off < 3.5 or codes(judge(found.estimator, u, read, fit.theta, fit.theta_std)), (counts, off)
 
 
 @pytest.mark.parametrize("parts", [2, 20, 100])
@@ -128,7 +129,7 @@ def test_a_low_cutoff_makes_no_model_wrong(parts):
     u, read, resolution = record(axis, "right", "prbs", 1000.0)
     method = pmfid.IV(pmfid.Drive(CART.input_gain), pmfid.Encoder(resolution), axis.dt, 1 / (parts * axis.dt))
     fit = method.fit(u, read)
-    assert "unmodelled" not in judge(method, u, read, fit.theta, fit.theta_std)[0]
+    assert "unmodelled" not in codes(judge(method, u, read, fit.theta, fit.theta_std))
 
 
 def test_what_is_missing_is_named_and_its_size_is_right():
@@ -171,7 +172,7 @@ def test_auto_does_not_trust_instruments_where_the_counts_contradict_them():
     found = first_choice(method, u, read)
     assert abs(fit["mass"] / HEAVY.mass - 1) > 0.03
     assert (found.estimator.method, "contradicts" in found.reason) == ("interval", True)
-    assert "biased" in judge(method, u, read, fit.theta, fit.theta_std)[0]
+    assert "biased" in codes(judge(method, u, read, fit.theta, fit.theta_std))
     assert abs(found.fit["mass"] / HEAVY.mass - 1) < 0.03
 
 

@@ -21,7 +21,7 @@ PACKAGE = Path(pmfid.__file__).parent
 REPOSITORY = Path(__file__).parents[1]
 CSRC = REPOSITORY / "csrc"
 
-GROUND = {"errors", "types", "status", "shown", "_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
+GROUND = {"errors", "types", "findings", "status", "shown", "_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
 FILTERS = GROUND | {"models", "encoder"}
 ESTIMATORS = FILTERS | {"filters", "transfer"}
 JUDGE = ESTIMATORS | {"estimators"}
@@ -30,7 +30,8 @@ SESSION = JUDGE | {"judge", "monitor", "design", "export"}
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
     "types": set(),
-    "status": {"kernel"},
+    "findings": set(),
+    "status": {"kernel", "findings"},
     "door": set(),
     "shown": {"errors", "door"},
     "_estimate": {"errors", "shown", "status"},
@@ -68,6 +69,7 @@ PUBLIC = [
     "EquationModel",
     "Estimate",
     "Experiment",
+    "Finding",
     "Fit",
     "Fleet",
     "IV",
@@ -96,6 +98,7 @@ PUBLIC = [
     "UsageError",
     "Validation",
     "Wave",
+    "check",
     "export_firmware",
     "friction_curve",
     "identify",

@@ -134,11 +134,6 @@ def edited(column: str, row: int, value: float) -> Change:
     return change
 
 
-def with_gap(row: int, seconds: float) -> Change:
-    late = pl.when(pl.int_range(pl.len()) >= row).then(seconds).otherwise(0.0)
-    return lambda frame: frame.with_columns(pl.col.t + late)
-
-
 # --- records that cannot be used ------------------------------------------------------------------------------------
 
 
@@ -147,10 +142,7 @@ def with_gap(row: int, seconds: float) -> Change:
     [
         (lambda frame: frame.drop("u"), "input = 'u': there is no such column", "available are t, counts"),
         (lambda frame: frame.rename({"u": "U"}), "there is no such column", "did you mean 'U'?"),
-        (edited("u", 101, np.nan), "'u' is missing, NaN or infinite in 1 row, the first is row 101", "cut the record"),
-        (edited("t", 7, np.nan), "'t' is missing, NaN or infinite in 1 row, the first is row 7", "cut the record"),
         (edited("counts", 9, 0.5), "counts must be integers below 2**53, got 0.5 in row 9", "output_kind"),
-        (with_gap(1500, 0.5), "time has 1 gap", "cut the record at the gap"),
         (
             lambda frame: frame.with_columns(pl.col("t") + pl.col("t") ** 2 / 200),
             "time steps differ by up to",
@@ -188,8 +180,8 @@ def test_empty_and_truncated_files(tmp_path: Path, cart: Cart, kind: str) -> Non
 
 def test_record_missing_or_a_directory_or_of_unknown_type(tmp_path: Path, cart: Cart) -> None:
     assert "No such file or directory; give the path of a data file" in bad(tmp_path / "absent.csv")
-    assert "Is a directory; give the path of a data file" in bad(tmp_path)
-    other = tmp_path / "run.xlsx"
+    assert "a folder with one log is a record, this one has none; give the path of a file" in bad(tmp_path)
+    other = tmp_path / "run.docx"
     other.write_bytes(cart.csv.read_bytes())
     assert f"use one of {', '.join(SUFFIXES)}" in bad(other)
 
@@ -436,7 +428,7 @@ def test_options_go_before_the_configuration(cart: Cart) -> None:
     options = ("--method", "ls", "--cutoff", "30", "--order", "3", "--quantize", "91e-6")
     printed = good(cart.csv, *options)
     assert printed["method"] == "ls"
-    assert printed["notes"][0] == "position quantised anew with a step of 9.1e-05"
+    assert "position quantised anew with a step of 9.1e-05" in printed["notes"]
     assert values(printed)["mass"] != values(good(cart.csv, "--method", "ls"))["mass"]
     doubled = good(cart.csv, "--resolution", str(2 * CART_RESOLUTION))
     assert values(doubled)["mass"] == pytest.approx(CART.mass / 2, rel=0.02)

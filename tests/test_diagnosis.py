@@ -12,9 +12,11 @@ import pytest
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.results import Columns
+from pmfid.findings import texts
+from pmfid.session.checks import checked
 from pmfid.session.compare import compare
 from pmfid.session.config import Axis, load_axis
-from pmfid.session.diagnosis import check_direction, diagnose
+from pmfid.session.diagnosis import check_direction
 from pmfid.session.identify import identify
 from pmfid.session.records import Record, read_record
 from pmfid.session.wrap import wrap_of
@@ -65,6 +67,11 @@ def axis_of(output_kind: str = "position", method: str = "auto", **model: object
     )
 
 
+def named(record: Record, axis: Axis) -> str:
+    """What is wrong with the log, as one sentence."""
+    return "; ".join(texts(checked(record, axis, judged=True)))
+
+
 MISTAKES = {
     "reversed": "the output has the opposite sign of the input",
     "velocity": "the output column 'y' is a velocity and no position",
@@ -79,12 +86,12 @@ LOAD = "a constant load acts on the axis"
 @pytest.mark.parametrize("machine", MACHINES)
 @pytest.mark.parametrize("fault", MISTAKES)
 def test_the_mistake_is_named(machine: str, fault: str) -> None:
-    assert diagnose(logged(machine, fault), axis_of()).startswith(MISTAKES[fault])
+    assert named(logged(machine, fault), axis_of()).startswith(MISTAKES[fault])
 
 
 @pytest.mark.parametrize("machine", MACHINES)
 def test_a_right_log_has_no_mistake(machine: str) -> None:
-    assert diagnose(logged(machine, "none"), axis_of()) == ""
+    assert named(logged(machine, "none"), axis_of()) == ""
 
 
 @pytest.mark.parametrize("fault", ["reversed", "velocity", "exchanged"])
@@ -104,14 +111,14 @@ def test_the_mistake_stands_before_a_negative_mass() -> None:
 
 def test_the_remedy_for_a_reversed_sign_helps_when_followed_literally() -> None:
     record = logged("sticky", "reversed")
-    assert "give [model] input_gain = -1.5" in diagnose(record, axis_of())
+    assert "give [model] input_gain = -1.5" in named(record, axis_of())
     assert identify(record, axis_of(input_gain=-1.5)).theta[0] == pytest.approx(15.0, rel=0.01)
 
 
 def test_the_remedy_for_forgotten_bits_names_the_width() -> None:
     record = logged("damped", "wrapped")
     bits = int(np.ptp(record.counts)).bit_length()
-    assert f"give [encoder] bits = {bits}" in diagnose(record, axis_of("counts"))
+    assert f"give [encoder] bits = {bits}" in named(record, axis_of("counts"))
 
 
 @pytest.mark.parametrize("machine", MACHINES)
@@ -119,9 +126,9 @@ def test_what_the_model_lacks_is_no_mistake_of_the_log(machine: str) -> None:
     """An integral follows the input more easily than a position does: a load or a dead time made it a velocity."""
     record = logged(machine, "none")
     load = 0.4 * float(np.std(record.u))
-    found = diagnose(replace(record, u=record.u + load), axis_of())
+    found = named(replace(record, u=record.u + load), axis_of())
     assert found == "" or found.startswith(LOAD)
-    assert diagnose(replace(record, u=np.r_[record.u[6:], np.zeros(6)]), axis_of()) == ""
+    assert named(replace(record, u=np.r_[record.u[6:], np.zeros(6)]), axis_of()) == ""
 
 
 def test_comparing_names_the_mistake_with_every_refusal() -> None:
@@ -189,7 +196,9 @@ def test_one_wild_count_is_a_jump_and_nothing_else() -> None:
     record = logged("damped", "none")
     counts = record.counts.copy()
     counts[counts.size // 2] += 1_000_000
-    assert diagnose(replace(record, counts=counts), axis_of()).startswith("the counts jump by")
+    axis = axis_of()
+    axis = axis.model_copy(update={"encoder": axis.encoder.model_copy(update={"guard": False})})
+    assert named(replace(record, counts=counts), axis).startswith("the counts jump by")
 
 
 @pytest.mark.parametrize("late", [0, 1])
@@ -202,4 +211,4 @@ def test_a_step_in_one_direction_is_not_called_a_velocity(late: int) -> None:
     record = Record(u, quantize(run.x, resolution) + noise, dt, resolution, (), "log")
     axis = axis_of("counts", input_gain=1.0)
     axis = axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": 10.0})})
-    assert diagnose(record, axis) == ""
+    assert "is a velocity" not in named(record, axis)

@@ -9,6 +9,7 @@ import scipy.io
 import pmfid
 from pmfid import Status
 from pmfid.encoder import quantize
+from pmfid.findings import codes
 from pmfid.judge.drive import judge
 from pmfid.simulation.scenarios import make_scenario
 from tests.conftest import EMPS, TRUTH, assert_near, cart_run, needs_emps
@@ -80,11 +81,11 @@ def test_judge_knows_feedback_and_the_bias_of_the_others(drive):
     for cls, flag in ((pmfid.IV, "feedback"), (pmfid.BCLS, "biased"), (pmfid.LS, "biased")):
         estimator = cls(drive, encoder, DT, 100 / 3)
         fit = estimator.fit(u, counts)
-        assert flag in judge(estimator, u, counts, fit.theta, fit.theta_std)[0]
+        assert flag in codes(judge(estimator, u, counts, fit.theta, fit.theta_std))
     run = cart_run(3, increments=256)
     estimator = pmfid.IV(drive, run.encoder, DT, 100 / 3)
     fit = estimator.fit(run.u, run.counts)
-    assert judge(estimator, run.u, run.counts, fit.theta, fit.theta_std)[0] == ()
+    assert codes(judge(estimator, run.u, run.counts, fit.theta, fit.theta_std)) == ()
 
 
 @needs_emps
@@ -157,7 +158,7 @@ def test_judge_knows_what_the_encoder_explains(drive):
     late = np.r_[np.zeros(2), np.repeat(run.u, 10)[:-2]]
     counts = quantize(simulate_drive(CART, late, DT / 10).x[::10], resolution_of(1024))
     fit = estimator.fit(run.u, counts)
-    assert "unmodelled" in judge(estimator, run.u, counts, fit.theta, fit.theta_std)[0]
+    assert "unmodelled" in codes(judge(estimator, run.u, counts, fit.theta, fit.theta_std))
 
 
 def test_no_coulomb_friction(drive):

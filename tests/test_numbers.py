@@ -14,6 +14,7 @@ from pmfid.estimators.difference import least
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.least_squares import inverse_of
 from pmfid.estimators.results import Columns
+from pmfid.findings import codes
 from pmfid.judge.drive import judge
 from pmfid.session.config import Axis
 from pmfid.session.drives import Drives
@@ -84,7 +85,7 @@ def test_no_sample_between_jumps_is_nothing_to_judge_by() -> None:
     run = make_scenario("prbs", seed=1, duration=10.0)
     counts = quantize(run.motion.x, 1e-4)
     estimator = pmfid.LS(pmfid.Drive(2.0), pmfid.Encoder(1e-4, max_speed=1e-6), 0.01, 50.0)
-    flags, _ = judge(estimator, run.motion.u, counts, np.array([1.0, 10.0, 1.0]), np.full(3, 0.1))
+    flags = codes(judge(estimator, run.motion.u, counts, np.array([1.0, 10.0, 1.0]), np.full(3, 0.1)))
     assert "unmodelled" not in flags
 
 

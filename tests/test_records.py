@@ -426,17 +426,24 @@ def test_matlab_vectors_of_different_length(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize(("key", "column"), [("input", "u"), ("output", "y"), ("time", "t")])
 @pytest.mark.parametrize("value", [np.nan, -np.inf])
-def test_values_that_are_not_finite(tmp_path: Path, suffix: str, key: str, column: str, value: float) -> None:
+def test_values_that_are_not_finite_are_missing_samples(
+    tmp_path: Path, suffix: str, key: str, column: str, value: float
+) -> None:
     bad = edited(edited(columns()[column], 12, value), 5, value)
-    text = message(write(tmp_path / f"run{suffix}", columns() | {column: bad})).replace("/run.", "")
-    assert f"{key} column '{column}' is missing, NaN or infinite in 2 rows, the first is row 5; drop" in text
+    record = read_record(write(tmp_path / f"run{suffix}", columns() | {column: bad}), make_axis())
+    assert record.there is not None, key
+    assert np.flatnonzero(~record.there).tolist() == [4, 11]
+    assert record.u.size == 20
+    assert record.notes[-1].startswith("2 of 20 samples are missing (10.0%), in 2 gaps")
 
 
 @pytest.mark.parametrize("empty", ["", "NA", "null"])
 def test_empty_cells_are_missing_values(tmp_path: Path, empty: str) -> None:
     path = tmp_path / "run.csv"
     path.write_text("t,u,y\n" + "".join(f"{k},{empty if k == 3 else 1},2\n" for k in range(20)))
-    assert "input column 'u' is missing, NaN or infinite in 1 row, the first is row 4" in message(path)
+    there = read_record(path, make_axis(record_time_unit="s")).there
+    assert there is not None
+    assert np.flatnonzero(~there).tolist() == [3]
 
 
 @pytest.mark.parametrize("value", [0.05, 0.03])
@@ -456,9 +463,10 @@ def test_time_gaps(tmp_path: Path) -> None:
     t = columns()["t"]
     t[8:] += DT
     t[15:] += DT
-    text = message(csv(tmp_path, t=t))
-    assert text.startswith("time has 2 gaps, steps beyond 1.5 medians of 0.01 s; first after row 8, t = 0.07;")
-    assert "cut the record at the gap" in text
+    record = read_record(csv(tmp_path, t=t), make_axis())
+    assert record.there is not None
+    assert np.flatnonzero(~record.there).tolist() == [8, 16]
+    assert record.dt == pytest.approx(DT, rel=1e-9)
 
 
 def test_time_not_uniform(tmp_path: Path) -> None:

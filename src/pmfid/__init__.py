@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pmfid.estimators.track import Track as Track
     from pmfid.estimators.track import Tracks as Tracks
     from pmfid.export.firmware import export_firmware as export_firmware
+    from pmfid.findings import Finding as Finding
     from pmfid.models.drive import Drive as Drive
     from pmfid.models.drive import EquationModel as EquationModel
     from pmfid.models.equation import Equation as Equation
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from pmfid.models.shapes import Stribeck as Stribeck
     from pmfid.models.shapes import Wave as Wave
     from pmfid.models.transfer_function import TransferFunction as TransferFunction
+    from pmfid.session.arrays import check as check
     from pmfid.session.arrays import identify as identify
     from pmfid.session.arrays import search_terms as search_terms
     from pmfid.session.arrays import validate as validate
@@ -65,6 +67,7 @@ _PUBLIC = {
     "Wave": "pmfid.models.shapes",
     "Estimate": "pmfid._estimate",
     "Fit": "pmfid.estimators.results",
+    "Finding": "pmfid.findings",
     "Fleet": "pmfid.estimators.fleet",
     "IV": "pmfid.estimators.iv",
     "RIV": "pmfid.estimators.iv",
@@ -87,6 +90,7 @@ _PUBLIC = {
     "Tracks": "pmfid.estimators.track",
     "Result": "pmfid.session.result",
     "UsageError": "pmfid.errors",
+    "check": "pmfid.session.arrays",
     "friction_curve": "pmfid.session.friction",
     "export_firmware": "pmfid.export.firmware",
     "identify": "pmfid.session.arrays",

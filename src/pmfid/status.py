@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from enum import IntFlag
 
+from pmfid.findings import Finding
 from pmfid.kernel.structures import constants_of
 
 _BITS = constants_of(None)
@@ -60,9 +61,15 @@ ADVICE = {
     ),
     Status.DEAD_TIME: (
         "the plant moves later than the model: the input acts late, or friction at low speed is not that of the model; "
-        'set dead_time = "estimate"; the error bars do not cover it'
+        'set dead_time = "estimate"; the error bars do not cover it. Where that is set, it is not known yet, or not '
+        "believed: livelier motion shows it, best steps in open loop; or find it off-line, and give it"
     ),
 }
+
+
+def status_findings(status: int) -> list[Finding]:
+    """What the bits that are set say."""
+    return [Finding(str(bit.name).lower(), ADVICE[bit]) for bit in Status if bit & status]
 
 
 def status_names(status: int) -> list[str]:

@@ -106,6 +106,17 @@ def _out(rng: Rng, chance: float) -> list[str]:
     return ["--out", place] if rng.random() < chance else []
 
 
+def _init(rng: Rng, folder: Path) -> Case:
+    files, name = _recorded(rng, folder)
+    place = str(rng.choice(["new.toml", "axis.toml", "nowhere/x.toml", "."], p=[0.7, 0.1, 0.1, 0.1]))
+    return Case(("init", name, "--out", place), files)
+
+
+def _check(rng: Rng, folder: Path) -> Case:
+    files, name = _recorded(rng, folder)
+    return Case(("check", name, "--config", "axis.toml", *_flags(rng, 0.6, "--json"), *_more(rng, name)), files)
+
+
 def _compare(rng: Rng, folder: Path) -> Case:
     files, name = _recorded(rng, folder)
     chosen = options(rng, 0.1, quantize=["1e-3"], cutoff=["10"]) + _out(rng, 0.03)
@@ -292,7 +303,9 @@ COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "export": (_export, 0.15),
     "design": (_design, 0.07),
     "commission": (_commission, 0.06),
-    "compare": (_compare, 0.006),
+    "compare": (_compare, 0.004),
+    "check": (_check, 0.001),
+    "init": (_init, 0.001),
     "terms": (_terms, 0.002),
     "friction": (_friction, 0.002),
     "order": (_order, 0.002),

@@ -9,10 +9,12 @@ from pathlib import Path
 import click
 
 from pmfid import __version__
+from pmfid.cli.check import check
 from pmfid.cli.design import commission, design
 from pmfid.cli.explain import explain
 from pmfid.cli.export import export
 from pmfid.cli.friction import friction
+from pmfid.cli.init import init
 from pmfid.cli.monitor import monitor
 from pmfid.cli.options import CUTOFF, JSON, RECORDS, config_option, folder_option
 from pmfid.cli.output import print_json
@@ -231,6 +233,8 @@ def demo(out: Path, seed: int) -> None:
     click.echo(f"pmfid identify {out / 'cart.csv'} --config {out / 'cart.toml'}")
 
 
+main.add_command(check)
+main.add_command(init)
 main.add_command(design)
 main.add_command(commission)
 main.add_command(monitor)

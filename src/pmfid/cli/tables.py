@@ -32,7 +32,7 @@ def print_result(result: Result, out: Path | None) -> None:
     if isinstance(result, DriveResult):
         console.print(f"relative error of the filtered equation: {100 * result.relative_error:.3g} %", highlight=False)
     lines = [f"status: {', '.join(dict.fromkeys(result.status))}"] if result.status else []
-    lines += [f"note: {note}" for note in result.notes]
+    lines += [finding.line for finding in result.findings]
     lines += [f"report: {out / 'report.html'}"] if out is not None else []
     for line in lines:
         console.print(printable(line), highlight=False, markup=False, soft_wrap=True)

@@ -18,7 +18,7 @@ from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
 from pmfid.kernel.configuration import new_kernel
 from pmfid.kernel.structures import constants_of
-from pmfid.models.equation import LATE, ROLES, Equation
+from pmfid.models.equation import ESTIMATE, LATE, ROLES, Equation
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
@@ -143,9 +143,20 @@ def make_auxiliary_kernel(
         instrument=_with_check(estimator, estimator.recursion_config(p, True, forgetting, first))
         | {"growing": _growing(estimator) if adapt else 0},
         auxiliary=auxiliary,
-        late=estimator.late_config(float(values[LATE])),
+        late=_late(estimator, float(values[LATE]), forgetting),
     )
     return kernel, first
+
+
+def _late(estimator: Estimator, start: float, forgetting: float) -> dict[str, object] | None:
+    """How late the input acts; where that is estimated, the motion within the counts tells it, too, if it depends on
+    nothing but body and input."""
+    config, equation = estimator.late_config(start), estimator.equation
+    if config is None or equation.dead_time != ESTIMATE:
+        return config
+    within = not equation.shaped and not equation.place_matters
+    counts = 1 / estimator.encoder.resolution
+    return config | {"found": 1, "within": int(within), "counts": counts, "growth": 1 / forgetting}
 
 
 def _with_check(estimator: Estimator, recursion: Mapping[str, object]) -> dict[str, object]:

@@ -13,7 +13,7 @@ import numpy as np
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.arguments import check_positive
-from pmfid.estimators.configuration import configuration_of, freeze, made
+from pmfid.estimators.configuration import configuration_of, explain_inherited, freeze, made
 from pmfid.estimators.plants import Plant, plant_of
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
@@ -74,6 +74,10 @@ class Estimator:
     knows_shapes: ClassVar[bool] = False
     #: filters of the held signals that it takes
     discretizations: ClassVar[tuple[str, ...]] = tuple(sorted(HOLD_FILTERS))
+
+    def __init_subclass__(cls, **further: object) -> None:
+        super().__init_subclass__(**further)
+        explain_inherited(cls)
 
     def __post_init__(self) -> None:
         freeze(self)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
+from inspect import cleandoc, get_annotations
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -11,6 +12,8 @@ import numpy as np
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance as Configured
 
+#: Where a class keeps its docstring as it was written.
+OWN_HELP = "_own_help"
 E = TypeVar("E")
 C = TypeVar("C", bound="Configured")
 
@@ -35,6 +38,25 @@ class ByName(Mapping[str, float]):
 
     def __repr__(self) -> str:
         return repr(dict(self.pairs))
+
+
+def explain_inherited(cls: type) -> None:
+    """Adds to a class's docstring those of the bases that have arguments of their own: `help` of a method explains all
+    that it takes."""
+    own = cls.__dict__.get("__doc__")
+    if own is None:
+        return
+    setattr(cls, OWN_HELP, cleandoc(own))
+    bases = [base for base in cls.__mro__[1:] if _arguments_of(base)]
+    parts = [
+        f"As every `{base.__name__}`:\n{base.__dict__.get(OWN_HELP) or cleandoc(base.__doc__ or '')}" for base in bases
+    ]
+    cls.__doc__ = "\n\n".join([cleandoc(own), *parts])
+
+
+def _arguments_of(cls: type) -> list[str]:
+    """Names of the fields that a class adds by itself."""
+    return [name for name, kind in get_annotations(cls).items() if not str(kind).startswith("ClassVar")]
 
 
 def freeze(estimator: Configured) -> None:

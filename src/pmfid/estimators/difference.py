@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from pmfid._stage import first_order
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.estimators.motion import mean_velocity, parts_for
+from pmfid.estimators.restarts import Restart
 from pmfid.models.equation import ESTIMATE, MOST_LATE, Equation
 from pmfid.types import Floats
 
@@ -51,7 +53,8 @@ class Difference:
 
     equation: its roles say what the simulation takes of theta; u, y: (n,), dt [s]; resolution; scale: (q,);
     pole: of the high-pass on the difference [rad/s], 0: none; parts: of a sample, in which shapes are simulated; zero:
-    where a spring is slack, None: at the first count; past: (m,) inputs before the first, None: not known.
+    where a spring is slack, None: at the first count; past: (m,) inputs before the first, None: not known; breaks: the
+    first samples of gaps in the record, and those behind them: there nothing is known, and the motion begins anew.
     """
 
     equation: Equation
@@ -64,6 +67,7 @@ class Difference:
     parts: int = 1
     zero: float | None = None
     past: Floats | None = None
+    breaks: tuple[tuple[int, int], ...] = ()
 
     def __call__(self, q: Floats) -> Floats:
         return self.filtered(self.y - self.motion(q)[0]) / self.resolution
@@ -74,6 +78,8 @@ class Difference:
         force (n,), or (k n,) for the k equal parts of every sample: on top of that of the input [unit of the
         equation].
         """
+        if self.breaks:
+            return self._between_gaps(q, force)
         values = q * self.scale
         theta, (x0, v0) = values[:-2], values[-2:]
         split, u, on_top = 1, self.u, None
@@ -86,6 +92,45 @@ class Difference:
         past = np.repeat(self.before, split)
         velocity = mean_velocity(self.equation, theta, self.dt / split, u, *start, parts, past, on_top)
         return x0 + np.r_[0.0, np.cumsum(velocity[:-1])][::split] * (self.dt / split), velocity
+
+    def _between_gaps(self, q: Floats, force: Floats | None) -> tuple[Floats, Floats]:
+        """The same; where nothing is known the position is that of the counts, and nothing moves."""
+        split = 1 if force is None else force.size // self.u.size
+        position, velocity = self.y.copy(), np.zeros(split * self.u.size)
+        first, others = self._parts
+        own = slice(split * first.start, split * first.stop)
+        position[first], velocity[own] = self._piece(first).motion(q, None if force is None else force[own])
+        for restart in others:
+            own = slice(split * restart.part.start, split * restart.part.stop)
+            found = restart.best(q[:-2], None if force is None else force[own])
+            position[restart.part], velocity[own] = found
+        return position, velocity
+
+    @cached_property
+    def _parts(self) -> tuple[slice, list[Restart]]:
+        """The first part of the record between its gaps, and the others."""
+        edges = [0, *(edge for gap in self.breaks for edge in gap), self.y.size]
+        parts = [slice(a, b) for a, b in zip(edges[0::2], edges[1::2], strict=True) if b > a]
+        return parts[0], [self._restart(part) for part in parts[1:]]
+
+    def _restart(self, part: slice) -> Restart:
+        piece = self._piece(part)
+
+        def motion(parameters: Floats, speed: float, force: Floats | None) -> tuple[Floats, Floats]:
+            return piece.motion(np.r_[parameters, np.array([piece.y[0], speed]) / piece.scale[-2:]], force)
+
+        known = piece.start_velocity_std * float(piece.scale[-1])
+        return Restart(part, piece.y, self.resolution**2 / 12, piece.shown_speed, known, motion)
+
+    def _piece(self, part: slice) -> Difference:
+        """A part of the record between its gaps; behind one nobody knows the inputs before."""
+        past = self.before if part.start == 0 else self.u[part][:1]
+        return replace(self, u=self.u[part], y=self.y[part], zero=self.slack, past=past, breaks=())
+
+    @property
+    def shown_speed(self) -> float:
+        """Start velocity [unit of y per s] as the counts show it."""
+        return first_speed(self.y, self.dt, float(self.scale[-1] / self.scale[-2]), self.resolution)
 
     @property
     def before(self) -> Floats:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.arguments import check_arrays, check_size
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
 from pmfid.estimators.bcls import BCLS
+from pmfid.estimators.bridges import Body, bridged
 from pmfid.estimators.configuration import like
 from pmfid.estimators.encoder_noise import impulse_products
 from pmfid.estimators.identifiable import TINY, check_identifiable
@@ -203,15 +205,26 @@ class Instruments(ProcessSolver, Simulating):
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.uint32]]:
         """All columns (n, c), which rows count (n,), and the status (n,)."""
         check_size(u_array)
-        kernel, _ = make_auxiliary_kernel(self, 1.0, list(theta), adapt=False)
+        there, filters = np.isfinite(u_array), self
+        lost = np.where(there, 0, int(Status.INVALID_INPUT)).astype(np.uint32)
+        if not np.all(there):
+            body = Body(self.equation, theta, self.dt, self.encoder.resolution, self.cutoff)
+            u_array, counts_array, there = bridged(body, u_array, counts_array)
+            filters = self._unguarded
+        kernel, _ = make_auxiliary_kernel(filters, 1.0, list(theta), adapt=False)
         rests = self._rests(u_array, counts_array, theta) if rests is None else rests
         before = 2 * self.settle_samples + 1 if rests else 0
         rest = np.full(before, counts_array[:1])
         columns, status = kernel.filter(np.r_[np.zeros(before), u_array], np.r_[rest, counts_array])
-        columns, status = columns[before:], status[before:]
-        used = (status & Status.SETTLING) == 0
+        columns, status = columns[before:], status[before:] | lost
+        used = ((status & Status.SETTLING) == 0) & there
         used[: 0 if before else int(START_PART * used.size)] = False
         return columns, used, status
+
+    @cached_property
+    def _unguarded(self) -> Instruments:
+        """For records with gaps, in which the model moves as it must."""
+        return replace(self, encoder=replace(self.encoder, guard=False))
 
     def _rests(self, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]) -> bool:
         """Does the axis rest at first, by the counts and by the friction of theta (p,)?"""

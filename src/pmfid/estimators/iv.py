@@ -107,6 +107,11 @@ class RIV(Simulating, RecursiveEstimator):
     The model is driven by the input alone with a slow copy of the estimate. Where it does not follow the measured
     velocity, the estimate is that of `BCRLS` and says so (`Status.FALLBACK`); the model then starts again from that.
     initial: parameters by name to start from; None: from BCRLS as soon as that has an estimate.
+
+    A dead time that is estimated comes from a second motion, which each count cuts off at its nearest edge
+    (csrc/pmf_within.h): its instrument, the change of the input, is that of the encoder's error under control. The
+    other parameters are given at that dead time, its variance in theirs; until it is believed the status says
+    `DEAD_TIME`.
     """
 
     method: ClassVar[str] = "riv"

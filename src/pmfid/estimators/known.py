@@ -248,6 +248,11 @@ class Known:
         return joined(parts)
 
 
+def told_by(estimator: Estimator, known: Known | None) -> Estimator | Known:
+    """Who has the names and units of what is told: the estimator, or what is known beside it."""
+    return estimator if known is None else known
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Seen(Shown):
     """The estimate of a step with what is known, put together when it is looked at; theta 0 and infinite error bars

@@ -20,8 +20,8 @@ class KnownStep(BatchEstimator):
     """Off-line: theta = (R - n sigma^2 C)^-1 (r - n sigma^2 c), R = sum phi phi^T, r = sum phi z; C and c, that of phi
     and z, from the filters alone.
 
-    noise_std: of the position; None: that of the encoder's step. No instruments are needed and no pre-filter; it fails
-    where the noise is not white, below about one count of motion per sample.
+    noise_std: of the position [unit of y]; None: that of the encoder's step. No instruments are needed and no
+    pre-filter; it fails where the noise is not white, below about one count of motion per sample.
     """
 
     method: ClassVar[str] = "known-step"
@@ -43,7 +43,10 @@ class KnownStep(BatchEstimator):
 
 @dataclass(frozen=True)
 class RKnownStep(RecursiveEstimator):
-    """On-line, with forgetting: the same sums, discounted; see `KnownStep`."""
+    """On-line, with forgetting: the same sums, discounted; see `KnownStep`.
+
+    noise_std: standard deviation of the position [unit of y]; None: that of the encoder's step.
+    """
 
     method: ClassVar[str] = "rknown-step"
 

@@ -64,7 +64,7 @@ def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
     from around q, with a noise that shrinks step by step, and the best counts.
     """
     best = climb(difference, q, None)
-    if best[2] <= GIVEN_AWAY * NOISE_FLOOR:
+    if best[2] <= GIVEN_AWAY * NOISE_FLOOR or difference.breaks:  # the starts behind gaps are those of least squares
         return best[1], best[2]
     for start in (q, *_around(difference, q)):
         place = start

@@ -34,24 +34,38 @@ def mean_velocity(
     start, the position as the equation counts it. parts: of a sample, of an equation with shapes or a lag; without them
     the motion is exact. before: inputs before the first (m,), of which a dead time or a lag knows; None: zero. on_top:
     (n,) what acts at once beside the input, in its unit."""
+    return moved(equation, theta, dt, u, velocity, position, parts, before, on_top)[0]
+
+
+def moved(
+    equation: Equation,
+    theta: Floats,
+    dt: float,
+    u: Floats,
+    velocity: float = 0.0,
+    position: float = 0.0,
+    parts: int = PARTS,
+    before: Floats | None = None,
+    on_top: Floats | None = None,
+) -> tuple[Floats, float]:
+    """`mean_velocity`, and the velocity at the end."""
     from pmfid import _kernel64
 
     past = np.zeros(1) if before is None else before
     known = equation.known_at(np.asarray(theta)[len(equation.names) :])
     roles, shapes = known.role_values(theta), shape_bytes(known.shapes)
     if not (shapes or known.lag):
-        return np.asarray(
-            _kernel64.simulate(roles, known.input_gain, dt, u, velocity, position, b"", past, None, on_top)[0]
-        )
+        found = _kernel64.simulate(roles, known.input_gain, dt, u, velocity, position, b"", past, None, on_top)
+        return np.asarray(found[0]), float(found[3])
     for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # as little in all parts as in one step
         roles[viscous] = max(roles[viscous] - (parts - 1) * LITTLE_DAMPING * roles[MASS] / dt, 0.0)
     inputs = np.repeat(u, parts)
     extra = None if on_top is None else np.repeat(on_top, parts)
     past, lagging = np.repeat(past, parts), _decays(known, roles, dt / parts)
-    mean = _kernel64.simulate(
+    found = _kernel64.simulate(
         roles, known.input_gain, dt / parts, inputs, velocity, position, shapes, past, lagging, extra
-    )[0]
-    return np.asarray(mean.reshape(-1, parts).mean(axis=1))
+    )
+    return np.asarray(found[0].reshape(-1, parts).mean(axis=1)), float(found[3])
 
 
 def _decays(equation: Equation, roles: Sequence[float], dt: float) -> list[Decay] | None:

@@ -15,6 +15,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.arguments import check_arrays, held
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.bcls import BCLS
+from pmfid.estimators.bridges import gaps_in
 from pmfid.estimators.configuration import like
 from pmfid.estimators.difference import (
     LEAST_MASS,
@@ -86,7 +87,7 @@ class Following(Simulating, BatchEstimator):
         """
         u, counts = check_arrays(u, counts)
         theta, status = self._first(u, counts) if start is None else (start, 0)
-        difference, q = self._prepared(theta, held(u), self.position(counts))
+        difference, q = self._prepared(theta, u, self.position(counts))
         q = least(difference, q)
         difference = difference.fine_at(q[:-2] * difference.scale[:-2])
         if self.drift_cutoff:
@@ -163,7 +164,7 @@ class Following(Simulating, BatchEstimator):
             known = like(OE, self, model=EquationModel(self.equation.at_shapes([speed])))
             try:
                 theta, status = known._start(u, counts)
-                difference, q = known._prepared(theta, held(u), y)
+                difference, q = known._prepared(theta, u, y)
                 q = least(difference, q, [ROUGHLY])
             except NotIdentifiableError as error:
                 refused = error
@@ -195,7 +196,9 @@ class Following(Simulating, BatchEstimator):
         return theta, columns.status
 
     def _prepared(self, theta: Floats, u: Floats, y: Floats) -> tuple[Difference, Floats]:
-        """The difference behind the high-pass, and q to start from: theta (p,), at the first count."""
+        """The difference behind the high-pass, and q to start from: theta (p,), at the first count. Where the input
+        (n,) is no number the record has a gap."""
+        breaks, u = gaps_in(u), held(u)
         travel, dt = float(np.ptp(y)), self.dt
         force, mass = abs(self.equation.input_gain) * rms(u), abs(theta[self.equation.leading])
         drag = force * y.size * dt / travel
@@ -208,7 +211,8 @@ class Following(Simulating, BatchEstimator):
         if self.equation.lag == ESTIMATE:
             size[len(self.equation.names)] = max(size[len(self.equation.names)], dt)
         scale, pole = np.r_[size, travel, travel * self.cutoff], self.drift_cutoff or self.cutoff
-        difference = Difference(self.equation, dt, u, y, self.encoder.resolution, scale, pole).fine_at(theta)
+        difference = Difference(self.equation, dt, u, y, self.encoder.resolution, scale, pole)
+        difference = replace(difference, breaks=breaks).fine_at(theta)
         v0 = first_speed(y, dt, self.cutoff, self.encoder.resolution)
         return difference, np.maximum(np.r_[theta, y[0], v0] / scale, difference.lower)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
+from pmfid.findings import Finding, noted
 from pmfid.judge.assess import Assessment
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.order import Search
@@ -19,6 +20,31 @@ FEEDBACK = (
     "the estimate is biased; give the reference of the controller ([record] reference) to srivc, iv or output-error"
 )
 IGNORED = "{method} does not use the reference of the controller; srivc, iv and output-error do"
+DEPENDENT = (
+    "the input explains some of the residual: another dead time, more poles or zeros, or another hold may explain "
+    "more; the error bars leave out what this moves the estimate by"
+)
+REPEATS = (
+    "the residual does the same in every period of the input: that is an error of the model, not noise, and the error "
+    "bars allow for one like it; another structure may explain it"
+)
+OTHER_HOLD = (
+    'with the other hold of the input the model follows the records better: hold = "zoh" is for one that a converter '
+    'holds, "foh" for one that runs on between the samples; try the other, it moves the estimate'
+)
+UNKNOWN_HOLD = (
+    "the record does not tell whether its input is held between the samples or runs on, and that moves a parameter "
+    'beyond its error bar: make sure of [record] hold, "zoh" or "foh", or sample faster'
+)
+SURPLUS = (
+    "one pole and one zero less explain the record as well: it does not tell where they are, and their error bars mean "
+    "nothing; use a smaller n and m"
+)
+MOVED = (
+    "with the colour of the noise in mind the estimate is elsewhere, by more than its error bars: it has taken some of "
+    "the noise for dynamics; record longer, or use a smaller n and m"
+)
+UNKNOWN_POLE = "a pole is not known to half its size: record longer, excite it more, or use a smaller n and m"
 #: Less of the output explained [%] is worth a sentence.
 POOR_FIT = 10.0
 #: An output so many robust standard deviations off, in so small a part of the samples, is an outlier.
@@ -42,7 +68,7 @@ def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, checks
         )
 
 
-def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Assessment) -> list[str]:
+def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Assessment) -> list[Finding]:
     """What there is to doubt in numbers that are there."""
     residual = np.concatenate(checks.residual)
     spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
@@ -57,53 +83,40 @@ def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Ass
         found.append(f"the model explains {checks.fit:.2g} % of the output, no more")
     if "offset" not in estimator.names and abs(np.mean(residual)) > 0.5 * np.std(residual):
         found.append("the residual has a mean: give offset = true in [model]")
-    return found
+    return noted("fit", found)
 
 
-def notes_on(
-    experiments: Sequence[Experiment], checks: Assessment, process: Process, referenced: bool, expected: bool
-) -> list[str]:
-    """What the residual tests, the poles and the records give to mind; referenced: the method uses a reference;
-    expected: poles in the right half-plane were asked for."""
-    found = []
-    if checks.feedback and not referenced:
-        found.append(FEEDBACK)
-    if checks.unmodelled:
-        found.append(
-            "the input explains some of the residual: another dead time, more poles or zeros, or another hold may "
-            "explain more; the error bars leave out what this moves the estimate by"
-        )
-    if checks.repeats:
-        found.append(
-            "the residual does the same in every period of the input: that is an error of the model, not noise, and "
-            "the error bars allow for one like it; another structure may explain it"
-        )
-    if checks.hold.better:
-        found.append(
-            'with the other hold of the input the model follows the records better: hold = "zoh" is for one that a '
-            'converter holds, "foh" for one that runs on between the samples; try the other, it moves the estimate'
-        )
-    if checks.hold.hidden and not checks.second.surplus:
-        found.append(
-            "the record does not tell whether its input is held between the samples or runs on, and that moves a "
-            'parameter beyond its error bar: make sure of [record] hold, "zoh" or "foh", or sample faster'
-        )
-    if checks.second.surplus:
-        found.append(
-            "one pole and one zero less explain the record as well: it does not tell where they are, and their error "
-            "bars mean nothing; use a smaller n and m"
-        )
-    if checks.second.moved:
-        found.append(
-            "with the colour of the noise in mind the estimate is elsewhere, by more than its error bars: it has taken "
-            "some of the noise for dynamics; record longer, or use a smaller n and m"
-        )
-    if np.any(process.poles.real > 0) and not expected:
-        found.append("the transfer function is unstable: what it simulates, and so the fit, says nothing")
+def findings_on(
+    experiments: Sequence[Experiment], checks: Assessment, process: Process, flags: tuple[str, ...], expected: bool
+) -> list[Finding]:
+    """What the residual tests, the poles and the records give to mind. flags: what of it goes into the status, as
+    `flags_on` has it; expected: poles in the right half-plane were asked for."""
+    found = [
+        Finding(code, sentence, severity="doubt" if code in flags else "note")
+        for code, holds, sentence in _said(checks, process, flags, expected)
+        if holds
+    ]
     missing = sum(int(np.sum(~np.isfinite(experiment.y))) for experiment in experiments)
-    if missing:
-        found.append(f"{missing} samples of the output are missing")
-    return found
+    return found + noted("missing", [f"{missing} samples of the output are missing"] * bool(missing))
+
+
+def _said(
+    checks: Assessment, process: Process, flags: tuple[str, ...], expected: bool
+) -> tuple[tuple[str, bool, str], ...]:
+    """Code, whether it is the case, and the sentence."""
+    second, hold = checks.second, checks.hold
+    unstable = bool(np.any(process.poles.real > 0)) and not expected
+    return (
+        ("feedback", "feedback" in flags, FEEDBACK),
+        ("unmodelled", checks.unmodelled, DEPENDENT),
+        ("unmodelled", checks.repeats, REPEATS),
+        ("unmodelled", hold.better, OTHER_HOLD),
+        ("model_spread", hold.hidden and not second.surplus, UNKNOWN_HOLD),
+        ("uncertain", second.surplus, SURPLUS),
+        ("uncertain", second.moved, MOVED),
+        ("uncertain", "uncertain" in flags and not (second.surplus or second.moved), UNKNOWN_POLE),
+        ("unstable", unstable, "the transfer function is unstable: what it simulates, and so the fit, says nothing"),
+    )
 
 
 def search_notes(search: Search) -> list[str]:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import CONTRADICTED, Adequacy, examine, force_moves
+from pmfid.estimators.arguments import held
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.configuration import like
@@ -20,6 +21,7 @@ from pmfid.estimators.output_error import OE, Following
 from pmfid.estimators.rls import RLS
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.findings import Finding, codes, ordered
 from pmfid.judge.counts import count_jump, counts_per_sample
 from pmfid.judge.late import late
 from pmfid.status import Status
@@ -37,8 +39,6 @@ MEMORIES = 3.0
 #: A method's own error, relative, that is worth a word of its own.
 BIASED = 0.01
 
-Finding = tuple[str, str]
-
 
 def judge(
     estimator: Estimator,
@@ -47,8 +47,8 @@ def judge(
     theta: NDArray[np.float64],
     std: NDArray[np.float64],
     adequacy: Adequacy | None = None,
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Flags and sentences on an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,).
+) -> tuple[Finding, ...]:
+    """What there is to find of an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,).
 
     implausible: a negative mass or friction; uncertain: not known to half its value; biased: the method's own error
     is larger than its error bar and 2 %; std_too_small: larger than its error bar; unmodelled: the counts show that
@@ -61,15 +61,16 @@ def judge(
     """
     residual = [*_model(estimator, u, counts, theta, std, adequacy), *_feedback(estimator, u, counts, theta)]
     # where the model is wrong, methods differ because they weigh its error differently: only large differences count
-    limit = 10 * BIASED if any(flag == "unmodelled" for flag, _ in residual) else 2 * BIASED
-    found = [
-        *_jump(estimator, counts),
-        *_sizes(estimator, theta, std),
-        *_bias(estimator, u, counts, theta, std, limit),
-        *_coarse(estimator, counts),
-        *residual,
-    ]
-    return tuple(dict.fromkeys(flag for flag, _ in found)), tuple(sentence for _, sentence in found)
+    limit = 10 * BIASED if "unmodelled" in codes(residual) else 2 * BIASED
+    return ordered(
+        [
+            *_jump(estimator, counts),
+            *_sizes(estimator, theta, std),
+            *_bias(estimator, u, counts, theta, std, limit),
+            *_coarse(estimator, counts),
+            *residual,
+        ]
+    )
 
 
 def _sizes(estimator: Estimator, theta: NDArray[np.float64], std: NDArray[np.float64]) -> Iterator[Finding]:
@@ -77,9 +78,13 @@ def _sizes(estimator: Estimator, theta: NDArray[np.float64], std: NDArray[np.flo
         if name not in _positive(estimator):
             continue
         if value + 3 * deviation < 0:
-            yield "implausible", f"{name} is negative: check sign and scale of the input and the encoder"
+            yield Finding(
+                "implausible",
+                f"{name} is negative: check sign and scale of the input and the encoder",
+                severity="wrong",
+            )
         elif deviation > 0.5 * abs(value):
-            yield "uncertain", f"{name} is not known to half its value: excite it more, or lower the cutoff"
+            yield Finding("uncertain", f"{name} is not known to half its value: excite it more, or lower the cutoff")
 
 
 def _bias(
@@ -98,21 +103,25 @@ def _bias(
         better = reference(estimator, u, counts)
     except NotIdentifiableError as error:
         if plain:
-            yield "uncertain", f"least squares may show the encoder's noise, for {error}"
+            yield Finding("uncertain", f"least squares may show the encoder's noise, for {error}")
         return
     unknown = [name for name, (value, bar) in better.items() if name in _positive(estimator) and bar > 0.5 * abs(value)]
     if unknown and plain:
-        yield "uncertain", f"nothing can tell {', '.join(unknown)} here: least squares may show the encoder's noise"
+        yield Finding(
+            "uncertain", f"nothing can tell {', '.join(unknown)} here: least squares may show the encoder's noise"
+        )
     for name, value, deviation in zip(estimator.names, theta, std, strict=True):
         if name not in better or name in unknown:
             continue
         known, bar = better[name]
         own = abs(value - known)
         if own > np.hypot(deviation, bar) and own > limit * abs(known):
-            yield "biased", f"{name} = {value:.4g} has an error of its own: iv gives {known:.4g}"
+            yield Finding("biased", f"{name} = {value:.4g} has an error of its own: iv gives {known:.4g}")
         elif own > max(deviation, bar) and limit <= 2 * BIASED:
             percent = 100 * own / abs(known)
-            yield "std_too_small", f"the std of {name} leaves out the method's own error, about {percent:.2g} %"
+            yield Finding(
+                "std_too_small", f"the std of {name} leaves out the method's own error, about {percent:.2g} %"
+            )
 
 
 def reference(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> dict[str, tuple[float, float]]:
@@ -153,7 +162,7 @@ def _positive(estimator: Estimator) -> set[str]:
 def _coarse(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
     per_sample = counts_per_sample(counts)
     if "known-step" in estimator.method and per_sample < COARSE:
-        yield (
+        yield Finding(
             "coarse_motion",
             f"the axis moves {per_sample:.2g} counts per sample: the encoder's error is no white noise; use iv",
         )
@@ -163,7 +172,7 @@ def _jump(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
     """A jump of the counts, where nothing keeps it out."""
     sentence = count_jump(counts) if estimator.encoder.max_speed is None else ""
     if sentence:
-        yield "count_jump", sentence
+        yield Finding("count_jump", sentence, severity="wrong")
 
 
 def recent(estimator: Estimator, samples: int) -> slice:
@@ -211,18 +220,19 @@ def _model(
     try:
         found = examined(estimator, u, counts, theta, adequacy)
     except NotIdentifiableError as error:
-        yield "unmodelled", f"{UNMODELLED}: no motion of the model follows the counts ({error})"
+        yield Finding("unmodelled", f"{UNMODELLED}: no motion of the model follows the counts ({error})")
         return
     if found is None:
         return
     if found.left > WORST_FIT:
-        yield (
+        yield Finding(
             "not_followed",
             f"no motion of the model follows the measured one, {found.left:.0%} of it is left: check input_gain, the "
             "sign and scale of input and output, and bits of [encoder]",
+            severity="wrong",
         )
     if not found.adequate:
-        yield "unmodelled", f"{UNMODELLED}: {found.says}; the error bars do not cover it"
+        yield Finding("unmodelled", f"{UNMODELLED}: {found.says}; the error bars do not cover it")
         yield from late(found)
         return
     part, own = recent(estimator, u.size), slice(0, len(estimator.equation.names))
@@ -248,7 +258,7 @@ def _hidden(
     apart = np.abs(theta - best) / np.maximum(np.sqrt(std**2 + own_spread**2), TINY)
     worst = int(np.argmax(apart))
     if isinstance(estimator, Simulating) and apart[worst] > CONTRADICTED:
-        yield (
+        yield Finding(
             "biased",
             f"{estimator.names[worst]} = {theta[worst]:.4g} has an error of its own: the motion that explains every "
             f"count has {best[worst]:.4g}; under control through a coarse encoder its error comes back through the "
@@ -256,7 +266,7 @@ def _hidden(
         )
     for name, value, own, bar in zip(estimator.equation.names, theta, spread, std, strict=True):
         if own > bar:
-            yield (
+            yield Finding(
                 "model_spread",
                 f"friction or a dead time that the model lacks, and that this record would not show, may move {name} "
                 f"by {100 * own / max(abs(value), TINY):.2g} %, more than its error bar: a finer encoder or a richer "
@@ -279,11 +289,14 @@ def _feedback(
     if error.size == 0:
         return
     if not np.max(np.abs(error)) < BEYOND:
-        yield "unmodelled", "the motion simulated with this estimate leaves the range of numbers: do not believe it"
+        yield Finding(
+            "unmodelled", "the motion simulated with this estimate leaves the range of numbers: do not believe it"
+        )
         return
-    change, last = np.diff(u, prepend=u[0])[columns.used], recent(estimator, error.size)
+    given = held(u)
+    change, last = np.diff(given, prepend=given[0])[columns.used], recent(estimator, error.size)
     if correlation_score(error[last], change[last]) > SIGNIFICANT:
-        yield (
+        yield Finding(
             "feedback",
             "the input follows what the model leaves unexplained, the encoder's error or unmodelled friction, as under "
             "position control: small biases beyond the error bars are possible; open-loop motion is free of them",

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from pmfid.estimators.adequacy import Adequacy
 from pmfid.estimators.lateness import ALIKE, Lateness, lateness
+from pmfid.findings import Finding
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation
 
 #: Samples from which on a delay that no score names is told: a smaller one imitates other things, as friction within a
@@ -15,14 +16,14 @@ LEAST = 0.05
 CALLED = {DEAD_TIME: "dead time", LAG: "first-order lag"}
 
 
-def late(found: Adequacy) -> Iterator[tuple[str, str]]:
-    """Flag and sentence where the counts ask for an input that acts late, or late in another way; of a model that is
+def late(found: Adequacy) -> Iterator[Finding]:
+    """What is said where the counts ask for an input that acts late, or late in another way; of a model that is
     not adequate."""
     equation, dt = found.difference.equation, found.difference.dt
     ways = _ways(found)
     if ways:
         best, cure = _said(ways[0], dt), _cure(ways[0], equation)
-        yield "dead_time", f"a {best} explains the counts better{_compared(ways, dt)}: set {cure} in [model]"
+        yield Finding("dead_time", f"a {best} explains the counts better{_compared(ways, dt)}: set {cure} in [model]")
 
 
 def _ways(found: Adequacy) -> list[Lateness]:

@@ -55,6 +55,7 @@ class Shape:
     window_blocks: int
     max_late: int
     with_dead_time: int
+    with_dead_time_found: int
     with_lag: int
     with_auxiliary: int
     with_linear: int

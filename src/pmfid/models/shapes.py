@@ -115,7 +115,7 @@ class Square(Shape):
 @dataclass(frozen=True)
 class Wave(Shape):
     """sin or cos of 2 pi x / period: gravity on a rotary axis (period: a turn), cogging (its pitch), or a harmonic of
-    the travel; period > 0 [unit of y]."""
+    the travel; period > 0 [unit of y]; cosine: cos in place of sin."""
 
     period: float
     cosine: bool = False

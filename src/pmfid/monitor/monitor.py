@@ -13,7 +13,7 @@ from pmfid._estimate import Estimate
 from pmfid.estimators.configuration import like
 from pmfid.estimators.facts import INPUT_GAIN, forces_of
 from pmfid.estimators.iv import IV
-from pmfid.estimators.known import Known, Posterior, Seen
+from pmfid.estimators.known import Known, Posterior, Seen, told_by
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.calibration import Calibration
 from pmfid.monitor.cause import TRANSITION, Cause, explain, sized
@@ -97,11 +97,11 @@ class Monitor(Shown):
     @property
     def names(self) -> tuple[str, ...]:
         """Of the parameters that are told: the estimator's, and the gain of the input where it is found."""
-        return self.estimator.names if self.known is None else self.known.names
+        return told_by(self.estimator, self.known).names
 
     @property
     def units(self) -> tuple[str, ...]:
-        return self.estimator.units if self.known is None else self.known.units
+        return told_by(self.estimator, self.known).units
 
     @property
     def _parameters(self) -> Parameters:

@@ -16,6 +16,7 @@ from pmfid.estimators.configuration import made
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.track import Track
+from pmfid.findings import codes
 from pmfid.judge.drive import judge
 from pmfid.models.drive import Drive
 from pmfid.paper.figure import Results
@@ -127,7 +128,7 @@ def estimate(
 
 def _flags(estimator: Estimator, record: CartRecord, outcome: Outcome) -> tuple[str, ...]:
     try:
-        return judge(estimator, record.u, record.counts, outcome.theta, outcome.std)[0]
+        return codes(judge(estimator, record.u, record.counts, outcome.theta, outcome.std))
     except (NotIdentifiableError, np.linalg.LinAlgError) as error:
         return (f"judge: {type(error).__name__}",)
 

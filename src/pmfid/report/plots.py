@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 from functools import singledispatch
+from typing import cast
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,7 +19,7 @@ from pmfid.estimators.track import Track, Tracks
 from pmfid.judge.correlations import make_balance
 from pmfid.monitor.monitor import Monitor
 from pmfid.report.check_figures import simulation_figure
-from pmfid.report.figures import estimate_figure, residual_figure
+from pmfid.report.figures import estimate_figure, figure_style, residual_figure
 from pmfid.report.friction import curve_figure
 from pmfid.report.monitored_figures import calibration_figure
 from pmfid.report.notebook_figures import SAMPLES, bars_figure, experiment_figure, fleet_figure, with_samples
@@ -31,16 +33,31 @@ from pmfid.session.validation import Validation
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.process import Process
 
+#: Of a figure in a notebook: 9 inches are 900 pixels.
+DPI = 100
 
-def figure_of(shown: object, **options: object) -> Figure:
+
+class Drawing(Figure):
+    """A figure that a notebook shows by itself, also where nobody has imported pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        with figure_style():
+            self.savefig(buffer, format="png", dpi=DPI)
+        return buffer.getvalue()
+
+
+def figure_of(shown: object, **options: object) -> Drawing:
     """The figure of a result; options: the keywords of the function for its kind below. Raises UsageError for others,
     and for what has no figure."""
     try:
-        return _draw(shown, **options)
+        figure = _draw(shown, **options)
     except TypeError as error:
         if "unexpected keyword" in str(error):
             raise UsageError(f"the figure of {type(shown).__name__} has no such option: {error}") from None
         raise
+    figure.__class__ = Drawing  # whoever made it
+    return cast(Drawing, figure)
 
 
 @singledispatch

@@ -12,7 +12,7 @@ from pmfid.judge.doubts import search_notes
 from pmfid.report.figures import COLOURS, GREY, WIDTH, decimation, figure_style, plain_ticks
 from pmfid.report.files import write_json
 from pmfid.report.html import Section, svg, write_report
-from pmfid.session.parameters import parameter_header, parameter_rows
+from pmfid.session.parameters import findings_lines, parameter_header, parameter_rows
 from pmfid.session.processes import search_json
 from pmfid.session.result import ProcessResult
 from pmfid.transfer.order import Search
@@ -45,8 +45,9 @@ BAND = "Band: two standard deviations."
 
 def _parameters(result: ProcessResult) -> Section:
     text = f"{result.name}: {result.samples} samples. {result.fit_text.capitalize()}."
-    notes = [f"Note: {note}." for note in result.notes]
-    return Section("Parameters", "\n\n".join([text, *notes]), (parameter_header(result), parameter_rows(result)))
+    return Section(
+        "Parameters", "\n\n".join([text, *findings_lines(result)]), (parameter_header(result), parameter_rows(result))
+    )
 
 
 def _dynamics(process: Process) -> Section:

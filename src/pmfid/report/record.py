@@ -14,7 +14,7 @@ from pmfid.report.figures import estimate_figure, residual_figure, signals_figur
 from pmfid.report.files import replace_file, write_json
 from pmfid.report.html import Section, svg, write_report
 from pmfid.report.model_checks import model_checks
-from pmfid.session.parameters import parameter_header, parameter_rows
+from pmfid.session.parameters import findings_lines, parameter_header, parameter_rows
 from pmfid.session.records import Record
 from pmfid.session.result import DriveResult
 from pmfid.session.row_file import fresh
@@ -68,7 +68,7 @@ def _parameters(result: DriveResult) -> Section:
         + (f", pre-filter zeros {zeros} rad/s" if zeros else "")
         + f". Relative error of the filtered equation: {100 * result.relative_error:.3g} %."
     )
-    text = "\n\n".join([text, HOW_TO_READ, *(f"Note: {note}." for note in result.notes)])
+    text = "\n\n".join([text, HOW_TO_READ, *findings_lines(result)])
     return Section("Parameters", text, (parameter_header(result), parameter_rows(result)))
 
 

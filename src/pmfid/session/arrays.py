@@ -12,12 +12,15 @@ from numpy.typing import ArrayLike
 
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
-from pmfid.estimators.arguments import check_arrays
+from pmfid.estimators.arguments import check_arrays, numbers
+from pmfid.findings import Finding
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.frames import table_of
+from pmfid.session.gaps.joining import one_of
+from pmfid.session.identify import check as checked
 from pmfid.session.identify import identify as run
 from pmfid.session.identify import kind_of
 from pmfid.session.kinds import Records, parameters_of
@@ -35,7 +38,7 @@ INPUT, OUTPUT = "u", "y"
 
 
 def identify(
-    u: ArrayLike | Experiment | Sequence[Experiment] | object,
+    u: ArrayLike | Experiment | Sequence[Experiment] | Sequence[tuple[ArrayLike, ArrayLike]] | object,
     y: ArrayLike | None = None,
     *,
     model: Model | None = None,
@@ -47,8 +50,9 @@ def identify(
 ) -> Result:
     """Identifies a machine or a transfer function, with the same choice of method, flags and notes as `pmfid identify`.
 
-    u: input (n,). y: of a machine the counts of its encoder (n,), integers (see `quantize`); of a transfer function the
-    output (n,), any numbers; or in place of both one `Experiment` or several, with time, gaps and a reference.
+    u: input (n,). y: of a machine the counts of its encoder (n,), integers (see `quantize`), NaN in u or y where a
+    sample is missing, or in place of both several records [(u, y), (u, y)]; of a transfer function the output (n,), any
+    numbers; or in place of both one `Experiment` or several, with time, gaps and a reference.
     model: `Drive`, `EquationModel` or `TransferFunction`. dt: sample period [s]. cutoff: pole of the filters [rad/s];
     None, of a machine: that behind which the record says most. encoder: of a machine. settings: those of [estimator] in
     AXIS.toml: method ("auto"), order, forgetting, forgetting_scheme, discretization, prefilter_zeros, precision; given
@@ -68,19 +72,40 @@ def identify(
     if isinstance(model, TransferFunction):
         experiments = _experiments(u, y, dt)
         return run(experiments, axis_of(model, encoder, experiments[0].period, {"cutoff": cutoff, **settings}))
-    if y is None or dt is None or encoder is None or isinstance(u, Experiment):
+    pairs = _pairs(u) if y is None else [(cast(ArrayLike, u), y)]
+    if not pairs or dt is None or encoder is None:
         raise UsageError(f"a {model.kind} is identified from u and counts (n,) with dt and encoder; give all of them")
     own = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
-    return run(_record(cast(ArrayLike, u), y, own), own)
+    place_matters = own.model.make().equation.place_matters
+    return run(one_of([_record(*pair, own) for pair in pairs], place_matters), own)
 
 
 def _configured(record: object, axis: Axis | Path | str) -> Result:
-    """Of a frame or a file, by an AXIS.toml."""
+    """Of a frame, a file or several of either, by an AXIS.toml."""
     own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
     kind = kind_of(own)
     if isinstance(record, str | Path):
         return run(kind.read([Path(record)], own), own)
+    if isinstance(record, list | tuple) and record and all(isinstance(one, str | Path) for one in record):
+        return run(kind.read([Path(one) for one in record], own), own)
     return run(kind.of_table(table_of(record), own), own)
+
+
+def check(
+    u: ArrayLike,
+    y: ArrayLike,
+    *,
+    model: Model,
+    dt: float,
+    encoder: Encoder,
+) -> tuple[Finding, ...]:
+    """What is wrong with a log of a machine, most important first, as `pmfid check` says it; empty where nothing is
+    found.
+
+    u, y (n,), model, dt [s], encoder: as for `identify`. Raises UsageError for arguments that do not fit each other.
+    """
+    axis = axis_of(model, encoder, dt, {})
+    return checked(_record(u, y, axis), axis)
 
 
 def validate(
@@ -142,9 +167,21 @@ def search_terms(
     return search_drive(_record(u, counts, axis), axis, places, scan, second)
 
 
+def _pairs(u: object) -> list[tuple[ArrayLike, ArrayLike]]:
+    """Several records of a machine; none where it is something else."""
+    if isinstance(u, list | tuple) and u and all(isinstance(pair, tuple) and len(pair) == 2 for pair in u):
+        return list(u)
+    return []
+
+
 def _record(u: ArrayLike, counts: ArrayLike, axis: Axis) -> Record:
-    inputs, whole = check_arrays(u, counts)
-    return record_of({INPUT: inputs, OUTPUT: whole.astype(np.float64)}, axis)
+    """Where one of the two is NaN a sample is missing."""
+    inputs, given = numbers("u", u), numbers("counts", counts)
+    there = np.isfinite(given) if given.dtype.kind == "f" else np.ones(given.shape, bool)
+    _, whole = check_arrays(inputs, np.where(there, given, 0))
+    return record_of(
+        {INPUT: inputs.astype(np.float64), OUTPUT: np.where(there, whole.astype(np.float64), np.nan)}, axis
+    )
 
 
 def axis_of(model: Model, encoder: Encoder | None, dt: float, estimator: dict[str, object]) -> Axis:

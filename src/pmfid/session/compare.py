@@ -45,8 +45,8 @@ def compare(data: Records, axis: Axis, done: Progress | None = None) -> Comparis
         if done is not None:
             done(count / len(methods))
     unknown = {method: error for method, error in refused.items() if isinstance(error, NotIdentifiableError)}
-    mistake = kind.mistake(data, axis) if unknown else ""
-    told = refused | {method: explained(error, mistake) for method, error in unknown.items()}
+    found = kind.checked(data, axis, judged=True) if unknown else ()
+    told = refused | {method: explained(error, found) for method, error in unknown.items()}
     if not results:
         raise next(iter(told.values()))
     return Comparison(*kind.name_and_samples(data), results, {method: str(error) for method, error in told.items()})

@@ -23,33 +23,38 @@ from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known import PIECE, Known, Posterior
 from pmfid.estimators.ls import LS
 from pmfid.estimators.output_error import OE
-from pmfid.estimators.plants import plant_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.track import Track, joined
 from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.findings import Finding, codes, noted, ordered, texts
 from pmfid.judge.drive import examined, judge, recent
 from pmfid.judge.free_run import FreeRun, drive_run
 from pmfid.judge.spread import model_spread
 from pmfid.models.drive import EquationModel
 from pmfid.models.equation import ESTIMATE, LATE
+from pmfid.session import checks
 from pmfid.session.config import Axis, check_sampling
-from pmfid.session.diagnosis import check_direction, diagnose
+from pmfid.session.diagnosis import check_direction
+from pmfid.session.gaps.joining import one_of
+from pmfid.session.gaps.motion import by_motion
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.session.known import at_gain, at_some_gain, finds_gain, known_of, of_either_sign, put_together
-from pmfid.session.outliers import Believed, believed
+from pmfid.session.outliers import believed_of
 from pmfid.session.records import Record, read_record, record_of
 from pmfid.session.result import DriveResult
 from pmfid.session.stored import Stored
 from pmfid.session.tables import Table
-from pmfid.status import Status, status_names
+from pmfid.status import Status, status_findings
 from pmfid.types import Counts, Floats
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
 
 CHUNK = 100_000
+#: Part of the motion that a simulation may leave of one that it follows.
+FOLLOWED = 0.2
 
 
 class Drives(Kind[Record]):
@@ -58,9 +63,8 @@ class Drives(Kind[Record]):
     on_line: ClassVar[str] = "riv"
 
     def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Record:
-        if len(paths) > 1:
-            raise UsageError("several records make one estimate of a transfer function only; give one record")
-        return read_record(paths[0], axis, quantize)
+        place_matters = axis.model.make().equation.place_matters
+        return one_of([read_record(path, axis, quantize) for path in paths], place_matters)
 
     def of_table(self, table: Table, axis: Axis) -> Record:
         return record_of(table, axis)
@@ -78,22 +82,37 @@ class Drives(Kind[Record]):
         cutoff = choose_cutoff(models, axis.encoder.made(data.resolution), data.dt, known.u, known.counts)
         return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
 
+    def completed(self, data: Record, axis: Axis) -> Record:
+        if data.there is None or np.all(data.there | np.isnan(data.u)):
+            return data
+        known = believed_of(data, axis).record
+        for one in [at_gain(axis, 1.0), at_gain(axis, -1.0)] if finds_gain(axis) else [axis]:
+            model = one.model.make()
+            if IV.refuses(model.simple.equation):
+                return data
+            method = IV(model.simple, one.encoder.made(data.resolution), data.dt, one.estimator.pole)
+            found = by_motion(method, known.u, known.counts, data.there)
+            if found is not None:
+                u, counts = (np.where(data.there, *pair) for pair in zip((data.u, data.counts), found, strict=True))
+                return replace(data, u=u, counts=counts)
+        return data
+
     def check(self, data: Record, axis: Axis) -> None:
         axis = at_some_gain(axis)
         mistake = check_direction(believed_of(data, axis).record, axis)
         if mistake:
             raise UsageError(mistake)
 
-    def mistake(self, data: Record, axis: Axis) -> str:
-        axis = at_some_gain(axis)
-        known = believed_of(data, axis)
-        return diagnose(known.record, axis) or known.told
+    def glanced(self, data: Record, axis: Axis) -> tuple[Finding, ...]:
+        return checks.glanced(data, axis)
+
+    def checked(self, data: Record, axis: Axis, judged: bool = False) -> tuple[Finding, ...]:
+        return ordered((*checks.checked(data, axis, judged), *believed_of(data, axis).findings))
 
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
         known = believed_of(data, axis)
         result = of_either_sign(axis, lambda own: _identified(known.record, own, axis, progress))
-        status = tuple(dict.fromkeys((*known.status, *result.status)))
-        return replace(result, status=status, notes=tuple(filter(None, (known.told, *result.notes))))
+        return result.with_findings(*known.findings)
 
     def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
         known = believed_of(data, axis)
@@ -120,7 +139,7 @@ def _identified(data: Record, axis: Axis, asked: Axis, progress: Progress | None
         estimator, reason = choose(estimator, data.u, data.counts, axis.estimator.forgetting)
     result = _estimate(estimator, data, asked, progress, choice)
     _check_known(result)
-    return replace(result, notes=(f"auto chose {reason}", *result.notes)) if reason else result
+    return result.with_findings(*noted("method", [f"auto chose {reason}"])) if reason else result
 
 
 def of_kind(record: Record, axis: Axis) -> Axis:
@@ -133,10 +152,6 @@ def of_kind(record: Record, axis: Axis) -> Axis:
             'the file has an angle for output: write [model] axis = "rotary", and inertia where a mass is known'
         )
     return axis.model_copy(update={"model": axis.model.model_copy(update={"axis": "rotary"})})
-
-
-def believed_of(record: Record, axis: Axis) -> Believed:
-    return believed(record) if axis.encoder.guard and plant_of(axis.model.make().equation).rests else Believed(record)
 
 
 def make_estimator(axis: Axis, record: Record) -> Estimator:
@@ -178,6 +193,32 @@ def _check_known(result: DriveResult) -> None:
         raise NotIdentifiableError(f"this record does not fit the model: {advice}")
 
 
+def _check_error(
+    estimator: Estimator, relative: float, adequacy: Adequacy | None, judged: tuple[Finding, ...]
+) -> list[Finding]:
+    """What to say where the equation leaves more than all of the input, as it does at the right parameters where a
+    coarse encoder's steps are in the acceleration. Raises NotIdentifiableError where no simulated motion says that
+    these are right."""
+    if not relative > 1:
+        return []
+    told = f"the filtered equation leaves {100 * relative:.3g} % of the input"
+    if adequacy is not None and adequacy.left < FOLLOWED:
+        return noted(
+            "relative_error",
+            [
+                f"{told}, the encoder's steps in the acceleration above all; the simulated motion leaves "
+                f"{100 * adequacy.left:.2g} % of the measured one"
+            ],
+        )
+    if adequacy is not None or estimator.equation.without_simulation or "unmodelled" in codes(judged):
+        advice = "; ".join(texts(judged)) or "check the columns and the scales of input and output, or lower the cutoff"
+        raise NotIdentifiableError(
+            f"{told}, more than no motion at all would, and no simulated motion follows the measured one: this record "
+            f"cannot identify the parameters as it is read ({advice})"
+        )
+    return []
+
+
 def _estimate(
     estimator: Estimator, record: Record, axis: Axis, progress: Progress | None, choice: Choice | None
 ) -> DriveResult:
@@ -197,16 +238,23 @@ def _estimate(
     asked = all_known(estimator, record, fit.theta, fit.theta_std)
     adequacy, spread = _spread(asked[0], record, asked[3], asked[4], _adequacy(estimator, record, fit, choice))
     spread = np.r_[spread, np.full(fit.theta.size - spread.size, np.nan)]  # of parameters it is not linear in
-    flags, notes = judge(*asked, adequacy)
+    unused = []
     if axis.estimator.window is not None and not isinstance(estimator, OE):
-        notes = (*notes, f'{estimator.method} simulates no windows: window is not used; set method = "output-error"')
+        unused.append(f'{estimator.method} simulates no windows: window is not used; set method = "output-error"')
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
-        notes = (*notes, f"{estimator.method} is an off-line method: forgetting is not used")
-    notes = (*record.notes, *fit.notes, *notes, *Status(fit.status).advice)
-    status = tuple(dict.fromkeys((*status_names(fit.status), *flags)))  # both may tell of a jump
-    found = fit.theta, fit.theta_std, status, notes
+        unused.append(f"{estimator.method} is an off-line method: forgetting is not used")
+    notes = noted("record", record.notes) + noted("method", fit.notes) + noted("unused", unused)
+    judged = judge(*asked, adequacy)
+    notes += _check_error(estimator, fit.relative_error, adequacy, judged)
+    findings = ordered((*status_findings(fit.status & ~_told(record)), *judged, *notes))
+    found = fit.theta, fit.theta_std, findings
     result = DriveResult(estimator, *found, record, fit.relative_error, fit=fit, model_spread=spread)
     return result if known is None else put_together(result, known, axis, known.of(fit, spread))
+
+
+def _told(record: Record) -> int:
+    """Status bits of what the record's notes say: its gaps."""
+    return int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.STANDSTILL) if np.any(np.isnan(record.u)) else 0
 
 
 def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: Choice | None) -> Adequacy | None:
@@ -301,6 +349,7 @@ def _recursive(
         free = np.delete(free, late, axis=1)
     relative = _relative_error(columns, free, track.status)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
+    occurred &= ~_told(record)
     closer = Status.UNMODELLED | Status.FEEDBACK | Status.DEAD_TIME  # `judge` looks closer at these
     held = occurred | (last & ~int(Status.SETTLING | closer))
     last_estimate: Estimate | Posterior = estimator.estimate
@@ -308,10 +357,10 @@ def _recursive(
         known, last_estimate = known.rescaled(last_estimate)
         method, theta, std = known.estimator, last_estimate.theta, last_estimate.theta_std
     adequacy, spread = _spread(method, record, theta, std, None)
-    flags, notes = judge(method, record.u, record.counts, theta, std, adequacy)
-    status = tuple(dict.fromkeys((*status_names(held), *flags)))
-    notes = (*record.notes, *notes, *Status(held).advice)
-    result = DriveResult(method, theta, std, status, notes, record, relative, track=told, model_spread=spread)
+    judged = judge(method, record.u, record.counts, theta, std, adequacy)
+    notes = noted("record", record.notes) + _check_error(method, relative, adequacy, judged)
+    findings = ordered((*status_findings(held), *judged, *notes))
+    result = DriveResult(method, theta, std, findings, record, relative, track=told, model_spread=spread)
     return result if known is None else put_together(result, known, axis, known.of(last_estimate, spread))
 
 

@@ -19,8 +19,9 @@ from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.session.arrays import axis_of
 from pmfid.session.config import Axis, check_sampling
-from pmfid.session.drives import believed_of, of_kind
+from pmfid.session.drives import of_kind
 from pmfid.session.known import check_numbers_known
+from pmfid.session.outliers import believed_of
 from pmfid.session.records import Record
 from pmfid.types import Counts, Floats
 

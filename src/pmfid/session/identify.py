@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import cast
 
 from pmfid.errors import NotIdentifiableError
+from pmfid.findings import Finding, noted, texts
 from pmfid.session.config import Axis
 from pmfid.session.drives import Drives
 from pmfid.session.kinds import Kind, Progress, Records
 from pmfid.session.processes import Processes
 from pmfid.session.result import Result
 
-#: Flags of results that a mistake in the columns may explain.
-SUSPICIOUS = {"implausible", "uncertain", "count_jump", "fallback"}
+#: Flags of results that a mistake in the columns may explain, however long it takes to find.
+SUSPICIOUS = {"implausible", "uncertain", "count_jump", "fallback", "not_followed", "unmodelled"}
 KINDS: dict[str, Kind[Records]] = {
     # a kind gets what it has read itself, which is one of these
     "drive": cast("Kind[Records]", Drives()),
@@ -37,13 +37,16 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     kind, given = kind_of(axis), axis
     axis = kind.prepared(data, given)
     kind.check(data, axis)
+    whole = kind.completed(data, axis)
+    if whole is not data:  # behind another pole it may say more
+        data, axis = whole, kind.prepared(whole, given)
     try:
         result = kind.estimate(data, axis, progress)
     except NotIdentifiableError as error:
-        raise explained(error, kind.mistake(data, axis)) from None
-    mistake = kind.mistake(data, axis) if SUSPICIOUS & set(result.status) else ""
-    notes = tuple(dict.fromkeys(filter(None, (mistake, *result.notes, *chosen(given, axis)))))
-    return replace(result, notes=notes)
+        raise explained(error, kind.checked(data, axis, judged=True)) from None
+    suspicious = bool(SUSPICIOUS & set(result.status))
+    log = kind.checked(data, axis, judged=True) if suspicious else kind.glanced(data, axis)
+    return result.with_findings(*log, *noted("cutoff", chosen(given, axis)))
 
 
 def chosen(given: Axis, prepared: Axis) -> tuple[str, ...]:
@@ -54,6 +57,14 @@ def chosen(given: Axis, prepared: Axis) -> tuple[str, ...]:
     return (f"{cutoff} rad/s was chosen by this record; write it into [estimator] to keep it for others",)
 
 
-def explained(error: NotIdentifiableError, mistake: str) -> NotIdentifiableError:
-    """The same error with the mistake that led to it, if there is one, in front."""
-    return NotIdentifiableError(f"{mistake}; as the record is read now: {error}") if mistake else error
+def explained(error: NotIdentifiableError, findings: tuple[Finding, ...]) -> NotIdentifiableError:
+    """The same error with what may have led to it, if there is something, in front."""
+    mistakes = "; ".join(texts(findings))
+    return NotIdentifiableError(f"{mistakes}; as the record is read now: {error}") if mistakes else error
+
+
+def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
+    """What a log may have got wrong, most important first, before anything is estimated. Raises UsageError for a
+    configuration that does not fit the data."""
+    kind = kind_of(axis)
+    return kind.checked(data, kind.prepared(data, axis))

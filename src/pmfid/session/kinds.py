@@ -12,6 +12,7 @@ from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.findings import Finding
 from pmfid.judge.free_run import FreeRun
 from pmfid.models.drive import Model
 from pmfid.session.config import Axis, check_sampling
@@ -49,6 +50,10 @@ class Kind(ABC, Generic[Data]):
         """The configuration with what it leaves to the record; the same where it leaves nothing."""
         return axis
 
+    def completed(self, data: Data, axis: Axis) -> Data:
+        """The records with what the model of a complete configuration says of samples that they lack."""
+        return data
+
     @abstractmethod
     def estimate(self, data: Data, axis: Axis, progress: Progress | None = None) -> Result:
         """The result of the method that is configured. Raises UsageError for a method that cannot take the model or the
@@ -77,9 +82,13 @@ class Kind(ABC, Generic[Data]):
     def check_on_line(self, axis: Axis) -> None:
         """Raises UsageError for what a record may have and a drive, sample by sample, has not."""
 
-    def mistake(self, data: Data, axis: Axis) -> str:
-        """What a log may have got wrong, with its remedy; empty where nothing is found."""
-        return ""
+    def glanced(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
+        """What the log may have got wrong, as far as it costs next to nothing to tell."""
+        return ()
+
+    def checked(self, data: Data, axis: Axis, judged: bool = False) -> tuple[Finding, ...]:
+        """All that the log may have got wrong; judged: but for what an estimate is judged by as well."""
+        return self.glanced(data, axis)
 
 
 def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -11,6 +11,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.estimators.known import Known, Posterior, with_gain
+from pmfid.findings import Finding, noted
 from pmfid.models.equation import ESTIMATE
 from pmfid.session.config import Axis
 from pmfid.session.result import DriveResult
@@ -73,7 +74,7 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
     known to its own size."""
     config, estimator = axis.estimator, result.estimator
     unused = [name for name in (*config.given, *config.prior) if name not in known.names]
-    notes = [f"{estimator.method} has no {name}: what is known of it is not used" for name in unused]
+    said = [f"{estimator.method} has no {name}: what is known of it is not used" for name in unused]
     if known.find_gain:
         gain, std = estimate[INPUT_GAIN], estimate.theta_std[-1]
         if not std < abs(gain):
@@ -82,7 +83,6 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
                 f"it ({'; '.join(result.notes) or 'record a motion with reversals and varying speed'})"
             )
         estimator = with_gain(estimator, gain)
-    notes.append(_said(known))
     return replace(
         result,
         estimator=estimator,
@@ -90,8 +90,9 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
         theta_std=estimate.theta_std,
         model_spread=estimate.model_spread,
         known=known,
-        status=(*result.status, *([CONTRADICTED] if estimate.notes else [])),
-        notes=(*notes, *estimate.notes, *result.notes),
+    ).with_findings(
+        *(Finding(CONTRADICTED, contradiction) for contradiction in estimate.notes),
+        *noted("known", [*said, _said(known)]),
     )
 
 

@@ -12,6 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.estimators.plants import plant_of
+from pmfid.findings import Finding, codes, texts
+from pmfid.session.config import Axis
 from pmfid.session.records import Record
 from pmfid.session.wrap import wrap_of
 from pmfid.types import Counts, Floats
@@ -41,11 +44,19 @@ NAMED = 4
 
 @dataclass(frozen=True)
 class Believed:
-    """A record without what no motion explains, names of the status bits of that, and what to tell of it."""
+    """A record without what no motion explains, and what there is to say of that."""
 
     record: Record
-    status: tuple[str, ...] = ()
-    told: str = ""
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def told(self) -> str:
+        """All of it as one sentence."""
+        return "; ".join(texts(self.findings))
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        return codes(self.findings)
 
 
 @dataclass(frozen=True)
@@ -70,11 +81,18 @@ def believed(record: Record) -> Believed:
         runs, moves, counts = [], [], record.counts
     rows = sorted({int(row) for run in runs if run.moved == 0 for row in run.rows(counts.size)})
     spikes = _spikes(record.u, counts)
-    told = "; ".join((*_wrong(rows), *(_moved(run) for run in moves[:NAMED]), *_spiky(spikes)))
-    if not told:
+    left_out = [("count_jump", said) for said in (*_wrong(rows), *(_moved(run) for run in moves[:NAMED]))]
+    left_out += [("invalid_input", said) for said in _spiky(spikes)]
+    if not left_out:
         return Believed(record)
-    status = ("count_jump",) * bool(rows or moves) + ("invalid_input",) * bool(spikes.size)
-    return Believed(replace(record, u=_bridged(record.u, spikes), counts=counts), status, told)
+    findings = tuple(Finding(code, said) for code, said in left_out)
+    return Believed(replace(record, u=_bridged(record.u, spikes), counts=counts), findings)
+
+
+def believed_of(record: Record, axis: Axis) -> Believed:
+    """The same, as far as the configuration lets anything be left out, and the model is that of a body that rests."""
+    rests = plant_of(axis.model.make().equation).rests
+    return believed(record) if axis.encoder.guard and rests else Believed(record)
 
 
 def _found(counts: Counts) -> tuple[list[_Run], Counts]:
@@ -154,7 +172,7 @@ def _without(counts: Counts, runs: list[_Run]) -> Counts:
 
 def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
     """Places of the input (n,) to which the counts (n,) do not answer."""
-    size = np.abs(u)
+    size = np.abs(np.nan_to_num(u))  # in a gap nobody knows it
     large = np.flatnonzero(size > SPIKE * np.quantile(size, 1 - MOST_INPUTS, method="lower"))
     if large.size == 0 or counts.size < 4 * ANSWER_SAMPLES:
         return large[:0]

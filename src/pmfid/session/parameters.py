@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from pmfid.findings import Finding
 from pmfid.types import Floats
 
 UNKNOWN = "–"
@@ -33,6 +34,8 @@ class Parametric(Protocol):
     def interval_95(self) -> Floats | None: ...
     @property
     def beforehand(self) -> Mapping[str, str]: ...
+    @property
+    def findings(self) -> tuple[Finding, ...]: ...
 
 
 def parameter_header(result: Parametric) -> tuple[str, ...]:
@@ -49,6 +52,11 @@ def parameter_rows(result: Parametric) -> list[list[str]]:
     return [
         [_named(result, name), f"{value:.6g}", f"{std:.2g}", *beyond, unit] for name, value, std, beyond, unit in found
     ]
+
+
+def findings_lines(result: Parametric) -> list[str]:
+    """The findings, most important first, a paragraph each."""
+    return [f"{finding.line[0].upper()}{finding.line[1:]}." for finding in result.findings]
 
 
 def _named(result: Parametric, name: str) -> str:

@@ -24,8 +24,9 @@ from pmfid.estimators.srivc import (
     with_dead_time,
 )
 from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.findings import noted, ordered
 from pmfid.judge.assess import assess
-from pmfid.judge.doubts import IGNORED, check_known, doubts, notes_on, search_notes
+from pmfid.judge.doubts import IGNORED, check_known, doubts, findings_on, search_notes
 from pmfid.judge.free_process import process_run
 from pmfid.judge.free_run import FreeRun
 from pmfid.judge.verdict import flags_on
@@ -37,7 +38,7 @@ from pmfid.session.records import experiment_of, read_experiment
 from pmfid.session.result import ProcessResult, delay_of, expects_unstable
 from pmfid.session.stored import Stored
 from pmfid.session.tables import Table
-from pmfid.status import Status, status_names
+from pmfid.status import Status, status_findings
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.order import DELAYS, ORDERS, UNSTABLE, Candidate, Search, accepted_first, search_structure
 from pmfid.types import Floats
@@ -95,11 +96,11 @@ class Processes(Kind[Sequence[Experiment]]):
         check_known(estimator, theta, cov, checks)
         std, unstable = np.sqrt(np.diagonal(cov)), expects_unstable(estimator)
         referenced = problem.referenced and isinstance(estimator, ProcessSolver)
-        notes = [*notes_on(data, checks, process, referenced, unstable), *doubts(estimator, theta, std, checks)]
-        notes += [IGNORED.format(method=method)] if problem.referenced and not referenced else []
-        notes += Status(bits).advice
-        status = (*status_names(bits), *flags_on(checks, process, referenced, unstable))
-        return ProcessResult(estimator, theta, std, status, tuple(notes), tuple(data), process, checks)
+        flags = flags_on(checks, process, referenced, unstable)
+        found = [*findings_on(data, checks, process, flags, unstable), *doubts(estimator, theta, std, checks)]
+        found += noted("reference", [IGNORED.format(method=method)] * (problem.referenced and not referenced))
+        findings = ordered((*status_findings(bits), *found))
+        return ProcessResult(estimator, theta, std, findings, tuple(data), process, checks)
 
 
 def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Estimator:

@@ -31,6 +31,13 @@ def _input_unit(text: str) -> str:
     return known_unit(text, INPUTS)
 
 
+def _forward(value: tuple[float, float]) -> tuple[float, float]:
+    if not value[0] < value[1]:
+        raise ValueError("the first time must be before the second")
+    return value
+
+
+Span = Annotated[tuple[float, float], Field(strict=False), AfterValidator(_forward)]
 OutputUnit = Annotated[str, AfterValidator(_output_unit)]
 InputUnit = Annotated[str, AfterValidator(_input_unit)]
 
@@ -67,6 +74,12 @@ class RecordConfig(FileSection):
     )
     hold: Literal["zoh", "foh"] = Field("zoh", description="what the input does between samples: holds, or a line")
     gap: Positive | None = Field(None, description="the time step in s beyond which the record is interrupted")
+    exclude: tuple[Span, ...] = Field(
+        (), strict=False, description="parts to leave out, from and to in s as in the time column: [[1.5, 2.0]]"
+    )
+    mask: Name | None = Field(
+        None, description="the name of a column that is not zero in the rows that are to be left out"
+    )
     dt: Positive | None = Field(None, description="the sample period in s, for example 1e-3")
     input_scale: Annotated[float | str, AfterValidator(_usable_scale)] = Field(
         1.0,

@@ -1,7 +1,8 @@
 """Records: read the input and the encoder counts from a file of any of the `formats`, and check them.
 
-A record that leaves this module is finite, evenly sampled and long enough to try; whether it moves enough to
-identify anything is not decided here. Rows in messages count from 1 at the first row of data.
+A record that leaves this module is evenly sampled and long enough to try; what stands in the place of samples that are
+missing is said in `gaps`. Whether it moves enough to identify anything is not decided here. Rows in messages count from
+1 at the first row of data.
 """
 
 from __future__ import annotations
@@ -14,16 +15,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.session.clock import named_unit, sample_period, time_factor
+from pmfid.session.clock import named_unit, time_factor
 from pmfid.session.conversion import Sections, conversion
+from pmfid.session.counting import counts_of, floor_counts, unwrapped
 from pmfid.session.formats.layout import Stated
 from pmfid.session.formats.reading import read_table
 from pmfid.session.formats.signals import Signals
+from pmfid.session.gaps.places import Laid, laid, left_out
+from pmfid.session.gaps.standing import filled, missing_said
 from pmfid.session.record_config import NO_ENCODER, RecordConfig
 from pmfid.session.tables import Table, column, from_array, lookup, notes_of, times, whole_name
 from pmfid.session.travel import travelled
 from pmfid.transfer.experiment import Experiment
-from pmfid.types import Counts, Floats
+from pmfid.types import Counts, Flags, Floats
 
 if TYPE_CHECKING:
     from pmfid.session.config import Axis
@@ -31,19 +35,16 @@ if TYPE_CHECKING:
 __all__ = ["MIN_SAMPLES", "Record", "experiment_of", "read_experiment", "read_record", "record_of"]
 
 MIN_SAMPLES = 10
-# Beyond 2**53 neighbouring integers share one float64, and a count would be silently wrong.
-_MAX_COUNT = 2.0**53
-#: Of so many rows, more than so many different whole numbers and nothing else are counts.
-DISTINCT, MOST_WHOLE = 10_000, 20
 
 
 @dataclass(frozen=True)
 class Record:
     """One evenly sampled run of a drive.
 
-    u: input, (n,), already scaled; counts: encoder counts, (n,), unwrapped; dt: sample period [s];
-    resolution: unit of y per count; notes: what was done to the data, for people; name: name of the file; rotary: is
-    the output an angle?
+    u: input, (n,), already scaled, NaN in gaps in which nobody knows it; counts: encoder counts, (n,), unwrapped; dt:
+    sample period [s]; resolution: unit of y per count; notes: what was done to the data, for people; name: name of the
+    file; rotary: is the output an angle? there: (n,) the samples that were measured, None: all; for what stands in
+    place of the others see `gaps`.
     """
 
     u: Floats
@@ -53,6 +54,7 @@ class Record:
     notes: tuple[str, ...]
     name: str
     rotary: bool = False
+    there: Flags | None = None
 
 
 def read_experiment(path: Path, axis: Axis) -> Experiment:
@@ -77,7 +79,7 @@ def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
     if config.output_kind == "counts":
         resolution = axis.encoder.resolution
         step = 1.0 if resolution == NO_ENCODER else resolution
-        y = _scaled(_unwrapped(y, axis.encoder.bits) + 0.5, step, "[encoder] resolution")
+        y = _scaled(unwrapped(y, axis.encoder.bits) + 0.5, step, "[encoder] resolution")
     return Experiment(
         _scaled(columns["input"], scale),
         y,
@@ -151,22 +153,50 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     keys = {"input": config.input, "output": config.output, "time": config.time}
     _check_lengths(columns, keys)
     for key, values in columns.items():
-        _check_finite(f"{key} column {keys[key]!r}", values)
+        _check_not_empty(f"{key} column {keys[key]!r}", values)
     scale, scale_notes = _input_scale(table, config.input_scale)
-    dt, time_notes = sample_period(columns.get("time"), config)
     units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
+    rows, row_notes = _rows(table, config, columns)
+    columns = {key: values[rows.rows] for key, values in columns.items()}
     y = _scaled(columns["output"], units.y, "the unit of the output")
-    travel, motion_notes = travelled(y, dt, axis)
-    counts, count_notes = _counts(travel, axis)
+    travel, motion_notes = _travelled(y, rows, axis)
+    counts, count_notes = counts_of(travel, axis)
     resolution = axis.encoder.resolution
     if quantize is not None:
         # y comes anew from the counts only where there is nothing better: a position is not floored twice
         y = travel if config.output_kind != "counts" else counts.astype(np.float64) * resolution
-        counts, resolution = _floor_counts(y, quantize, 1e-9), quantize
+        counts, resolution = floor_counts(y, quantize, 1e-9), quantize
         count_notes += (f"position quantised anew with a step of {quantize:g}",)
-    notes = notes_of(table) + units.notes + scale_notes + time_notes + motion_notes + count_notes
+    notes = notes_of(table) + units.notes + scale_notes + row_notes + motion_notes + count_notes
     u = _scaled(columns["input"], scale * units.u)
-    return Record(u, counts, dt, resolution, notes, name, units.kind == "rotary")
+    if rows.whole:
+        return Record(u, counts, rows.dt, resolution, notes, name, units.kind == "rotary")
+    u, counts, there = filled(u, counts, rows.places, bridged=config.output_kind != "velocity")
+    return Record(u, counts, rows.dt, resolution, (*notes, missing_said(u, there)), name, units.kind == "rotary", there)
+
+
+def _travelled(y: Floats, rows: Laid, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
+    """The travel (m,) of the rows that count; a velocity runs along a line over those that are missing."""
+    if axis.record.output_kind != "velocity":
+        return travelled(y, rows.dt, axis)
+    whole, notes = travelled(np.interp(np.arange(rows.places[-1] + 1), rows.places, y), rows.dt, axis)
+    return whole[rows.places], notes
+
+
+def _rows(table: Table, config: RecordConfig, columns: Mapping[str, Floats]) -> tuple[Laid, tuple[str, ...]]:
+    """The rows that count, where they belong, and notes for people."""
+    time, samples = columns.get("time"), columns["input"].size
+    mask = None if config.mask is None else column(table, "mask", whole_name(table, config.mask))
+    out, notes = left_out(time, samples, config, mask)
+    signals = np.array([columns["input"], columns["output"]])
+    repeated = np.r_[False, np.all(np.diff(signals, axis=1) == 0, axis=0)]
+    rows = laid(time, ~out & np.all(np.isfinite(signals), axis=0), repeated, config)
+    if rows.rows.size < MIN_SAMPLES:
+        raise UsageError(
+            f"{rows.rows.size} of {samples} rows have input and output and are not left out, at least "
+            f"{MIN_SAMPLES} are needed; leave out less, or record longer"
+        )
+    return rows, (*notes, *rows.notes)
 
 
 def _check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None]) -> None:
@@ -178,16 +208,9 @@ def _check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None]
         raise UsageError(f"the record has {n} sample{'s' * (n != 1)}, at least {MIN_SAMPLES} are needed; record longer")
 
 
-def _check_finite(label: str, values: Floats) -> None:
-    bad = np.flatnonzero(~np.isfinite(values))
-    if len(bad) == len(values):
+def _check_not_empty(label: str, values: Floats) -> None:
+    if not np.any(np.isfinite(values)):
         raise UsageError(f"{label} is empty: missing, NaN or infinite in every row; name another column, or record it")
-    if len(bad):
-        rows = f"{len(bad)} row{'s' * (len(bad) > 1)}"
-        raise UsageError(
-            f"{label} is missing, NaN or infinite in {rows}, the first is row {bad[0] + 1}; "
-            f"drop them at the ends, interpolate them inside, or cut the record there"
-        )
 
 
 def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ...]]:
@@ -213,73 +236,3 @@ def _scaled(column: Floats, scale: float, key: str = "[record] input_scale") -> 
             f"{key} = {scale:g} takes the column beyond the range of numbers; it is a factor for every value of it"
         )
     return scaled
-
-
-def _counts(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
-    bits = axis.encoder.bits
-    if axis.record.output_kind != "counts":
-        if axis.record.output_kind == "position":
-            _check_position(output, axis)
-        # A position that is a multiple of the resolution in decimal often falls just below it in binary, and
-        # a bare floor would lose a whole count: hence the tiny tolerance.
-        counts = _floor_counts(output, axis.encoder.resolution, 1e-6)
-        return counts, ("bits is ignored, the output is a position",) if bits is not None else ()
-    counts = _whole(output)
-    return (counts, ()) if bits is None else _unwrap(counts, bits)
-
-
-def _check_position(output: Floats, axis: Axis) -> None:
-    """Whole numbers of many steps each are counts, and no position with a resolution of a part of one."""
-    whole = np.array_equal(output, np.rint(output)) and np.unique(output[:DISTINCT]).size > MOST_WHOLE
-    if whole and axis.encoder.resolution < 1 and axis.model.kind != "transfer_function":
-        raise UsageError(
-            f"the column {axis.record.output!r} has nothing but whole numbers, and is taken for a position in steps of "
-            f'{axis.encoder.resolution:g}: give output_kind = "counts", or a resolution of 1 for a position in '
-            "whole units"
-        )
-
-
-def _whole(output: Floats) -> Counts:
-    rounded = np.rint(output)
-    bad = np.flatnonzero((np.abs(output - rounded) > 1e-6) | (np.abs(output) >= _MAX_COUNT))
-    if len(bad):
-        raise UsageError(
-            f"counts must be integers below 2**53, got {output[bad[0]]:.9g} in row {bad[0] + 1}; "
-            f'set output_kind = "position" if the column is a position, or export without a sign between thousands'
-        )
-    return rounded.astype(np.int64)
-
-
-def _floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
-    with np.errstate(over="ignore"):
-        counts = np.floor(y / step + tolerance)
-    bad = np.flatnonzero(np.abs(counts) >= _MAX_COUNT)
-    if len(bad):
-        raise UsageError(
-            f"the position {y[bad[0]]:.9g} in row {bad[0] + 1} is more than 2**53 counts of {step:g}; "
-            f"correct [encoder] resolution"
-        )
-    return counts.astype(np.int64)
-
-
-def _unwrapped(output: Floats, bits: int | None) -> Floats:
-    """Counts (n,) as numbers, the wrap of a counter undone; missing ones stay missing."""
-    if bits is None:
-        return output
-    unwrapped, there = output.copy(), np.isfinite(output)
-    if np.any(there):
-        unwrapped[there] = _unwrap(_whole(np.where(there, output, 0.0))[there], bits)[0]
-    return unwrapped
-
-
-def _unwrap(counts: Counts, bits: int) -> tuple[Counts, tuple[str, ...]]:
-    """Undo the wrap of a counter of `bits` bits: every step is the shortest way round."""
-    span = 2**bits
-    raw = np.diff(counts)
-    steps = (raw + span // 2) % span - span // 2
-    wraps = int(np.count_nonzero(steps != raw))
-    notes = [f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)"] if wraps else []
-    largest = int(np.max(np.abs(steps))) / span
-    if largest > 0.25:
-        notes.append(f"largest step is {largest:.0%} of the counter's range: from 50 % on, the wrap is ambiguous")
-    return np.concatenate((counts[:1], counts[0] + np.cumsum(steps))), tuple(notes)

@@ -3,6 +3,7 @@ tables of the other. Nothing is written twice."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Literal, Union, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt
-from pydantic import BaseModel
+from pydantic import BaseModel, WrapValidator
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
@@ -104,12 +105,15 @@ def _models_in(annotation: object) -> list[type[BaseModel]]:
 
 def _kind(annotation: object, metadata: Sequence[object] = ()) -> str:
     """The type in words, with what limits it."""
+    bare = [mark for mark in metadata if not isinstance(mark, WrapValidator)]
+    if len(bare) < len(metadata):
+        return f"{_kind(annotation, bare)} or text with a unit"
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         further = [part for info in parts[1:] for part in (info.metadata if isinstance(info, FieldInfo) else [info])]
         return _kind(parts[0], [*metadata, *further])
     if origin is Literal:
-        return " or ".join(f'"{value}"' for value in parts)
+        return " or ".join(json.dumps(value) for value in parts)
     if origin in (Union, UnionType):
         return " or ".join(dict.fromkeys(_kind(part, metadata) for part in parts if part is not NoneType))
     if origin is tuple:

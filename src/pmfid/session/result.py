@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
 from pmfid.errors import place_of
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.known import Known
+from pmfid.estimators.known import Known, told_by
 from pmfid.estimators.results import Fit
 from pmfid.estimators.track import Track
+from pmfid.findings import Finding, codes, ordered, texts
 from pmfid.judge.assess import Assessment
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.parameters import parameter_header, parameter_rows
 from pmfid.session.records import Record
-from pmfid.shown import Parameters, Shown, Summary, plain_dict, remarks_of
+from pmfid.shown import Parameters, Shown, Summary, plain_dict
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.process import Process
 from pmfid.types import Floats
@@ -27,8 +29,8 @@ NORMAL_95 = 1.96
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(Shown):
-    """Parameters of a plant: theta, theta_std (p,) with the estimator's names and units; status: names of the bits that
-    hold for the result; notes: sentences for people. `result["mass"]` is one parameter.
+    """Parameters of a plant: theta, theta_std (p,) with the estimator's names and units; findings: what there is to say
+    of them and of the record, most important first. `result["mass"]` is one parameter.
 
     theta_std is for what varies from record to record. model_spread (p,), of machines: by how much what the model lacks
     may move the parameters, root mean square; NaN: not known, as where nothing simulates the equation.
@@ -37,9 +39,22 @@ class Result(Shown):
     estimator: Estimator
     theta: Floats
     theta_std: Floats
-    status: tuple[str, ...]
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
     model_spread: Floats | None = field(default=None, kw_only=True)
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """Names of what is more than a note among the findings."""
+        return codes(self.findings)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The findings as sentences for people."""
+        return texts(self.findings)
+
+    def with_findings(self, *further: Finding) -> Self:
+        """The same result with more to say."""
+        return replace(self, findings=ordered((*further, *self.findings)))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -90,7 +105,7 @@ class Result(Shown):
         """A line for each parameter, then the status and what to mind."""
         lines = [self.title, *(f"  {line}" for line in self._lines)]
         lines += [f"  95 % with what the model may lack: {told}" for told in self._told_beyond_noise()]
-        return "\n".join([*lines, *remarks_of(self.status, self.notes)])
+        return "\n".join([*lines, *self._remarks])
 
     @property
     def title(self) -> str:
@@ -103,9 +118,14 @@ class Result(Shown):
         lines = Parameters(self.names, self.units, self.theta, self.theta_std).lines
         return [line + told.get(name, "") for name, line in zip(self.names, lines, strict=True)]
 
+    @property
+    def _remarks(self) -> list[str]:
+        """The status, and a line for each finding."""
+        status = [f"status: {', '.join(self.status)}"] if self.status else []
+        return [*status, *(finding.line for finding in self.findings)]
+
     def summary(self) -> Summary:
-        remarks = remarks_of(self.status, self.notes)
-        return Summary(self.title, parameter_header(self), parameter_rows(self), self._lines, remarks)
+        return Summary(self.title, parameter_header(self), parameter_rows(self), self._lines, self._remarks)
 
     def columns(self) -> dict[str, object]:
         """A row for each parameter; with what its model lacks: model_spread, low and high, where it is in 95 %."""
@@ -161,6 +181,7 @@ class Result(Shown):
             **self.particulars(),
             "status": list(self.status),
             "notes": list(self.notes),
+            "findings": [finding.to_json() for finding in self.findings],
         }
 
 
@@ -177,11 +198,11 @@ class DriveResult(Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        return self.estimator.names if self.known is None else self.known.names
+        return told_by(self.estimator, self.known).names
 
     @property
     def units(self) -> tuple[str, ...]:
-        return self.estimator.units if self.known is None else self.known.units
+        return told_by(self.estimator, self.known).units
 
     @property
     def beforehand(self) -> dict[str, str]:

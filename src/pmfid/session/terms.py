@@ -14,6 +14,7 @@ from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Place, setting
 from pmfid.estimators.ls import LS
+from pmfid.findings import Finding, codes, texts
 from pmfid.judge.drive import judge
 from pmfid.judge.term_fits import Bench, shortest_part
 from pmfid.judge.term_trials import known_shapes
@@ -21,10 +22,12 @@ from pmfid.judge.terms import KEPT, Step, Terms, search
 from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.session.config import Axis, check_sampling
-from pmfid.session.drives import Drives, all_known, believed_of, of_kind
+from pmfid.session.drives import Drives, all_known, of_kind
+from pmfid.session.identify import explained
 from pmfid.session.kinds import Progress
 from pmfid.session.known import check_numbers_known
 from pmfid.session.nested import Nested, nested, spoken
+from pmfid.session.outliers import believed_of
 from pmfid.session.records import Record
 from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 
@@ -200,10 +203,7 @@ def search_drive(
     try:
         found = search(bench, model, places, scan, done)
     except NotIdentifiableError as error:
-        mistake = Drives().mistake(data, axis)
-        raise NotIdentifiableError(
-            f"{mistake}; as the record is read now: {error}" if mistake else str(error)
-        ) from None
+        raise explained(error, Drives().checked(data, axis, judged=True)) from None
     return _told(data, bench, found, tuple(filter(None, (*data.notes, known.told))), known.status)
 
 
@@ -228,19 +228,19 @@ def _check(method: IntervalML, record: Record) -> None:
 def _told(data: Record, bench: Bench, found: Terms, told: tuple[str, ...], status: tuple[str, ...]) -> TermSearch:
     pairs = zip(found.trials, found.errors, strict=True)
     models = nested(bench, found.trials[0].model, list(pairs))
-    flags, notes = _judged(bench, models[-1])
+    judged = _judged(bench, models[-1])
     own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * (not found.adequacy.adequate)
-    notes = (*told, *_sentences(found), *notes)
-    names = tuple(dict.fromkeys((*status, *own, *flags)))
+    notes = (*told, *_sentences(found), *texts(judged))
+    names = tuple(dict.fromkeys((*status, *own, *codes(judged))))
     hidden = tuple(_hidden(found, found.trials[0].model.equation.motion.force))
     return TermSearch(data.name, int(data.u.size), data.resolution, found, models, hidden, names, notes)
 
 
-def _judged(bench: Bench, chosen: Nested) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Flags and sentences as on an estimate."""
+def _judged(bench: Bench, chosen: Nested) -> tuple[Finding, ...]:
+    """As on an estimate."""
     trial = chosen.trial
     if chosen.fit is None:
-        return ("uncertain",), ("the chosen model has no error bars on this record: excite it more",)
+        return (Finding("uncertain", "the chosen model has no error bars on this record", "excite it more"),)
     record = Record(bench.u, bench.counts, trial.method.dt, trial.method.encoder.resolution, (), "")
     estimator, u, counts, theta, std = all_known(trial.method, record, chosen.fit.theta, chosen.fit.theta_std)
     return judge(estimator, u, counts, theta, std, weigh(known_shapes(trial.best)))

@@ -34,17 +34,19 @@ class Wrap:
         """The width of a counter of that range, None where it is no power of two."""
         return self.span.bit_length() - 1 if self.span.bit_count() == 1 else None
 
-    def sentence(self, column: str, kind: str, resolution: float, unit: str) -> str:
-        """The mistake and its remedy, for an output column of that output_kind; unit: of the resolution, empty where
-        the file's own has to be kept."""
+    def said(self, column: str, kind: str, resolution: float, unit: str) -> tuple[str, str]:
+        """The mistake and its remedy, for an output column of that output_kind; unit: of the resolution."""
         size = self.span if kind == "counts" else self.span * resolution
         what = f"the output column {column!r} wraps at {size:.4g}, the first time at row {self.row}"
         if kind == "counts" and self.bits is not None:
-            return f"{what}: give [encoder] bits = {self.bits}"
-        turns = self.span * resolution / (2 * math.pi)
-        whole = round(turns) if turns > 0.5 and abs(turns / round(turns) - 1) < WHOLE_TURNS else 0
-        span = f"{whole} rev" if whole else f"{self.span * resolution:.6g} {unit}"
-        return f'{what}: give [encoder] range = "{span}"' if unit else f"{what}: unwrap it before"
+            return what, f"give [encoder] bits = {self.bits}"
+        travel = self.span * resolution
+        turns = round(travel / (2 * math.pi))
+        whole = turns > 0 and abs(travel / (2 * math.pi * turns) - 1) < WHOLE_TURNS
+        return (
+            what,
+            f'give [encoder] range = "{turns} rev"' if whole else f'give [encoder] range = "{travel:.9g} {unit}"',
+        )
 
 
 def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.session.clock import time_factor
@@ -99,7 +100,7 @@ class LineParser:
         return found if separator == "," and plain else [cell.replace(",", ".") for cell in found]
 
     def _values(self, cells: list[str]) -> Line:
-        time = self._unit * float(cells[2]) if len(cells) == 3 else math.nan
+        time = self._time(cells[2]) if len(cells) == 3 else math.nan
         if len(cells) == 3 and not abs(time) < _MOST_TIME:
             raise ValueError("a time that is not finite, or beyond all clocks")
         try:
@@ -111,6 +112,13 @@ class LineParser:
             if math.isnan(time):
                 raise
             return Line(time, math.nan, 0, str(error))
+
+    def _time(self, cell: str) -> float:
+        """A stamp [s]; a date or a time of day has its own unit, whatever [record] says."""
+        try:
+            return self._unit * float(cell)
+        except ValueError:
+            return _moment(cell.strip())
 
     def _count(self, value: float) -> int:
         """The count of an output; a position a hair below a step belongs to it, as in a record."""
@@ -132,6 +140,16 @@ def _for_people(text: str) -> bool:
 def _text(line: bytes) -> str:
     text = line.decode("utf-8", "replace").strip(" \r\n\ufeff")
     return text.replace("\r", " ") if "\r" in text else text  # where one ends a line inside, as some loggers have it
+
+
+def _moment(text: str) -> float:
+    """Seconds since 1970 of a date with a time, and since midnight of a time of day, as ISO 8601 writes them."""
+    day = "" if "-" in text[1:] else "1970-01-01 "
+    try:
+        moment = datetime.fromisoformat(day + text)
+    except ValueError:
+        raise ValueError(f"{text!r} is no time") from None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def _are_units(fields: Sequence[str]) -> bool:

@@ -1,0 +1,45 @@
+"""The command `pmfid check`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pmfid.cli.options import JSON, RECORDS, config_option
+from pmfid.cli.output import print_json
+from pmfid.errors import printable
+
+EXIT_FOUND, EXIT_WRONG = 1, 3
+
+
+@click.command(short_help="Say what is wrong with a log, before anything is estimated.")
+@RECORDS
+@config_option("What the record holds, the encoder, the model.")
+@JSON
+@click.pass_context
+def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: bool) -> None:
+    """Say what is wrong with RECORD: a sign turned, columns exchanged, a velocity in place of a position, a counter
+    that wraps, ends or sticks, an input that is cut off, held or of another clock, a sample rate or a motion that tells
+    nothing, an input that acts late. Each with its remedy. `pmfid identify` says the same.
+
+    Exit code 0: nothing is found; 1: something that moves the estimate; 2: wrong usage or unreadable input; 3: nothing
+    can be identified from this record as it is read.
+    """
+    from pmfid.session.config import load_axis
+    from pmfid.session.identify import check as run
+    from pmfid.session.identify import kind_of
+
+    axis = load_axis(config)
+    kind = kind_of(axis)
+    data = kind.read(records, axis)
+    name, samples = kind.name_and_samples(data)
+    found = run(data, axis)
+    if as_json:
+        print_json({"record": name, "samples": samples, "findings": [finding.to_json() for finding in found]})
+    else:
+        click.echo(printable(f"{name}: {samples} samples, " + ("" if found else "nothing found")).rstrip(", "))
+        for finding in found:
+            click.echo(printable(finding.line))
+    wrong = any(finding.severity == "wrong" for finding in found)
+    ctx.exit(EXIT_WRONG if wrong else EXIT_FOUND if found else 0)

@@ -1,0 +1,45 @@
+"""The command `pmfid init`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import click
+
+from pmfid.errors import UsageError, printable
+
+
+@click.command(short_help="Write an AXIS.toml from a record alone.")
+@click.argument("record", type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("AXIS.toml"),
+    show_default=True,
+    metavar="AXIS.toml",
+    help="Where it goes; never over a file that is there.",
+)
+def init(record: Path, out: Path) -> None:
+    """Guess from RECORD which columns hold time, input and output, their units and the encoder's step, and write an
+    AXIS.toml with the reason of each guess.
+
+    What the record does not tell is asked on a terminal; elsewhere it stands there with a neutral value, marked TO DO.
+
+    Exit code 0: a file to go on with; 2: wrong usage, unreadable input, or a file that is there already.
+    """
+    from pmfid.session.guess.axis_file import guess
+
+    if os.path.lexists(out):
+        raise UsageError(f"{out} is there already, and stays as it is; give another place with --out")
+    on_terminal = sys.stdin.isatty() and sys.stdout.isatty()
+    found = guess(record, _asked if on_terminal else None)
+    with out.open("x", encoding="utf-8", newline="\n") as file:
+        file.write(found.text)
+    click.echo(printable(found.text))
+    click.echo(printable(f"pmfid check {record} --config {out}\npmfid identify {record} --config {out}"))
+
+
+def _asked(question: str, usual: str) -> str:
+    return str(click.prompt(question, default=usual, err=True))

@@ -1,0 +1,165 @@
+"""Gaps in a record, in which neither input nor motion is known: what stands there for a model.
+
+An input that is not a number marks a gap. Behind it the motion begins anew, with a speed that the counts there tell. So
+that simulation and filters go on, the gap gets the input that takes the simulated motion from where it was to where it
+is, and the counts of that motion: the equation holds exactly for them at every theta, and they say nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pmfid.estimators.difference import first_speed
+from pmfid.estimators.motion import moved
+from pmfid.models.equation import (
+    COULOMB_BACKWARD,
+    COULOMB_FORWARD,
+    MASS,
+    OFFSET,
+    VISCOUS_BACKWARD,
+    VISCOUS_FORWARD,
+    Equation,
+)
+from pmfid.types import Counts, Flags, Floats
+
+#: The speed behind a gap is read within so many filter time constants, or times in which the body forgets it.
+READ = 3.0
+#: A part of a record has at least so many samples, and a filter time constant.
+FEWEST = 8
+#: Turns in which that speed, and the input that leads to it, are found.
+TURNS, CLOSE = 20, 1e-9
+#: Damping times the time of reading below which nothing is forgotten.
+LITTLE = 1e-6
+
+
+@dataclass(frozen=True)
+class Body:
+    """An equation at theta (p,), sampled every dt [s] with an encoder's step [unit of y] behind filters of a pole
+    [rad/s]."""
+
+    equation: Equation
+    theta: Floats
+    dt: float
+    step: float
+    cutoff: float
+
+    def speeds(self, u: Floats, start: float) -> tuple[Floats, float]:
+        """Mean speed (n,) under u (n,), from a start, and the speed at the end [counts/s]."""
+        mean, end = moved(self.equation, self.theta, self.dt, u, start * self.step)
+        return mean / self.step, end / self.step
+
+    @property
+    def decay(self) -> float:
+        """Of a deviation of the speed [1/s]."""
+        values = self.values
+        return max(0.0, (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2 / values[MASS])
+
+    @property
+    def least(self) -> int:
+        """Samples of a part that tells its speed."""
+        return max(FEWEST, int(1 / (self.cutoff * self.dt)))
+
+    @property
+    def reading(self) -> int:
+        """Samples in which the speed behind a gap is read."""
+        return max(self.least, int(READ / (min(self.cutoff, max(self.decay, 0.1 * self.cutoff)) * self.dt)))
+
+    @cached_property
+    def values(self) -> list[float]:
+        known = self.equation.known_at(np.asarray(self.theta)[len(self.equation.names) :])
+        return list(known.role_values(self.theta))
+
+
+def parts_of(u: Floats, least: int = 1) -> list[slice]:
+    """The parts of a record between gaps, where the input (n,) is a number; those of less than `least` samples tell no
+    speed, and are parts of the gap."""
+    known = np.flatnonzero(np.isfinite(u))
+    if known.size == 0:
+        return []
+    breaks = np.flatnonzero(np.diff(known) > 1)
+    firsts, lasts = np.r_[known[0], known[breaks + 1]], np.r_[known[breaks], known[-1]]
+    return [slice(int(a), int(b) + 1) for a, b in zip(firsts, lasts, strict=True) if b - a + 1 >= least]
+
+
+def gaps_in(u: Floats) -> tuple[tuple[int, int], ...]:
+    """The gaps of a record: the first sample of each whose input (n,) is no number, and the first behind it."""
+    parts = parts_of(u)
+    edges = [0, *(edge for part in parts for edge in (part.start, part.stop)), u.size]
+    return tuple((a, b) for a, b in zip(edges[0::2], edges[1::2], strict=True) if b > a) if parts else ()
+
+
+def bridged(body: Body, u: Floats, counts: Counts) -> tuple[Floats, Counts, Flags]:
+    """A record u, counts: (n,) with its gaps bridged, and which samples are in none."""
+    parts, there = parts_of(u, body.least), np.zeros(u.size, bool)
+    for part in parts:
+        there[part] = True
+    filled, whole = np.where(there, u, 0.0), counts.copy()
+    starts = [speed_behind(body, u[part], counts[part]) for part in parts]
+    for before, part, start, target in zip(parts[:-1], parts[1:], starts[:-1], starts[1:], strict=True):
+        gap = slice(before.stop, part.start)
+        mean, end = body.speeds(u[before], start)
+        last = float(mean[-1]) * body.dt  # from the last count to where the gap begins
+        moved_by = int(counts[part.start] - counts[gap.start - 1]) - last
+        filled[gap], travel = _across(body, gap.stop - gap.start, end, target, moved_by)
+        tilt = (moved_by - travel[-1]) / travel.size
+        places = last + np.r_[0.0, travel[:-1]] + tilt * np.arange(travel.size)
+        whole[gap] = counts[gap.start - 1] + np.rint(places).astype(np.int64)
+    return filled, whole, there
+
+
+def speed_behind(body: Body, u: Floats, counts: Counts) -> float:
+    """The speed [counts/s] with which the motion under u (n,) begins, as the counts (n,) tell it."""
+    near = min(u.size, body.reading)
+    place, time = (counts[:near] - counts[0]).astype(np.float64), np.arange(near) * body.dt
+    response = -np.expm1(-body.decay * time) / body.decay if body.decay * time[-1] > LITTLE else time
+    around = response - np.mean(response)
+    speed = first_speed(place, body.dt, body.cutoff, 1.0)
+    for _ in range(TURNS):
+        travel = np.r_[0.0, np.cumsum(body.speeds(u[:near], speed)[0][:-1])] * body.dt
+        step = float((place - travel) @ around / (around @ around))
+        speed += step
+        if abs(step) < CLOSE * abs(speed):
+            break
+    return speed
+
+
+def _across(body: Body, samples: int, start: float, target: float, distance: float) -> tuple[Floats, Floats]:
+    """The input (samples,) that takes the motion from a speed to another [counts/s] over a distance [counts], by way of
+    speeds on a parabola, and its travel [counts] to the end of every sample."""
+    at, time = np.arange(samples + 1) / samples, samples * body.dt
+    hill = 6 * at * (1 - at) / time  # of unit distance
+    line = start + (target - start) * at
+    missing = distance - (start + target) / 2 * time
+    for _ in range(TURNS):
+        u = _input_for(body, _through_rest(line + missing * hill))
+        travel = np.cumsum(body.speeds(u, start)[0]) * body.dt
+        missing += distance - travel[-1]
+        if abs(distance - travel[-1]) < CLOSE * (abs(distance) + 1.0):
+            break
+    return u, travel
+
+
+def _through_rest(speeds: Floats) -> Floats:
+    """Speeds (m + 1,) that turn where they are zero, and not between two samples."""
+    turning = np.flatnonzero(speeds[1:-2] * speeds[2:-1] < 0) + 1
+    nearer = turning + (np.abs(speeds[turning + 1]) < np.abs(speeds[turning]))
+    speeds = speeds.copy()
+    speeds[nearer] = 0.0
+    return speeds
+
+
+def _input_for(body: Body, speeds: Floats) -> Floats:
+    """The input (m,) under which the motion has these speeds (m + 1,) [counts/s] at the samples."""
+    values = body.values
+    mass, offset = values[MASS], values[OFFSET]
+    first, last = speeds[:-1] * body.step, speeds[1:] * body.step
+    side = np.sign(first + last)
+    viscous = np.where(side < 0, values[VISCOUS_BACKWARD], values[VISCOUS_FORWARD])
+    coulomb = np.where(side < 0, values[COULOMB_BACKWARD], values[COULOMB_FORWARD])
+    lost = -np.expm1(-viscous / mass * body.dt)
+    held = np.where(lost > LITTLE, viscous / np.where(lost > LITTLE, lost, 1.0), mass / body.dt)
+    force = held * (last - first) + viscous * first
+    return np.asarray((force + side * coulomb + offset) / body.equation.input_gain)

@@ -1,0 +1,62 @@
+"""Findings: what there is to say of a record or of an estimate. One list, most important first, for every reader.
+
+Terminal, JSON, HTML and Python show the same list: who wants to say something makes a `Finding`, and nobody else makes
+sentences of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+__all__ = ["Finding", "codes", "noted", "ordered", "texts"]
+
+Severity = Literal["wrong", "doubt", "note"]
+#: Most important first. wrong: no number that follows is to be believed; doubt: it may be further off than its error
+#: bar says; note: what was done, and how.
+SEVERITIES: tuple[Severity, ...] = ("wrong", "doubt", "note")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that was found. code: its name in the status, such as "feedback"; sentence: what is the case and what
+    comes of it; remedy: what to do about it, literally, empty where the sentence says so or nothing is to be done."""
+
+    code: str
+    sentence: str
+    remedy: str = ""
+    severity: Severity = "doubt"
+
+    @property
+    def text(self) -> str:
+        """The whole of it, on one line."""
+        return f"{self.sentence}: {self.remedy}" if self.remedy else self.sentence
+
+    @property
+    def line(self) -> str:
+        """The whole of it, with its weight in front."""
+        return f"{self.severity}: {self.text}"
+
+    def to_json(self) -> dict[str, str]:
+        return {"code": self.code, "severity": self.severity, "sentence": self.sentence, "remedy": self.remedy}
+
+
+def noted(code: str, sentences: Iterable[str]) -> list[Finding]:
+    """Sentences on what was done, as findings."""
+    return [Finding(code, sentence, severity="note") for sentence in sentences if sentence]
+
+
+def ordered(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """The findings, most important first, each once; of the same weight in the order in which they were found."""
+    return tuple(sorted(dict.fromkeys(findings), key=lambda finding: SEVERITIES.index(finding.severity)))
+
+
+def codes(findings: Iterable[Finding]) -> tuple[str, ...]:
+    """Names for the status: of what is more than a note, each once."""
+    return tuple(dict.fromkeys(finding.code for finding in findings if finding.severity != "note"))
+
+
+def texts(findings: Iterable[Finding]) -> tuple[str, ...]:
+    """The sentences, with their remedies, each once."""
+    return tuple(dict.fromkeys(finding.text for finding in findings))

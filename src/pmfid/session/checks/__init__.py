@@ -1,0 +1,59 @@
+"""What is wrong with a log, said in plain sentences before anything is estimated, and with every estimate.
+
+A check takes a `Log` and gives findings; each family has a file of its own. Those in SOON cost next to nothing and run
+with every identification; those in LATER run where an estimate is in doubt, and in `pmfid check`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from pmfid.findings import Finding, ordered
+from pmfid.session.checks.counter import forgotten_bits, frozen, held_output, jump
+from pmfid.session.checks.inputs import held_input, saturated
+from pmfid.session.checks.log import Log
+from pmfid.session.checks.motion import no_inertia, no_motion
+from pmfid.session.checks.readings import read_as
+from pmfid.session.checks.timing import acts_late, drifts, too_fast, too_slow
+from pmfid.session.config import Axis
+from pmfid.session.records import Record
+
+__all__ = ["LATER", "SOON", "Check", "checked", "glanced"]
+
+Check = Callable[[Log], Iterator[Finding]]
+
+#: Families of checks, in this order: what one finds would look like the next ones' faults, and ends the search.
+SOON: tuple[tuple[Check, ...], ...] = (
+    (no_motion, forgotten_bits, too_fast),
+    (read_as,),
+    (jump, held_output, frozen, held_input, saturated, too_slow),
+)
+LATER: tuple[tuple[Check, ...], ...] = ((drifts,), (no_inertia,))
+
+
+def glanced(record: Record, axis: Axis) -> tuple[Finding, ...]:
+    """What the columns show at a glance."""
+    return ordered(_found(_log(record, axis), SOON))
+
+
+def checked(record: Record, axis: Axis, judged: bool = False) -> tuple[Finding, ...]:
+    """All that is found; judged: but for an input that acts late, which an estimate is judged by as well."""
+    families = (*SOON, *LATER) if judged else (*SOON, *LATER, (acts_late,))
+    return ordered(_found(_log(record, axis), families))
+
+
+def _log(record: Record, axis: Axis) -> Log:
+    """A record with a gap is looked at as if nothing had driven the axis there, which nobody knows."""
+    return Log(replace(record, u=np.nan_to_num(record.u)), axis)
+
+
+def _found(log: Log, families: tuple[tuple[Check, ...], ...]) -> Iterator[Finding]:
+    """What the families find, up to the first that finds something."""
+    for family in families:
+        found = [finding for check in family for finding in check(log)]
+        yield from found
+        if found:
+            return

@@ -1,0 +1,73 @@
+"""What the counts show by themselves: a counter that wraps, ends, sticks, or is read anew every few samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pmfid.findings import Finding
+from pmfid.judge.counts import count_jump
+from pmfid.session.checks.log import Log
+from pmfid.session.checks.repeats import period_of
+from pmfid.session.wrap import wrap_of
+
+__all__ = ["forgotten_bits", "frozen", "held_output", "jump"]
+
+
+def forgotten_bits(log: Log) -> Iterator[Finding]:
+    """A counter that wraps, and nobody has undone it."""
+    wrap = wrap_of(log.record.counts) if log.axis.encoder.bits is None and log.axis.encoder.range is None else None
+    if wrap is not None:
+        config = log.axis.record
+        sentence, remedy = wrap.said(
+            config.output, config.output_kind, log.record.resolution, log.axis.model.make().equation.motion.travel
+        )
+        yield Finding("wrapped", sentence, remedy, "wrong")
+
+
+def jump(log: Log) -> Iterator[Finding]:
+    """One change of the counts that is no motion, where nothing keeps it out."""
+    sentence = count_jump(log.known.counts) if log.axis.encoder.max_speed is None and log.is_machine else ""
+    if sentence:
+        yield Finding("count_jump", sentence, severity="wrong")
+
+
+def held_output(log: Log) -> Iterator[Finding]:
+    """Counts that are read anew every few samples."""
+    every = period_of(np.flatnonzero(log.change))
+    if every > 1:
+        yield Finding(
+            "held_output",
+            f"the output column {log.axis.record.output!r} changes at every {every}th row and no other: it is read "
+            "more slowly than the record, and the motion seems late and in jumps",
+            f"keep every {every}th row, the first of each with a new value, or log the output at the rate of the "
+            "record",
+        )
+
+
+def frozen(log: Log) -> Iterator[Finding]:
+    """Counts that stop where the axis cannot: at the end of their range, or anywhere."""
+    counts, stops = log.record.counts, log.sudden_stops
+    if not stops:
+        return
+    output = log.axis.record.output
+    ends = [stop for stop in stops if counts[stop[0]] in (counts.min(), counts.max())]
+    first = (ends or stops)[0]
+    if ends:
+        size = counts[first[0]] * (1 if log.axis.record.output_kind == "counts" else log.record.resolution)
+        yield Finding(
+            "clipped",
+            f"the output column {output!r} ends at {size:.6g} while the axis goes on, {len(ends)} "
+            f"time{'s' * (len(ends) > 1)}, first in rows {first[0] + 1} to {first[1] + 1}: the range of the counter or "
+            "the sensor ends there, and what moves on is taken for rest",
+            "use rows in front of the first, or record within the range",
+        )
+        return
+    yield Finding(
+        "stuck",
+        f"the output column {output!r} stands still while the axis goes on, {len(stops)} "
+        f"time{'s' * (len(stops) > 1)}, first in rows {first[0] + 1} to {first[1] + 1}: "
+        "the counter, or what reads it, was stuck",
+        "use the rows in front of that or behind it, and check the wiring",
+    )

@@ -1,0 +1,91 @@
+"""What the input shows by itself: limits that it runs into, values that are logged more slowly than the record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.findings import Finding
+from pmfid.session.checks.log import Log
+from pmfid.session.checks.repeats import period_of
+from pmfid.session.checks.view import View, view
+from pmfid.types import Floats
+
+__all__ = ["held_input", "saturated"]
+
+#: An input of fewer values is one of steps.
+LEVELS = 20
+#: Part of the record at a limit that is worth a word; it is so many times what is at each of so many values beside it.
+AT_LIMIT, PILED, BESIDE = 0.005, 5.0, 20
+#: The force that is missing there: in standard deviations, and in parts of the largest.
+CERTAIN, SHORT = 4.0, 0.02
+LARGER = "log the force or current that the drive gave with a larger range, or record with a smaller motion"
+#: Filters through which that is looked for [samples].
+TIMES = (10.0, 30.0, 100.0)
+
+
+def held_input(log: Log) -> Iterator[Finding]:
+    """An input that is logged anew every few samples."""
+    u = log.record.u
+    every = period_of(np.flatnonzero(np.diff(u))) if _varies(u) else 1
+    if every > 1:
+        yield Finding(
+            "held_input",
+            f"the input column {log.axis.record.input!r} changes at every {every}th row and no other: where the drive "
+            "gets it more often than that, the log misses what moved the axis",
+            "log the input at the rate at which the drive gets it, or, if that is this one, use it as it is",
+        )
+
+
+def saturated(log: Log) -> Iterator[Finding]:
+    """An input that stays at its largest or smallest value: limited by the drive, or cut off in the log."""
+    u = log.record.u
+    if not _varies(u):
+        return
+    limits = [limit for limit in (float(u.min()), float(u.max())) if _piles_up(u, limit)]
+    there = np.isin(u, limits)
+    if not limits:
+        return
+    said = (
+        f"the input column {log.axis.record.input!r} stays at {' and '.join(f'{limit:.4g}' for limit in limits)} in "
+        f"{100 * np.mean(there):.2g} % of the rows, first in row {int(np.argmax(there)) + 1}"
+    )
+    if _falls_short(log, there):
+        sentence, remedy = f"{said}, and falls short of what moves the axis there: the log cuts off the force", LARGER
+        yield Finding("saturated", sentence, remedy)
+    else:
+        yield Finding("saturated", f"{said}: right where the drive gave no more", f"else {LARGER}", "note")
+
+
+def _varies(u: Floats) -> bool:
+    """Does the input take many values?"""
+    return np.unique(u[:: max(1, u.size // 10_000)]).size > LEVELS
+
+
+def _piles_up(u: Floats, limit: float) -> bool:
+    """Is the input at the limit far more often than at the values next to it?"""
+    values, times = np.unique(u, return_counts=True)
+    beside = np.argsort(np.abs(values - limit))[1 : BESIDE + 1]
+    at_limit = int(times[values == limit][0])
+    return at_limit >= AT_LIMIT * u.size and at_limit > PILED * float(np.mean(times[beside]))
+
+
+def _falls_short(log: Log, there: NDArray[np.bool_]) -> bool:
+    """Does the motion ask for more force where the input is cut off?"""
+    if log.view is None or not log.is_machine:
+        return False
+    side = np.where(there, np.sign(log.force), 0.0)[log.part]
+    return any(_lacks(log, side, time) for time in TIMES if time <= log.view.time)
+
+
+def _lacks(log: Log, side: Floats, time: float) -> bool:
+    """The same through filters of one time constant; side (n,): where the input is cut off, and at which end."""
+    counts, encoder, dt = log.known.counts[log.part], log.encoder, log.record.dt
+    seen, cut = (view(u, counts, encoder, dt, time) for u in (log.force[log.part], side))
+    if seen is None or cut is None or not np.any(cut.z):
+        return False
+    wider = View(time, np.column_stack([seen.phi, cut.z]), seen.z)
+    last = np.eye(wider.theta.size)[-1]
+    return wider.sure(last) < -CERTAIN and -wider.theta[-1] > SHORT * float(np.max(np.abs(log.force)))

@@ -1,0 +1,99 @@
+"""What the checks look at: a record, its configuration, and what is made of both once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pmfid.encoder import Encoder
+from pmfid.estimators.plants import plant_of
+from pmfid.session.checks.stops import Stop, held_back, long_stops, sudden
+from pmfid.session.checks.view import View, best_view
+from pmfid.session.config import Axis
+from pmfid.session.known import at_some_gain, finds_gain
+from pmfid.session.outliers import believed_of
+from pmfid.session.records import Record
+from pmfid.types import Counts, Floats
+
+__all__ = ["Log", "hasty", "liveliest"]
+
+#: Part of a record that is looked at behind filters: the one with the most motion.
+MOST_SAMPLES = 8000
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A record, as it is read with a configuration."""
+
+    record: Record
+    axis: Axis
+
+    @cached_property
+    def change(self) -> Counts:
+        """(n - 1,) of the counts from sample to sample."""
+        return np.asarray(np.diff(self.record.counts))
+
+    @cached_property
+    def is_machine(self) -> bool:
+        """Is it one with a position and a mass, as the readings take it?"""
+        equation = at_some_gain(self.axis).model.make().equation
+        return plant_of(equation).rests and equation.order == 2
+
+    @cached_property
+    def known(self) -> Record:
+        """The record without what no motion explains."""
+        return believed_of(self.record, at_some_gain(self.axis)).record
+
+    @cached_property
+    def force(self) -> Floats:
+        """(n,): the input with the sign that the configuration gives its force."""
+        gain = at_some_gain(self.axis).model.make().equation.input_gain
+        return np.asarray(np.sign(gain) * self.known.u)
+
+    @property
+    def knows_sign(self) -> bool:
+        """Does the configuration say which way the input drives?"""
+        return not finds_gain(self.axis)
+
+    @cached_property
+    def encoder(self) -> Encoder:
+        return Encoder(self.record.resolution, standstill_time=self.axis.encoder.standstill_time)
+
+    @cached_property
+    def part(self) -> slice:
+        """The samples that are looked at behind filters."""
+        return liveliest(self.known.counts)
+
+    @cached_property
+    def view(self) -> View | None:
+        """The record as it stands, behind filters; None where there is nothing to see."""
+        return best_view(self.force[self.part], self.known.counts[self.part], self.encoder, self.record.dt)
+
+    @cached_property
+    def sudden_stops(self) -> list[Stop]:
+        """Stretches of equal counts in which the axis does not rest."""
+        counts = self.record.counts
+        stops = long_stops(counts)
+        found = sudden(counts, stops) if stops else set()
+        if stops and not found and self.view is not None and self.is_machine:
+            offset = self.part.stop - self.view.z.size
+            inside = [stop for stop in stops if stop[1] < self.part.stop]
+            found = held_back(self.force, inside, self.view, offset, self.record.dt, self.record.resolution)
+        return sorted(found)
+
+
+def hasty(change: Counts | Floats) -> float:
+    """How much changes (n,) differ from one to the next, in parts of their size."""
+    power = float(np.mean(np.square(change, dtype=np.float64)))
+    return float(np.sqrt(np.mean(np.square(np.diff(change), dtype=np.float64)) / max(power, 1e-300)))
+
+
+def liveliest(counts: Counts, most: int = MOST_SAMPLES) -> slice:
+    """At most so many samples in a row, those over which the counts change most."""
+    if counts.size <= most:
+        return slice(0, counts.size)
+    travelled = np.r_[0, np.cumsum(np.abs(np.diff(counts)))]
+    start = int(np.argmax(travelled[most - 1 :] - travelled[: counts.size - most + 1]))
+    return slice(start, start + most)

@@ -1,0 +1,138 @@
+"""A log that is taken for what it is not: turned, exchanged, a velocity, or nothing that belongs together.
+
+Each is a reading of the two columns. As they stand, the input is a sum of acceleration, friction and load to a small
+part, with a positive mass and a friction that takes power from the motion. Where that is not so, the reading under
+which it is names the mistake.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pmfid.encoder import Encoder, fine_counts
+from pmfid.findings import Finding
+from pmfid.session.checks.log import Log, hasty, liveliest
+from pmfid.session.checks.view import MASS, VISCOUS, View, best_view
+from pmfid.types import Counts, Floats
+
+__all__ = ["INTEGRATE", "integrated", "read_as", "turned"]
+
+#: Part of the input that a reading may leave unexplained, of all of it, and of what the record as it stands leaves.
+FOLLOWS, BETTER = 0.3, 0.3
+#: With a part this small left, and a mass that is seen, no other reading need be tried.
+CLEARLY = 0.001
+#: Standard deviations from which on a sign is certain, and from which on it is likely.
+CERTAIN, LIKELY = 4.5, 3.0
+#: A body comes to speed within more samples than this; where there is no body, a velocity may leave so many times as
+#: much.
+SAMPLES, ALIKE = 1.5, 2.0
+#: A reading is one of a motion that lasts for so many time constants of the filters.
+LASTING = 10.0
+#: Change of the velocity from row to row, in parts of the velocity: of a column that is no position, and of one that
+#: may be.
+ROUGH, SMOOTH = 0.6, 0.1
+RATE = 'give [record] output_kind = "velocity"'
+INTEGRATE = (
+    "name the column of the position or the counts, or integrate this one, its cumulative sum times the sample period"
+)
+
+
+def read_as(log: Log) -> Iterator[Finding]:
+    """Columns that are exchanged, a velocity, turned, or do not belong together."""
+    if not log.is_machine:
+        return
+    other = _other_reading(log)
+    if other is not None:
+        yield other
+    elif log.view is not None and log.knows_sign and is_turned(log.view):
+        mistake = "the output has the opposite sign of the input"
+        yield _said("reversed", mistake, turned(log), log.view.unexplained)
+
+
+def _other_reading(log: Log) -> Finding | None:
+    """Of exchanged columns or a velocity, where these explain the input so much better."""
+    heavy = log.view is not None and _has_inertia(log.view, log.record.dt) and _is_one_body(log.view)
+    left = _left(log.view)
+    if heavy and left < CLEARLY:
+        return None
+    velocity, exchanged = _left(_velocity(log)), _left(_exchanged(log))
+    better = ALIKE if hasty(log.change) > ROUGH > SMOOTH > hasty(np.diff(log.record.u)) else BETTER
+    if exchanged < min(FOLLOWS, better * left, velocity):
+        return _said("exchanged", "input and output are exchanged", _exchange(log), exchanged)
+    if log.sudden_stops or log.view is None or log.view.one_way or log.axis.record.output_kind == "velocity":
+        return None
+    if velocity < min(FOLLOWS, left * (BETTER if heavy else 1.0 if _is_one_body(log.view) else ALIKE)):
+        mistake = f"the output column {log.axis.record.output!r} is a velocity and no position"
+        return _said("velocity", mistake, RATE, velocity)
+    return None
+
+
+def _said(code: str, mistake: str, remedy: str, left: float) -> Finding:
+    sentence = f"{mistake}, for then the motion explains the input to {100 * (1 - left):.3g} %"
+    return Finding(code, sentence, remedy, "wrong")
+
+
+def is_turned(view: View) -> bool:
+    """Is the mass negative, or does friction drive, and neither is as it should be?"""
+    mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
+    return min(mass, work) < -CERTAIN and max(mass, work) < LIKELY
+
+
+def _has_inertia(view: View, dt: float) -> bool:
+    """Is there a mass, which takes more than a sample to come to speed?"""
+    mass, viscous = abs(view.theta[MASS]), abs(view.theta[VISCOUS])
+    return abs(view.sure(np.eye(view.theta.size)[MASS])) > CERTAIN and mass > SAMPLES * dt * viscous
+
+
+def _is_one_body(view: View) -> bool:
+    """Does friction take power from the motion where the mass is positive, and drive where all is turned?"""
+    mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
+    return mass * work > 0 or abs(work) < LIKELY
+
+
+def _left(view: View | None) -> float:
+    """Of the input; all where there is no such reading."""
+    return np.inf if view is None else view.unexplained
+
+
+def _exchanged(log: Log) -> View | None:
+    if isinstance(log.axis.record.input_scale, str):
+        return None
+    position = log.encoder.position(log.record.counts)  # with steps, as a random input has them
+    encoder, counts = fine_counts(log.record.u)
+    return _seen(position - position.mean(), counts, encoder, log.record.dt)
+
+
+def _velocity(log: Log) -> View | None:
+    encoder, counts = fine_counts(integrated(log.encoder.position(log.known.counts), log.record.dt))
+    return _seen(log.force, counts, encoder, log.record.dt)
+
+
+def _seen(force: Floats, counts: Counts, encoder: Encoder, dt: float) -> View | None:
+    """A reading of the record, if it makes a machine of it."""
+    part = liveliest(counts)
+    view = best_view(force[part], counts[part], encoder, dt)
+    if view is None:
+        return None
+    lasts = view.moving > LASTING * view.time
+    return view if lasts and _has_inertia(view, dt) and _is_one_body(view) else None
+
+
+def _exchange(log: Log) -> str:
+    config = log.axis.record
+    return f'give [record] input = "{config.output}" and output = "{config.input}"'
+
+
+def integrated(velocity: Floats, dt: float) -> Floats:
+    """The position (n,) from 0 on of a velocity (n,) that runs along a line between samples."""
+    return np.asarray(np.r_[0.0, np.cumsum(velocity[1:] + velocity[:-1])] * (dt / 2))
+
+
+def turned(log: Log) -> str:
+    """What to write where the force of the input points the other way."""
+    model = log.axis.model
+    if model.kind == "drive" and isinstance(model.input_gain, float):
+        return f"give [model] input_gain = {-model.input_gain:g}"
+    return "give the known term of the input in [model] the other sign"

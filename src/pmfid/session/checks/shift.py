@@ -1,0 +1,106 @@
+"""By how many samples the input must be shifted to explain the motion, and whether that changes along the record.
+
+Behind the filters a shifted input is the shifted column, so that all shifts of all pieces of a record are sums that are
+made once. Friction that is none of viscous and Coulomb's would be taken for a shift: columns for its usual forms stand
+beside the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from pmfid.session.checks.view import COULOMB, VISCOUS, View
+from pmfid.types import Floats
+
+__all__ = ["Drift", "drift_of"]
+
+#: Shifts that are tried, to either side, and pieces of the record.
+MOST, PIECES = 30, 16
+#: Samples in a piece, at the least, in times of the largest shift.
+LEAST = 2
+#: Drift over the whole record that is tried, to either side, and in what steps [samples].
+FURTHEST, STEP = 30.0, 0.5
+#: Speed over which friction at rest falls, in parts of the usual speed.
+SLOW = 0.1
+
+
+@dataclass(frozen=True)
+class Drift:
+    """samples: by how many the input moves against the output from the beginning of the record to its end, later if
+    positive; sure: in standard deviations; less: what is left unexplained, over what is left without."""
+
+    samples: float
+    sure: float
+    less: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Of PIECES pieces: gram (k, p, p) of the columns, cross (k, s, p) with the input at each shift, and its power
+    (k, s)."""
+
+    gram: Floats
+    cross: Floats
+    power: Floats
+
+    def without(self, piece: int) -> _Sums:
+        keep = np.arange(len(self.gram)) != piece
+        return _Sums(self.gram * keep[:, None, None], self.cross * keep[:, None, None], self.power * keep[:, None])
+
+    def left(self, shifts: Floats) -> Floats:
+        """(m,): part of the input's power that is left where piece k is shifted by shifts (m, k)."""
+        low = np.clip(np.floor(shifts).astype(int) + MOST, 0, 2 * MOST - 1)
+        part = np.clip(shifts + MOST - low, 0.0, 1.0)
+        rows = np.arange(len(self.gram))
+        cross = (1 - part)[..., None] * self.cross[rows, low] + part[..., None] * self.cross[rows, low + 1]
+        power = (1 - part) * self.power[rows, low] + part * self.power[rows, low + 1]
+        total, together = power.sum(axis=1), cross.sum(axis=1)
+        theta = np.linalg.pinv(self.gram.sum(axis=0), rcond=1e-10, hermitian=True) @ together.T
+        return np.asarray((total - np.sum(theta.T * together, axis=1)) / np.maximum(total, 1e-300))
+
+
+def drift_of(view: View) -> Drift | None:
+    """The drift between input and output that explains the record best; None where it is too short."""
+    n = view.z.size - 2 * MOST
+    if n < PIECES * LEAST * MOST:
+        return None
+    sums = _sums(view, n)
+    whole, best, least = _best(sums)
+    others = np.array([_best(sums.without(piece))[0] for piece in range(PIECES)])
+    spread = np.sqrt((PIECES - 1) / PIECES * np.sum((others - others.mean()) ** 2) + STEP**2 / 12)
+    return Drift(whole, abs(whole) / float(spread), best / max(least, 1e-300))
+
+
+def _best(sums: _Sums) -> tuple[float, float, float]:
+    """The best drift [samples], what is left with it, and the least that is left without any."""
+    drifts = np.arange(-FURTHEST, FURTHEST + STEP, STEP)
+    middles = np.arange(-MOST / 2, MOST / 2 + 1)
+    places = (np.arange(PIECES) + 0.5) / PIECES - 0.5
+    shifts = middles[:, None, None] + drifts[None, :, None] * places
+    left = sums.left(shifts.reshape(-1, PIECES)).reshape(middles.size, drifts.size)
+    _, column = np.unravel_index(int(np.argmin(left)), left.shape)
+    return float(drifts[column]), float(left.min()), float(left[:, drifts.size // 2].min())
+
+
+def _sums(view: View, n: int) -> _Sums:
+    B = _columns(view)[MOST : MOST + n]
+    size = np.linalg.norm(B, axis=0)
+    B = B[:, size > 0] / size[size > 0]
+    shifted = np.lib.stride_tricks.sliding_window_view(view.z, n)[::-1]  # row s: later by s - MOST samples
+    edges = np.linspace(0, n, PIECES + 1).astype(int)
+    pairs = list(pairwise(edges))
+    gram = np.array([B[a:b].T @ B[a:b] for a, b in pairs])
+    cross = np.array([shifted[:, a:b] @ B[a:b] for a, b in pairs])
+    power = np.array([np.sum(shifted[:, a:b] ** 2, axis=1) for a, b in pairs])
+    return _Sums(gram, cross, power)
+
+
+def _columns(view: View) -> Floats:
+    """(n, p): those of the view, and friction that falls with speed, grows with its square, or differs by direction."""
+    velocity, direction = view.phi[:, VISCOUS], view.phi[:, COULOMB]
+    usual = float(np.sqrt(np.mean(velocity**2))) or 1.0
+    slow = direction * np.exp(-((velocity / (SLOW * usual)) ** 2))
+    return np.column_stack([view.phi, slow, velocity * np.abs(velocity), np.abs(direction)])

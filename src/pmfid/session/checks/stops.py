@@ -1,0 +1,103 @@
+"""Stretches of equal counts in which the axis does not rest.
+
+An axis cannot stop within a sample where it can be slowed down by so much less elsewhere, and it cannot rest under a
+force far above its friction. The first shows where counts are fine, the second where they are coarse.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.judge.counts import counts_per_sample
+from pmfid.session.checks.view import COULOMB, MASS, VISCOUS, View, solved
+from pmfid.types import Counts, Floats
+
+__all__ = ["Stop", "held_back", "long_stops", "sudden"]
+
+#: First and last sample of equal counts.
+Stop = tuple[int, int]
+
+#: A stop of the counts is looked at over so many samples, the first of these in which they move by as many counts.
+SPANS, COUNTS = (1, 2, 4, 8, 16, 32), 6
+#: It is no stop of the axis where that moves on to it so many times as far as it can be slowed down elsewhere.
+ABRUPT = 2.5
+#: Samples of a stop, at the least, and counts that would have come in it at the usual speed.
+SHORTEST, MISSED = 5, 4.0
+#: Rows outside of stops, at the least: a column of steps has none.
+MOVING = 0.05
+#: Nothing rests under a force so many times its friction; samples for which it may, as with a dead time, and counts
+#: that it would have moved by.
+HELD, LATE, FAR = 2.2, 5, 8.0
+#: Stops that are looked at, the longest.
+MOST = 1000
+
+
+def long_stops(counts: Counts) -> list[Stop]:
+    """Every stretch of equal counts inside the record that is long against the time between two counts."""
+    moving: NDArray[np.intp] = np.flatnonzero(np.diff(counts))
+    if moving.size < 2:
+        return []
+    least = max(float(SHORTEST), MISSED / max(counts_per_sample(counts), 1e-9))
+    pairs = zip((moving[:-1] + 1).tolist(), moving[1:].tolist(), strict=True)
+    stops = [(first, last) for first, last in pairs if last - first >= least]
+    resting = sum(last - first for first, last in stops)
+    if resting > (1 - MOVING) * counts.size:
+        return []
+    return sorted(sorted(stops, key=lambda stop: stop[0] - stop[1])[:MOST])
+
+
+def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
+    """Those of the stops that begin and end in full motion."""
+    edges = (counts == counts.min()) | (counts == counts.max())
+    edges[[edge for stop in stops for edge in stop]] = True
+    found = set[Stop]()
+    for span in SPANS:
+        if counts.size < 4 * span:
+            break
+        turn = np.zeros(counts.size)
+        turn[span:-span] = np.abs(counts[2 * span :] - 2 * counts[span:-span] + counts[: -2 * span])
+        limit = ABRUPT * (float(np.max(turn[~_near(edges, span)], initial=0.0)) + 1)
+        found |= {
+            (first, last)
+            for first, last in stops
+            if last - first >= span and min(turn[first], turn[last]) >= max(limit, COUNTS)
+        }
+    return found
+
+
+def held_back(force: Floats, stops: list[Stop], view: View, offset: int, dt: float, resolution: float) -> set[Stop]:
+    """Those of the stops in which the input `force` (n,) would have moved the axis; view: of the rows from the offset
+    on."""
+    rows = np.arange(view.z.size) + offset
+    memory = round(3 * view.time)
+    resting = np.zeros(force.size, dtype=bool)
+    for first, last in stops:
+        resting[first : last + memory] = True
+    keep = ~resting[rows]
+    if np.mean(keep) < MOVING:
+        return set()
+    theta = solved(view.phi[keep], view.z[keep])
+    if not (theta[MASS] > 0 and theta[COULOMB] >= 0):
+        return set()
+    return {stop for stop in stops if _moves(force[stop[0] : stop[1]], theta, dt) > FAR * resolution}
+
+
+def _moves(force: Floats, theta: Floats, dt: float) -> float:
+    """How far a force (n,) moves a body of theta from rest, at the least."""
+    load = theta[3] if theta.size > 3 else 0.0
+    moved = 0.0
+    for sign in (1.0, -1.0):
+        above = sign * (force - load) - HELD * theta[COULOMB]
+        breaks = np.flatnonzero(np.diff(np.r_[0, above > 0, 0]))
+        for first, last in zip(breaks[::2].tolist(), breaks[1::2].tolist(), strict=True):
+            time = dt * max(0, last - first - LATE)
+            push = float(np.mean(above[first:last]))
+            fastest = push / max(float(theta[VISCOUS]), 1e-300) if theta[VISCOUS] > 0 else np.inf
+            moved = max(moved, min(push / float(theta[MASS]) * time**2 / 2, fastest * time))
+    return moved
+
+
+def _near(marked: NDArray[np.bool_], span: int) -> NDArray[np.bool_]:
+    """(n,): those that are marked, and `span` samples to either side."""
+    return np.asarray(np.convolve(marked, np.ones(2 * span + 1), mode="same") > 0.5)

@@ -1,0 +1,101 @@
+"""Clocks: a sample rate that does not suit the axis, an input of another clock, an input that acts late."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+
+import numpy as np
+
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.interval import IntervalML
+from pmfid.findings import Finding
+from pmfid.judge.counts import counts_per_sample
+from pmfid.judge.drive import examined
+from pmfid.judge.late import late
+from pmfid.session.checks.log import Log, hasty, liveliest
+from pmfid.session.checks.shift import Drift, drift_of
+from pmfid.session.checks.view import view
+from pmfid.session.known import at_some_gain
+
+__all__ = ["acts_late", "drifts", "too_fast", "too_slow"]
+
+#: Change of the velocity from sample to sample, in parts of the velocity, beyond which samples miss the motion; counts
+#: per sample from which on that is not the encoder's.
+HASTY, FINE = 0.42, 3.0
+#: Counts per sample below which most samples say nothing, and those that are plenty.
+IDLE, PLENTY = 0.02, 0.2
+#: Filters through which a drift is looked for [samples]; of a drift: samples, standard deviations, and what may be left
+#: of the unexplained part with it.
+DRIFT_TIMES, DRIFTED, SURE, LESS = (10.0, 30.0, 100.0), 1.5, 4.5, 0.95
+#: Samples in which it is looked for.
+MOST_SAMPLES = 40_000
+
+
+def too_slow(log: Log) -> Iterator[Finding]:
+    """A sample period in which the velocity becomes another one."""
+    change = np.diff(log.known.counts)
+    moving = np.abs(change[change != 0])
+    if moving.size < 2 or float(np.median(moving)) < FINE or not (jumps := hasty(change)) > HASTY:
+        return
+    yield Finding(
+        "rate_low",
+        f"the velocity changes by {100 * jumps:.0f} % of its size from row to row: with a sample period of "
+        f"{log.record.dt:g} s the record misses most of the motion",
+        f"record anew, at a sample period of at most {log.record.dt / 10 / min(jumps, 2):.1g} s",
+    )
+
+
+def too_fast(log: Log) -> Iterator[Finding]:
+    """A sample period in which nearly never a count comes."""
+    per_sample = counts_per_sample(log.known.counts)
+    if 0 < per_sample < IDLE:
+        keep = max(2, round(PLENTY / per_sample))
+        yield Finding(
+            "rate_high",
+            f"the axis moves {per_sample:.2g} counts per row: nearly all rows say nothing, and filters as slow as the "
+            "motion are long",
+            f"keep every {keep}th row, with the mean of the input over the {keep} rows from it on",
+        )
+
+
+def drifts(log: Log) -> Iterator[Finding]:
+    """An input whose rows are those of another clock than the output's."""
+    if not log.is_machine or log.view is None:
+        return
+    drift = _drift(log)
+    if drift is None:
+        return
+    n = min(log.record.u.size, MOST_SAMPLES)
+    yield Finding(
+        "drift",
+        f"the input moves against the output by {abs(drift.samples):.2g} rows within {n}, for then the motion explains "
+        "it better throughout: they are of two clocks",
+        f"log both by one clock, or multiply the time of the input by {1 + drift.samples / n:.6f} and interpolate it "
+        "at that of the output",
+    )
+
+
+def _drift(log: Log) -> Drift | None:
+    """The surest drift that is beyond chance."""
+    part = liveliest(log.known.counts, MOST_SAMPLES)
+    u, counts = log.force[part], log.known.counts[part]
+    views = [view(u, counts, log.encoder, log.record.dt, time) for time in DRIFT_TIMES]
+    found = [drift for one in views if one is not None and (drift := drift_of(one)) is not None]
+    sure = [one for one in found if abs(one.samples) >= DRIFTED and one.sure > SURE and one.less < LESS]
+    return max(sure, key=lambda one: one.sure, default=None)
+
+
+def acts_late(log: Log) -> Iterator[Finding]:
+    """An input that acts later than the model has it, as `judge` says it of an estimate."""
+    if not log.is_machine:
+        return
+    axis, record = at_some_gain(log.axis), log.known
+    model = axis.model.make()
+    if model.equation.further or axis.estimator.cutoff is None:
+        return
+    method = IntervalML(model, log.encoder, record.dt, axis.estimator.pole, order=axis.estimator.order)
+    with suppress(NotIdentifiableError, UsageError):
+        found = examined(method, record.u, record.counts, np.zeros(len(method.equation.names)))
+        if found is not None and not found.adequate:
+            yield from late(found)

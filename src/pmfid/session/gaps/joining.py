@@ -1,0 +1,57 @@
+"""Several records of one axis as one, with a gap between each two of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pmfid.errors import UsageError
+from pmfid.session.gaps.standing import APART
+from pmfid.types import Counts, Flags, Floats
+
+if TYPE_CHECKING:
+    from pmfid.session.records import Record
+
+#: Periods that differ by more than this part are of different records; less is what clocks are off by.
+SAME_PERIOD = 1e-3
+
+
+def one_of(records: Sequence[Record], place_matters: bool) -> Record:
+    """The records one after the other; the counts of each go on from those before, for a counter may begin anywhere.
+
+    Raises UsageError for records of different sample periods, and of an axis with forces of the place."""
+    if len(records) == 1:
+        return records[0]
+    first = records[0]
+    if place_matters:
+        raise UsageError(
+            "several records make one estimate where no force depends on the place: nobody knows where each begins; "
+            "identify them one by one"
+        )
+    for record in records[1:]:
+        if abs(record.dt / first.dt - 1) > SAME_PERIOD:
+            raise UsageError(
+                f"{record.name} has a sample period of {record.dt:g} s, {first.name} one of {first.dt:g} s: identify "
+                "them one by one"
+            )
+    parts = [_moved(first, 0, first=True)]
+    for record in records[1:]:
+        parts.append(_moved(record, int(parts[-1][1][-1]), first=False))
+    u, counts, there = (np.concatenate(signal) for signal in zip(*parts, strict=True))
+    said = f"{len(records)} records make one estimate: the motion of each begins anew"
+    notes = (said, *dict.fromkeys(f"{record.name}: {note}" for record in records for note in record.notes))
+    name = ", ".join(record.name for record in records)
+    return replace(first, u=u, counts=counts, there=there, notes=notes, name=name)
+
+
+def _moved(record: Record, start: int, *, first: bool) -> tuple[Floats, Counts, Flags]:
+    """Input, counts from `start` on, and which samples were measured; behind a gap, but for the first."""
+    there = np.ones(record.u.size, bool) if record.there is None else record.there
+    counts = record.counts - record.counts[0] + (record.counts[0] if first else start)
+    if first:
+        return record.u, counts, there
+    gap = np.full(APART, np.nan), np.full(APART, start), np.zeros(APART, bool)
+    return np.r_[gap[0], record.u], np.r_[gap[1], counts], np.r_[gap[2], there]

@@ -1,0 +1,143 @@
+"""What stands in the place of missing samples, by the motion of the machine.
+
+A held input that differs on the two sides of a gap has changed at one of its instants, and the motion behind it tells
+at which: the wrong one would leave a step in the velocity that the model simulates. The counts are then those of the
+simulated motion, less the smoothed deviation of the measured one from it. The model has to be right for that only as
+far as one sample of the input moves the axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.difference import rms
+from pmfid.estimators.iv import IV
+from pmfid.estimators.motion import mean_velocity
+from pmfid.models.equation import MASS, VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
+from pmfid.session.gaps.smoother import Steps, smoothed
+from pmfid.session.gaps.standing import Gap, gaps_of, is_held
+from pmfid.types import Counts, Flags, Floats
+
+#: Turns of estimate and filling; what stands in a gap hardly changes the estimate.
+TURNS = 3
+#: Relative change of the parameters from which on another turn changes nothing.
+SETTLED = 1e-4
+#: What a wrong parameter may do to the velocity at an event, as parts of the root mean square one: at first, and where
+#: the inputs are found.
+WRONG = (1e-2, 1e-3)
+#: The same of the position [counts].
+SHIFT = 0.1
+#: An instant is known where its standard deviation is less than this part of a sample.
+KNOWN = 0.25
+#: The counts that are filled in keep within so many of the line between their neighbours, less the simulated motion.
+WITHIN = 1.0
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A model at parameters theta (p,), sampled every dt [s] with an encoder's step [unit of y]."""
+
+    equation: Equation
+    theta: Floats
+    dt: float
+    step: float
+
+    def motion(self, u: Floats, speed: float) -> tuple[Floats, Floats]:
+        """Position [counts] from 0 and velocity [counts/s], (n,), from a speed [counts/s] on."""
+        velocity = mean_velocity(self.equation, self.theta, self.dt, u, speed * self.step) / self.step
+        return np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt, velocity
+
+    @property
+    def decay(self) -> float:
+        """Of a deviation of the velocity [1/s]."""
+        values = self._values
+        return max(0.0, (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2 / values[MASS])
+
+    @property
+    def push(self) -> float:
+        """By how much a unit of the input moves the velocity in one sample [counts/s]."""
+        return self.equation.input_gain * self.dt / self._values[MASS] / self.step
+
+    @property
+    def _values(self) -> list[float]:
+        own = len(self.equation.names)
+        return list(self.equation.known_at(self.theta[own:]).role_values(self.theta))
+
+
+def by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts] | None:
+    """Input and counts (n,) with those that are not there as the motion says; an input that is NaN stays so. What
+    stands there now is the line between the neighbours. None where the record identifies no motion."""
+    line, own = (u, counts), np.flatnonzero(np.isfinite(u))
+    parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
+    try:
+        theta = method.settled(u, counts)[1]
+        for _ in range(TURNS):
+            machine = Machine(method.equation, theta, method.dt, method.encoder.resolution)
+            u, counts = line[0].copy(), line[1].copy()
+            for part in parts:
+                if not np.all(there[part]):
+                    u[part], counts[part] = _filled(machine, line[0][part], line[1][part], there[part])
+            before, theta = theta, method.settled(u, counts)[1]
+            if np.max(np.abs(theta - before) / np.maximum(np.abs(theta), np.finfo(float).tiny)) < SETTLED:
+                break
+    except (NotIdentifiableError, np.linalg.LinAlgError):
+        return None
+    return u, counts
+
+
+def _filled(machine: Machine, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts]:
+    """Of one part (n,), which is there at its ends."""
+    gap, place, speed = gaps_of(there), counts - counts[0] + 0.5, 0.0
+    unknown = np.flatnonzero(u[gap.before] != u[gap.after]) if is_held(u, there) else np.zeros(0, np.intp)
+    gap = Gap(gap.before[unknown], gap.after[unknown])
+    u = u.copy()
+    for wrong in WRONG:
+        position, velocity = machine.motion(u, speed)
+        found, events = _deviation(machine, gap, u, place - position, velocity, there, wrong)
+        speed += found.start
+        at = np.searchsorted(events, gap.after)
+        _decide(machine, gap, u, found.size[at], found.variance[at])
+    position, velocity = machine.motion(u, speed)
+    none = Gap(gap.before[:0], gap.after[:0])
+    deviation = place - position
+    smooth = _deviation(machine, none, u, deviation, velocity, there, WRONG[-1])[0].deviation
+    where = np.flatnonzero(there)
+    line = np.interp(np.arange(u.size), where, deviation[where])
+    filled = np.floor(position + np.clip(smooth, line - WITHIN, line + WITHIN)).astype(np.int64) + counts[0]
+    return u, np.where(there, counts, filled)
+
+
+def _deviation(
+    machine: Machine, gap: Gap, u: Floats, deviation: Floats, velocity: Floats, there: Flags, wrong: float
+) -> tuple[Steps, NDArray[np.intp]]:
+    """The smoothed deviation (n,) [counts] of the measured motion from the simulated one, and the events: gaps and
+    reversals. wrong: what the model may have wrong at each, as a part of the velocity."""
+    turns = np.flatnonzero(np.diff(np.sign(velocity))) + 1
+    events = np.union1d(np.r_[0, gap.after], turns)
+    at, change = np.searchsorted(events, gap.after), u[gap.after] - u[gap.before]
+    steps = np.full(events.size, max((wrong * rms(velocity)) ** 2, np.finfo(float).tiny))
+    moves = np.full(events.size, SHIFT**2)
+    steps[at] += (machine.push * change * gap.missing) ** 2 / 12
+    moves[at] += steps[at] * (gap.missing * machine.dt) ** 2 / 4
+    return smoothed(deviation, there, events, steps, moves, machine.decay, machine.dt), events
+
+
+def _decide(machine: Machine, gap: Gap, u: Floats, steps: Floats, variance: Floats) -> None:
+    """Sets the input (n,) in gaps that hide a change, at the instant that the steps (g,) of the velocity ask for beyond
+    those of the input as it is; an instant that is not known stays between two."""
+    before, change = u[gap.before], u[gap.after] - u[gap.before]
+    total = np.r_[0.0, np.cumsum(u)]
+    inside = total[gap.after] - total[gap.before + 1] + steps / machine.push
+    behind = np.clip((inside - gap.missing * before) / change, 0.0, gap.missing)
+    known = np.sqrt(variance) < KNOWN * np.abs(machine.push * change)
+    behind = np.where(known, np.rint(behind), behind)
+    whole = np.floor(behind).astype(np.intp)
+    for k in range(before.size):
+        first, last, split = gap.before[k] + 1, gap.after[k], gap.after[k] - whole[k]
+        u[first:split], u[split:last] = before[k], before[k] + change[k]
+        if split > first:
+            u[split - 1] += (behind[k] - whole[k]) * change[k]

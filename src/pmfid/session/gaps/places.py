@@ -1,0 +1,142 @@
+"""Which rows of a record count, and where they belong on an even grid of time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.session.clock import even_grid, sample_period, time_factor
+from pmfid.types import Flags, Floats
+
+if TYPE_CHECKING:
+    from pmfid.session.record_config import RecordConfig
+
+#: A longer step, in medians, leaves samples out.
+MISSING = 1.5
+#: A step that is no whole number of periods, by more than this part of one, is none of an even grid.
+NEAR = 0.3
+#: Steps of up to so many periods tell the period: a pause need not be a whole number.
+SHORT = 5
+#: Relative accuracy of the period.
+SETTLED = 1e-9
+#: Standard deviation [periods] of stamps that are late or early by chance; stamps that know of no grid have 0.29.
+SCATTER = 0.2
+#: Turns in which grid and places are found, each from the other.
+TURNS = 5
+#: Of the steps of a grid at least so many are single ones.
+SINGLE = 0.3
+#: A longer gap [samples] is shown so long: what is behind it begins anew, however long it was.
+LONGEST = 1000
+
+
+@dataclass(frozen=True)
+class Laid:
+    """The rows (m,) of a record that count, the places (m,) of these samples on a grid of period dt [s], and notes for
+    people."""
+
+    rows: NDArray[np.intp]
+    places: NDArray[np.intp]
+    dt: float
+    notes: tuple[str, ...]
+
+    @property
+    def whole(self) -> bool:
+        """Does every place have its sample?"""
+        return bool(self.places.size == self.places[-1] + 1)
+
+
+def laid(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig) -> Laid:
+    """The rows `kept` (N,) with time (N,) in the unit of its column, or at a constant period. repeated (N,): rows with
+    the values of the row before. Raises UsageError for a time that belongs to no even grid."""
+    if time is None:
+        rows = np.flatnonzero(kept)
+        return Laid(rows, _shortened(rows), *sample_period(None, config))
+    rows, repeats = _without_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
+    stamps, places = time[rows], np.arange(rows.size)
+    if not (_steady(stamps) or even_grid(stamps)[1]):
+        found = _places(stamps)
+        if found is not None:
+            places, period = found
+            stamps = stamps[0] + period * np.arange(places[-1] + 1)
+    dt, notes = sample_period(stamps, config)  # which refuses what is on no grid
+    counts = kept[rows]
+    return Laid(rows[counts], _shortened(places[counts]), dt, (*repeats, *notes))
+
+
+def left_out(
+    time: Floats | None, samples: int, config: RecordConfig, mask: Floats | None
+) -> tuple[Flags, tuple[str, ...]]:
+    """Which of so many rows [record] mask and exclude leave out, and notes for people; mask (N,): that column."""
+    out, notes = np.zeros(samples, bool), []
+    if mask is not None:
+        out |= ~(mask == 0)
+        notes.append(f"{np.count_nonzero(out)} rows are left out by the mask {config.mask!r}")
+    if config.exclude:
+        t = np.arange(samples) * (config.dt or 0.0) if time is None else time * time_factor(config)
+        inside = np.zeros(samples, bool)
+        for first, last in config.exclude:
+            inside |= (t >= first) & (t <= last)
+        notes.append(f"{np.count_nonzero(inside)} rows are left out by exclude")
+        out |= inside
+    return out, tuple(notes)
+
+
+def _steady(time: Floats) -> bool:
+    """Does the time (n,) rise without a step so long that samples are missing in it?"""
+    steps = np.diff(time)
+    return bool(steps.size and np.min(steps) > 0 and np.max(steps) <= MISSING * np.median(steps))
+
+
+def _without_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+    """Rows without those that are the same as the row before, time and all."""
+    again = np.r_[False, np.diff(time[rows]) == 0] & repeated[rows]
+    count = int(np.count_nonzero(again))
+    if not count:
+        return rows, ()
+    said = "rows repeat the row before, time and all: they are" if count > 1 else "row repeats the row before: it is"
+    return rows[~again], (f"{count} {said} left out",)
+
+
+def _places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
+    """Places (n,) of rising stamps (n,) on an even grid, from 0 on, and its period; None where they are on none.
+
+    By the steps, each nearly a whole number of periods; or where the stamps scatter, by a line through them all.
+    """
+    steps = np.diff(time)
+    if not (steps.size and np.min(steps) > 0):
+        return None
+    period = float(np.median(steps))
+    period = float(np.mean(steps[np.abs(steps - period) <= (MISSING - 1) * period]))
+    for _ in range(TURNS):
+        numbers = np.maximum(1, np.rint(steps / period)).astype(np.intp)
+        short = numbers <= SHORT
+        before, period = period, float(np.sum(steps[short]) / np.sum(numbers[short]))
+        if abs(period - before) <= SETTLED * period:
+            break
+    places = np.r_[0, np.cumsum(numbers)]
+    if np.mean(numbers == 1) < SINGLE:
+        return None
+    if np.max(np.abs(steps / period - numbers)[short]) <= NEAR:
+        return places, period
+    return _along_a_line(time, places)
+
+
+def _along_a_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.intp], float] | None:
+    """The same of stamps that are late or early by chance, from places (n,) that are nearly right."""
+    for _ in range(TURNS):
+        period, start = np.polyfit(places, time - time[0], 1)
+        at = (time - time[0] - start) / period
+        found = np.rint(at).astype(np.intp)
+        if np.array_equal(found, places):
+            break
+        places = found
+    rises = bool(np.min(np.diff(found)) > 0)
+    return (found - found[0], float(period)) if rises and np.std(at - found) < SCATTER else None
+
+
+def _shortened(places: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Places with gaps of at most LONGEST samples."""
+    return np.asarray(np.r_[0, np.cumsum(np.minimum(np.diff(places), LONGEST + 1))][: places.size], np.intp)

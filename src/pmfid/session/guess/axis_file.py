@@ -1,0 +1,183 @@
+"""The AXIS.toml that a record suggests, each line with its reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pmfid.errors import UsageError
+from pmfid.session.clock import UNITS, even_grid, named_unit
+from pmfid.session.formats.reading import read_table
+from pmfid.session.guess.columns import Pair, numeric, pair_of, time_of
+from pmfid.session.guess.lattice import step_of
+from pmfid.session.guess.names import role_of
+from pmfid.session.tables import Table
+from pmfid.session.units import INPUTS, OUTPUTS, SI, Unit, column_unit
+from pmfid.session.wrap import wrap_of
+from pmfid.types import Floats
+
+__all__ = ["Guess", "guess"]
+
+#: Asks for a number that the record does not tell: the question and what is taken without an answer.
+Ask = Callable[[str, str], str]
+
+#: Sample periods that an axis has [s], from this up to that, and the most usual one.
+SHORTEST, LONGEST, USUAL = 1e-5, 0.1, 1e-3
+HEADING = """\
+# {name}: guessed from the record by pmfid init. Each line says why; what is marked TO DO the record does not tell.
+"""
+TO_DO = "TO DO: "
+
+
+@dataclass
+class Guess:
+    """Lines of an AXIS.toml, by section."""
+
+    name: str
+    sections: dict[str, list[str]] = field(default_factory=dict)
+
+    def add(self, section: str, line: str, reason: str) -> None:
+        self.sections.setdefault(section, []).append(f"{line}  # {reason}")
+
+    @property
+    def text(self) -> str:
+        """The whole file."""
+        parts = ["\n".join([f"[{name}]", *lines]) for name, lines in self.sections.items()]
+        return "\n".join([HEADING.format(name=self.name), "\n\n".join(parts), ""])
+
+
+def guess(path: Path, ask: Ask | None = None) -> Guess:
+    """What a record suggests; ask: who is asked for what it does not tell. Raises UsageError where it cannot be read,
+    or has not two columns of numbers."""
+    table = read_table(path)
+    columns = numeric(table)
+    found, dt = _time(table, columns, ask)
+    rest = {
+        name: values
+        for name, values in columns.items()
+        if role_of(name) not in ("time", "number", "acceleration", "other") and name != (found or [""])[0]
+    }
+    pair = pair_of(rest, dt)
+    if pair is None:
+        listed = ", ".join(table) or "none"
+        raise UsageError(f"{path}: no two columns can be input and output of an axis, of these: {listed}; name them")
+    result = Guess(path.name)
+    _record(result, pair, found, dt)
+    _encoder(result, pair, columns[pair.output], dt, ask)
+    _model(result, pair, ask)
+    return result
+
+
+def _record(result: Guess, pair: Pair, found: tuple[str, str, str] | None, dt: float) -> None:
+    result.add("record", f"input = {quoted(pair.input)}", pair.reason)
+    result.add("record", f"output = {quoted(pair.output)}", _why(pair))
+    result.add("record", f'output_kind = "{pair.kind}"', KINDS[pair.kind])
+    if found is None:
+        result.add("record", f"dt = {dt:g}", f"{TO_DO}no column is a time; the sample period in s")
+        return
+    name, unit, reason = found
+    result.add("record", f"time = {quoted(name)}", f"it grows from row to row; a sample period of {dt:.6g} s")
+    if unit:
+        result.add("record", f'time_unit = "{unit}"', reason)
+
+
+KINDS = {
+    "counts": "nothing but whole numbers",
+    "position": "it has parts of a whole number",
+    "velocity": "the motion explains the input as a rate",
+}
+
+
+def _why(pair: Pair) -> str:
+    said = role_of(pair.output)
+    return f"its name says {said}" if said else "the input drives it"
+
+
+def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple[tuple[str, str, str] | None, float]:
+    """Name, unit and reason of the time column, and the sample period [s]."""
+    found = time_of(table, columns)
+    if found is None:
+        answer = ask("sample period in s", "0.001") if ask else ""
+        return None, _number(answer, USUAL)
+    name, values, written = found
+    mean, grid = even_grid(values)
+    step = mean if grid else float(np.median(np.diff(values)))
+    if written or named_unit(name):
+        return (name, "", ""), step * (1.0 if written else UNITS[named_unit(name) or "s"])
+    fitting = [unit for unit, length in UNITS.items() if SHORTEST <= step * length < LONGEST]
+    if "s" in fitting or not fitting:
+        return (name, "", ""), step
+    unit = min(fitting, key=lambda one: abs(np.log(step * UNITS[one] / USUAL)))
+    return (name, unit, f"it steps by {step:g}: in s no axis is sampled so"), step * UNITS[unit]
+
+
+def _encoder(result: Guess, pair: Pair, output: Floats, dt: float, ask: Ask | None) -> None:
+    wrap = wrap_of(output.astype(np.int64)) if pair.kind == "counts" else None
+    if pair.kind == "counts":
+        answer = ask("travel per count, in m or rad (1: results in counts)", "1") if ask else ""
+        told = "as told" if answer else f"{TO_DO}travel per count in m or rad; with 1 a length is in counts"
+        result.add("encoder", f"resolution = {_number(answer, 1.0)!r}", told)
+        if wrap is not None and wrap.bits is not None:
+            result.add("encoder", f"bits = {wrap.bits}", f"the counter wraps, the first time at row {wrap.row}")
+        elif wrap is not None:
+            size = _number(answer, 1.0) * wrap.span
+            result.add("encoder", f"range = {size!r}", f"it begins anew, the first time at row {wrap.row}")
+        return
+    step, found = step_of(output)
+    reason = "the smallest step of the column" if found else "the column has no steps: as fine as its numbers"
+    unit = column_unit(pair.output, OUTPUTS)
+    if pair.kind == "velocity":
+        step, reason = step * dt * (unit.factor if unit else 1.0), f"{reason}, times the sample period"
+        unit = None
+    result.add("encoder", f"resolution = {_written(step, unit)}", reason)
+    wrap = wrap_of(np.floor(output / step + 0.5).astype(np.int64)) if found and pair.kind == "position" else None
+    if wrap is not None:
+        size = float(f"{wrap.span * step:.9g}")
+        result.add("encoder", f"range = {_written(size, unit)}", f"it begins anew, the first time at row {wrap.row}")
+
+
+def _written(value: float, unit: Unit | None) -> str:
+    """A number as TOML has it, with its unit where that is not the one of SI."""
+    return repr(value) if unit is None or unit.plain else f'"{value:.12g} {unit.name}"'
+
+
+def _model(result: Guess, pair: Pair, ask: Ask | None) -> None:
+    result.add("model", 'kind = "drive"', "mass and friction")
+    unit = column_unit(pair.input, INPUTS)
+    force = "N m" if (measured := column_unit(pair.output, OUTPUTS)) and "ang" in measured.of else "N"
+    if unit is not None and unit.of in ("force", "torque"):
+        result.add("model", f"input_gain = {-1.0 if pair.turned else 1.0}", f"the input is a {unit.of}{_sign(pair)}")
+        return
+    per = f"per {SI[unit.of]} of" if unit else "per unit of"
+    answer = ask(f"force or torque {per} the input, in N or N m (1: results per that)", "1") if ask else ""
+    value = _number(answer, 1.0)
+    told = "as told" if answer else f"{TO_DO}force or torque {per} the input; with 1 results are {per} it"
+    signed = -abs(value) if pair.turned else value
+    written = repr(signed) if unit is None or unit.plain else f'"{signed:.12g} {force}/{SI[unit.of]}"'
+    result.add("model", f"input_gain = {written}", told + _sign(pair))
+
+
+def _sign(pair: Pair) -> str:
+    return "; negative, for it drives against the output" if pair.turned else ""
+
+
+def _number(answer: str, usual: float) -> float:
+    """What was answered. Raises UsageError for what is no number above zero."""
+    if not answer.strip():
+        return usual
+    try:
+        value = float(answer.replace(",", "."))
+    except ValueError:
+        value = 0.0
+    if not (np.isfinite(value) and value != 0):
+        raise UsageError(f"{answer!r} is no number other than zero; write one like 0.25")
+    return value
+
+
+def quoted(name: str) -> str:
+    """A name as TOML has it."""
+    escaped = "".join(c if c.isprintable() and c not in '"\\' else f"\\u{ord(c):04x}" for c in name)
+    return f'"{escaped}"'

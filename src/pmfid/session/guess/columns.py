@@ -1,0 +1,135 @@
+"""Which columns of a table hold time, input and output, by their names and by what explains the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmfid.encoder import Encoder, fine_counts
+from pmfid.errors import UsageError
+from pmfid.session.checks.log import liveliest
+from pmfid.session.checks.readings import integrated, is_turned
+from pmfid.session.checks.view import MASS, View, best_view
+from pmfid.session.guess.lattice import is_whole
+from pmfid.session.guess.names import Role, role_of
+from pmfid.session.tables import Table, column, times
+from pmfid.session.wrap import wrap_of
+from pmfid.types import Floats
+
+__all__ = ["Pair", "numeric", "pair_of", "time_of"]
+
+#: Roles of an output, best first.
+OUTPUTS: tuple[Role, ...] = ("counts", "position", "velocity")
+#: Pairs of columns that are looked at where names say nothing.
+MOST_COLUMNS = 6
+#: A mass must be told by so many standard deviations.
+TOLD = 4.5
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Input and output by name; kind: "counts", "position" or "velocity"; turned: the input drives against the output;
+    explained: part of the input that the motion explains; reason: for people."""
+
+    input: str
+    output: str
+    kind: str
+    turned: bool
+    explained: float
+    reason: str
+
+
+def numeric(table: Table) -> dict[str, Floats]:
+    """The columns that are finite numbers and not all the same, by name; missing ones at few places are filled in from
+    beside, as a guess needs no more."""
+    found: dict[str, Floats] = {}
+    for name in table:
+        with suppress(UsageError):
+            values = column(table, "column", name)
+            good = np.isfinite(values)
+            if values.size > 10 and np.mean(good) > 0.5 and np.ptp(values[good]) > 0:
+                found[name] = np.interp(np.arange(values.size), np.flatnonzero(good), values[good])
+    return found
+
+
+def time_of(table: Table, columns: Mapping[str, Floats]) -> tuple[str, Floats, bool] | None:
+    """The time column, its values, and whether these are written as dates or times of day; None where there is none."""
+    named = [name for name in table if role_of(name) == "time"]
+    content = [name for name in columns if role_of(name) == "" and _even(columns[name])]
+    for name in (*named, *content):
+        with suppress(UsageError):
+            values, written = times(table, name)
+            if values.size > 10 and np.mean(np.diff(values) > 0) > 0.9:
+                return name, values, written
+    return None
+
+
+def _even(values: Floats) -> bool:
+    """Does it grow by nearly the same from row to row, as time does and no motion?"""
+    steps = np.diff(values)
+    return bool(np.all(steps > 0) and np.ptp(steps) < 0.2 * np.median(steps))
+
+
+def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
+    """Input and output among columns (n,) by name, sampled every dt [s]: those that their names say, and of several
+    those between which the motion explains most. None where there are not two columns."""
+    roles = {name: role_of(name) for name in columns}
+    outputs = next(
+        (found for role in OUTPUTS if (found := [name for name in columns if roles[name] == role])), None
+    ) or [name for name in columns if roles[name] in ("", "input")]
+    inputs = [name for name in columns if roles[name] == "input"] or [name for name in columns if roles[name] == ""]
+    tried = [
+        one
+        for output in outputs[:MOST_COLUMNS]
+        for name in inputs[:MOST_COLUMNS]
+        if name != output
+        and columns[name].size == columns[output].size
+        and (one := _tried(columns, name, output, roles[output], dt))
+    ]
+    if not tried:
+        return None
+    best = max(tried, key=lambda one: one.explained)
+    others = [f"{one.input} and {one.output} {100 * one.explained:.3g} %" for one in tried if one is not best]
+    beside = f"; {', '.join(others[:3])}" if others else ""
+    reason = f"the motion of {best.output} explains it to {100 * best.explained:.3g} %{beside}"
+    return Pair(best.input, best.output, best.kind, best.turned, best.explained, reason)
+
+
+def _tried(columns: Mapping[str, Floats], name: str, output: str, role: Role, dt: float) -> Pair | None:
+    """A pair of columns, as what it explains most."""
+    kinds = ("velocity",) if role == "velocity" else ("position",) if role else ("position", "velocity")
+    found = [(kind, _view(columns[name], columns[output], kind, dt)) for kind in kinds]
+    seen = [(kind, view) for kind, view in found if view is not None]
+    if not seen:
+        return Pair(name, output, _whole(columns[output], kinds[0]), False, 0.0, "")
+    kind, view = min(seen, key=lambda pair: _cost(pair[1]))
+    explained = max(0.0, 1 - _cost(view))
+    return Pair(name, output, _whole(columns[output], kind), is_turned(view), explained, "")
+
+
+def _cost(view: View) -> float:
+    """What is left unexplained; all where no mass is seen: a rate explains its own column."""
+    return view.unexplained if abs(view.sure(np.eye(view.theta.size)[MASS])) > TOLD else 1.0
+
+
+def _whole(output: Floats, kind: str) -> str:
+    return "counts" if kind == "position" and is_whole(output) else kind
+
+
+def _view(u: Floats, y: Floats, kind: str, dt: float) -> View | None:
+    if kind == "velocity":
+        encoder, counts = fine_counts(integrated(y, dt))
+    elif is_whole(y):
+        encoder, counts = Encoder(1.0), y.astype(np.int64)
+        wrap = wrap_of(counts)
+        if wrap is not None:
+            change = np.diff(counts)
+            undone = (change + wrap.span // 2) % wrap.span - wrap.span // 2
+            counts = np.r_[counts[0], counts[0] + np.cumsum(undone)]
+    else:
+        encoder, counts = fine_counts(y)
+    part = liveliest(counts)
+    return best_view(u[part], counts[part], encoder, dt)

@@ -1,0 +1,77 @@
+"""`help` of what a user makes: every argument is explained, numbers with their unit."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from dataclasses import dataclass, fields
+
+import pytest
+
+import pmfid
+from pmfid.estimators.iv import IV
+from pmfid.estimators.registry import ESTIMATORS
+
+#: What is configured by hand, beside the estimators.
+OBJECTS = [
+    "Along",
+    "Drive",
+    "Encoder",
+    "Equation",
+    "EquationModel",
+    "Experiment",
+    "Known",
+    "Square",
+    "Stribeck",
+    "Term",
+]
+OBJECTS += ["TransferFunction", "Wave"]
+FUNCTIONS = ["Fleet", "export_firmware", "friction_curve", "identify", "quantize", "search_terms", "validate"]
+#: Arguments of estimators with a dimension.
+UNITS = {"dt": "s", "cutoff": "rad/s", "prefilter_zeros": "rad/s", "drift_cutoff": "rad/s", "window": "s"}
+UNITS |= {"noise_std": "unit of y"}
+
+
+def explanation(doc: str, name: str) -> str:
+    """What a docstring says wherever an argument is explained, each up to the next one."""
+    return " ".join(re.findall(rf"(?:^|[^\w`]){name}: (.*?)(?=\s\w+: |\Z)", doc, re.DOTALL))
+
+
+@pytest.mark.parametrize("method", ESTIMATORS)
+def test_an_estimator_explains_every_argument(method: str) -> None:
+    cls = ESTIMATORS[method]
+    doc = inspect.getdoc(cls) or ""
+    names = [field.name for field in fields(cls) if field.init]
+    assert {"model", "encoder", "dt", "cutoff", "order"} <= set(names)
+    assert [name for name in names if len(explanation(doc, name)) < 5] == []
+    assert [n for n, unit in UNITS.items() if n in names and f"[{unit}]" not in explanation(doc, n)] == []
+
+
+@pytest.mark.parametrize("name", OBJECTS + FUNCTIONS)
+def test_everything_else_names_every_argument(name: str) -> None:
+    thing = getattr(pmfid, name)
+    doc = inspect.getdoc(thing) or ""
+    arguments = [field.name for field in fields(thing) if field.init] if name in OBJECTS else []
+    arguments = arguments or list(inspect.signature(thing).parameters)
+    assert [own for own in arguments if not re.search(rf"\b{own}\b", doc)] == []
+
+
+def test_a_method_begins_with_its_own_words_and_says_nothing_twice() -> None:
+    doc = inspect.getdoc(pmfid.RIV) or ""
+    assert doc.startswith("Recursive instrumental variables")
+    assert doc.count("As every `RecursiveEstimator`:") == doc.count("As every `Estimator`:") == 1
+    assert doc.count("0 < cutoff <= 2/dt") == 1
+
+
+def test_the_method_of_a_user_explains_what_it_inherits() -> None:
+    @dataclass(frozen=True)
+    class Mine(IV):
+        """A method of my own."""
+
+    @dataclass(frozen=True)
+    class Silent(IV):
+        pass
+
+    assert (Mine.__doc__ or "").startswith("A method of my own.\n\nAs every")
+    assert "sample period [s]" in (Mine.__doc__ or "")
+    assert (Silent.__doc__ or "").startswith("Silent(model")
