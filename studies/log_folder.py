@@ -242,8 +242,12 @@ def _interpolate(path: Path) -> None:
 
 
 def _cut_at_gap(path: Path) -> None:
-    """Keeps the longer part."""
-    path.write_text("\n".join([_rows(path)[0], *_rows(path)[951:]]) + "\n")
+    """Keeps the longer part, from the gap on."""
+    rows = _rows(path)
+    stamps = np.array([float(row.split(",")[0]) for row in rows[1:]])
+    steps = np.diff(stamps)
+    first = int(np.argmax(steps > 1.5 * np.median(steps))) + 2
+    path.write_text("\n".join([rows[0], *rows[first:]]) + "\n")
 
 
 def twos() -> Iterator[Log]:

@@ -85,12 +85,19 @@ def _follow(sentence: str, log: Log, keys: Keys, path: Path) -> str | None:
             return None
         log.mend(path)
         return "the file is mended"
+    first = _set(found, remedy.group(1), log, keys)
+    rest = re.match(r'"?,? and (\w+ = "[^"]*")', remedy.group(1)[found.end() :])
+    more = _KEY.match(rest.group(1)) if rest else None
+    return f"{first}, {_set(more, rest.group(1), log, keys)}" if more and rest else first
+
+
+def _set(found: re.Match[str], text: str, log: Log, keys: Keys) -> str:
+    """Writes a key that a remedy names, of several ways to do so the one in the user's units."""
     section = found["section"] or next(name for name, own in _homes().items() if found["key"] in own)
-    ways = re.findall(r'"[^"]*"', remedy.group(1)[found.start("first") :].split(";")[0]) or [found["first"]]
+    ways = re.findall(r'"[^"]*"', text[found.start("first") :].split(";")[0].split(" and ")[0]) or [found["first"]]
     value = next((way for unit in log.units for way in ways if re.search(rf'[ /"]{re.escape(unit)}"', way)), ways[0])
-    keys[section][found["key"]] = (
-        value.strip('"') if value.startswith('"') else int(value) if value.isdigit() else float(value)
-    )
+    number = float(value) if value[0] != '"' else 0.0
+    keys[section][found["key"]] = value.strip('"') if value[0] == '"' else int(number) if value.isdigit() else number
     return f"{found['key']} = {value}"
 
 

@@ -34,6 +34,8 @@ _SHORTEST, _LONGEST = 1e-5, 0.1
 EPOCHS = (946_684_800.0, 4_102_444_800.0)
 #: Neighbouring steps may differ by this part of their median and nothing is said.
 EVEN = 0.1
+#: Steps within this part of one another need no closer look.
+PLAIN = 1e-6
 #: A stamp further off its place on an even grid, in periods, is no chance.
 FURTHEST = 0.9
 #: So many stamps together tell a missing sample from chance, which is so many standard deviations at most.
@@ -98,10 +100,13 @@ def even_grid(time: Floats) -> tuple[float, bool]:
     n, k = time.size, np.arange(time.size)
     if n < GROUP or not np.all(np.isfinite(time)):
         return 0.0, False
-    period, start = np.polyfit(k, time - time[0], 1)
+    middle, since = (n - 1) / 2, time - time[0]
+    period = float(np.dot(k - middle, since) * 12 / (n * (n * n - 1.0)))
     if not period > 0:
         return 0.0, False
-    late = (time - time[0] - start) / period - k
+    if np.max(np.abs(np.diff(time) - period)) < PLAIN * period:
+        return period, True
+    late = (since - np.mean(since)) / period - (k - middle)
     together = np.abs(np.convolve(late, np.full(GROUP, 1 / GROUP), mode="valid"))
     chance = MOST_BY_CHANCE * np.std(late) / np.sqrt(GROUP)
     even = np.max(np.abs(late)) < FURTHEST and np.std(late) < np.std(np.diff(late)) and np.max(together) < 0.25 + chance

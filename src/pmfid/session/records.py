@@ -17,6 +17,7 @@ import numpy as np
 from pmfid.errors import UsageError
 from pmfid.session.clock import named_unit, time_factor
 from pmfid.session.conversion import Sections, conversion
+from pmfid.session.counting import counts_of, floor_counts, unwrapped
 from pmfid.session.formats.layout import Stated
 from pmfid.session.formats.reading import read_table
 from pmfid.session.formats.signals import Signals
@@ -34,10 +35,6 @@ if TYPE_CHECKING:
 __all__ = ["MIN_SAMPLES", "Record", "experiment_of", "read_experiment", "read_record", "record_of"]
 
 MIN_SAMPLES = 10
-# Beyond 2**53 neighbouring integers share one float64, and a count would be silently wrong.
-_MAX_COUNT = 2.0**53
-#: Of so many rows, more than so many different whole numbers and nothing else are counts.
-DISTINCT, MOST_WHOLE = 10_000, 20
 
 
 @dataclass(frozen=True)
@@ -82,7 +79,7 @@ def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
     if config.output_kind == "counts":
         resolution = axis.encoder.resolution
         step = 1.0 if resolution == NO_ENCODER else resolution
-        y = _scaled(_unwrapped(y, axis.encoder.bits) + 0.5, step, "[encoder] resolution")
+        y = _scaled(unwrapped(y, axis.encoder.bits) + 0.5, step, "[encoder] resolution")
     return Experiment(
         _scaled(columns["input"], scale),
         y,
@@ -163,12 +160,12 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     columns = {key: values[rows.rows] for key, values in columns.items()}
     y = _scaled(columns["output"], units.y, "the unit of the output")
     travel, motion_notes = _travelled(y, rows, axis)
-    counts, count_notes = _counts(travel, axis)
+    counts, count_notes = counts_of(travel, axis)
     resolution = axis.encoder.resolution
     if quantize is not None:
         # y comes anew from the counts only where there is nothing better: a position is not floored twice
         y = travel if config.output_kind != "counts" else counts.astype(np.float64) * resolution
-        counts, resolution = _floor_counts(y, quantize, 1e-9), quantize
+        counts, resolution = floor_counts(y, quantize, 1e-9), quantize
         count_notes += (f"position quantised anew with a step of {quantize:g}",)
     notes = notes_of(table) + units.notes + scale_notes + row_notes + motion_notes + count_notes
     u = _scaled(columns["input"], scale * units.u)
@@ -239,73 +236,3 @@ def _scaled(column: Floats, scale: float, key: str = "[record] input_scale") -> 
             f"{key} = {scale:g} takes the column beyond the range of numbers; it is a factor for every value of it"
         )
     return scaled
-
-
-def _counts(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
-    bits = axis.encoder.bits
-    if axis.record.output_kind != "counts":
-        if axis.record.output_kind == "position":
-            _check_position(output, axis)
-        # A position that is a multiple of the resolution in decimal often falls just below it in binary, and
-        # a bare floor would lose a whole count: hence the tiny tolerance.
-        counts = _floor_counts(output, axis.encoder.resolution, 1e-6)
-        return counts, ("bits is ignored, the output is a position",) if bits is not None else ()
-    counts = _whole(output)
-    return (counts, ()) if bits is None else _unwrap(counts, bits)
-
-
-def _check_position(output: Floats, axis: Axis) -> None:
-    """Whole numbers of many steps each are counts, and no position with a resolution of a part of one."""
-    whole = np.array_equal(output, np.rint(output)) and np.unique(output[:DISTINCT]).size > MOST_WHOLE
-    if whole and axis.encoder.resolution < 1 and axis.model.kind != "transfer_function":
-        raise UsageError(
-            f"the column {axis.record.output!r} has nothing but whole numbers, and is taken for a position in steps of "
-            f'{axis.encoder.resolution:g}: give output_kind = "counts", or a resolution of 1 for a position in '
-            "whole units"
-        )
-
-
-def _whole(output: Floats) -> Counts:
-    rounded = np.rint(output)
-    bad = np.flatnonzero((np.abs(output - rounded) > 1e-6) | (np.abs(output) >= _MAX_COUNT))
-    if len(bad):
-        raise UsageError(
-            f"counts must be integers below 2**53, got {output[bad[0]]:.9g} in row {bad[0] + 1}; "
-            f'set output_kind = "position" if the column is a position, or export without a sign between thousands'
-        )
-    return rounded.astype(np.int64)
-
-
-def _floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
-    with np.errstate(over="ignore"):
-        counts = np.floor(y / step + tolerance)
-    bad = np.flatnonzero(np.abs(counts) >= _MAX_COUNT)
-    if len(bad):
-        raise UsageError(
-            f"the position {y[bad[0]]:.9g} in row {bad[0] + 1} is more than 2**53 counts of {step:g}; "
-            f"correct [encoder] resolution"
-        )
-    return counts.astype(np.int64)
-
-
-def _unwrapped(output: Floats, bits: int | None) -> Floats:
-    """Counts (n,) as numbers, the wrap of a counter undone; missing ones stay missing."""
-    if bits is None:
-        return output
-    unwrapped, there = output.copy(), np.isfinite(output)
-    if np.any(there):
-        unwrapped[there] = _unwrap(_whole(np.where(there, output, 0.0))[there], bits)[0]
-    return unwrapped
-
-
-def _unwrap(counts: Counts, bits: int) -> tuple[Counts, tuple[str, ...]]:
-    """Undo the wrap of a counter of `bits` bits: every step is the shortest way round."""
-    span = 2**bits
-    raw = np.diff(counts)
-    steps = (raw + span // 2) % span - span // 2
-    wraps = int(np.count_nonzero(steps != raw))
-    notes = [f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)"] if wraps else []
-    largest = int(np.max(np.abs(steps))) / span
-    if largest > 0.25:
-        notes.append(f"largest step is {largest:.0%} of the counter's range: from 50 % on, the wrap is ambiguous")
-    return np.concatenate((counts[:1], counts[0] + np.cumsum(steps))), tuple(notes)

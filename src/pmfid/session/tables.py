@@ -148,12 +148,13 @@ def _from_series(label: str, series: pl.Series, remedy: str = NUMBERS) -> Floats
     import polars as pl
 
     if series.dtype == pl.String:
-        numbers = series.str.strip_chars().cast(pl.Float64, strict=False)
-        bad = (numbers.is_null() & series.is_not_null()).arg_true()
+        parsed = series.str.strip_chars().cast(pl.Float64, strict=False)
+        bad = (parsed.is_null() & series.is_not_null()).arg_true()
         if len(bad):
             raise UsageError(f"{label} is not numeric: {series[bad[0]]!r} in row {bad[0] + 1}; {remedy}")
-        series = numbers
+        series = parsed
     if not series.dtype.is_numeric() and series.dtype != pl.Null:
         raise UsageError(f"{label} is not numeric but {series.dtype}; store it as numbers (time in s)")
-    values: Floats = series.cast(pl.Float64).fill_null(np.nan).to_numpy()
+    numbers = series if series.dtype == pl.Float64 else series.cast(pl.Float64)
+    values: Floats = (numbers.fill_null(np.nan) if numbers.null_count() else numbers).to_numpy()
     return values

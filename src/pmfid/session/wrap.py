@@ -15,6 +15,8 @@ __all__ = ["Wrap", "wrap_of"]
 ROOM, SMOOTHER = 0.25, 0.1
 #: Jumps of one size differ by at most this part of it.
 ALIKE = 0.05
+#: A range that is so near to whole turns, as a part of it, is that of whole turns.
+WHOLE_TURNS = 0.005
 #: Widths of counters; over fewer counts than LEAST any motion may look like a jump.
 MOST_BITS, LEAST = 32, 8
 
@@ -32,13 +34,19 @@ class Wrap:
         """The width of a counter of that range, None where it is no power of two."""
         return self.span.bit_length() - 1 if self.span.bit_count() == 1 else None
 
-    def said(self, column: str, kind: str, resolution: float) -> tuple[str, str]:
-        """The mistake and its remedy, for an output column of that output_kind."""
+    def said(self, column: str, kind: str, resolution: float, unit: str) -> tuple[str, str]:
+        """The mistake and its remedy, for an output column of that output_kind; unit: of the resolution."""
         size = self.span if kind == "counts" else self.span * resolution
         what = f"the output column {column!r} wraps at {size:.4g}, the first time at row {self.row}"
         if kind == "counts" and self.bits is not None:
             return what, f"give [encoder] bits = {self.bits}"
-        return what, f"give [encoder] range = {self.span * resolution:.9g}"
+        travel = self.span * resolution
+        turns = round(travel / (2 * math.pi))
+        whole = turns > 0 and abs(travel / (2 * math.pi * turns) - 1) < WHOLE_TURNS
+        return (
+            what,
+            f'give [encoder] range = "{turns} rev"' if whole else f'give [encoder] range = "{travel:.9g} {unit}"',
+        )
 
 
 def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:

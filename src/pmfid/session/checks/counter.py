@@ -18,10 +18,12 @@ __all__ = ["forgotten_bits", "frozen", "held_output", "jump"]
 
 def forgotten_bits(log: Log) -> Iterator[Finding]:
     """A counter that wraps, and nobody has undone it."""
-    wrap = wrap_of(log.record.counts) if log.axis.encoder.bits is None else None
+    wrap = wrap_of(log.record.counts) if log.axis.encoder.bits is None and log.axis.encoder.range is None else None
     if wrap is not None:
         config = log.axis.record
-        sentence, remedy = wrap.said(config.output, config.output_kind, log.record.resolution)
+        sentence, remedy = wrap.said(
+            config.output, config.output_kind, log.record.resolution, log.axis.model.make().equation.motion.travel
+        )
         yield Finding("wrapped", sentence, remedy, "wrong")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
@@ -40,7 +41,7 @@ def _text(data: bytes) -> bytes:
         data = data.decode(coding).encode("utf-8")
     if b"\0" in data:
         raise UsageError("not a text file; use the ending that tells its type, or export it as UTF-8 CSV")
-    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
 
 
 def _unmarked(data: bytes) -> str | None:
@@ -50,7 +51,8 @@ def _unmarked(data: bytes) -> str | None:
         if 100 * zeros.count(0) > _WIDE * max(1, len(zeros)) and first.count(0) == zeros.count(0):
             return coding
     try:
-        data.decode("utf-8")
+        if not data.isascii():
+            data.decode("utf-8")
     except UnicodeDecodeError:
         return "cp1252"
     return None
@@ -70,22 +72,47 @@ def _end_of_line(text: bytes, lines: int) -> int:
 def _columns(body: bytes, layout: Layout) -> dict[str, object]:
     import polars as pl
 
-    body = _COMMENT.sub(b"", body).rstrip().removesuffix(b"\nEOF")
-    if not body.strip():
+    body = _data(body)
+    if not body or body.isspace():
         return {name: pl.Series(name, [], dtype=pl.String) for name in layout.names}
     if layout.separator == " ":
         body = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", re.sub(rb"[ \t]+", b" ", body))
-    try:
-        # All as text first: a column is converted, and complained about, only if it is used.
-        frame = pl.read_csv(
-            body, separator=layout.separator, has_header=False, infer_schema=False, null_values=_MISSING
+    return named_columns(_frame(body, layout), layout)
+
+
+def _data(body: bytes) -> bytes:
+    """The lines of data alone, copied only where there are others."""
+    if any(mark in body for mark in (b"#", b"%", b"//")):
+        body = _COMMENT.sub(b"", body)
+    return body.rstrip().removesuffix(b"\nEOF") if body.endswith((b"\n\n", b"EOF", b"EOF\n", b" ", b"\t")) else body
+
+
+def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
+    """The columns that are numbers in the first lines as numbers, the others as text; all as text where a number
+    further down is none, for a column is complained about only if it is used."""
+    import polars as pl
+
+    def read(kinds: Mapping[str, type[pl.DataType]]) -> pl.DataFrame:
+        return pl.read_csv(
+            body,
+            separator=layout.separator,
+            has_header=False,
+            infer_schema=False,
+            null_values=_MISSING,
+            schema_overrides=kinds,
+            decimal_comma=layout.decimal == "," and bool(kinds),
         )
-    except pl.exceptions.ComputeError:
-        raise UsageError(
-            f"not every line from line {layout.first + 1} on has {len(layout.names)} columns: remove lines that are no "
-            "data, as a sum at the end or settings at the beginning"
-        ) from None
-    return named_columns(frame, layout)
+
+    numbers = {f"column_{k + 1}": pl.Float64 for k in layout.numbers}
+    for kinds in ({**numbers}, {}) if numbers else ({},):
+        try:
+            return read(kinds)
+        except pl.exceptions.ComputeError:
+            continue
+    raise UsageError(
+        f"not every line from line {layout.first + 1} on has {len(layout.names)} columns: remove lines that are no "
+        "data, as a sum at the end or settings at the beginning"
+    )
 
 
 def named_columns(frame: pl.DataFrame, layout: Layout) -> dict[str, object]:

@@ -37,13 +37,15 @@ _UNIT = re.compile(
 @dataclass(frozen=True)
 class Layout:
     """separator, decimal: as they are; names: of the columns, with a unit in brackets where a row of units has one;
-    first: the first line of data, from 0; named: had the file a header?"""
+    first: the first line of data, from 0; named: had the file a header? numbers: columns, from 0, that have nothing but
+    numbers in the lines that were looked at."""
 
     separator: str
     decimal: str
     names: tuple[str, ...]
     first: int
     named: bool
+    numbers: tuple[int, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -86,9 +88,11 @@ def layout_of(lines: Sequence[str], stated: Stated = NOTHING) -> Layout:
     first = found[separator, decimal][0]
     fields = split(looked[first], separator)
     names, named = _names(looked[:first], separator, fields)
+    lines_of_data = [split(looked[k], separator) for k in found[separator, decimal]]
+    numbers = tuple(k for k, column in enumerate(zip(*lines_of_data, strict=True)) if _are_numbers(column, decimal))
     if not named and len(fields) > 1 and fields in ([str(k + start) for k in range(len(fields))] for start in (0, 1)):
-        return Layout(separator, decimal, tuple(fields), first + 1, True)
-    return Layout(separator, decimal, names, first, named)
+        return Layout(separator, decimal, tuple(fields), first + 1, True, numbers)
+    return Layout(separator, decimal, names, first, named, numbers)
 
 
 def _empty(lines: Sequence[str]) -> Layout:
@@ -141,6 +145,12 @@ def is_data(line: str) -> bool:
     """Is this a line of data without a word in it, however its fields are separated?"""
     rows = ((split(line, separator), decimal) for separator, decimal in product(SEPARATORS, ".,"))
     return any(len(row) > 1 and all(_known(field, decimal) for field in row) for row, decimal in rows)
+
+
+def _are_numbers(column: Sequence[str], decimal: str) -> bool:
+    """Numbers, and cells without one, of a column."""
+    own = [field for field in column if field]
+    return bool(own) and all(_NUMBER[decimal].fullmatch(field) for field in own)
 
 
 def _known(field: str, decimal: str) -> bool:

@@ -92,7 +92,7 @@ def read_table(path: Path, stated: Stated = NOTHING) -> Table:
     kind = format_of(data) or named
     if kind not in FORMATS:
         raise UsageError(f"file type {path.suffix!r} is not known; use one of {', '.join(SUFFIXES)}")
-    if not data.strip():
+    if not data or data.isspace():
         raise UsageError("the file is empty; export the record again")
     with readable(suffix if kind == named else kind), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what damage does to a library is told by its error
