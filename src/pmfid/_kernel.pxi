@@ -66,6 +66,7 @@ cdef extern from "pmf_internal.h":
     uint32_t pmf_plausible(const pmf_config_t *, const pmf_state_t *) nogil
     void pmf_open(const pmf_config_t *, pmf_state_t *, uint32_t, real_t) nogil
     void pmf_rebase(pmf_state_t *, uint32_t) nogil
+    void pmf_gap(const pmf_config_t *, pmf_state_t *, uint32_t) nogil
     const pmf_estimate_t *pmf_estimate(const pmf_config_t *, const pmf_state_t *) nogil
     void pmf_clear(void *, uint32_t) nogil
     void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *, pmf_auxiliary_state_t *, const pmf_late_state_t *,
@@ -145,6 +146,11 @@ cdef class Kernel:
         """The counter would have read `counts` at the last sample; counts is an integer of any size, anything else raises TypeError."""
         cdef uint64_t count = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
         pmf_rebase(&self.state, <uint32_t> count)
+
+    def gap(self, counts):
+        """Samples were lost, and the next one reads `counts`, an integer of any size; anything else raises TypeError."""
+        cdef uint64_t count = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
+        pmf_gap(&self.config, &self.state, <uint32_t> count)
 
     cdef Estimate _snapshot(self):
         cdef Estimate estimate = Estimate.__new__(Estimate)

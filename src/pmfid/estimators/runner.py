@@ -123,6 +123,12 @@ class Runner(Generic[E]):
         """
         self.kernel.rebase(counts)
 
+    def gap(self, counts: int) -> None:
+        """Samples were lost, and the next one has these counts: filters and auxiliary model begin anew with its motion,
+        and what was gathered stays. A gap of a few samples is better stepped through, input and counts on the straight
+        lines between its neighbours. Raises TypeError for counts that are no integer."""
+        self.kernel.gap(counts)
+
     def reset(self) -> None:
         """Forgets all samples."""
         self.kernel.reset()

@@ -56,6 +56,13 @@ class Track(Shown):
         inflation = np.zeros_like(theta)
         return Track(names, units, theta, factor, inflation, self.innovation, whole, self.status)
 
+    def held(self, samples: int, status: Status) -> Track:
+        """So many samples of the last estimate, with a status bit."""
+        own = {name: np.repeat(getattr(self, name)[-1:], samples, axis=0) for name in _signals()}
+        own["innovation"][:] = 0.0
+        own["status"] |= np.uint32(status)
+        return Track(self.names, self.units, **own)
+
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """The (n,) track of one parameter. Raises UnknownParameterError, a KeyError, listing the names."""
         return self.theta[..., place_of(name, self.names)]
@@ -88,10 +95,14 @@ class Track(Shown):
         }
 
 
+def _signals() -> list[str]:
+    """What a track has of every sample, by name."""
+    return [field.name for field in fields(Track) if field.name not in ("names", "units")]
+
+
 def joined(parts: Sequence[Track]) -> Track:
     """One track of pieces that follow each other."""
-    own = [field.name for field in fields(Track) if field.name not in ("names", "units")]
-    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in own}
+    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _signals()}
     return Track(parts[0].names, parts[0].units, **whole)
 
 

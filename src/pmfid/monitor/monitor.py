@@ -87,6 +87,7 @@ class Monitor(Shown):
         self._sum = Blocks(np.zeros((1, p)), np.zeros((1, p, p)), np.zeros((1, p, p)))
         self._gain = 1.0  # of the input, over that of the estimator
         self._counts, self._zero, self._lost, self._flagged = 0, 0, False, Status(0)
+        self._input = 0.0
         self._silent_blocks = max(SILENT_BLOCKS, round(SILENT_TIME / self._block_time))
 
     @property
@@ -164,6 +165,7 @@ class Monitor(Shown):
             self._zero = self._counts - counts
         counts = self._counts if lost else counts + self._zero
         self._lost, self._counts = lost, counts
+        self._input = self._input if lost else u
         estimate = self.estimator.step(u, counts)
         self.samples += 1
         block = self._filter.step(u, counts)
@@ -186,6 +188,18 @@ class Monitor(Shown):
         for _ in range(few):
             events += self.step(float("nan"), self._counts)[1]
         self.samples += samples - few
+        return events
+
+    def between(self, missing: int, u: float, counts: int) -> list[Event]:
+        """A few samples that were lost before one of u and counts: they are on the straight lines to it from the last.
+        Where nothing is known of that, or it is lost itself, as `skip`. What there is to tell."""
+        if self._lost or not (self.samples and math.isfinite(u)):
+            return self.skip(missing)
+        first, start = self._input, self._counts - self._zero
+        events = list[Event]()
+        for k in range(1, missing + 1):
+            part = k / (missing + 1)
+            events += self.step(first + part * (u - first), start + round(part * (counts - start)))[1]
         return events
 
     def _refer(self, theta: Floats) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -16,6 +17,7 @@ from pmfid.estimators.adequacy import Adequacy
 from pmfid.estimators.auto import AUTO, Choice, choose, first_choice
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.bridges import gaps_in
 from pmfid.estimators.configuration import like, made
 from pmfid.estimators.cutoff import choose_cutoff
 from pmfid.estimators.identifiable import check_identifiable
@@ -377,13 +379,21 @@ def _relative_error(columns: Columns, theta: Floats, status: NDArray[np.uint32])
 def _run(
     estimator: RecursiveEstimator, record: Record, progress: Progress | None, known: Known | None
 ) -> tuple[Track, Track]:
-    """Over the record in chunks: the same numbers as in one piece; and the same with what is known beside it."""
-    n, parts, told = record.u.size, [], []
+    """Over the record in chunks: the same numbers as in one piece; and the same with what is known beside it. In a gap
+    the estimate stays."""
+    n, parts, told = record.u.size, list[Track](), list[Track]()
     chunk = CHUNK if known is None else PIECE
-    for start in range(0, n, chunk):
-        part = slice(start, start + chunk)
-        parts.append(estimator.run(record.u[part], record.counts[part]))
-        told.append(parts[-1] if known is None else known.track(parts[-1], estimator.estimate))
-        if progress is not None:
-            progress(min(1.0, (start + chunk) / n))
+    edges = [0, *(edge for gap in gaps_in(record.u) for edge in gap), n]
+    for place, (first, last) in enumerate(pairwise(edges)):
+        if place % 2 == 1:
+            parts.append(parts[-1].held(last - first, Status.SETTLING))
+            told.append(told[-1].held(last - first, Status.SETTLING))
+            estimator.gap(int(record.counts[last]))
+            continue
+        for start in range(first, last, chunk):
+            part = slice(start, min(start + chunk, last))
+            parts.append(estimator.run(record.u[part], record.counts[part]))
+            told.append(parts[-1] if known is None else known.track(parts[-1], estimator.estimate))
+            if progress is not None:
+                progress(part.stop / n)
     return joined(parts), joined(told)

@@ -31,6 +31,8 @@ SETTLED = 1e-4
 WRONG = (1e-2, 1e-3)
 #: The same of the position [counts].
 SHIFT = 0.1
+#: Filter time constants, and samples, within which a deviation is as smooth as the motion.
+OFTEN, FEWEST = 2.0, 8
 #: An instant is known where its standard deviation is less than this part of a sample.
 KNOWN = 0.25
 #: The counts that are filled in keep within so many of the line between their neighbours, less the simulated motion.
@@ -39,12 +41,14 @@ WITHIN = 1.0
 
 @dataclass(frozen=True)
 class Machine:
-    """A model at parameters theta (p,), sampled every dt [s] with an encoder's step [unit of y]."""
+    """A model at parameters theta (p,), sampled every dt [s] with an encoder's step [unit of y]; cutoff: of its filters
+    [rad/s]."""
 
     equation: Equation
     theta: Floats
     dt: float
     step: float
+    cutoff: float
 
     def motion(self, u: Floats, speed: float) -> tuple[Floats, Floats]:
         """Position [counts] from 0 and velocity [counts/s], (n,), from a speed [counts/s] on."""
@@ -56,6 +60,11 @@ class Machine:
         """Of a deviation of the velocity [1/s]."""
         values = self._values
         return max(0.0, (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2 / values[MASS])
+
+    @property
+    def often(self) -> int:
+        """Samples in which a wrong parameter changes the deviation of the velocity little."""
+        return max(FEWEST, round(OFTEN / (self.cutoff * self.dt)))
 
     @property
     def push(self) -> float:
@@ -76,7 +85,7 @@ def by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floa
     try:
         theta = method.settled(u, counts)[1]
         for _ in range(TURNS):
-            machine = Machine(method.equation, theta, method.dt, method.encoder.resolution)
+            machine = Machine(method.equation, theta, method.dt, method.encoder.resolution, method.cutoff)
             u, counts = line[0].copy(), line[1].copy()
             for part in parts:
                 if not np.all(there[part]):
@@ -114,10 +123,12 @@ def _filled(machine: Machine, u: Floats, counts: Counts, there: Flags) -> tuple[
 def _deviation(
     machine: Machine, gap: Gap, u: Floats, deviation: Floats, velocity: Floats, there: Flags, wrong: float
 ) -> tuple[Steps, NDArray[np.intp]]:
-    """The smoothed deviation (n,) [counts] of the measured motion from the simulated one, and the events: gaps and
-    reversals. wrong: what the model may have wrong at each, as a part of the velocity."""
+    """The smoothed deviation (n,) [counts] of the measured motion from the simulated one, and the events: gaps,
+    reversals, and ever so often, for wrong parameters. wrong: what the model may have wrong at each, as a part of the
+    velocity."""
     turns = np.flatnonzero(np.diff(np.sign(velocity))) + 1
-    events = np.union1d(np.r_[0, gap.after], turns)
+    often = np.arange(0, u.size, machine.often)
+    events = np.unique(np.concatenate([often, gap.after, turns]))
     at, change = np.searchsorted(events, gap.after), u[gap.after] - u[gap.before]
     steps = np.full(events.size, max((wrong * rms(velocity)) ** 2, np.finfo(float).tiny))
     moves = np.full(events.size, SHIFT**2)

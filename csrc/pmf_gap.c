@@ -1,0 +1,49 @@
+/* Samples that were lost: the motion begins anew, and all that was gathered stays.
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "pmf_internal.h"
+
+#define CREDIT PMF_R(10.0) /* times the power of the model's velocity that it may miss until it is set anew */
+
+/* How far the axis moved meanwhile the counter says, unless it wrapped; how fast it moves now, the next samples. */
+static void begin_encoder(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, uint32_t count)
+{
+#if PMF_WITH_SPLIT
+    uint32_t mask = config->count_mask, half = (mask >> 1) + 1U, moved = (count - state->count) & mask;
+    state->travel = (state->travel + (moved < half ? moved : moved - mask - 1U)) & 0xffffffffU;
+    state->change = 0;
+#else
+    (void)config;
+#endif
+    state->count = count;
+    state->started = 0U;
+    state->idle = 0U;
+    state->fast = 0U;
+    state->position = PMF_R(0.5);
+    state->velocity = state->velocity_before = state->innovation = state->mean_velocity = PMF_R(0.0);
+#if PMF_WITH_GUARD
+    state->guard.seen = state->guard.suspect = state->guard.doubt = 0U; /* it learns the size of the motion anew */
+    state->guard.reading = count;
+    state->guard.change = 0;
+    state->guard.rate = state->guard.missed = PMF_R(0.0);
+#endif
+}
+
+void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count)
+{
+    begin_encoder(&config->encoder, &state->encoder, count);
+    pmf_clear(&state->network, (uint32_t)sizeof state->network);
+    state->settle = config->settle_samples;
+#if PMF_WITH_GUARD
+    state->hold = 0U;
+#endif
+#if PMF_WITH_AUXILIARY
+    pmf_clear(state->auxiliary.jump, (uint32_t)sizeof state->auxiliary.jump);
+    state->auxiliary.mismatch = PMF_R(0.0);
+    state->auxiliary.power *= CREDIT;
+    state->auxiliary.trial = config->auxiliary.trial_samples;
+#endif
+#if PMF_LINEAR
+    pmf_clear(&state->linear, (uint32_t)sizeof state->linear);
+#endif
+}

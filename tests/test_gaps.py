@@ -1,0 +1,230 @@
+"""Records of a drive with gaps: samples that are missing, parts that are left out, several records in one estimate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmfid import Drive, Encoder, identify
+from pmfid.errors import UsageError
+from pmfid.estimators.bridges import Body, bridged, gaps_in
+from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.rls import RLS
+from pmfid.session.config import Axis
+from pmfid.session.gaps.motion import by_motion
+from pmfid.session.gaps.places import laid
+from pmfid.session.gaps.standing import filled
+from pmfid.session.identify import identify as identify_record
+from pmfid.session.identify import kind_of
+from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
+from pmfid.status import Status
+from pmfid.types import Counts, Flags, Floats
+
+DT, STEP, CUTOFF = 0.004, 2e-5, 20.0
+STAGE = DriveParameters(6.3, 9.0, 2.6, 3.34)
+TRUTH = np.array([STAGE.mass, STAGE.viscous_friction, STAGE.coulomb_friction])
+SETTINGS = {"model": Drive(STAGE.input_gain), "dt": DT, "encoder": Encoder(STEP), "cutoff": CUTOFF}
+
+
+def run(samples: int = 5000, seed: int = 0) -> tuple[Floats, Counts]:
+    rng = np.random.default_rng(seed)
+    u = prbs(samples, clock=25, amplitude=4.0, rng=rng)
+    return u, quantize(simulate_drive(STAGE, u, DT).x, STEP, STEP * rng.random())
+
+
+def kept(samples: int, part: float, burst: int = 1) -> Flags:
+    rng, there = np.random.default_rng(1), np.ones(samples, bool)
+    for first in rng.integers(50, samples - 100, round(part * samples / burst)):
+        there[first : first + burst] = False
+    return there
+
+
+def lacking(there: Flags, u: Floats, counts: Counts) -> tuple[Floats, Floats]:
+    return np.where(there, u, np.nan), np.where(there, counts, np.nan)
+
+
+def write(path: Path, there: Flags, stamps: Floats, **columns: np.ndarray) -> Path:
+    names = ["t", *columns]
+    rows = np.column_stack([stamps, *columns.values()])[there]
+    path.write_text(",".join(names) + "\n" + "\n".join(",".join(f"{x:.9g}" for x in row) for row in rows) + "\n")
+    return path
+
+
+def axis(method: str = "iv", **record: object) -> Axis:
+    return Axis.model_validate(
+        {
+            "record": {"input": "u", "output": "n", "output_kind": "counts", "time": "t"} | record,
+            "encoder": {"resolution": STEP},
+            "model": {"kind": "drive", "input_gain": STAGE.input_gain},
+            "estimator": {"method": method, "cutoff": CUTOFF},
+        }
+    )
+
+
+# --- what stands in place of what is missing --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("part", [0.01, 0.3])
+def test_the_motion_tells_when_a_held_input_changed(part: float) -> None:
+    u, counts = run()
+    there = kept(u.size, part)
+    line, whole, own = filled(u[there], counts[there], np.flatnonzero(there))
+    assert np.any(line != u)  # the line between the neighbours does not know it
+    found = by_motion(IV(**SETTINGS), line, whole, own)
+    assert found is not None
+    np.testing.assert_allclose(found[0], u, atol=1e-9)
+    assert np.max(np.abs(found[1] - counts)) <= 1
+
+
+def test_a_gap_longer_than_the_input_is_held_is_not_filled() -> None:
+    u, counts = run()
+    there = kept(u.size, 0.02, 50)
+    line = filled(u[there], counts[there], np.flatnonzero(there))[0]
+    np.testing.assert_array_equal(np.isnan(line), ~there)
+
+
+def test_a_bridge_leads_from_one_motion_to_the_other() -> None:
+    u, counts = run()
+    there = kept(u.size, 0.05, 50)
+    gaps = np.where(there, u, np.nan)
+    body = Body(IV(**SETTINGS).equation, TRUTH, DT, STEP, CUTOFF)
+    across, whole, own = bridged(body, gaps, np.where(there, counts, 0))
+    np.testing.assert_array_equal(own, there)
+    speed, true = body.speeds(across, 0.0)[0], body.speeds(u, 0.0)[0]
+    assert np.max(np.abs(speed - true)[there]) < 0.01 * np.max(np.abs(true))
+    np.testing.assert_array_equal(whole[there], counts[there])
+    assert len(gaps_in(gaps)) > 3
+
+
+# --- estimates --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("part", "burst"), [(0.3, 1), (0.1, 50)])
+def test_instrumental_variables_with_missing_samples(part: float, burst: int) -> None:
+    u, counts = run()
+    clean = identify(u, counts, method="iv", **SETTINGS)
+    found = identify(*lacking(kept(u.size, part, burst), u, counts), method="iv", **SETTINGS)
+    assert np.all(np.abs(found.theta - TRUTH) < 4 * found.theta_std)
+    assert np.all(found.theta_std < 2 * clean.theta_std)
+    assert not {"unmodelled", "invalid_input", "count_jump", "feedback"} & set(found.status)
+    assert any("samples are missing" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("method", ["ls", "bcls", "output-error", "interval", "auto", "rls", "bcrls", "riv"])
+def test_every_method_takes_long_gaps(method: str) -> None:
+    u, counts = run(3000)
+    found = identify(*lacking(kept(u.size, 0.03, 50), u, counts), method=method, **SETTINGS)
+    np.testing.assert_allclose(found.theta, TRUTH, rtol=0.03)
+    assert not {"unmodelled", "invalid_input", "count_jump"} & set(found.status)
+
+
+def test_three_records_are_one_estimate() -> None:
+    runs = [run(2000, seed) for seed in range(3)]
+    found = identify(runs, method="iv", **SETTINGS)
+    single = identify(*runs[0], method="iv", **SETTINGS)
+    assert np.all(np.abs(found.theta - TRUTH) < 4 * found.theta_std)
+    assert np.all(found.theta_std < 0.85 * single.theta_std)
+    assert "unmodelled" not in found.status
+
+
+def test_several_records_where_the_place_matters_are_refused() -> None:
+    runs = [run(100, seed) for seed in range(2)]
+    spring = {**SETTINGS, "model": Drive(STAGE.input_gain, spring=True)}
+    with pytest.raises(UsageError, match="nobody knows where each begins"):
+        identify(runs, **spring)
+
+
+# --- on-line ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_gap_leaves_what_was_gathered() -> None:
+    u, counts = run(4000)
+    riv = RIV(**SETTINGS)
+    before = riv.run(u[:3000], counts[:3000])
+    riv.gap(int(counts[3400]))
+    after = riv.run(u[3400:], counts[3400:])
+    assert np.max(np.abs(after.theta / before.theta[-1] - 1)) < 0.02
+    assert not np.any(after.flagged(Status.FALLBACK | Status.STARTING))
+
+
+def test_a_gap_is_forgotten_by_the_filters() -> None:
+    """Least squares go on as if the samples behind were a record of their own, with the sums of both."""
+    u, counts = run(3000)
+    rls = RLS(**SETTINGS)
+    rls.run(u[:1500], counts[:1500])
+    rls.gap(10**9)
+    rls.run(u[1500:], counts[1500:] - counts[1500] + 10**9)
+    np.testing.assert_allclose(rls.estimate.theta, TRUTH, rtol=0.01)
+
+
+# --- rows and places --------------------------------------------------------------------------------------------------
+
+
+def test_parts_and_masked_rows_are_left_out(tmp_path: Path) -> None:
+    u, counts = run(2000)
+    t, bad = np.arange(2000) * DT, np.zeros(2000)
+    bad[100:110] = 1
+    path = write(tmp_path / "run.csv", np.ones(2000, bool), t, u=u, n=counts, bad=bad)
+    record = kind_of(axis()).read([path], axis(mask="bad", exclude=((2.0, 2.02),)))
+    lost = np.flatnonzero(~record.there)
+    assert lost.tolist() == [*range(100, 110), *range(500, 506)]
+    assert any("mask 'bad'" in note for note in record.notes)
+
+
+def test_missing_lines_and_empty_cells_are_the_same(tmp_path: Path) -> None:
+    u, counts = run(2000)
+    t, there = np.arange(2000) * DT, kept(2000, 0.1)
+    gone = write(tmp_path / "gone.csv", there, t, u=u, n=counts)
+    empty = write(tmp_path / "empty.csv", np.ones(2000, bool), t, u=np.where(there, u, np.nan), n=counts)
+    records = [kind_of(axis()).read([path], axis()) for path in (gone, empty)]
+    np.testing.assert_array_equal(records[0].there, there)
+    for name in ("u", "counts", "there"):
+        np.testing.assert_array_equal(getattr(records[0], name), getattr(records[1], name))
+
+
+def test_a_row_that_repeats_is_left_out(tmp_path: Path) -> None:
+    u, counts = run(1000)
+    again = np.sort(np.r_[np.arange(1000), 17, 500])
+    path = write(tmp_path / "run.csv", np.ones(1002, bool), again * DT, u=u[again], n=counts[again])
+    record = kind_of(axis()).read([path], axis())
+    np.testing.assert_array_equal(record.counts, counts)
+    assert record.there is None
+    assert "2 rows repeat the row before, time and all: they are left out" in record.notes
+
+
+def test_stamps_that_scatter_and_lines_that_are_missing(tmp_path: Path) -> None:
+    u, counts = run(3000)
+    there = kept(3000, 0.05)
+    stamps = (np.arange(3000) + np.random.default_rng(3).uniform(-0.2, 0.2, 3000)) * DT
+    record = kind_of(axis()).read([write(tmp_path / "run.csv", there, stamps, u=u, n=counts)], axis())
+    np.testing.assert_array_equal(record.there, there)
+    assert record.dt == pytest.approx(DT, rel=1e-4)
+
+
+def test_stamps_on_no_grid_are_refused(tmp_path: Path) -> None:
+    u, counts = run(500)
+    stamps = np.cumsum(np.random.default_rng(4).uniform(0.3, 2.5, 500)) * DT
+    with pytest.raises(UsageError, match=r"resample|cut the record"):
+        kind_of(axis()).read([write(tmp_path / "run.csv", np.ones(500, bool), stamps, u=u, n=counts)], axis())
+
+
+def test_a_pause_need_not_be_whole() -> None:
+    time = np.r_[np.arange(50), 50 + 130.4 + np.arange(50)] * DT
+    config = axis().record
+    found = laid(time, np.ones(100, bool), np.zeros(100, bool), config)
+    assert found.dt == pytest.approx(DT, rel=1e-9)
+    assert np.diff(found.places)[49] == 131
+
+
+def test_several_files_of_one_axis(tmp_path: Path) -> None:
+    paths = []
+    for seed in range(2):
+        u, counts = run(2500, seed)
+        t = np.arange(2500) * DT
+        paths.append(write(tmp_path / f"{seed}.csv", np.ones(2500, bool), t, u=u, n=counts + 1000 * seed))
+    data = kind_of(axis()).read(paths, axis())
+    result = identify_record(data, axis())
+    np.testing.assert_allclose(result.theta, TRUTH, rtol=0.01)
+    assert data.name == "0.csv, 1.csv"
