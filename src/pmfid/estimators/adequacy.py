@@ -235,13 +235,17 @@ def force_moves(found: Adequacy, estimator: Estimator, columns: Columns) -> Floa
 def filtered(force: Floats, estimator: Estimator, n: int) -> Floats:
     """A force, held over each of n intervals or over each of their parts, behind the chain of an estimator (n,); the
     columns come a sample later."""
+    return np.asarray(filtered_rows(force[None], estimator, force.size // n)[0])
+
+
+def filtered_rows(forces: Floats, estimator: Estimator, parts: int = 1) -> Floats:
+    """The same of many forces (k, parts n): (k, n)."""
     from scipy.signal import lfilter  # slow to import, and only this needs it
 
-    parts = force.size // n
     rate = 2 * parts / estimator.dt
     pole = (rate - estimator.cutoff) / (rate + estimator.cutoff)
     gain = estimator.cutoff / (rate + estimator.cutoff)
-    late = np.r_[np.zeros(parts), force[:-parts]]
+    late = np.concatenate([np.zeros((forces.shape[0], parts)), forces[:, :-parts]], axis=1)
     for stage in range(estimator.order):
         late = lfilter([0.0, 2 * gain] if stage == 0 else [gain, gain], [1.0, -pole], late)
-    return np.asarray(late[::parts])
+    return np.asarray(late[:, ::parts])
