@@ -15,7 +15,7 @@ from pmfid.estimators.difference import rms
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Place, setting
 from pmfid.judge.term_fits import Bench
-from pmfid.judge.term_trials import carried
+from pmfid.judge.term_trials import Trial, carried
 from pmfid.judge.terms import Candidate, Step, Terms, is_unclear, proposed, search
 from pmfid.models.equation import Equation
 from pmfid.report.terms import friction_figure, write_terms
@@ -297,11 +297,16 @@ def test_a_force_that_acts_in_one_part_alone_is_seen_nowhere_else() -> None:
 
 
 def test_a_pitch_that_is_hardly_better_than_another_is_not_believed(plain: TermSearch) -> None:
-    def step(pitch: float, gain: float) -> Step:
+    whole = plain.chosen.trial
+    partly = replace(whole, best=replace(whole.best, noise=0.3))
+
+    def step(pitch: float, gain: float, trial: Trial = partly) -> Step:
         candidate = Candidate({"cogging": pitch}, "", 8.0, 2.0, 100.0, 50.0)
-        return Step(candidate, plain.chosen.trial, gain, 20.0, np.inf, "")
+        return Step(candidate, trial, gain, 20.0, np.inf, "")
 
     best, near, far = step(0.5, 100.0), step(0.6, 80.0), step(0.6, 20.0)
     assert is_unclear(best, [best, near])
     assert not is_unclear(best, [best, far])
     assert not is_unclear(best, [best])
+    # what explains every count needs no distance to what does not
+    assert not is_unclear(step(0.5, 100.0, whole), [step(0.5, 100.0, whole), near])

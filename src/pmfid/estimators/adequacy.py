@@ -236,11 +236,16 @@ def force_moves(found: Adequacy, estimator: Estimator, columns: Columns) -> Floa
 def filtered(force: Floats, estimator: Estimator, n: int) -> Floats:
     """A force, held over each of n intervals or over each of their parts, behind the chain of an estimator (n,); the
     columns come a sample later."""
-    parts = force.size // n
+    return np.asarray(filtered_rows(force[None], estimator, force.size // n)[0])
+
+
+def filtered_rows(forces: Floats, estimator: Estimator, parts: int = 1) -> Floats:
+    """The same of many forces (k, parts n): (k, n)."""
     rate = 2 * parts / estimator.dt
     pole = (rate - estimator.cutoff) / (rate + estimator.cutoff)
     gain = estimator.cutoff / (rate + estimator.cutoff)
-    late = np.r_[np.zeros(parts), force[:-parts]]
+    late = np.concatenate([np.zeros((forces.shape[0], parts)), forces[:, :-parts]], axis=1)
     for stage in range(estimator.order):
-        late, _ = first_order(late, pole, *((0.0, 2 * gain) if stage == 0 else (gain, gain)))
-    return np.asarray(late[::parts])
+        b = (0.0, 2 * gain) if stage == 0 else (gain, gain)
+        late = np.array([first_order(row, pole, *b)[0] for row in late]).reshape(late.shape)
+    return np.asarray(late[:, ::parts])

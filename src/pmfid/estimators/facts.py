@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from numbers import Real
 
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.models.equation import Equation
+from pmfid.models.equation import MASS, Equation
 
 INPUT_GAIN = "input_gain"
 
@@ -39,6 +39,9 @@ def check_known(
     for name in positive & set(known):
         if known[name] < 0:
             raise UsageError(f"{name} is never negative in a machine, but known as {known[name]:g}")
+    mass = equation.roles[MASS]
+    if mass is not None and not known.get(equation.names[mass], 1.0) > 0:
+        raise UsageError(f"{equation.names[mass]} is known as 0: a machine without any follows no equation of motion")
     forces, exact = forces_of(equation), {*given, *(name for name, pair in prior.items() if pair[1] == 0)}
     if find_gain and INPUT_GAIN in exact:
         raise UsageError("input_gain is given: write its value into [model] or the Drive, there is nothing to be found")

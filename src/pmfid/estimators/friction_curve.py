@@ -121,7 +121,14 @@ def friction_curve(
     u, counts = check_arrays(u, counts)
     u = held(u)
     model, theta = estimator, estimator.settled(u, counts)[1]
-    solved = _solved(make_basis(model, theta, u, counts, nodes), rising_from)
+    basis = make_basis(model, theta, u, counts, nodes)
+    fastest = max(float(own[-1]) for own in basis.speeds)
+    if rising_from is not None and rising_from >= fastest:
+        raise UsageError(
+            f"rising_from is {rising_from:g} m/s, but the record has no speed beyond {fastest:.3g} m/s: friction would "
+            "nowhere be asked to rise; give a lower speed, or leave it out"
+        )
+    solved = _solved(basis, rising_from)
     for _ in range(TURNS - 1):
         model, theta = with_curve(estimator, float(solved.theta[0]), solved.sides)
         solved = _solved(make_basis(model, theta, u, counts, nodes), rising_from)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pmfid.estimators.difference import Difference, rms
+from pmfid.estimators.starts import STRIBECK_SPEEDS
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,
@@ -27,8 +28,6 @@ from pmfid.types import Floats
 
 #: Coulomb friction of a machine is taken for at least this part of the motor's force.
 LEAST_FRICTION = 0.02
-#: Speeds, as parts of the root mean square one, over which Stribeck friction falls.
-STRIBECK_SPEEDS = (0.03, 0.1, 0.3)
 #: The simulated velocity changes by at most this part of a Stribeck speed within the parts of a sample that this
 #: friction is taken over, of which there are so many at most: around a reversal it turns within a fraction of a sample.
 FINE, MOST_PARTS = 0.1, 16

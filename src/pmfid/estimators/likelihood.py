@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -55,6 +56,28 @@ def best_of(difference: Difference, least: Floats, status: int = 0) -> Best:
     if difference.pole > 0 or rms(difference(least)) > difference.explained:
         return Best(difference, least, least, None, status)
     return Best(difference, least, *likeliest(difference, least), status)
+
+
+def log_likelihood(best: Best, cutoff: float) -> float:
+    """Of the counts, in natural units, under the error that explains them better: a noise within the counts, or
+    friction that the model lacks, which adds up in the position to a random walk. The latter's high-pass, at cutoff
+    [rad/s], has a determinant of 1, so that both are probabilities of the same counts."""
+    behind = replace(best.difference, pole=cutoff)
+    error = behind(best.q)
+    walking = -error.size / 2 * (math.log(2 * math.pi * float(np.mean(error**2))) + 1)
+    if best.noise is None:
+        return walking
+    return max(walking, -cost(best.difference(best.q), best.noise)[0])
+
+
+def likeliest_of(found: Iterable[Best], cutoff: float) -> Best:
+    """Of maxima that were climbed from different starts the largest; one that explains every count ends the search."""
+    kept = list[Best]()
+    for one in found:
+        kept.append(one)
+        if one.clean:
+            return one
+    return max(kept, key=lambda one: log_likelihood(one, cutoff))
 
 
 def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:

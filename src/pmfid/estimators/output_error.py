@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Real
 from typing import ClassVar
@@ -19,7 +19,9 @@ from pmfid.estimators.bridges import gaps_in
 from pmfid.estimators.configuration import like
 from pmfid.estimators.difference import (
     LEAST_MASS,
+    ROUGH_TOLERANCE,
     STEP,
+    TOLERANCE,
     WORST_FIT,
     Difference,
     first_speed,
@@ -29,7 +31,7 @@ from pmfid.estimators.difference import (
 )
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.instruments import Instruments
-from pmfid.estimators.likelihood import Best, best_of
+from pmfid.estimators.likelihood import Best, best_of, likeliest_of
 from pmfid.estimators.motion import mean_velocity
 from pmfid.estimators.phases import phase_scatter
 from pmfid.estimators.results import Fit
@@ -37,6 +39,7 @@ from pmfid.estimators.rough import on_every_width
 from pmfid.estimators.scatter import raised, scatter
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.srivc import ProcessSolver, by_descent
+from pmfid.estimators.starts import at_speeds, least_begun
 from pmfid.estimators.window_choice import FEWEST, choose_window
 from pmfid.estimators.windows import Windows, descend
 from pmfid.models.drive import EquationModel
@@ -50,8 +53,6 @@ AT_BOUND = 3.0
 HOPELESS = 2.5
 #: A difference so many times what the encoder explains is no matter of local minima.
 FAR = 10.0
-#: Stribeck speeds to start from, as parts of the usual one.
-STRIBECK_SPEEDS = (0.03, 0.1, 0.3)
 #: Relative tolerance of that.
 ROUGHLY = 1e-3
 #: The length of windows is chosen on the record.
@@ -76,8 +77,24 @@ class Following(Simulating, BatchEstimator):
             )
 
     def best(self, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> Best:
-        """The motion that fits a record best; arguments and errors of `followed`."""
-        return best_of(*self.followed(u, counts, start))
+        """The motion that fits a record best, the likeliest of those that the starts lead to; arguments and errors of
+        `followed`."""
+        u, counts = check_arrays(u, counts)
+        if start is not None or not self.equation.searched:
+            return best_of(*self.followed(u, counts, start))
+        return likeliest_of(self._maxima(u, counts), self.cutoff)
+
+    def _maxima(self, u: Floats, counts: NDArray[np.int64]) -> Iterator[Best]:
+        """From each of the Stribeck speeds to start from. Raises NotIdentifiableError where none settles."""
+        refused, settled = None, False
+        for theta, status in self._at_speeds(u, counts):
+            try:
+                yield replace(best_of(*self.followed(u, counts, theta)), status=status)
+                settled = True
+            except NotIdentifiableError as error:
+                refused = error
+        if refused and not settled:
+            raise refused
 
     def followed(self, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> tuple[Difference, Floats, int]:
         """The difference as it is to be judged, its least squares q, and the status bits of the record.
@@ -86,9 +103,9 @@ class Following(Simulating, BatchEstimator):
         start: parameters (p,) to start from, None: those of `IV`.
         """
         u, counts = check_arrays(u, counts)
-        theta, status = self._first(u, counts) if start is None else (start, 0)
+        theta, status = self._start(u, counts) if start is None else (start, 0)
         difference, q = self._prepared(theta, u, self.position(counts))
-        q = least(difference, q)
+        q = least_begun(difference, q, self.cutoff, (TOLERANCE, ROUGH_TOLERANCE))
         difference = difference.fine_at(q[:-2] * difference.scale[:-2])
         if self.drift_cutoff:
             return difference, q, status
@@ -153,26 +170,19 @@ class Following(Simulating, BatchEstimator):
         jump = np.abs(change) > self.encoder.max_speed * self.dt + self.encoder.resolution
         return np.asarray(y[0] + np.r_[0.0, np.cumsum(np.where(jump, 0.0, change))])
 
-    def _first(self, u: Floats, counts: NDArray[np.int64]) -> tuple[Floats, int]:
-        """theta (p,) to start from, and the status bits of the record. A Stribeck speed is tried at parts of the usual
-        one: with each, what is left is a sum of squares of its own."""
-        if not self.equation.searched:
-            return self._start(u, counts)
-        found: list[tuple[float, Floats, int]] = []
-        usual, y = self._usual_speed(u, counts), self.position(counts)
-        for speed in usual * np.array(STRIBECK_SPEEDS):
+    def _at_speeds(self, u: Floats, counts: NDArray[np.int64]) -> list[tuple[Floats, int]]:
+        """theta (p,) to start from, and the status bits of the record, at each Stribeck speed that is gone on from."""
+        y = self.position(counts)
+
+        def at(speed: float) -> tuple[float, Floats, int]:
             known = like(OE, self, model=EquationModel(self.equation.at_shapes([speed])))
-            try:
-                theta, status = known._start(u, counts)
-                difference, q = known._prepared(theta, u, y)
-                q = least(difference, q, [ROUGHLY])
-            except NotIdentifiableError as error:
-                refused = error
-                continue
-            found.append((rms(difference(q)), np.r_[(q * difference.scale)[:-2], speed], status))
-        if not found:
-            raise refused
-        return min(found, key=lambda one: one[0])[1:]
+            theta, status = known._start(u, counts)
+            difference, q = known._prepared(theta, u, y)
+            q = least(difference, q, [ROUGHLY])
+            return rms(difference(q)), np.r_[(q * difference.scale)[:-2], speed], status
+
+        found = at_speeds(self._usual_speed(u, counts), at, lambda one: one[0])
+        return [(theta, status) for _, (_, theta, status) in found]
 
     def _usual_speed(self, u: Floats, counts: NDArray[np.int64]) -> float:
         """Root mean square of the motion that the model without shapes makes, or the counts where it makes none."""
@@ -182,9 +192,12 @@ class Following(Simulating, BatchEstimator):
         return rms(moving) if moving.size else rms(np.diff(self.position(counts))) / self.dt
 
     def _start(self, u: Floats, counts: NDArray[np.int64]) -> tuple[Floats, int]:
-        """theta (p,) of `IV`, or what that starts from, if it does not settle; and the status bits of the record.
+        """theta (p,) of `IV`, or what that starts from, if it does not settle; and the status bits of the record. Where
+        a Stribeck speed is to be found, the best of those that are gone on from.
 
         Raises NotIdentifiableError where the counts alone show that nothing can be identified."""
+        if self.equation.searched:
+            return self._at_speeds(u, counts)[0]
         first = like(Instruments, self)
         try:
             columns, theta = first.settled(u, counts)

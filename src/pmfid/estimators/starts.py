@@ -1,14 +1,20 @@
-"""Where a simulated motion starts: the position and velocity with which it follows the first samples best."""
+"""Where a search starts: the position and velocity with which a simulated motion follows the first samples best, and
+Stribeck speeds."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
-from pmfid.estimators.difference import WHITE, Difference, first_speed, rms
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.difference import WHITE, Difference, first_speed, least, rms
 from pmfid.types import Floats
+
+Found = TypeVar("Found")
 
 #: Time constants of the filters over which the start of a free run is read.
 READ = 5.0
@@ -19,6 +25,10 @@ PASSES = 8
 SETTLED = 1e-12
 #: A step too far is tried once more as this part of itself.
 SHORTER = 0.25
+#: Stribeck speeds to start from, as parts of the usual one: with each, what is left is a sum of squares of its own.
+STRIBECK_SPEEDS = (0.03, 0.1, 0.3)
+#: Those that are gone on from: the one that leaves the least need not lead to the best maximum.
+MOST_SPEEDS = 2
 
 
 def start_samples(dt: float, cutoff: float) -> int:
@@ -66,3 +76,45 @@ def started(difference: Difference, q: Floats) -> Floats:
 def _left(difference: Difference, q: Floats, speed: float) -> Floats:
     """(n + 1,) what is left of the position and of the start velocity `speed`, in their standard deviations."""
     return np.append(WHITE * difference(q), (q[-1] - speed) / difference.start_velocity_std)
+
+
+def least_begun(difference: Difference, q: Floats, cutoff: float, tolerances: Sequence[float]) -> Floats:
+    """`least` from q (q,). Where a force has a shape, from where the motion at these parameters starts by the first
+    samples, and from q itself only if more is left than the encoder explains: along the travel the sum of squares has a
+    minimum for each way to begin. Raises NotIdentifiableError where nothing settles."""
+    if not difference.equation.shaped:
+        return least(difference, q, tolerances)
+    found, refused = list[Floats](), NotIdentifiableError("no start of the motion leads anywhere")
+    for begin in (read_start(difference, q, cutoff), q):
+        try:
+            found.append(least(difference, begin, tolerances))
+        except NotIdentifiableError as error:
+            refused = error
+            continue
+        if rms(difference(found[-1])) <= difference.explained:
+            break
+    if not found:
+        raise refused
+    return min(found, key=lambda one: rms(difference(one)))
+
+
+def read_start(difference: Difference, q: Floats, cutoff: float) -> Floats:
+    """q (q,) with a start that is read from the first samples."""
+    direct = replace(difference, pole=0.0)
+    first = direct.part(0, min(start_samples(direct.dt, cutoff), direct.y.size))
+    return started(first, begun(first, q[:-2], cutoff))
+
+
+def at_speeds(usual: float, at: Callable[[float], Found], worse: Callable[[Found], float]) -> list[tuple[float, Found]]:
+    """Stribeck speeds to go on from, the best first, and what was found at each; usual: speed of the motion; at: fits
+    with a speed that is known; worse: by what they are compared. Raises NotIdentifiableError where none settles."""
+    found = list[tuple[float, Found]]()
+    refused = NotIdentifiableError("no Stribeck speed settles: record more of slow motion")
+    for speed in (usual * np.array(STRIBECK_SPEEDS)).tolist():
+        try:
+            found.append((speed, at(speed)))
+        except NotIdentifiableError as error:
+            refused = error
+    if not found:
+        raise refused
+    return sorted(found, key=lambda one: worse(one[1]))[:MOST_SPEEDS]

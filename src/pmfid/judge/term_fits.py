@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -15,28 +16,33 @@ from pmfid.estimators.difference import Difference, first_speed, least, rms
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
 from pmfid.estimators.lacks import Change
-from pmfid.estimators.likelihood import GIVEN_AWAY, NOISE_FLOOR, SHRINKING, Best, climb
-from pmfid.estimators.output_error import HOPELESS, OE, STRIBECK_SPEEDS
+from pmfid.estimators.likelihood import GIVEN_AWAY, NOISE_FLOOR, SHRINKING, Best, climb, log_likelihood
+from pmfid.estimators.output_error import HOPELESS, OE
+from pmfid.estimators.starts import at_speeds, least_begun, read_start
 from pmfid.estimators.window_choice import FEWEST, FOLDS, SHORTEST, predicted_elsewhere
 from pmfid.judge.free_run import drive_run
-from pmfid.judge.term_trials import Trial, carried, log_likelihood
+from pmfid.judge.term_periods import APART, HUNDRED, apart, candidates, pitched
+from pmfid.judge.term_periods import FEWEST as FEWEST_PITCHES
+from pmfid.judge.term_trials import Trial, carried
 from pmfid.models.drive import Drive, EquationModel
 from pmfid.models.equation import ESTIMATE
 from pmfid.types import Floats
 
 #: Parts of a sample in which the motions of a search are simulated at most: with 2 the likelihoods of a cart under a
 #: random binary input are within 0.1 of those with 16, and with 1 within 4.
-MOST_PARTS = 3
+MOST_PARTS = 2
 #: Relative tolerance of least squares on the way.
 ROUGHLY = 1e-4
 #: Noise [counts] below which a maximum of the likelihood may be a local one beside the right model.
 SUSPICIOUS = 0.25
 #: A step up the likelihood that gains less is the last one.
 SETTLED = 0.1
-#: Stribeck speeds that are gone on from.
-MOST_SPEEDS = 2
-#: Pitches of the travel by which a pitch is tried more and less.
-CLOSER = (0.1, 0.05, 0.025, 0.0125)
+#: The same where a pitch is only to be compared with others, and noise [counts] at which the edges tell them apart.
+COARSELY, LOOSE = 1e-3, 0.1
+#: Pitches that are gone on from: those whose motions are alike the likelihood tells apart.
+MOST_PITCHES = 2
+#: Lags to start from [samples].
+LAGS = (0.5, 2.0)
 #: Windows of each part that the others predict it with.
 WINDOWS = 4
 
@@ -54,6 +60,9 @@ class Bench:
     def first(self, model: Drive) -> Trial:
         """Begun with instrumental variables. Raises NotIdentifiableError."""
         method = like(IntervalML, self.method, model=model)
+        if model.equation.searched:
+            best = method.best(self.u, self.counts)
+            return Trial(model, method, best, log_likelihood(best, method.cutoff))
         difference, q, status = method.followed(self.u, self.counts)
         return trial_of(method, model, difference, q, status)
 
@@ -61,87 +70,130 @@ class Bench:
         """The model with some of its fields changed, begun at the parameters of the one before."""
         return self.fitted(changed(trial.model, change), trial)
 
-    def tuned(self, trial: Trial, key: str) -> Trial:
-        """The same with the period `key` of [model] that leaves least squares the least, near the one that it has."""
-        travel = float(np.ptp(trial.difference.y))
-        number = travel / float(getattr(trial.model, key))
-        left, theta = self._left(trial.model, trial.theta, trial)
-        for apart in CLOSER:
-            for side in (-apart, apart):
-                own = changed(trial.model, {key: travel / (number + side)})
-                with suppress(NotIdentifiableError):
-                    other, moved = self._left(own, theta, trial)
-                    if other < left:
-                        left, theta, number = other, moved, number + side
-                        break
-        model = changed(trial.model, {key: travel / number})
-        found = self._from_squares(model, theta, trial)[-1]
+    def pitches(self, trial: Trial) -> list[tuple[float, float]]:
+        """Doubled gain of the log-likelihood, about, and pitch [unit of y] of cogging forces, the best first, of those
+        that scans find; none where every count is explained."""
+        if trial.best.clean:
+            return []
+        travel, found = float(np.ptp(trial.difference.y)), list[tuple[float, float]]()
+        numbers, tried = candidates(self.method, self.u, self.counts, trial.best), list[float]()
+        while numbers:
+            for number in numbers:
+                with suppress(NotIdentifiableError, UsageError):
+                    found.append(self._pitched(changed(trial.model, {"cogging": travel / number}), trial))
+            tried += [*numbers, *(travel / pitch for _, pitch in found)]
+            # moves that are all alike hardly tell a pitch of the travel more or less
+            own = travel / max(found)[1] if found else FEWEST_PITCHES
+            numbers = [
+                one for one in (own - 1, own + 1) if one >= FEWEST_PITCHES and min(abs(one - k) for k in tried) > APART
+            ]
+        return [
+            (2 * (likely - trial.log_likelihood), pitch)
+            for likely, pitch in _different(sorted(found, reverse=True), travel)
+            if likely > trial.log_likelihood
+        ][:MOST_PITCHES]
+
+    def _pitched(self, model: Drive, trial: Trial) -> tuple[float, float]:
+        """Log-likelihood of a model at least squares, its pitch included, and that pitch [unit of y]: of motions that
+        are alike behind the high-pass the edges of the counts tell which."""
+        method = like(IntervalML, self.method, model=model)
+        difference, q = _behind(method, self._by_places(model, trial.theta), trial.difference)
+        behind = pitched(replace(difference, parts=1), model)
+        q = least(behind, np.r_[read_start(difference, q, method.cutoff), behind.number / HUNDRED], [COARSELY])
+        best, direct = Best(behind, q, q, None), replace(behind, pole=0.0)
+        if rms(behind(q)) <= HOPELESS * direct.explained:
+            closer = least(direct, q, [ROUGHLY])
+            if rms(direct(closer)) <= direct.explained:
+                best = Best(direct, closer, closer, LOOSE)
+        return log_likelihood(best, method.cutoff), float(behind.model_at(best.q).cogging or math.nan)
+
+    def tuned(self, trial: Trial) -> Trial:
+        """The same with the pitch of the cogging force that is the likeliest, near the one that it has."""
+        free = pitched(trial.difference, trial.model)
+        q = np.r_[trial.best.q, free.number / HUNDRED]
+        if trial.best.noise is None:
+            q, noise = least(free, q, [ROUGHLY]), None
+        else:
+            _, q, noise = climb(free, q, None, SETTLED)
+        model = free.model_at(q)
+        best = replace(trial.best, difference=free.at(q), q=q[:-1], noise=noise)
+        method = like(IntervalML, trial.method, model=model)
+        found = Trial(model, method, best, log_likelihood(best, method.cutoff))
         return max(trial, found, key=lambda one: one.log_likelihood)
 
-    def _left(self, model: Drive, theta: Floats, trial: Trial) -> tuple[float, Floats]:
-        """Root mean square that a model leaves behind the high-pass [counts], and its parameters (p,), from theta."""
-        method = like(IntervalML, self.method, model=model)
-        difference, q = _behind(method, theta, trial.difference)
-        q = least(difference, q, [ROUGHLY])
-        return rms(difference(q)), np.asarray((q * difference.scale)[:-2])
+    def _by_places(self, model: Drive, theta: Floats) -> Floats:
+        """Parameters (p,) by instrumental variables, which read the place from the counts: the motion of a model
+        without a force that comes again along the travel may be a period off. theta (p,): of one where they settle
+        nowhere, and what they do not find."""
+        known = changed(model, {"stribeck": None}) if model.stribeck == ESTIMATE else model
+        equation, own = known.equation, model.equation
+        fit = like(IV, self.method, model=known).fit(self.u, self.counts)
+        start = carried(equation, fit.theta, own)
+        further = len(own.further)
+        return np.r_[start[: len(own.names)], theta[theta.size - further :]] if further else start
 
     def fitted(self, model: Drive, trial: Trial) -> Trial:
-        """A model begun at the parameters of another. Raises NotIdentifiableError where nothing settles."""
-        equation, before = model.equation, trial.model.equation
-        theta = carried(before, trial.theta, equation)
-        begun = list[Trial]()
-        if len(equation.further) <= len(before.further):
-            begun = [self._from(model, theta, trial)]
-            if begun[0].best.clean or not equation.further:
-                return begun[0]
-        found = begun + [
-            self._from(model, np.r_[one.theta, speed], one) for speed, one in self._at_speeds(model, theta, trial)
-        ]
+        """A model begun at the parameters of another; of several starts the likeliest, and the first that explains
+        every count. Raises NotIdentifiableError where nothing settles."""
+        found, refused = list[Trial](), NotIdentifiableError("the model settles nowhere")
+        for theta, begun in self._starts(model, trial):
+            try:
+                found.append(self._from(model, theta, begun))
+            except NotIdentifiableError as error:
+                refused = error
+                continue
+            if found[-1].best.clean:
+                break
         if not found:
-            raise NotIdentifiableError("no Stribeck speed settles: record more of slow motion")
+            raise refused
         return max(found, key=lambda one: one.log_likelihood)
 
-    def _at_speeds(self, model: Drive, theta: Floats, trial: Trial) -> list[tuple[float, Trial]]:
-        """Known Stribeck speeds, and the model at them: those that leave the least."""
-        found = []
-        for speed in trial.usual_speed * np.array(STRIBECK_SPEEDS):
-            try:
-                known = replace(model, stribeck=float(speed))
-                found.append((float(speed), self._from(known, theta[:-1], trial, hasty=True)))
-            except NotIdentifiableError:
-                continue
-        return sorted(found, key=lambda one: -one[1].log_likelihood)[:MOST_SPEEDS]
+    def _starts(self, model: Drive, trial: Trial) -> Iterator[tuple[Floats, Trial]]:
+        """Parameters (p,) to begin with, and a trial whose motion starts alike: those of another model, and where it
+        has no Stribeck speed, several."""
+        equation, before = model.equation, trial.model.equation
+        theta, linear = carried(before, trial.theta, equation), len(equation.names)
+        if model.lag == ESTIMATE and trial.model.lag != ESTIMATE:
+            for part in LAGS:
+                yield np.r_[theta[:linear], part * trial.method.dt, theta[linear + 1 :]], trial
+            return
+        if model.stribeck != ESTIMATE or trial.model.stribeck == ESTIMATE:
+            yield theta, trial
+        if model.stribeck == ESTIMATE:
+            found = at_speeds(trial.usual_speed, self._known(model, theta, trial), lambda one: -one.log_likelihood)
+            yield from ((np.r_[one.theta, speed], one) for speed, one in found)
+
+    def _known(self, model: Drive, theta: Floats, trial: Trial) -> Callable[[float], Trial]:
+        return lambda speed: self._from(changed(model, {"stribeck": speed}), theta[:-1], trial, hasty=True)
 
     def _from(self, model: Drive, theta: Floats, trial: Trial, hasty: bool = False) -> Trial:
-        """A model from theta (p,), and from where the motion of another trial starts: up the likelihood where that is
-        within the counts, for least squares would go astray there, or from least squares on. hasty: by one of these."""
+        """A model from theta (p,), and from where the motion of another trial starts: from least squares on, and where
+        these go astray, up the likelihood. hasty: by least squares, where there are any."""
         method, found = like(IntervalML, self.method, model=model), list[Trial]()
-        if trial.best.noise is not None:
+        refused = NotIdentifiableError("the model settles nowhere")
+        try:
+            found += self._from_squares(model, theta, trial, hasty)
+        except NotIdentifiableError as error:
+            refused = error
+        if trial.best.noise is not None and not (found and (hasty or found[-1].best.clean)):
             difference = _quick(method.at(theta, trial.difference.u, trial.difference.y))
             start = (trial.best.q * trial.difference.scale)[-2:]
             q = np.maximum(np.r_[theta, start] / difference.scale, difference.lower)
             found.append(_at_top(method, model, difference, q, trial.best.status, hasty))
-        if not found or not (hasty or found[0].best.clean):
-            try:
-                found += self._from_squares(model, theta, trial)
-            except NotIdentifiableError:
-                if not found:
-                    raise
+        if not found:
+            raise refused
         return max(found, key=lambda one: one.log_likelihood)
 
-    def _from_squares(self, model: Drive, theta: Floats, trial: Trial) -> list[Trial]:
-        """From least squares on. Where a force comes again along the travel, the motion of a model without it may be a
-        period off: there instrumental variables, which read the place from the counts, know where to start."""
+    def _from_squares(self, model: Drive, theta: Floats, trial: Trial, hasty: bool) -> list[Trial]:
+        """From least squares on; where a force comes again along the travel, also from instrumental variables."""
         method, starts = like(IntervalML, self.method, model=model), [theta]
         if any(not term.shape.of_speed for term in model.equation.shaped if term.shape):
-            known = replace(model, stribeck=None) if model.stribeck == ESTIMATE else model
-            fit = like(IV, method, model=known).fit(self.u, self.counts)
-            starts.insert(0, carried(known.equation, fit.theta, model.equation))
-            starts[0][len(model.equation.names) :] = theta[len(model.equation.names) :]
+            with suppress(NotIdentifiableError):
+                starts.insert(0, self._by_places(model, theta))
         found = list[Trial]()
         for start in starts:
             difference, q = _followed(method, start, trial.difference)
-            found.append(trial_of(method, model, difference, q, trial.best.status))
+            found.append(trial_of(method, model, difference, q, trial.best.status, hasty))
             if found[-1].best.clean:
                 break
         return found
@@ -169,10 +221,16 @@ class Bench:
         known = equation.known_at(trial.theta[len(equation.names) :])
         method = like(IntervalML, trial.method, model=EquationModel(known))
         theta = trial.theta[: len(equation.names)]
-        difference = _quick(method.at(theta, trial.difference.u, y))
+        difference = replace(method.at(theta, trial.difference.u, y), parts=1)
         scaled = np.maximum(theta / difference.scale[:-2], difference.lower[:-2])
         length = max(shortest_part(method), n * (FOLDS - 1) // FOLDS // WINDOWS)
         return predicted_elsewhere(difference, scaled, method.cutoff, length)
+
+
+def _different(found: Sequence[tuple[float, float]], travel: float) -> list[tuple[float, float]]:
+    """Those whose pitch is not nearly that of one before; travel [unit of y]."""
+    kept = apart([travel / pitch for _, pitch in found])
+    return [one for one in found if travel / one[1] in kept]
 
 
 def shortest_part(method: IntervalML) -> int:
@@ -180,19 +238,26 @@ def shortest_part(method: IntervalML) -> int:
     return max(FEWEST, math.ceil(SHORTEST / (method.cutoff * method.dt)))
 
 
-def trial_of(method: IntervalML, model: Drive, difference: Difference, q: Floats, status: int) -> Trial:
+def cutoff_for(samples: int, dt: float) -> float | None:
+    """Least cutoff [rad/s] at which a part of so many samples, every dt [s], can be predicted; None: there is none."""
+    return SHORTEST / (samples * dt) if samples >= FEWEST else None
+
+
+def trial_of(
+    method: IntervalML, model: Drive, difference: Difference, q: Floats, status: int, hasty: bool = False
+) -> Trial:
     """At the largest likelihood from the least squares q (q,), where that is within the counts."""
     if difference.pole > 0 or rms(difference(q)) > difference.explained:
         best = Best(difference, q, q, None, status)
         return Trial(model, method, best, log_likelihood(best, method.cutoff))
-    return _at_top(method, model, difference, q, status)
+    return _at_top(method, model, difference, q, status, hasty)
 
 
 def _followed(method: IntervalML, theta: Floats, record: Difference) -> tuple[Difference, Floats]:
     """The difference of a record as `Following.followed` has it, and its least squares from theta (p,), roughly: of
     many models all but one are to be thrown away."""
     behind, q = _behind(method, theta, record)
-    q, direct = least(behind, q, [ROUGHLY]), replace(behind, pole=0.0)
+    q, direct = least_begun(behind, q, method.cutoff, [ROUGHLY]), replace(behind, pole=0.0)
     if rms(behind(q)) > HOPELESS * direct.explained:
         return behind, q
     closer = least(direct, q, [ROUGHLY])

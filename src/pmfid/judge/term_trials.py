@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,7 +11,7 @@ from pmfid.estimators.adequacy import Adequacy, information_of, score_variance, 
 from pmfid.estimators.difference import Difference, rms, without_nuisance
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Place
-from pmfid.estimators.likelihood import Best, cost
+from pmfid.estimators.likelihood import Best
 from pmfid.estimators.scatter import TINY
 from pmfid.models.drive import Drive
 from pmfid.models.equation import (
@@ -61,18 +60,6 @@ class Trial:
         """Root mean square velocity of the simulated motion."""
         velocity = self.difference.motion(self.best.q)[1]
         return rms(velocity[velocity != 0])
-
-
-def log_likelihood(best: Best, cutoff: float) -> float:
-    """Of the counts, under the error that explains them better: a noise within the counts, or friction that the model
-    lacks, which adds up in the position to a random walk. The latter's high-pass has a determinant of 1, so that both
-    are probabilities of the same counts."""
-    behind = replace(best.difference, pole=cutoff)
-    error = behind(best.q)
-    walking = -error.size / 2 * (math.log(2 * math.pi * float(np.mean(error**2))) + 1)
-    if best.noise is None:
-        return walking
-    return max(walking, -cost(best.difference(best.q), best.noise)[0])
 
 
 def inflation(before: Trial, after: Trial) -> float:

@@ -9,9 +9,10 @@ that it was not fitted to. In the end a term goes that the others have made supe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
@@ -20,12 +21,15 @@ from pmfid.estimators.adequacy import MISSED, NEARLY, Adequacy
 from pmfid.estimators.configuration import changed
 from pmfid.estimators.lacks import Change, Place
 from pmfid.judge.term_fits import Bench
-from pmfid.judge.term_periods import coggings, pitches
+from pmfid.judge.term_periods import pitches
 from pmfid.judge.term_trials import Trial, inflation
 from pmfid.models.drive import Drive
+from pmfid.models.equation import ESTIMATE
 
-#: Where the model does not follow the counts, its scores scatter for what it lacks: these are worth a trial then.
-WEAK = 2.0
+#: Where the model does not explain every count, its scores scatter for what it lacks: these are worth a trial then.
+WEAK = 1.0
+#: What the score of a force cannot tell from it: a lag is a dead time to first order.
+OTHERWISE: Mapping[str, tuple[Change, ...]] = MappingProxyType({"dead_time": ({"lag": ESTIMATE},)})
 #: Terms that are fitted in each step where none explains every count, and steps.
 MOST_TRIED, MOST_STEPS = 4, 6
 #: Candidates that chance has in each step, about, beside places and pitches.
@@ -47,7 +51,7 @@ class Candidate:
     """A change of the model, what it is, and how it was come by. z: standard deviations of its score from zero;
     inflation: by how much the score scatters beyond what independent errors would, at first before the term is there,
     and when it is fitted with it; explains: doubled gain of the log-likelihood that its score promises; elsewhere: that
-    over parts that it is not taken from."""
+    over parts that it is not taken from; scanned: its pitch comes from a scan."""
 
     change: Change
     says: str
@@ -55,6 +59,7 @@ class Candidate:
     inflation: float
     explains: float
     elsewhere: float
+    scanned: bool = False
 
     @property
     def key(self) -> str:
@@ -80,12 +85,22 @@ class Step:
         return self.verdict == KEPT
 
     @property
+    def explains_all(self) -> bool:
+        """Does the model explain every count with it? Then no score at the model before it is to be asked."""
+        return self.trial is not None and self.trial.best.clean
+
+    @property
+    def refused(self) -> bool:
+        """Is it beyond chance, and yet not kept for a reason other than a better one?"""
+        return self.gain >= self.needed and self.verdict not in (KEPT, EITHER, DROPPED, LESS)
+
+    @property
     def size(self) -> float:
         """Doubled gain of the log-likelihood as it stands."""
         return self.gain * self.candidate.inflation
 
 
-KEPT, EITHER, DROPPED = "kept", "either", "superfluous"
+KEPT, EITHER, DROPPED, LESS = "kept", "either", "superfluous", "explains less"
 UNCLEAR = "its pitch is unclear: give it"
 
 
@@ -107,6 +122,17 @@ class Terms:
     def added(self) -> dict[str, object]:
         """Keys of [model] that the search sets."""
         return changed_fields(self.trials[0].model, self.chosen.model)
+
+    @property
+    def refused(self) -> tuple[Step, ...]:
+        """Terms beyond chance that were not kept, and that nothing else has taken the place of."""
+        last = self.steps[-1:] if self.steps and not any(step.kept for step in self.steps[-1]) else ()
+        return tuple(
+            step
+            for tried in (last if self.adequacy.adequate else self.steps)
+            for step in tried
+            if step.trial is not None and step.refused and step.candidate.key not in self.added
+        )
 
     @cached_property
     def either(self) -> tuple[tuple[Step, Step], ...]:
@@ -162,19 +188,34 @@ def _tried(
 ) -> tuple[Step, ...]:
     """What is missing in a model, fitted, with a verdict on each; the best first."""
     number = USUAL + len(places)
+    candidates = proposed(trial, trial.weighed(places))
     if looking and trial.model.cogging is None:
         number += pitches(trial.best).size
-        places = [*places, *coggings(trial.best)]
-    candidates = proposed(trial, trial.weighed(places))
+        candidates = sorted([*candidates, *_scanned(bench, trial)], key=lambda one: -one.explains)
     again = () if trial.best.clean else _again(trial, steps, candidates)
     fitted = list[Step]()
     for candidate in (*candidates[:MOST_TRIED], *again):
+        if candidate.scanned and any(step.candidate.scanned and step.explains_all for step in fitted):
+            continue  # the pitch is known
         near = candidate.explains >= NEARLY * candidates[0].explains if candidates else False
         if not near and any(step.trial and step.trial.best.clean and step.gain > step.needed for step in fitted):
             break
         fitted.append(_fitted(bench, trial, candidate, number))
     fitted.sort(key=lambda step: step.size, reverse=True)
     return tuple(_judged(bench, error, fitted))
+
+
+def _scanned(bench: Bench, trial: Trial) -> list[Candidate]:
+    """Cogging forces of the pitches that scans end at."""
+    found = []
+    for gain, pitch in bench.pitches(trial):
+        place = Place("cogging", pitch)
+        seen = trial.weighed([place])
+        z = max(
+            (float(abs(z)) for lack, z in zip(seen.lacks, seen.z, strict=True) if lack.name == place.key), default=0.0
+        )
+        found.append(Candidate({place.key: pitch}, place.says, z, 1.0, gain, gain, True))
+    return found
 
 
 def _again(trial: Trial, steps: Sequence[tuple[Step, ...]], candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
@@ -196,15 +237,23 @@ def proposed(trial: Trial, found: Adequacy) -> list[Candidate]:
     by_change: dict[str, Candidate] = {}
     for k in np.argsort(-found.gain).tolist():
         lack = found.lacks[k]
-        if abs(found.z[k]) < (MISSED if found.follows else WEAK) or (lack.positive and found.size[k] < 0):
+        if not _asked(trial, found, k) or (lack.positive and found.size[k] < 0):
             continue
-        for change in lack.changes:
+        for change in (*lack.changes, *OTHERWISE.get(lack.name, ())):
             if _has(trial.model, change):
                 continue
-            numbers = found.z[k], found.size_std[k] ** 2 * found.expected[k], found.gain[k], found.elsewhere[k]
-            one = Candidate(change, lack.says, *map(float, numbers))
+            scatter, gain = float(found.size_std[k] ** 2 * found.expected[k]), float(found.gain[k])
+            one = Candidate(change, lack.says, float(found.z[k]), scatter, gain, float(found.elsewhere[k]))
             by_change.setdefault(repr(sorted(change.items())), one)
     return list(by_change.values())
+
+
+def _asked(trial: Trial, found: Adequacy, k: int) -> bool:
+    """Is a force worth a trial? Of a model that explains every count its score must be beyond chance. Beside any other
+    the scores scatter for what is missing, up to all that is to be seen of it; there the likelihood decides."""
+    if trial.best.clean:
+        return bool(abs(found.z[k]) >= MISSED)
+    return bool(abs(found.z[k]) >= WEAK and found.gain[k] >= MISSED**2)
 
 
 def _gain(trial: Trial, before: Trial, candidate: Candidate) -> float:
@@ -214,8 +263,9 @@ def _gain(trial: Trial, before: Trial, candidate: Candidate) -> float:
 def _fitted(bench: Bench, trial: Trial, candidate: Candidate, number: int) -> Step:
     try:
         found = bench.further(trial, candidate.change)
-        if candidate.key == "cogging":  # its pitch comes from a scan
-            found = bench.tuned(found, candidate.key)
+        if candidate.scanned:
+            found = bench.tuned(found)
+            candidate = replace(candidate, change={candidate.key: found.model.cogging})
     except (NotIdentifiableError, UsageError):  # or the model has no room for both
         return Step(candidate, None, 0.0, math.inf, math.inf, "no fit")
     further = found.parameters - trial.parameters
@@ -233,7 +283,7 @@ def _judged(bench: Bench, error: float, found: Sequence[Step]) -> list[Step]:
             continue
         if kept is not None and kept.trial is not None:
             behind = 2 * (kept.trial.log_likelihood - step.trial.log_likelihood) / kept.candidate.inflation
-            judged.append(replace(step, verdict=EITHER if behind < ALIKE else "explains less"))
+            judged.append(replace(step, verdict=EITHER if behind < ALIKE else LESS))
             continue
         own = bench.elsewhere(step.trial)
         worse = own > (1 + NO_WORSE) * error and own > CHANCE * bench.by_chance(step.trial)
@@ -247,13 +297,15 @@ def _against(step: Step, found: Sequence[Step]) -> str:
     """What speaks against a term whatever else is there; empty where nothing does."""
     if step.gain < step.needed:
         return "within chance"
-    if step.candidate.elsewhere <= 0:
+    if step.candidate.elsewhere <= 0 and not step.explains_all:
         return "not in other parts of the record"
     return UNCLEAR if is_unclear(step, found) else ""
 
 
 def is_unclear(step: Step, found: Sequence[Step]) -> bool:
     """Is it a force along the travel of a pitch that is hardly better than another one? Neither is to be believed."""
+    if step.explains_all:
+        return False
     own = step.candidate
     others = [one for one in found if one.candidate.key == own.key == "cogging" and one.candidate.change != own.change]
     return any(one.trial and one.size > HARDLY * step.size for one in others)

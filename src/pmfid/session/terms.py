@@ -16,9 +16,9 @@ from pmfid.estimators.lacks import Place, setting
 from pmfid.estimators.ls import LS
 from pmfid.findings import Finding, codes, texts
 from pmfid.judge.drive import judge
-from pmfid.judge.term_fits import Bench, shortest_part
+from pmfid.judge.term_fits import Bench, cutoff_for, shortest_part
 from pmfid.judge.term_trials import known_shapes
-from pmfid.judge.terms import KEPT, Step, Terms, search
+from pmfid.judge.terms import Step, Terms, search
 from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.session.config import Axis, check_sampling
@@ -207,6 +207,12 @@ def search_drive(
     return _told(data, bench, found, tuple(filter(None, (*data.notes, known.told))), known.status)
 
 
+def round_up(number: float) -> float:
+    """To three digits, never down."""
+    digit = 10.0 ** (math.floor(math.log10(number)) - 2)
+    return math.ceil(number / digit) * digit
+
+
 def _method(model: Drive, data: Record, axis: Axis) -> IntervalML:
     return IntervalML(
         model, axis.encoder.made(data.resolution), data.dt, axis.estimator.pole, order=axis.estimator.order
@@ -215,11 +221,14 @@ def _method(model: Drive, data: Record, axis: Axis) -> IntervalML:
 
 def _check(method: IntervalML, record: Record) -> None:
     """Raises NotIdentifiableError for a record that nothing can be searched in."""
+    n, dt = record.u.size, record.dt
     needed = PARTS * shortest_part(method)
-    if record.u.size < needed:
+    if n < needed:
+        cutoff = cutoff_for(n // PARTS, dt)
+        shorter = f", or use a cutoff of at least {round_up(cutoff):g} rad/s" if cutoff else ""
         raise NotIdentifiableError(
-            f"{record.u.size} samples are too few to tell terms apart on parts of them: record at least {needed} "
-            f"({needed * record.dt:.3g} s), or use a higher cutoff"
+            f"{n} samples are too few to tell terms apart on parts of them: record at least {needed} "
+            f"({needed * dt:.3g} s){shorter}"
         )
     seen = like(LS, method, model=method.model.simple)
     check_identifiable(seen.columns(record.u, record.counts), seen.names, seen.least_part)
@@ -229,7 +238,7 @@ def _told(data: Record, bench: Bench, found: Terms, told: tuple[str, ...], statu
     pairs = zip(found.trials, found.errors, strict=True)
     models = nested(bench, found.trials[0].model, list(pairs))
     judged = _judged(bench, models[-1])
-    own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * (not found.adequacy.adequate)
+    own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * (not found.adequacy.adequate or bool(found.refused))
     notes = (*told, *_sentences(found), *texts(judged))
     names = tuple(dict.fromkeys((*status, *own, *codes(judged))))
     hidden = tuple(_hidden(found, found.trials[0].model.equation.motion.force))
@@ -250,12 +259,9 @@ def _sentences(found: Terms) -> Iterator[str]:
     for kept, other in found.either:
         own, its = (" and ".join(setting(*pair) for pair in one.candidate.change.items()) for one in (kept, other))
         yield f"either {own} or {its}: this record does not tell which; a motion at other speeds and strokes would"
-    for tried in found.steps:
-        for step in tried:
-            told = step.verdict not in (KEPT, "", "within chance", "explains less", "either", "superfluous")
-            if told and step.trial is not None and step.candidate.key not in found.added:
-                own = " and ".join(setting(*pair) for pair in step.candidate.change.items())
-                yield f"not {own}, though the score asks for it: {step.verdict}"
+    for step in found.refused:
+        own = " and ".join(setting(*pair) for pair in step.candidate.change.items())
+        yield f"not {own}, though the score asks for it: {step.verdict}"
     if not found.adequacy.adequate:
         yield "something is left that no term of the list explains on data that it was not fitted to"
 

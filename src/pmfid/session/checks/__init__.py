@@ -7,9 +7,7 @@ with every identification; those in LATER run where an estimate is in doubt, and
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
-import numpy as np
 
 from pmfid.findings import Finding, ordered
 from pmfid.session.checks.counter import forgotten_bits, frozen, held_output, jump
