@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-
 from pmfid.findings import Finding, ordered
 from pmfid.session.checks.counter import forgotten_bits, frozen, held_output, jump
 from pmfid.session.checks.inputs import held_input, saturated
