@@ -254,7 +254,8 @@ READING = (
     "one, and `riv` from a motion of its own that each count cuts off at its nearest edge, sample by sample. Until the",
     "edges bear that motion out, `riv` says `dead_time` or `fallback`: then its dead time is one that was believed",
     "before, or a guess within what it can delay, and its error bars say as much. Steps in open loop show a dead time",
-    "ten times as well.",
+    "ten times as well. `interval` is the likelihood of the counts itself: what it leaves is what the record does not",
+    "say. `iv` keeps to its own instruments in all but the dead time, and knows mass and friction less well for it.",
     "",
 )
 

@@ -10,7 +10,7 @@ import pytest
 
 from pmfid import RIV, Drive, Encoder, Status
 from pmfid.estimators.track import Track
-from pmfid.kernel.structures import constants_of
+from pmfid.kernel.structures import constants_of, structures
 from pmfid.simulation import Machine, control_machine, drive_machine, prbs, stop_and_go
 from pmfid.simulation.drive import DriveParameters
 from pmfid.simulation.machine import MachineRun
@@ -117,3 +117,29 @@ def test_an_export_that_knows_its_dead_time_does_not_look_for_it(tmp_path: Path)
         folder = tmp_path / str(looks)
         export_firmware(RIV(Drive(2.0, dead_time=late), Encoder(1e-4), 0.01, 20.0), folder)
         assert f"#define PMF_WITH_DEAD_TIME_FOUND {looks}" in (folder / "pmf_sizes.h").read_text()
+
+
+def test_crafted_states_are_refused_or_do_no_harm() -> None:
+    """Whatever stands in the new part of a state: numbers come out, and a dead time within reach."""
+    run, step = moved("carriage", 0.6), AXES["carriage"][1]
+    estimator = RIV(Drive(2.0, dead_time="estimate"), Encoder(step), 0.01, 20.0)
+    estimator.run(run.u[:900], run.counts[:900])
+    raw, layout = estimator.runner.kernel.raw_state(), structures(None, "float64")["pmf_state_t"]
+    rng, taken = np.random.default_rng(4), 0
+    values = [np.nan, np.inf, -1.0, 0.0, 3.0, 1e7, 1e-300, 1e300]
+    for _ in range(150):
+        state = np.frombuffer(bytearray(raw), layout)
+        part = state["found"][str(rng.choice(["theta", "covariance", "place", "velocity", "expected", "age", "tries"]))]
+        number = rng.choice(values)
+        whole = part.dtype.kind in "ui"
+        part.reshape(-1)[rng.integers(part.size)] = 4_000_000_000 if whole else number
+        runner = estimator.start()
+        try:
+            runner.kernel.set_raw_state(state.tobytes())
+        except ValueError:
+            continue
+        taken += 1
+        track = runner.run(run.u[900:1100], run.counts[900:1100])
+        assert np.isfinite(track.theta).all()
+        assert np.all((track.theta[:, 3] >= 0) & (track.theta[:, 3] <= 0.21))
+    assert 20 < taken < 130
