@@ -157,7 +157,9 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     scale, scale_notes = _input_scale(table, config.input_scale)
     units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
     rows, row_notes = _rows(table, config, columns)
-    columns = {key: values[rows.rows] for key, values in columns.items()}
+    if rows.rows.size < len(columns["input"]):  # else a copy of each for nothing
+        columns = {key: values[rows.rows] for key, values in columns.items()}
+    columns.pop("time", None)
     y = _scaled(columns["output"], units.y, "the unit of the output")
     travel, motion_notes = _travelled(y, rows, axis)
     counts, count_notes = counts_of(travel, axis)
