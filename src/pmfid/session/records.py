@@ -190,9 +190,9 @@ def _rows(table: Table, config: RecordConfig, columns: Mapping[str, Floats]) -> 
     time, samples = columns.get("time"), columns["input"].size
     mask = None if config.mask is None else column(table, "mask", whole_name(table, config.mask))
     out, notes = left_out(time, samples, config, mask)
-    signals = np.array([columns["input"], columns["output"]])
-    repeated = np.r_[False, np.all(np.diff(signals, axis=1) == 0, axis=0)]
-    rows = laid(time, ~out & np.all(np.isfinite(signals), axis=0), repeated, config)
+    u, y = columns["input"], columns["output"]
+    repeated = np.r_[False, (u[1:] == u[:-1]) & (y[1:] == y[:-1])]
+    rows = laid(time, ~out & np.isfinite(u) & np.isfinite(y), repeated, config)
     if rows.rows.size < MIN_SAMPLES:
         raise UsageError(
             f"{rows.rows.size} of {samples} rows have input and output and are not left out, at least "
