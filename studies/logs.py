@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import tempfile
+import tomllib
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass
@@ -15,8 +16,10 @@ import numpy as np
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.paper.truth import table
 from pmfid.session.config import Axis
+from pmfid.session.guess.axis_file import guess
 from pmfid.session.identify import identify, kind_of
 from pmfid.session.toml_file import validated
+from pmfid.session.units import Quantity, gain
 from pmfid.types import Floats
 from studies.log_bench import BENCHES, Keys, Log
 from studies.log_folder import clean, logs
@@ -27,8 +30,6 @@ SAME = 0.005
 PATIENCE = 4
 #: "[encoder] resolution = "0.01 mm" or "0.01 m"", "give bits = 12".
 _KEY = re.compile(r'(?:\[(?P<section>\w+)\] )?(?P<key>\w+) = (?P<first>"[^"]*"|-?[\d.]+(?:e-?\d+)?)')
-#: An estimate, or the sentence of a refusal. Keys: as AXIS.toml has them.
-Run = Callable[[Path, Keys], Floats]
 
 
 @dataclass(frozen=True)
@@ -47,20 +48,23 @@ class Outcome:
         return "same" if self.error <= SAME else "WRONG"
 
 
+Judge = Callable[[Log, Path, Floats], Outcome]
+
+
 def by_config(path: Path, keys: Keys) -> Floats:
     """The estimate that `pmfid identify` gives with these keys. Raises as it does."""
     axis = validated(Axis, keys)
     return identify(kind_of(axis).read([path], axis), axis).theta
 
 
-def outcome(log: Log, folder: Path, reference: Floats, run: Run = by_config) -> Outcome:
+def outcome(log: Log, folder: Path, reference: Floats) -> Outcome:
     """What becomes of a log of which every remedy is followed literally."""
     path, keys = log.write(folder, BENCHES[log.bench]), deepcopy(log.config())
     said: list[str] = []
     followed: list[str] = []
     for _ in range(PATIENCE):
         try:
-            theta = run(path, keys)
+            theta = by_config(path, keys)
         except (UsageError, NotIdentifiableError) as error:
             said.append(str(error).removeprefix(f"{path}: "))
             done = _follow(said[-1], log, keys, path)
@@ -105,14 +109,33 @@ def _homes() -> dict[str, set[str]]:
     return {name: set(getattr(field.annotation, "model_fields", {})) for name, field in Axis.model_fields.items()}
 
 
-def outcomes(chosen: list[Log], run: Run = by_config) -> Iterator[tuple[Log, Outcome]]:
+def by_init(log: Log, folder: Path, reference: Floats) -> Outcome:
+    """What becomes of a log with the AXIS.toml that `pmfid init` writes, nothing edited; asked for the gain and the
+    travel of a count, the user tells those of the data sheet. Method and pole are those of the other column."""
+    bench, keys = BENCHES[log.bench], log.config()
+    said = gain(keys["model"]["input_gain"])
+    known = {"force": said if isinstance(said, Quantity) else bench.truth.input_gain, "travel": bench.step}
+
+    def ask(question: str, _: str) -> str:
+        return f"{known.get(question.split()[0], bench.dt):.12g}"
+
+    path = log.write(folder, bench)
+    try:
+        raw = tomllib.loads(guess(path, ask).text) | {"estimator": keys["estimator"]}
+        theta = by_config(path, raw)
+    except (UsageError, NotIdentifiableError) as error:
+        return Outcome(None, (str(error).removeprefix(f"{path}: "),), ())
+    return Outcome(float(np.max(np.abs(theta / reference - 1))), (), ())
+
+
+def outcomes(chosen: list[Log], of: Judge = outcome) -> Iterator[tuple[Log, Outcome]]:
     """Of each log, in a folder of its own."""
     with tempfile.TemporaryDirectory() as home:
         references = {name: _reference(name, Path(home)) for name in BENCHES}
         for k, log in enumerate(chosen):
             folder = Path(home) / str(k)
             folder.mkdir()
-            yield log, outcome(log, folder, references[log.bench], run)
+            yield log, of(log, folder, references[log.bench])
 
 
 def _reference(name: str, folder: Path) -> Floats:
@@ -120,14 +143,15 @@ def _reference(name: str, folder: Path) -> Floats:
     return by_config(log.write(folder, BENCHES[name]), log.config())
 
 
-def rows(found: list[tuple[Log, Outcome]]) -> list[list[str]]:
+def rows(found: list[tuple[Log, Outcome]], begun: list[Outcome]) -> list[list[str]]:
     """One for each log."""
     made = []
-    for log, result in found:
+    for (log, result), own in zip(found, begun, strict=True):
         error = "" if result.error is None else f"{100 * result.error:.3f}"
         said = result.said[0].replace("|", "\\|").replace("\n", " ") if result.said else ""
         followed = ", ".join(result.followed).replace("|", "\\|")
-        made.append([log.name, log.bench, result.verdict, error, said, followed])
+        initial = own.verdict if own.error is None else f"{own.verdict}, {100 * own.error:.3f}"
+        made.append([log.name, log.bench, result.verdict, error, initial, said, followed])
     return made
 
 
@@ -145,6 +169,9 @@ the data sheet, in whatever unit these are. Where the log is refused, the remedy
 {same:.1f} % of what the clean log gives.
 
 {count} logs: {same_count} the same ({at_once} of them at once), {refused} refused, {wrong} wrong.
+
+After `pmfid init`, with nothing edited, where the user is asked for the travel of a count and for the gain of the input
+and knows both, {initial} are the same and {initial_wrong} are wrong.
 """
 
 
@@ -153,7 +180,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="Markdown page to write")
     parser.add_argument("--only", default="", help="logs with this in their name")
     options = parser.parse_args(arguments)
-    found = list(outcomes([log for log in logs() if options.only in log.name]))
+    chosen = [log for log in logs() if options.only in log.name]
+    found = list(outcomes(chosen))
+    begun = [result for _, result in outcomes(chosen, by_init)]
     verdicts = [result.verdict for _, result in found]
     page = PAGE.format(
         patience=PATIENCE,
@@ -163,9 +192,11 @@ def main(arguments: list[str] | None = None) -> int:
         at_once=sum(result.verdict == "same" and not result.said for _, result in found),
         refused=verdicts.count("refused"),
         wrong=verdicts.count("WRONG"),
+        initial=sum(result.verdict == "same" for result in begun),
+        initial_wrong=sum(result.verdict == "WRONG" for result in begun),
     )
-    header = ["log", "axis", "outcome", "deviation [%]", "what was said first", "what was done"]
-    options.out.write_text("\n".join([page, *table(header, rows(found))]), encoding="utf-8")
+    header = ["log", "axis", "outcome", "deviation [%]", "after `pmfid init`", "what was said first", "what was done"]
+    options.out.write_text("\n".join([page, *table(header, rows(found, begun))]), encoding="utf-8")
     return 0
 
 

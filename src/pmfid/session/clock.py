@@ -29,7 +29,7 @@ _NAMES = {
     "ns": r"ns|nsecs?|nanos|nanoseconds?",
 }
 #: Sample periods of machine axes [s], from this up to, but not at, that: drives log every 10 us to 100 ms.
-_SHORTEST, _LONGEST = 1e-5, 0.1
+_SHORTEST, _LONGEST = 0.999e-5, 0.1
 #: Seconds since 1970 at the beginning of 2000 and of 2100.
 EPOCHS = (946_684_800.0, 4_102_444_800.0)
 #: Neighbouring steps may differ by this part of their median and nothing is said.

@@ -157,7 +157,9 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     scale, scale_notes = _input_scale(table, config.input_scale)
     units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
     rows, row_notes = _rows(table, config, columns)
-    columns = {key: values[rows.rows] for key, values in columns.items()}
+    if rows.rows.size < len(columns["input"]):  # else a copy of each for nothing
+        columns = {key: values[rows.rows] for key, values in columns.items()}
+    columns.pop("time", None)
     y = _scaled(columns["output"], units.y, "the unit of the output")
     travel, motion_notes = _travelled(y, rows, axis)
     counts, count_notes = counts_of(travel, axis)
@@ -188,9 +190,9 @@ def _rows(table: Table, config: RecordConfig, columns: Mapping[str, Floats]) -> 
     time, samples = columns.get("time"), columns["input"].size
     mask = None if config.mask is None else column(table, "mask", whole_name(table, config.mask))
     out, notes = left_out(time, samples, config, mask)
-    signals = np.array([columns["input"], columns["output"]])
-    repeated = np.r_[False, np.all(np.diff(signals, axis=1) == 0, axis=0)]
-    rows = laid(time, ~out & np.all(np.isfinite(signals), axis=0), repeated, config)
+    u, y = columns["input"], columns["output"]
+    repeated = np.r_[False, (u[1:] == u[:-1]) & (y[1:] == y[:-1])]
+    rows = laid(time, ~out & np.isfinite(u) & np.isfinite(y), repeated, config)
     if rows.rows.size < MIN_SAMPLES:
         raise UsageError(
             f"{rows.rows.size} of {samples} rows have input and output and are not left out, at least "
