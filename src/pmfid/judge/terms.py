@@ -278,8 +278,8 @@ def _judged(bench: Bench, error: float, found: Sequence[Step]) -> list[Step]:
     """The first that is beyond chance and predicts other parts no worse is kept."""
     judged, kept = list[Step](), None
     for step in found:
-        if step.trial is None or (against := _against(step, found)):
-            judged.append(step if step.trial is None else replace(step, verdict=against))
+        if step.trial is None or (reason := against(step, found)):
+            judged.append(step if step.trial is None else replace(step, verdict=reason))
             continue
         if kept is not None and kept.trial is not None:
             behind = 2 * (kept.trial.log_likelihood - step.trial.log_likelihood) / kept.candidate.inflation
@@ -293,7 +293,7 @@ def _judged(bench: Bench, error: float, found: Sequence[Step]) -> list[Step]:
     return judged
 
 
-def _against(step: Step, found: Sequence[Step]) -> str:
+def against(step: Step, found: Sequence[Step]) -> str:
     """What speaks against a term whatever else is there; empty where nothing does."""
     if step.gain < step.needed:
         return "within chance"
