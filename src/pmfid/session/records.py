@@ -42,7 +42,8 @@ class Record:
 
     u: input, (n,), already scaled, NaN in gaps in which nobody knows it; counts: encoder counts, (n,), unwrapped; dt:
     sample period [s]; resolution: unit of y per count; notes: what was done to the data, for people; name: name of the
-    file; there: (n,) the samples that were measured, None: all; for what stands in place of the others see `gaps`.
+    file; there: (n,) the samples that were measured, None: all; for what stands in place of the others see
+    `gaps`; doubt: (p,) by which part of themselves that may have moved parameters, None: nothing does.
     """
 
     u: Floats
@@ -52,6 +53,7 @@ class Record:
     notes: tuple[str, ...]
     name: str
     there: Flags | None = None
+    doubt: Floats | None = None
 
 
 def read_experiment(path: Path, axis: Axis) -> Experiment:
