@@ -83,6 +83,7 @@ study: .venv/tools
 	.venv/bin/python -m studies.monitoring_wrong_models --out docs/monitoring_wrong_models.md
 	.venv/bin/python -m studies.laboratory --out docs/laboratory.md --images docs/images
 	.venv/bin/python -m studies.black_box --out docs/black_box.md
+	.venv/bin/python -m studies.gaps --out docs/gaps.md
 	.venv/bin/python -m studies.glitches --out docs/glitches.md
 	.venv/bin/python -m studies.glitches_watched --out docs/glitches_watched.md
 	.venv/bin/python -m studies.scale --out docs/scale.md

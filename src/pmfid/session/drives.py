@@ -40,7 +40,7 @@ from pmfid.session import checks
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction
 from pmfid.session.gaps.joining import one_of
-from pmfid.session.gaps.motion import by_motion
+from pmfid.session.gaps.motion import by_motion, doubt
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.session.known import at_gain, at_some_gain, finds_gain, known_of, of_either_sign, put_together
 from pmfid.session.outliers import believed_of
@@ -96,7 +96,7 @@ class Drives(Kind[Record]):
             found = by_motion(method, known.u, known.counts, data.there)
             if found is not None:
                 u, counts = (np.where(data.there, *pair) for pair in zip((data.u, data.counts), found, strict=True))
-                return replace(data, u=u, counts=counts)
+                return replace(data, u=u, counts=counts, doubt=doubt(method, u, counts, data.there))
         return data
 
     def check(self, data: Record, axis: Axis) -> None:
@@ -114,6 +114,7 @@ class Drives(Kind[Record]):
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
         known = believed_of(data, axis)
         result = of_either_sign(axis, lambda own: _identified(known.record, own, axis, progress))
+        result = replace(result, theta_std=_doubted(result, data))
         return result.with_findings(*known.findings)
 
     def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
@@ -252,6 +253,15 @@ def _estimate(
     found = fit.theta, fit.theta_std, findings
     result = DriveResult(estimator, *found, record, fit.relative_error, fit=fit, model_spread=spread)
     return result if known is None else put_together(result, known, axis, known.of(fit, spread))
+
+
+def _doubted(result: DriveResult, record: Record) -> Floats:
+    """Error bars (p,) with what samples that were filled in may have moved."""
+    if record.doubt is None:
+        return result.theta_std
+    most = float(np.max(record.doubt, initial=0.0))
+    parts = record.doubt if record.doubt.size == result.theta.size else np.full(result.theta.size, most)
+    return np.asarray(np.hypot(result.theta_std, parts * np.abs(result.theta)))
 
 
 def _told(record: Record) -> int:

@@ -44,7 +44,8 @@ class Record:
     u: input, (n,), already scaled, NaN in gaps in which nobody knows it; counts: encoder counts, (n,), unwrapped; dt:
     sample period [s]; resolution: unit of y per count; notes: what was done to the data, for people; name: name of the
     file; rotary: is the output an angle? there: (n,) the samples that were measured, None: all; for what stands in
-    place of the others see `gaps`.
+    place of the others see `gaps`; doubt: (p,) by which part of themselves that may have moved parameters, None:
+    nothing does.
     """
 
     u: Floats
@@ -55,6 +56,7 @@ class Record:
     name: str
     rotary: bool = False
     there: Flags | None = None
+    doubt: Floats | None = None
 
 
 def read_experiment(path: Path, axis: Axis) -> Experiment:

@@ -19,7 +19,7 @@ from pmfid.estimators.iv import IV
 from pmfid.estimators.motion import mean_velocity
 from pmfid.models.equation import MASS, VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
 from pmfid.session.gaps.smoother import Steps, smoothed
-from pmfid.session.gaps.standing import Gap, gaps_of, is_held
+from pmfid.session.gaps.standing import Gap, filled, gaps_of, is_held
 from pmfid.types import Counts, Flags, Floats
 
 #: Turns of estimate and filling; what stands in a gap hardly changes the estimate.
@@ -33,6 +33,8 @@ WRONG = (1e-2, 1e-3)
 SHIFT = 0.1
 #: Filter time constants, and samples, within which a deviation is as smooth as the motion.
 OFTEN, FEWEST = 2.0, 8
+#: Seed of the samples that are lost once more.
+AGAIN = 16
 #: An instant is known where its standard deviation is less than this part of a sample.
 KNOWN = 0.25
 #: The counts that are filled in keep within so many of the line between their neighbours, less the simulated motion.
@@ -96,6 +98,23 @@ def by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floa
     except (NotIdentifiableError, np.linalg.LinAlgError):
         return None
     return u, counts
+
+
+def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
+    """(p,) by which part of themselves the parameters move where as large a part of the samples that are there is lost
+    as well, and filled again: so much, or about so much, have those that are missing moved them."""
+    chance, part = np.random.default_rng(AGAIN), 1 - float(np.mean(there[np.isfinite(u)]))
+    fewer = there & (chance.random(u.size) >= part)
+    fewer[[0, -1]] = True
+    places = np.flatnonzero(fewer)
+    again = filled(u[places], counts[places], places)[:2]
+    line = np.where(np.isfinite(u), again[0], np.nan), again[1]
+    try:
+        theta, found = method.settled(u, counts)[1], by_motion(method, *line, fewer) or line
+        moved = method.settled(*found)[1] - theta
+    except NotIdentifiableError:
+        return np.zeros(len(method.names))
+    return np.abs(moved) / np.maximum(np.abs(theta), np.finfo(float).tiny)
 
 
 def _filled(machine: Machine, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts]:
