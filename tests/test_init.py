@@ -142,6 +142,7 @@ def test_the_step_of_a_column_is_found(step: float) -> None:
 
 
 ROLES = {"Zeit [ms]": "time", "MotorTorque": "input", "iq": "input", "Strom (A)": "input", "Lage": "position"}
+ROLES |= {"i_mA": "input", "F_kN": "input", "phi_deg": "position", "n_rpm": "velocity"}
 ROLES |= {"ActualPosition": "position", "Drehzahl": "velocity", "encoder": "counts", "Sollposition": "other"}
 
 

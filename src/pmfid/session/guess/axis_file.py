@@ -131,7 +131,7 @@ def _encoder(result: Guess, pair: Pair, output: Floats, dt: float, ask: Ask | No
     unit = column_unit(pair.output, OUTPUTS)
     if pair.kind == "velocity":
         step, reason = step * dt * (unit.factor if unit else 1.0), f"{reason}, times the sample period"
-        unit = None
+        unit = None if unit is None or unit.plain else Unit("rad" if "ang" in unit.of else "m", "travel", 0.0)
     result.add("encoder", f"resolution = {_written(step, unit)}", reason)
     wrap = wrap_of(np.floor(output / step + 0.5).astype(np.int64)) if found and pair.kind == "position" else None
     if wrap is not None:
@@ -149,7 +149,9 @@ def _model(result: Guess, pair: Pair, ask: Ask | None) -> None:
     unit = column_unit(pair.input, INPUTS)
     force = "N m" if (measured := column_unit(pair.output, OUTPUTS)) and "ang" in measured.of else "N"
     if unit is not None and unit.of in ("force", "torque"):
-        result.add("model", f"input_gain = {-1.0 if pair.turned else 1.0}", f"the input is a {unit.of}{_sign(pair)}")
+        own = -1.0 if pair.turned else 1.0
+        written = repr(own) if unit.plain else f'"{own:g} {SI[unit.of]}/{SI[unit.of]}"'
+        result.add("model", f"input_gain = {written}", f"the input is a {unit.of}{_sign(pair)}")
         return
     per = f"per {SI[unit.of]} of" if unit else "per unit of"
     answer = ask(f"force or torque {per} the input, in N or N m (1: results per that)", "1") if ask else ""

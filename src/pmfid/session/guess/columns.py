@@ -16,17 +16,20 @@ from pmfid.session.checks.view import MASS, View, best_view
 from pmfid.session.guess.lattice import is_whole
 from pmfid.session.guess.names import Role, role_of
 from pmfid.session.tables import Table, column, times
+from pmfid.session.units import OUTPUTS, column_unit
 from pmfid.session.wrap import wrap_of
 from pmfid.types import Floats
 
 __all__ = ["Pair", "numeric", "pair_of", "time_of"]
 
 #: Roles of an output, best first.
-OUTPUTS: tuple[Role, ...] = ("counts", "position", "velocity")
+OUTPUT_ROLES: tuple[Role, ...] = ("counts", "position", "velocity")
 #: Pairs of columns that are looked at where names say nothing.
 MOST_COLUMNS = 6
 #: A mass must be told by so many standard deviations.
 TOLD = 4.5
+#: Of what is left unexplained as something that the name does not say.
+AGAINST = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +81,7 @@ def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
     those between which the motion explains most. None where there are not two columns."""
     roles = {name: role_of(name) for name in columns}
     outputs = next(
-        (found for role in OUTPUTS if (found := [name for name in columns if roles[name] == role])), None
+        (found for role in OUTPUT_ROLES if (found := [name for name in columns if roles[name] == role])), None
     ) or [name for name in columns if roles[name] in ("", "input")]
     inputs = [name for name in columns if roles[name] == "input"] or [name for name in columns if roles[name] == ""]
     tried = [
@@ -100,14 +103,15 @@ def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
 
 def _tried(columns: Mapping[str, Floats], name: str, output: str, role: Role, dt: float) -> Pair | None:
     """A pair of columns, as what it explains most."""
-    kinds = ("velocity",) if role == "velocity" else ("position",) if role else ("position", "velocity")
+    kinds = (role,) if role == "velocity" else ("position",) if role == "counts" else ("position", "velocity")
     found = [(kind, _view(columns[name], columns[output], kind, dt)) for kind in kinds]
     seen = [(kind, view) for kind, view in found if view is not None]
     if not seen:
-        return Pair(name, output, _whole(columns[output], kinds[0]), False, 0.0, "")
-    kind, view = min(seen, key=lambda pair: _cost(pair[1]))
+        return Pair(name, output, _whole(output, columns[output], kinds[0]), False, 0.0, "")
+    # against its name a column is a velocity only where it explains far more as one
+    kind, view = min(seen, key=lambda pair: _cost(pair[1]) * (AGAINST if role and pair[0] != role else 1.0))
     explained = max(0.0, 1 - _cost(view))
-    return Pair(name, output, _whole(columns[output], kind), is_turned(view), explained, "")
+    return Pair(name, output, _whole(output, columns[output], kind), is_turned(view), explained, "")
 
 
 def _cost(view: View) -> float:
@@ -115,8 +119,9 @@ def _cost(view: View) -> float:
     return view.unexplained if abs(view.sure(np.eye(view.theta.size)[MASS])) > TOLD else 1.0
 
 
-def _whole(output: Floats, kind: str) -> str:
-    return "counts" if kind == "position" and is_whole(output) else kind
+def _whole(name: str, output: Floats, kind: str) -> str:
+    """Whole numbers are counts, but where the name says a length or an angle."""
+    return "counts" if kind == "position" and is_whole(output) and column_unit(name, OUTPUTS) is None else kind
 
 
 def _view(u: Floats, y: Floats, kind: str, dt: float) -> View | None:

@@ -39,8 +39,9 @@ def role_of(name: str) -> Role:
     output, driven = column_unit(name, OUTPUTS), column_unit(name, INPUTS)
     split = re.sub(r"([a-zäöüß0-9])([A-ZÄÖÜ])", r"\1 \2", bare)  # MotorTorque
     words = [word for word in re.split(r"[\s_.,:/()\[\]-]+", split.lower()) if word]
-    if output is not None and _MEASURED[output.of] == "velocity":
-        return "velocity"  # whatever it is called
+    if output is not None or driven is not None:  # whatever it is called, but for what is only asked for
+        asked = any(re.fullmatch(_WORDS[0][1], word) for word in words)
+        return "other" if asked else "input" if output is None else _MEASURED[output.of]
     for role, pattern in _WORDS:
         if any(re.fullmatch(pattern, word) for word in words):
             return role
@@ -49,6 +50,4 @@ def role_of(name: str) -> Role:
         long = "|".join(part for part in pattern.split("|") if len(part.replace(r"\w*", "")) > 3)
         if re.search(rf"({long})$", joined) or re.match(rf"({long})", joined):
             return role
-    if output is not None:
-        return _MEASURED[output.of]
-    return "input" if driven is not None else "time" if named_unit(name) else ""
+    return "time" if named_unit(name) else ""
