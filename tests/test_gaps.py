@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,13 @@ from pmfid.estimators.bridges import Body, bridged, gaps_in
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.rls import RLS
 from pmfid.session.config import Axis
+from pmfid.session.gaps.longest import unbroken
 from pmfid.session.gaps.motion import by_motion
 from pmfid.session.gaps.places import laid
 from pmfid.session.gaps.standing import filled
 from pmfid.session.identify import identify as identify_record
 from pmfid.session.identify import kind_of
+from pmfid.session.records import Record
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
@@ -228,3 +231,13 @@ def test_several_files_of_one_axis(tmp_path: Path) -> None:
     result = identify_record(data, axis())
     np.testing.assert_allclose(result.theta, TRUTH, rtol=0.01)
     assert data.name == "0.csv, 1.csv"
+
+
+def test_what_looks_at_one_motion_takes_the_longest_part_without_gaps_and_says_so() -> None:
+    u, counts = np.ones(100), np.arange(100)
+    whole = Record(u, counts, 0.01, 1.0, (), "run")
+    assert unbroken(whole) is whole
+    u[[20, 21, 90]] = np.nan
+    part = unbroken(replace(whole, u=u))
+    assert part.counts.tolist() == list(range(22, 90))
+    assert part.notes == ("only the longest part without gaps is used here: 68 of 100 samples",)

@@ -129,7 +129,7 @@ def test_a_record_without_two_columns_is_refused(tmp_path: Path) -> None:
 
 def test_a_record_without_time_says_what_to_fill_in(tmp_path: Path) -> None:
     pl.DataFrame({"u": run().motion.u, "counts": run().counts}).write_csv(tmp_path / "log.csv")
-    assert "dt = 0.001  # TO DO: no column is a time" in guess(tmp_path / "log.csv").text
+    assert "dt = 0.001  # TO DO: no column tells the time" in guess(tmp_path / "log.csv").text
 
 
 @pytest.mark.parametrize("step", [22.75e-6, 0.36, 1.0, 2 * np.pi / 4096])
@@ -149,3 +149,20 @@ ROLES |= {"ActualPosition": "position", "Drehzahl": "velocity", "encoder": "coun
 @pytest.mark.parametrize("name", ROLES)
 def test_names_in_english_and_german(name: str) -> None:
     assert role_of(name) == ROLES[name]
+
+
+def test_a_column_that_may_number_the_samples_is_no_time(tmp_path: Path) -> None:
+    """It was taken for ms, and the mass was 94 % off without a word."""
+    frame = {"t": np.arange(run().counts.size), "u": run().motion.u, "counts": run().counts}
+    pl.DataFrame(frame).write_csv(tmp_path / "log.csv")
+    text = guess(tmp_path / "log.csv").text
+    assert "time =" not in text
+    assert "dt = 0.001  # TO DO" in text
+
+
+def test_lengths_in_counts_and_of_no_unit_are_said(tmp_path: Path) -> None:
+    path = saved("counts", tmp_path)
+    record = kind_of(told(path)).read([path], told(path))
+    assert "resolution is 1: lengths are in counts; give the travel of a count in [encoder]" in record.notes
+    (line,) = (line for line in guess(saved("nameless", tmp_path)).text.splitlines() if line.startswith("resolution"))
+    assert "TO DO: taken to be in m or rad, else write" in line

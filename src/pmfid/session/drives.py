@@ -40,6 +40,7 @@ from pmfid.session import checks
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction
 from pmfid.session.gaps.joining import one_of
+from pmfid.session.gaps.longest import unbroken
 from pmfid.session.gaps.motion import by_motion, doubt
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.session.known import at_gain, at_some_gain, finds_gain, known_of, of_either_sign, put_together
@@ -118,10 +119,12 @@ class Drives(Kind[Record]):
         return result.with_findings(*known.findings)
 
     def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
-        known = believed_of(data, axis)
+        whole = unbroken(data)
+        known = believed_of(whole, axis)
         method = simulator(axis, data.dt, data.resolution)
         run = drive_run(method, theta, known.record.u, known.record.counts, data.name)
-        return [replace(run, notes=(*filter(None, (known.told,)), *run.notes))]
+        cut = whole.notes[len(data.notes) :]
+        return [replace(run, notes=(*cut, *filter(None, (known.told,)), *run.notes))]
 
     def check_known(self, stored: Stored, data: Record, axis: Axis) -> None:
         equation = axis.model.make().equation

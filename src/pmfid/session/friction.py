@@ -20,6 +20,7 @@ from pmfid.models.equation import ESTIMATE
 from pmfid.session.arrays import axis_of
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.drives import of_kind
+from pmfid.session.gaps.longest import unbroken
 from pmfid.session.known import check_numbers_known
 from pmfid.session.outliers import believed_of
 from pmfid.session.records import Record
@@ -60,7 +61,7 @@ def friction_curve(
 
 def record_curve(record: Record, axis: Axis, nodes: int = NODES, rising_from: float | None = None) -> FrictionCurve:
     """The same of a record that was read for `axis`, without what no motion explains."""
-    axis = of_kind(record, axis)
+    record, axis = unbroken(record), of_kind(record, axis)
     without, encoder = believed_of(record, axis), axis.encoder.made(record.resolution)
     found = _found(without.record.u, without.record.counts, record.dt, encoder, axis, nodes, rising_from)
     return replace(found, notes=(*record.notes, *filter(None, (without.told,)), *found.notes))

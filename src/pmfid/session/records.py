@@ -171,6 +171,8 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
         y = travel if config.output_kind != "counts" else counts.astype(np.float64) * resolution
         counts, resolution = floor_counts(y, quantize, 1e-9), quantize
         count_notes += (f"position quantised anew with a step of {quantize:g}",)
+    if config.output_kind == "counts" and resolution == 1:
+        count_notes += ("resolution is 1: lengths are in counts; give the travel of a count in [encoder]",)
     notes = notes_of(table) + units.notes + scale_notes + row_notes + motion_notes + count_notes
     u = _scaled(columns["input"], scale * units.u)
     if rows.whole:

@@ -23,6 +23,7 @@ from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.drives import Drives, all_known, of_kind
+from pmfid.session.gaps.longest import unbroken
 from pmfid.session.identify import explained
 from pmfid.session.kinds import Progress
 from pmfid.session.known import check_numbers_known
@@ -181,6 +182,7 @@ def search_drive(
     the same machine, which the models are to predict in place of parts of the first. Raises UsageError for what is no
     drive and NotIdentifiableError where the record is too short, or cannot identify the model to begin with.
     """
+    data, other = unbroken(data), None if other is None else unbroken(other)
     axis = of_kind(data, axis)
     model = axis.model.make()
     if not isinstance(model, Drive):

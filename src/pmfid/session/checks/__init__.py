@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterator
 from pmfid.findings import Finding, ordered
 from pmfid.session.checks.counter import forgotten_bits, frozen, held_output, jump
 from pmfid.session.checks.inputs import held_input, saturated
-from pmfid.session.checks.log import Log, without_gaps
+from pmfid.session.checks.log import Log
 from pmfid.session.checks.motion import no_inertia, no_motion
 from pmfid.session.checks.readings import read_as
 from pmfid.session.checks.timing import acts_late, drifts, too_fast, too_slow
 from pmfid.session.config import Axis
+from pmfid.session.gaps.longest import unbroken
 from pmfid.session.records import Record
 
 __all__ = ["LATER", "SOON", "Check", "checked", "glanced"]
@@ -34,13 +35,13 @@ LATER: tuple[tuple[Check, ...], ...] = ((drifts,), (no_inertia,))
 
 def glanced(record: Record, axis: Axis) -> tuple[Finding, ...]:
     """What the columns show at a glance."""
-    return ordered(_found(Log(without_gaps(record), axis), SOON))
+    return ordered(_found(Log(unbroken(record), axis), SOON))
 
 
 def checked(record: Record, axis: Axis, judged: bool = False) -> tuple[Finding, ...]:
     """All that is found; judged: but for an input that acts late, which an estimate is judged by as well."""
     families = (*SOON, *LATER) if judged else (*SOON, *LATER, (acts_late,))
-    return ordered(_found(Log(without_gaps(record), axis), families))
+    return ordered(_found(Log(unbroken(record), axis), families))
 
 
 def _found(log: Log, families: tuple[tuple[Check, ...], ...]) -> Iterator[Finding]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,7 @@ from pmfid.session.outliers import believed_of
 from pmfid.session.records import Record
 from pmfid.types import Counts, Floats
 
-__all__ = ["Log", "hasty", "liveliest", "without_gaps"]
+__all__ = ["Log", "hasty", "liveliest"]
 
 #: Part of a record that is looked at behind filters: the one with the most motion.
 MOST_SAMPLES = 8000
@@ -82,20 +82,6 @@ class Log:
             inside = [stop for stop in stops if stop[1] < self.part.stop]
             found = held_back(self.force, inside, self.view, offset, self.record.dt, self.record.resolution)
         return sorted(found)
-
-
-def without_gaps(record: Record) -> Record:
-    """The longest stretch of a record in which the input is known."""
-    known = np.isfinite(record.u)
-    if np.all(known):
-        return record
-    edges = np.flatnonzero(np.diff(np.r_[0, known, 0]))
-    if edges.size == 0:
-        return record
-    pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    first, last = max(pairs, key=lambda pair: pair[1] - pair[0])
-    there = None if record.there is None else record.there[first:last]
-    return replace(record, u=record.u[first:last], counts=record.counts[first:last], there=there)
 
 
 def hasty(change: Counts | Floats) -> float:

@@ -102,7 +102,8 @@ def by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floa
 
 def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
     """(p,) by which part of themselves the parameters move where as large a part of the samples that are there is lost
-    as well, and filled again: so much, or about so much, have those that are missing moved them."""
+    as well, and filled again: so much, or about so much, have those that are missing moved them; by all of themselves,
+    where too little is left to tell."""
     chance, part = np.random.default_rng(AGAIN), 1 - float(np.mean(there[np.isfinite(u)]))
     fewer = there & (chance.random(u.size) >= part)
     fewer[[0, -1]] = True
@@ -113,7 +114,7 @@ def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
         theta, found = method.settled(u, counts)[1], by_motion(method, *line, fewer) or line
         moved = method.settled(*found)[1] - theta
     except NotIdentifiableError:
-        return np.zeros(len(method.names))
+        return np.ones(len(method.names))
     return np.abs(moved) / np.maximum(np.abs(theta), np.finfo(float).tiny)
 
 

@@ -76,7 +76,7 @@ def _record(result: Guess, pair: Pair, found: tuple[str, str, str] | None, dt: f
     result.add("record", f"output = {quoted(pair.output)}", _why(pair))
     result.add("record", f'output_kind = "{pair.kind}"', KINDS[pair.kind])
     if found is None:
-        result.add("record", f"dt = {dt:g}", f"{TO_DO}no column is a time; the sample period in s")
+        result.add("record", f"dt = {dt:g}", f"{TO_DO}no column tells the time; the sample period in s")
         return
     name, unit, reason = found
     result.add("record", f"time = {quoted(name)}", f"it grows from row to row; a sample period of {dt:.6g} s")
@@ -99,7 +99,7 @@ def _why(pair: Pair) -> str:
 def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple[tuple[str, str, str] | None, float]:
     """Name, unit and reason of the time column, and the sample period [s]."""
     found = time_of(table, columns)
-    if found is None:
+    if found is None or _may_be_numbers(*found):
         answer = ask("sample period in s", "0.001") if ask else ""
         return None, _number(answer, USUAL)
     name, values, written = found
@@ -112,6 +112,11 @@ def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple
         return (name, "", ""), step
     unit = min(fitting, key=lambda one: abs(np.log(step * UNITS[one] / USUAL)))
     return (name, unit, f"it steps by {step:g}: in s no axis is sampled so"), step * UNITS[unit]
+
+
+def _may_be_numbers(name: str, values: Floats, written: bool) -> bool:
+    """Does it grow by 1 from row to row, as the number of a sample does, and nothing says that it is a time in ms?"""
+    return not written and named_unit(name) is None and bool(np.all(np.diff(values) == 1))
 
 
 def _encoder(result: Guess, pair: Pair, output: Floats, dt: float, ask: Ask | None) -> None:
@@ -129,6 +134,8 @@ def _encoder(result: Guess, pair: Pair, output: Floats, dt: float, ask: Ask | No
     step, found = step_of(output)
     reason = "the smallest step of the column" if found else "the column has no steps: as fine as its numbers"
     unit = column_unit(pair.output, OUTPUTS)
+    if unit is None:
+        reason = f'{TO_DO}taken to be in m or rad, else write "{step:.9g} mm" or "{step:.9g} deg"; {reason}'
     if pair.kind == "velocity":
         step, reason = step * dt * (unit.factor if unit else 1.0), f"{reason}, times the sample period"
         unit = None if unit is None or unit.plain else Unit("rad" if "ang" in unit.of else "m", "travel", 0.0)
