@@ -12,6 +12,7 @@ from pmfid import Drive, Encoder, identify
 from pmfid.errors import UsageError
 from pmfid.estimators.bridges import Body, bridged, gaps_in
 from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.restarts import Restart
 from pmfid.estimators.rls import RLS
 from pmfid.session.config import Axis
 from pmfid.session.gaps.longest import unbroken
@@ -241,3 +242,18 @@ def test_what_looks_at_one_motion_takes_the_longest_part_without_gaps_and_says_s
     part = unbroken(replace(whole, u=u))
     assert part.counts.tolist() == list(range(22, 90))
     assert part.notes == ("only the longest part without gaps is used here: 68 of 100 samples",)
+
+
+def test_a_start_behind_a_gap_is_found_though_the_axis_moves_otherwise_there() -> None:
+    """From rest a speed moves little, beyond friction much: steps by the effect at rest ran away, and overflowed."""
+    t = np.linspace(0.0, 1.0, 50)
+
+    def motion(parameters: Floats, speed: float, force: Floats | None) -> tuple[Floats, Floats]:
+        moved = 0.1 * speed if abs(speed) < 0.05 else 0.1 * speed + 10 * (abs(speed) - 0.05) * np.sign(speed)
+        return moved * t, np.full(50, moved)
+
+    y = motion(np.zeros(0), 0.31, None)[0]
+    behind = Restart(slice(0, 50), y + 7.0, 1e-8, 0.0, 0.1, motion)
+    position, _ = behind.best(np.zeros(0), None)
+    assert behind.speed == pytest.approx(0.31, rel=1e-3)
+    assert position - 7.0 == pytest.approx(y, abs=1e-3)

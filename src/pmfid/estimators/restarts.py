@@ -16,6 +16,8 @@ from pmfid.types import Floats
 #: Speeds behind a gap are looked for in so many turns, until a step is this part of what is known beforehand: within
 #: that the motion is linear.
 TURNS, SMALL = 30, 1e-3
+#: A step that leads to no better motion is tried once more as this part of itself.
+SHORTER = 0.25
 #: Step of the difference quotient by that speed, as a part of the same.
 STEP = 0.1
 #: Parameters, start velocity, force on top -> position from 0 and velocity, as `Difference.motion`.
@@ -38,24 +40,54 @@ class Restart:
     known: float
     motion: Motion
     speed: float = field(init=False)
-    effect: Floats | None = field(default=None, init=False)
+    effect: Floats = field(default_factory=lambda: np.zeros(0), init=False)
 
     def __post_init__(self) -> None:
         self.speed = self.shown
 
     def best(self, parameters: Floats, force: Floats | None) -> tuple[Floats, Floats]:
         """Position and velocity (n,) from the start of least squares."""
-        if self.effect is None:
-            sides = (self.motion(parameters, self.shown + side * STEP * self.known, force)[0] for side in (1.0, -1.0))
-            effect = np.subtract(*sides) / (2 * STEP * self.known)
-            self.effect = np.asarray(effect - np.mean(effect))
         prior = self.white / self.known**2
-        power = float(self.effect @ self.effect) + prior
+        if self.effect.size == 0:
+            self.effect = self._effect_at(self.shown, parameters, force)
+        fresh, found = True, self._from(self.speed, parameters, force)
+        step = self._step(found.apart, prior)
         for _ in range(TURNS):
-            position, velocity = self.motion(parameters, self.speed, force)
-            apart = self.y - position
-            step = (float(apart @ self.effect) + prior * (self.shown - self.speed)) / power
-            self.speed += step
             if abs(step) < SMALL * self.known:
-                break
-        return position + step * self.effect + np.mean(apart), velocity
+                return found.position + step * self.effect, found.velocity
+            tried = self._from(self.speed + step, parameters, force)
+            if self._left(tried, self.speed + step, prior) < self._left(found, self.speed, prior):
+                self.speed, found, fresh = self.speed + step, tried, True
+                step = self._step(found.apart, prior)
+            elif fresh:  # behind a stop the position moves with the speed otherwise than where the effect was taken
+                self.effect, fresh = self._effect_at(self.speed, parameters, force), False
+                step = self._step(found.apart, prior)
+            else:
+                step *= SHORTER
+        return found.position, found.velocity
+
+    def _from(self, speed: float, parameters: Floats, force: Floats | None) -> _Moved:
+        position, velocity = self.motion(parameters, speed, force)
+        level = float(np.mean(self.y - position))
+        return _Moved(position + level, velocity, self.y - position - level)
+
+    def _effect_at(self, speed: float, parameters: Floats, force: Floats | None) -> Floats:
+        sides = (self.motion(parameters, speed + side * STEP * self.known, force)[0] for side in (1.0, -1.0))
+        effect = np.subtract(*sides) / (2 * STEP * self.known)
+        return np.asarray(effect - np.mean(effect))
+
+    def _step(self, apart: Floats, prior: float) -> float:
+        power = float(self.effect @ self.effect) + prior
+        return (float(apart @ self.effect) + prior * (self.shown - self.speed)) / power
+
+    def _left(self, moved: _Moved, speed: float, prior: float) -> float:
+        return float(moved.apart @ moved.apart) + prior * (self.shown - speed) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Moved:
+    """Position and velocity (n,) from a start, and what is left of the counts' (n,)."""
+
+    position: Floats
+    velocity: Floats
+    apart: Floats
