@@ -327,3 +327,15 @@ def test_a_monitor_can_be_homed(calibration: Calibration) -> None:
 def test_a_monitor_is_homed_to_whole_counts_alone(calibration: Calibration) -> None:
     with pytest.raises(TypeError):
         Monitor(make_riv(1024, TRUTH), calibration, Watch()).rebase(1.5)  # type: ignore[arg-type]
+
+
+def test_samples_lost_while_the_input_switches_are_not_drawn_as_lines(calibration):
+    """Nobody knows in which it did: a line through a switch led Coulomb friction below zero."""
+    u, counts = normal_work(3, 1024, 0.02)
+    for jump, settles in ((0.0, False), (20.0, True)):
+        monitor = Monitor(make_riv(1024, TRUTH), calibration, Watch())
+        for pair in zip(u[:1500], counts[:1500].tolist(), strict=True):
+            monitor.step(*pair)
+        monitor.between(2, u[1502] + jump * np.ptp(u), int(counts[1502]))
+        estimate, _ = monitor.step(u[1502], int(counts[1502]))
+        assert (Status.SETTLING in Status(estimate.status)) == settles
