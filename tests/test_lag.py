@@ -138,17 +138,17 @@ def test_saved_states_go_on_with_the_same_bits() -> None:
 def test_which_of_the_two_it_is_is_said_and_the_remedy_helps(axis: str, kind: str, said: str) -> None:
     run = behind(axis, *((0.8, 0.0) if kind == "lag" else (0.0, 0.8)), switches=100)
     found = examine(made(IV, axis), run.u, run.counts)
-    ((flag, sentence),) = late(found)
-    assert flag == "dead_time"
-    assert sentence.startswith(f"{said} of about 0.8 samples explains the counts better, a ")
-    assert f'set {kind} = "estimate" in [model]' in sentence
+    (finding,) = late(found)
+    assert finding.code == "dead_time"
+    assert finding.text.startswith(f"{said} of about 0.8 samples explains the counts better, a ")
+    assert f'set {kind} = "estimate" in [model]' in finding.text
     assert examine(made(IV, axis, **{kind: "estimate"}), run.u, run.counts).adequate
 
 
 def test_the_wrong_one_in_the_model_is_said() -> None:
     run = behind("cart", 0.8)
     (finding,) = late(examine(made(IV, "cart", dead_time="estimate"), run.u, run.counts))
-    assert 'set lag = "estimate" and dead_time = 0 in [model]' in finding[1]
+    assert 'set lag = "estimate" and dead_time = 0 in [model]' in finding.text
 
 
 def test_what_acts_at_once_is_not_said_to_act_late() -> None:

@@ -14,6 +14,7 @@ import pytest
 
 import pmfid
 from pmfid.estimators.registry import methods_for
+from pmfid.findings import Finding, noted
 from pmfid.judge.balance import Balance
 from pmfid.judge.correlations import make_balance
 from pmfid.models.equation import VISCOUS_FORWARD
@@ -244,7 +245,7 @@ def test_a_coarse_encoder_in_the_loop_is_named_as_a_cause() -> None:
     result = clean(increments=128)
     remark = "Look at a record in open loop"
     assert remark not in sentences(result)["Residual over velocity and position"]
-    looped = replace(result, status=("feedback",))
+    looped = replace(result, findings=(Finding("feedback", "the input follows"),))
     assert remark in sentences(looped)["Residual over velocity and position"]
 
 
@@ -259,7 +260,7 @@ def test_with_forgetting_only_the_last_memories_are_judged() -> None:
 
 
 def test_report_has_the_checks_last_and_each_note_on_its_line(tmp_path: Path) -> None:
-    result = replace(clean(), notes=("one", "two"))
+    result = replace(clean(), findings=tuple(noted("x", ["one", "two"])))
     write_result(tmp_path, result)
     page = (tmp_path / "report.html").read_text("utf-8")
     assert re.findall(r"<h2>(?:Model check: )?(.*)</h2>", page)[-4:] == list(HEADINGS)
