@@ -8,6 +8,7 @@ import numpy as np
 
 from pmfid.findings import Finding
 from pmfid.session.checks.log import Log
+from pmfid.session.checks.readings import is_exchanged
 from pmfid.session.checks.view import MASS
 
 __all__ = ["no_inertia", "no_motion"]
@@ -29,7 +30,7 @@ def no_motion(log: Log) -> Iterator[Finding]:
         sentence = f"the input column {log.axis.record.input!r} is zero throughout"
         yield Finding("little_motion", sentence, "log what drives the axis", "wrong")
         return
-    if travel < FEWEST:
+    if travel < FEWEST and not is_exchanged(log):
         yield Finding(
             "little_motion",
             f"the axis moves by {travel} counts in all: the encoder's steps hide the motion",

@@ -14,13 +14,17 @@ import numpy as np
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.findings import Finding
 from pmfid.session.checks.log import Log, hasty, liveliest
+from pmfid.session.checks.timing import drifts
 from pmfid.session.checks.view import MASS, VISCOUS, View, best_view
 from pmfid.types import Counts, Floats
 
-__all__ = ["INTEGRATE", "integrated", "read_as", "turned"]
+__all__ = ["INTEGRATE", "integrated", "is_exchanged", "read_as", "turned"]
 
 #: Part of the input that a reading may leave unexplained, of all of it, and of what the record as it stands leaves.
 FOLLOWS, BETTER = 0.15, 0.3
+#: The same, with friction of forms that no reading has, where the input is not of another clock: an integral follows
+#: that as well.
+LOOSELY = 0.3
 #: With a part this small left, and a mass that is seen, no other reading need be tried.
 CLEARLY = 0.001
 #: Standard deviations from which on a sign is certain, and from which on it is likely.
@@ -59,14 +63,21 @@ def _other_reading(log: Log) -> Finding | None:
         return None
     velocity, exchanged = _left(_velocity(log)), _left(_exchanged(log))
     better = ALIKE if hasty(log.change) > ROUGH > SMOOTH > hasty(np.diff(log.record.u)) else BETTER
-    if exchanged < min(FOLLOWS, better * left, velocity):
+    bound = min(better * left, velocity)
+    if exchanged < min(FOLLOWS, bound) or (exchanged < min(LOOSELY, bound) and not any(drifts(log))):
         return _said("exchanged", "input and output are exchanged", _exchange(log), exchanged)
     if log.sudden_stops or log.view is None or log.view.one_way or log.axis.record.output_kind == "velocity":
         return None
-    if velocity < min(FOLLOWS, left * (BETTER if heavy else 1.0 if _is_one_body(log.view) else ALIKE)):
+    bound = left * (BETTER if heavy else 1.0 if _is_one_body(log.view) else ALIKE)
+    if velocity < min(FOLLOWS, bound) or (velocity < min(LOOSELY, bound) and not any(drifts(log))):
         mistake = f"the output column {log.axis.record.output!r} is a velocity and no position"
         return _said("velocity", mistake, RATE, velocity)
     return None
+
+
+def is_exchanged(log: Log) -> bool:
+    """Do the columns follow each other the other way round, whatever they do as they stand?"""
+    return log.is_machine and _left(_exchanged(log)) < FOLLOWS
 
 
 def _said(code: str, mistake: str, remedy: str, left: float) -> Finding:
