@@ -232,7 +232,11 @@ def test_every_format_has_a_reader_is_told_of_and_is_attacked() -> None:
 def test_every_file_that_a_recipe_names_is_there() -> None:
     recipes = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8").partition("## Adding things")[2]
     named = set(re.findall(r"`([\w./-]*\w\.(?:py|pyi|pyx|pxd|pxi|c|h|md|toml|in))`", recipes))
-    there = [f"/{path}" for folder in ("src", "csrc", "tests", "docs") for path in (REPOSITORY / folder).rglob("*")]
+    there = [
+        f"/{path}"
+        for folder in ("src", "csrc", "tests", "docs", "studies")
+        for path in (REPOSITORY / folder).rglob("*")
+    ]
     there += [f"/{path}" for path in REPOSITORY.iterdir()]
     assert len(named) > 30
     assert {name for name in named if not any(path.endswith(f"/{name}") for path in there)} == set()
