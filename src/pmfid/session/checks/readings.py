@@ -14,7 +14,7 @@ import numpy as np
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.findings import Finding
 from pmfid.session.checks.log import Log, hasty, liveliest
-from pmfid.session.checks.timing import drifts
+from pmfid.session.checks.timing import drifts, too_slow
 from pmfid.session.checks.view import MASS, VISCOUS, View, best_view
 from pmfid.types import Counts, Floats
 
@@ -69,10 +69,15 @@ def _other_reading(log: Log) -> Finding | None:
     if log.sudden_stops or log.view is None or log.view.one_way or log.axis.record.output_kind == "velocity":
         return None
     bound = left * (BETTER if heavy else 1.0 if _is_one_body(log.view) else ALIKE)
-    if velocity < min(FOLLOWS, bound) or (velocity < min(LOOSELY, bound) and not any(drifts(log))):
+    if velocity < min(FOLLOWS, bound) or (velocity < min(LOOSELY, bound) and _is_in_time(log)):
         mistake = f"the output column {log.axis.record.output!r} is a velocity and no position"
         return _said("velocity", mistake, RATE, velocity)
     return None
+
+
+def _is_in_time(log: Log) -> bool:
+    """Is the input of the output's clock, and the record fast enough for the axis?"""
+    return not (any(too_slow(log)) or any(drifts(log)))
 
 
 def is_exchanged(log: Log) -> bool:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.configuration import like
 from pmfid.estimators.cutoff import choose_cutoff
 from pmfid.estimators.interval import IntervalML
 from pmfid.findings import Finding
 from pmfid.judge.counts import counts_per_sample
 from pmfid.judge.drive import examined
 from pmfid.judge.late import late
+from pmfid.models.drive import Drive
+from pmfid.models.equation import ESTIMATE
 from pmfid.session.checks.log import Log, hasty, liveliest
 from pmfid.session.checks.shift import Drift, drift_of
 from pmfid.session.checks.view import view
@@ -122,5 +126,23 @@ def acts_late(log: Log) -> Iterator[Finding]:
         cutoff = axis.estimator.cutoff or choose_cutoff([model], encoder, record.dt, record.u, record.counts)
         method = IntervalML(model, encoder, record.dt, cutoff, order=axis.estimator.order)
         found = examined(method, record.u, record.counts, np.zeros(len(method.equation.names)))
-        if found is not None and not found.adequate:
-            yield from late(found)
+        if found is None or found.adequate:
+            return
+        told = list(late(found))
+        if told and any(_is_enough(method, key, record.u, record.counts) for key in ("dead_time", "lag")):
+            yield from told
+
+
+def _is_enough(method: IntervalML, key: str, u: Floats, counts: Counts) -> bool:
+    """Does the model explain the counts with a dead time or a lag, and nothing else? Friction that it lacks may look
+    like one."""
+    if not isinstance(method.model, Drive):
+        return True
+    with suppress(NotIdentifiableError, UsageError):
+        late_by = (
+            replace(method.model, dead_time=ESTIMATE) if key == "dead_time" else replace(method.model, lag=ESTIMATE)
+        )
+        wider = like(IntervalML, method, model=late_by)
+        found = examined(wider, u, counts, np.zeros(len(wider.equation.names)))
+        return found is not None and found.adequate
+    return False
