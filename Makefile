@@ -5,7 +5,7 @@ BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.py' -o -name '*.py[ix]' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.j2')
 
-.PHONY: demo test check format bench study hostile firmware firmware-tools images clean
+.PHONY: demo test test-long check format bench study hostile firmware firmware-tools images clean
 
 # What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. Not compiled to
 # bytecode before it is imported: most of it never is.
@@ -38,7 +38,13 @@ firmware-tools:
 # in one of them; benchmarks stay out, they want the machine for themselves.
 WORKERS ?= auto
 test: .venv/tools firmware-tools
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark \
+	-m "not long"
+
+# The rest, of seconds each.
+test-long: .venv/tools firmware-tools
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark \
+	-m long
 
 KERNEL = $(wildcard csrc/*.[ch] csrc/many/*.[ch])
 

@@ -112,6 +112,7 @@ def test_a_wrong_model_is_known(name, motion, wrong):
 
 
 @pytest.mark.parametrize(("name", "motion"), CELLS)
+@pytest.mark.long
 def test_nothing_is_confident_and_wrong_with_stribeck_friction(name, motion):
     axis = AXES[name]
     truth = np.array([axis.drive.mass, axis.drive.viscous_friction, axis.drive.coulomb_friction])

@@ -18,11 +18,13 @@ def assert_numbers(page: str) -> None:
 
 
 @pytest.mark.parametrize("name", QUICK)
+@pytest.mark.long
 def test_a_section_has_numbers(name):
     study = STUDIES[name]
     assert_numbers("\n".join(study.write(1, {task: study.work(*task) for task in study.tasks(1)})))
 
 
+@pytest.mark.long
 def test_the_page_says_how_it_was_made_and_is_the_same_whatever_the_processes():
     page = run(1, 1, ["published"])
     assert run(1, 2, ["published"]) == page

@@ -111,6 +111,7 @@ def test_the_second_round_mends_a_wrong_mass(factor: float) -> None:
     assert state.rounds[-1].known.parameters["mass"] == pytest.approx(1.5, rel=1e-4)
 
 
+@pytest.mark.long
 def test_it_stops_when_the_wanted_deviation_is_reached() -> None:
     experiment = simulated_experiment(CASE, {}, np.random.default_rng(0))
     state = sequential(CASE, experiment, {"mass": 1e-3}, starts=3, rounds=5)

@@ -259,6 +259,7 @@ def test_every_export_has_a_self_test_and_an_example_that_run(folder: Path) -> N
 @pytest.mark.parametrize(
     "target", [pytest.param(target, marks=needs(target), id=target.name) for target in (GCC, CLANG)]
 )
+@pytest.mark.long
 def test_the_canary_finds_spoilt_arithmetic(target: Target, precision: str, tmp_path: Path) -> None:
     pmfid.export_firmware(make(pmfid.RLS, precision), tmp_path)
     assert selftest(tmp_path, target).returncode == 0

@@ -485,6 +485,7 @@ def test_a_result_in_python_predicts(records: dict[str, CartRecord]) -> None:
     assert pmfid.validate(result, record.u, record.counts).runs[0].fit > 99
 
 
+@pytest.mark.long
 def test_all_methods_side_by_side(folder: Path) -> None:
     told = json.loads(invoked("compare", folder / "run.csv", "--config", folder / "axis.toml", "--json"))
     for method in ("ls", "iv", "output-error", "riv"):

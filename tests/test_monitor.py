@@ -169,6 +169,7 @@ def test_a_tail_is_read_off_beyond_what_was_seen() -> None:
         assert tail.threshold(hours) == pytest.approx(2 * np.log(hours * 36_000), rel=0.06)
 
 
+@pytest.mark.long
 def test_alarms_are_as_rare_as_asked() -> None:
     """A small version of the study: a false alarm in a quarter of an hour, over nine hours under control."""
     u, counts = normal_work(7, INCREMENTS, 0.5)

@@ -91,6 +91,7 @@ MACHINES = {
 
 
 @pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.long
 def test_false_alarms_of_another_machine(name: str) -> None:
     """One alarm an hour is asked; with the simulation's thresholds nearly every detector gave more than ten."""
     machine, riv = MACHINES[name], make_riv(INCREMENTS)

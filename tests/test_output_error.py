@@ -93,6 +93,7 @@ def test_output_error_is_no_worse_than_instrumental_variables():
 
 
 @pytest.mark.parametrize("increments", [128])
+@pytest.mark.long
 def test_the_likelihood_of_the_counts_beats_every_method_for_white_noise(increments):
     """Even below the bound of the white-noise model, by a factor of two at least: counts know more than that."""
     iv, oe, interval = (mass_std(method, increments) for method in METHODS)

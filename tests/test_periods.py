@@ -45,6 +45,7 @@ def test_a_period_is_found_where_there_is_one():
 
 
 @pytest.mark.parametrize(("noise", "settled"), [("resonance", True), ("AR(1) 0.9", False)])
+@pytest.mark.long
 def test_the_right_model_of_ten_periods_is_right(noise, settled):
     """In the steady state or not: nothing leaks from one period into the next, as in a transform of each."""
     z, alarms = [], 0
@@ -57,6 +58,7 @@ def test_the_right_model_of_ten_periods_is_right(noise, settled):
 
 
 @pytest.mark.parametrize(("n", "m"), [(2, 0), (3, 1)])
+@pytest.mark.long
 def test_the_error_of_a_model_does_not_average_out(n, m):
     """With four times the periods the bars were half as long, and the estimate as wrong."""
     bars, errors = [], []

@@ -199,6 +199,7 @@ def test_picture_has_the_papers_colours_and_the_csv_what_is_drawn(tmp_path: Path
     assert [row["RLS: 1 inc"] for row in rows][:5] == [""] * 5
 
 
+@pytest.mark.long
 def test_same_seeds_same_files_whatever_the_processes(tmp_path: Path) -> None:
     folders = [tmp_path / "one", tmp_path / "two"]
     for jobs, folder in enumerate(folders, start=1):

@@ -154,6 +154,7 @@ def test_a_state_that_samples_made_is_taken(name: str, estimator: RecursiveEstim
     ("name", "place"), [("8-bcrls-float32", "export"), ("5-rls-float64", "export"), ("1-bcrls-float32", "fleet")]
 )
 @needs(GCC)
+@pytest.mark.long
 def test_crafted_states_do_no_harm(name: str, place: str, tmp_path: Path) -> None:
     """All estimators in all three places: `make hostile`."""
     estimator = dict(estimators())[name]

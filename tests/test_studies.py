@@ -17,6 +17,7 @@ from studies.wrong_plants import PLANTS, wrong_record
 # --- the page ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_page_has_the_section_that_was_asked_for(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     assert accuracy.main(["--out", str(page), "--seeds", "1", "--jobs", "1", "--only", "starts"]) == 0
