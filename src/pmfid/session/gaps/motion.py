@@ -8,16 +8,14 @@ far as one sample of the input moves the axis.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.bridges import Body
 from pmfid.estimators.difference import rms
 from pmfid.estimators.iv import IV
-from pmfid.estimators.motion import mean_velocity
-from pmfid.models.equation import MASS, VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
+from pmfid.models.equation import MASS
 from pmfid.session.gaps.smoother import Steps, smoothed
 from pmfid.session.gaps.standing import Gap, filled, gaps_of, is_held
 from pmfid.types import Counts, Flags, Floats
@@ -41,27 +39,13 @@ KNOWN = 0.25
 WITHIN = 1.0
 
 
-@dataclass(frozen=True)
-class Machine:
-    """A model at parameters theta (p,), sampled every dt [s] with an encoder's step [unit of y]; cutoff: of its filters
-    [rad/s]."""
-
-    equation: Equation
-    theta: Floats
-    dt: float
-    step: float
-    cutoff: float
+class Machine(Body):
+    """A model at its parameters, and what filling a gap asks of it."""
 
     def motion(self, u: Floats, speed: float) -> tuple[Floats, Floats]:
         """Position [counts] from 0 and velocity [counts/s], (n,), from a speed [counts/s] on."""
-        velocity = mean_velocity(self.equation, self.theta, self.dt, u, speed * self.step) / self.step
+        velocity = self.speeds(u, speed)[0]
         return np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt, velocity
-
-    @property
-    def decay(self) -> float:
-        """Of a deviation of the velocity [1/s]."""
-        values = self._values
-        return max(0.0, (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2 / values[MASS])
 
     @property
     def often(self) -> int:
@@ -71,12 +55,7 @@ class Machine:
     @property
     def push(self) -> float:
         """By how much a unit of the input moves the velocity in one sample [counts/s]."""
-        return self.equation.input_gain * self.dt / self._values[MASS] / self.step
-
-    @property
-    def _values(self) -> list[float]:
-        own = len(self.equation.names)
-        return list(self.equation.known_at(self.theta[own:]).role_values(self.theta))
+        return self.equation.input_gain * self.dt / self.values[MASS] / self.step
 
 
 def by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts] | None:
