@@ -21,6 +21,8 @@ DISTINCT, MOST_WHOLE = 10_000, 20
 
 
 def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
+    """Counts (n,) of the output column (n,) [unit of y, or counts] as `axis` describes it, and notes for people. Raises
+    UsageError for what is neither counts nor a position, and beyond 2**53 counts."""
     bits = axis.encoder.bits
     if axis.record.output_kind != "counts":
         if axis.record.output_kind == "position":
@@ -56,6 +58,8 @@ def _whole(output: Floats) -> Counts:
 
 
 def floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
+    """Counts (n,) of a floor quantiser of a step, for positions y (n,), both in unit of y; tolerance: part of a step by
+    which a position below an edge still belongs to it. Raises UsageError beyond 2**53 counts."""
     with np.errstate(over="ignore"):
         counts = np.floor(y / step + tolerance)
     bad = np.flatnonzero(np.abs(counts) >= _MAX_COUNT)
