@@ -32,6 +32,12 @@ TOLD = 4.5
 AGAINST = 3.0
 
 
+#: Part of the rows of a time column that follow the one before by nearly the same step, and how nearly.
+MOSTLY, EVEN = 0.9, 0.2
+#: Correlation with the change of the output from which on a column is its velocity, and no input.
+SAME = 0.99
+
+
 @dataclass(frozen=True, eq=False)
 class Pair:
     """Input and output by name; kind: "counts", "position" or "velocity"; turned: the input drives against the output;
@@ -73,7 +79,8 @@ def time_of(table: Table, columns: Mapping[str, Floats]) -> tuple[str, Floats, b
 def _even(values: Floats) -> bool:
     """Does it grow by nearly the same from row to row, as time does and no motion?"""
     steps = np.diff(values)
-    return bool(np.all(steps > 0) and np.ptp(steps) < 0.2 * np.median(steps))
+    usual = np.abs(steps - np.median(steps)) < EVEN * np.median(steps)
+    return bool(np.all(steps > 0) and np.mean(usual) > MOSTLY)
 
 
 def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
@@ -102,7 +109,9 @@ def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
 
 
 def _tried(columns: Mapping[str, Floats], name: str, output: str, role: Role, dt: float) -> Pair | None:
-    """A pair of columns, as what it explains most."""
+    """A pair of columns, as what it explains most; None of a column and its own velocity."""
+    if role != "velocity" and _is_rate(columns[name], columns[output]):
+        return None
     kinds = (role,) if role == "velocity" else ("position",) if role == "counts" else ("position", "velocity")
     found = [(kind, _view(columns[name], columns[output], kind, dt)) for kind in kinds]
     seen = [(kind, view) for kind, view in found if view is not None]
@@ -112,6 +121,13 @@ def _tried(columns: Mapping[str, Floats], name: str, output: str, role: Role, dt
     kind, view = min(seen, key=lambda pair: _cost(pair[1]) * (AGAINST if role and pair[0] != role else 1.0))
     explained = max(0.0, 1 - _cost(view))
     return Pair(name, output, _whole(output, columns[output], kind), is_turned(view), explained, "")
+
+
+def _is_rate(values: Floats, output: Floats) -> bool:
+    """Is a column (n,) the velocity of the output (n,), as a drive logs it beside the position?"""
+    change = np.gradient(output)
+    size = float(np.std(values) * np.std(change))
+    return size > 0 and float(np.mean((values - values.mean()) * (change - change.mean()))) > SAME * size
 
 
 def _cost(view: View) -> float:
