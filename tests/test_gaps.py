@@ -257,3 +257,19 @@ def test_a_start_behind_a_gap_is_found_though_the_axis_moves_otherwise_there() -
     position, _ = behind.best(np.zeros(0), None)
     assert behind.speed == pytest.approx(0.31, rel=1e-3)
     assert position - 7.0 == pytest.approx(y, abs=1e-3)
+
+
+def test_a_row_right_behind_another_costs_no_record() -> None:
+    """As a logger starts: a real record with two rows 0.1 ms apart and 6.7 ms between all others was refused."""
+    time = np.r_[0.0, 1e-4 + DT * np.arange(300)]
+    config = Axis.model_validate(
+        {
+            "record": {"input": "u", "output": "y", "time": "t", "time_unit": "s"},
+            "encoder": {"resolution": STEP},
+            "model": {"input_gain": 1.0},
+        }
+    ).record
+    rows = laid(time, np.ones(301, bool), np.zeros(301, bool), config)
+    assert rows.dt == pytest.approx(DT, rel=1e-3)
+    assert rows.rows.size == 300
+    assert "1 row comes less than 0.3 of a period behind another: left out" in rows.notes

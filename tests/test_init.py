@@ -60,6 +60,15 @@ LOGS: dict[str, tuple[Callable[[], Frame], float]] = {
         },
         RESOLUTION / 2,
     ),
+    "beside its velocity": (
+        lambda: {
+            "c0": np.r_[run().motion.t[1] - 1e-4, run().motion.t[1:]],
+            "c1": run().motion.u,
+            "c2": position(),
+            "c3": np.gradient(position()) / 0.01,
+        },
+        0.5,
+    ),
     "nameless": (lambda: {"c0": run().motion.t, "c1": position(), "c2": run().motion.u}, 0.5),
 }
 

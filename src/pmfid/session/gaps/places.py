@@ -24,6 +24,8 @@ SHORT = 5
 SETTLED = 1e-9
 #: Standard deviation [periods] of stamps that are late or early by chance; stamps that know of no grid have 0.29.
 SCATTER = 0.2
+#: A row that comes within this part of a period behind another is odd, where no larger part of the rows does.
+EARLY, RARE = 0.3, 0.001
 #: Turns in which grid and places are found, each from the other.
 TURNS = 5
 #: Of the steps of a grid at least so many are single ones.
@@ -55,6 +57,7 @@ def laid(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig
         rows = np.flatnonzero(kept)
         return Laid(rows, _shortened(rows), *sample_period(None, config))
     rows, repeats = _without_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
+    rows, early = _without_early(time, rows)
     stamps, places = time[rows], np.arange(rows.size)
     if not (_steady(stamps) or even_grid(stamps)[1]):
         found = _places(stamps)
@@ -63,7 +66,7 @@ def laid(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig
             stamps = stamps[0] + period * np.arange(places[-1] + 1)
     dt, notes = sample_period(stamps, config)  # which refuses what is on no grid
     counts = kept[rows]
-    return Laid(rows[counts], _shortened(places[counts]), dt, (*repeats, *notes))
+    return Laid(rows[counts], _shortened(places[counts]), dt, (*repeats, *early, *notes))
 
 
 def left_out(
@@ -98,6 +101,17 @@ def _without_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> t
         return rows, ()
     said = "rows repeat the row before, time and all: they are" if count > 1 else "row repeats the row before: it is"
     return rows[~again], (f"{count} {said} left out",)
+
+
+def _without_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+    """Rows without the few that come right behind another, as where a logger starts: no grid has a place for them."""
+    steps = np.diff(time[rows])
+    early = np.r_[False, (steps > 0) & (steps < EARLY * np.median(steps))] if steps.size else np.zeros(rows.size, bool)
+    count = int(np.count_nonzero(early))
+    if not 0 < count <= max(1, RARE * rows.size):
+        return rows, ()
+    said = "rows come" if count > 1 else "row comes"
+    return rows[~early], (f"{count} {said} less than {EARLY:g} of a period behind another: left out",)
 
 
 def _places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
