@@ -234,14 +234,14 @@ def test_several_files_of_one_axis(tmp_path: Path) -> None:
     assert data.name == "0.csv, 1.csv"
 
 
-def test_what_looks_at_one_motion_takes_the_longest_part_without_gaps_and_says_so() -> None:
-    u, counts = np.ones(100), np.arange(100)
+def test_what_looks_at_one_motion_takes_the_part_without_gaps_that_moves_most_and_says_so() -> None:
+    u, counts = np.ones(200), np.minimum(np.arange(200), 95)  # at rest in the longest part
     whole = Record(u, counts, 0.01, 1.0, (), "run")
     assert unbroken(whole) is whole
     u[[20, 21, 90]] = np.nan
     part = unbroken(replace(whole, u=u))
     assert part.counts.tolist() == list(range(22, 90))
-    assert part.notes == ("only the longest part without gaps is used here: 68 of 100 samples",)
+    assert part.notes == ("only the part without gaps that moves most is used here: 68 of 200 samples",)
 
 
 def test_a_start_behind_a_gap_is_found_though_the_axis_moves_otherwise_there() -> None:

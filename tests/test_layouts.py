@@ -13,6 +13,7 @@ import pytest
 from pmfid.errors import UsageError
 from pmfid.session.config import load_axis
 from pmfid.session.formats.layout import layout_of
+from pmfid.session.formats.reading import read_table
 from pmfid.session.records import Record, read_record
 
 DT, N = 0.004, 300
@@ -268,3 +269,10 @@ def test_a_trace_of_codesys(tmp_path: Path) -> None:
             record = read_record(tmp_path / "run.txt", axis)
     same(record)
     assert "the time column 'Cycle' counts samples of 0.004 s" in record.notes
+
+
+def test_a_line_of_missing_numbers_is_no_header(tmp_path: Path) -> None:
+    """As a logger begins before it has any; the row of units above it names turns per second and a number."""
+    head = "%Motor data\n\n%timestep,voltage,position,speed\n%[#],[V],[turns],[turns/s]\nnan,nan,nan,nan;\n"
+    (tmp_path / "log.csv").write_text(head + "".join(f"{k},{k % 3}.5,{k / 8},0.0;\n" for k in range(40)))
+    assert list(read_table(tmp_path / "log.csv"))[:3] == ["timestep [#]", "voltage [V]", "position [turns]"]

@@ -29,8 +29,8 @@ _NUMBER = {
 _TIME = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d\d(:\d\d([.,]\d+)?)?(Z|[+-]\d\d:?\d\d)?|\d{4}-\d\d-\d\d")
 _WORDS = ("", "na", "n/a", "nan", "null", "none", "inf", "-inf", "+inf", "infinity", "true", "false")
 _UNIT = re.compile(
-    r"[\[(]?\s*(-|%|1|s|ms|[uµμ]s|ns|sec|m|mm|[uµμ]m|nm|cm|rad|mrad|deg|°|rev|turns?|inc|counts?|cts?|pulses?|m?[VAN]|"
-    r"N\s?m|Nm|kg|Hz|rpm|1/min|bool|°C|(m|mm|rad|deg|rev|°|cts|counts)(/s|/s2|/s\^2|\s?s-1))\s*[\])]?"
+    r"[\[(]?\s*(-|%|#|1|s|ms|[uµμ]s|ns|sec|m|mm|[uµμ]m|nm|cm|rad|mrad|deg|°|rev|turns?|inc|counts?|cts?|pulses?|m?[VAN]|"
+    r"N\s?m|Nm|kg|Hz|rpm|1/min|bool|°C|(m|mm|rad|deg|rev|turns?|°|cts|counts)(/s|/s2|/s\^2|\s?s-1))\s*[\])]?"
 )
 
 
@@ -163,7 +163,7 @@ def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple
     lines = [split(line.strip().lstrip("#%/ "), separator) for line in above]
     if scope := _scope_names([line for line in lines if len(line) == len(fields)]):
         return scope, True
-    rows = [row for line in reversed(lines) if any(row := _as_long(line, fields))]
+    rows = [row for line in reversed(lines) if _says_names(row := _as_long(line, fields))]
     if not rows:
         return tuple(f"column_{k}" for k in range(1, len(fields) + 1)), False
     header, units = rows[0], [""] * len(fields)
@@ -171,6 +171,11 @@ def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple
         header, units = rows[1], [unit.strip("[]() ") for unit in header]
     names = [name or f"column_{k}" for k, name in enumerate(header, 1)]
     return tuple(f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)), True
+
+
+def _says_names(row: Sequence[str]) -> bool:
+    """Is it more than the numbers that a line of data lacks?"""
+    return any(field.rstrip(";").strip().lower() not in _WORDS for field in row)
 
 
 def _scope_names(lines: Sequence[Sequence[str]]) -> tuple[str, ...]:

@@ -111,7 +111,11 @@ def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple
     if "s" in fitting or not fitting:
         return (name, "", ""), step
     unit = min(fitting, key=lambda one: abs(np.log(step * UNITS[one] / USUAL)))
-    return (name, unit, f"it steps by {step:g}: in s no axis is sampled so"), step * UNITS[unit]
+    return (
+        name,
+        unit,
+        f"{TO_DO}it steps by {step:g}, in s no axis is sampled so; ticks of a clock are none of these units",
+    ), step * UNITS[unit]
 
 
 def _may_be_numbers(name: str, values: Floats, written: bool) -> bool:

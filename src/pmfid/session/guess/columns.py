@@ -71,6 +71,7 @@ def time_of(table: Table, columns: Mapping[str, Floats]) -> tuple[str, Floats, b
     for name in (*named, *content):
         with suppress(UsageError):
             values, written = times(table, name)
+            values = values[np.isfinite(values)]
             if values.size > 10 and np.mean(np.diff(values) > 0) > 0.9:
                 return name, values, written
     return None
