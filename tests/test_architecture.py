@@ -52,10 +52,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     "design": {"errors", "types", "shown", "door", "models", "simulation"},
     "export": JUDGE | {"pmfid"},
     "session": SESSION,
+    "service": SESSION | {"session"},
     "report": SESSION | {"session"},
     "demo": JUDGE | {"simulation", "report"},
     "paper": JUDGE | {"judge", "design", "simulation", "report", "demo"},
-    "cli": SESSION | {"session", "report", "demo", "paper", "simulation", "pmfid"},
+    "cli": SESSION | {"session", "service", "report", "demo", "paper", "simulation", "pmfid"},
     "pmfid": SESSION | {"session"},
 }
 

@@ -15,6 +15,8 @@ STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING = (
     "suspicious",
     "settling",
 )
+#: All of them, in the order of their numbers.
+STATES = (STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,26 @@
+"""Where estimates and alarms go: one file for each kind of sink."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from pmfid.service.outcome import Notice, Rows
+
+__all__ = ["Sink"]
+
+
+class Sink(Protocol):
+    """Runs in a thread of its own, behind a bounded queue (`sinks/queued.py`) that drops the oldest rows when it is
+    full and counts them, and keeps notices as long as it can: what waits for a broken sink never delays an estimate.
+
+    name: in PLANT.toml. `put` writes what is given, in order; what it raises (OSError, or an error of its library) is
+    told once, and it is tried again after a pause with `open` before it. `close` writes what can still be written.
+    """
+
+    name: str
+
+    def open(self) -> None: ...
+
+    def put(self, outcomes: list[Rows | Notice]) -> None: ...
+
+    def close(self) -> None: ...

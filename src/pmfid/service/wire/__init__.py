@@ -1,0 +1,1 @@
+"""How blocks and lines are written in messages and on pipes."""
