@@ -1,4 +1,4 @@
-"""What a source or a sink may use of the service that starts it."""
+"""What a source may use of the service that starts it, and what all their sections in PLANT.toml have in common."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from pmfid.service.counters import Counters
+from pmfid.service.sources import Source
 from pmfid.session.config import Axis
+from pmfid.session.toml_file import FileSection
 
-__all__ = ["Context"]
+__all__ = ["Context", "SourceSection"]
 
 
 @dataclass(frozen=True)
@@ -27,3 +29,11 @@ class Context:
     counters: Counters
     tell: Callable[[dict[str, Any]], None]
     axis: Callable[[str], Axis | None]
+
+
+class SourceSection(FileSection):
+    """[sources.NAME]: `kind` and what that kind needs."""
+
+    def make(self, name: str, context: Context) -> Source:
+        """The source, not yet running. Raises UsageError for what the file alone does not show."""
+        raise NotImplementedError

@@ -62,6 +62,11 @@ class Inbox:
     def __len__(self) -> int:
         return len(self._waiting)
 
+    @property
+    def closed(self) -> bool:
+        """Whether it takes no more and is empty."""
+        return not self._open and not self._waiting
+
     def close(self) -> None:
         """Takes no more; what waits can still be taken."""
         with self._changed:

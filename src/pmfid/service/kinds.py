@@ -8,28 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pmfid.service.context import Context
-from pmfid.service.sinks import Sink
-from pmfid.service.sources import Source
-from pmfid.session.toml_file import FileSection
+from pmfid.service.context import SourceSection
+from pmfid.service.sinks.section import SinkSection
 
-__all__ = ["SINKS", "SOURCES", "SinkSection", "SourceSection"]
-
-
-class SourceSection(FileSection):
-    """[sources.NAME]: `kind` and what that kind needs."""
-
-    def make(self, name: str, context: Context) -> Source:
-        """The source, not yet running. Raises UsageError for what the file alone does not show."""
-        raise NotImplementedError
-
-
-class SinkSection(FileSection):
-    """[sinks.NAME]: `kind` and what that kind needs."""
-
-    def make(self, name: str, context: Context) -> Sink:
-        """The sink, not yet open. Raises UsageError for what the file alone does not show."""
-        raise NotImplementedError
+__all__ = ["SINKS", "SOURCES"]
 
 
 def _file() -> type[SourceSection]:

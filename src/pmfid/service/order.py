@@ -148,8 +148,8 @@ class Order:
         if not self.wrong_period:
             self.wrong_period = True
             problem = (
-                f"its samples come every {block.dt:.6g} s, the reference has {self.dt:.6g} s: send with that period, or "
-                "take a reference with this one"
+                f"its samples come every {block.dt:.6g} s, the reference has {self.dt:.6g} s: send with that period, "
+                "or take a reference with this one"
             )
             verdict.told.append({"event": "period", "problem": problem})
         return verdict
@@ -212,9 +212,7 @@ class Order:
             return max(1, round(ahead / self.dt))
         return ANEW
 
-    def _give(
-        self, block: Block, lead: int, received: float, turn: int, pieces: list[Piece], verdict: Verdict
-    ) -> None:
+    def _give(self, block: Block, lead: int, received: float, turn: int, pieces: list[Piece], verdict: Verdict) -> None:
         fresh, apart = self.epoch < 0, block.epoch != self.epoch
         if apart:
             self._begin(block, fresh, verdict)

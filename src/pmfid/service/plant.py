@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, ValidationError, create_model
 
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.service.kinds import SINKS, SOURCES, SinkSection, SourceSection
+from pmfid.service.context import SourceSection
+from pmfid.service.kinds import SINKS, SOURCES
+from pmfid.service.sinks.section import SinkSection
 from pmfid.session.model_config import Name
 from pmfid.session.toml_file import FileSection, validated
 
-__all__ = ["MOST_AXES", "AxisSection", "FleetSection", "Plant", "ServiceSection", "load_plant"]
+__all__ = ["MOST_AXES", "AxisSection", "FleetSection", "Plant", "ServiceSection", "load_plant", "single_axis"]
 
 #: More axes than one process can serve.
 MOST_AXES = 1_000_000
@@ -70,6 +73,10 @@ class Plant:
     sinks: Mapping[str, SinkSection] = field(default_factory=dict)
     page: Mapping[str, Any] | None = None
 
+    def with_page(self, page: Mapping[str, Any] | None) -> Plant:
+        """With these keys of [page] before its own; None: as it is."""
+        return self if page is None else replace(self, page={**(self.page or {}), **page})
+
     @property
     def state(self) -> Path | None:
         """The folder of the checkpoints."""
@@ -79,14 +86,15 @@ class Plant:
 Section = TypeVar("Section", bound=FileSection)
 
 
-def load_plant(path: Path) -> Plant:
-    """Reads and validates a PLANT.toml. Raises UsageError with what is wrong and where."""
+def load_plant(path: Path, given: Mapping[str, object] | None = None) -> Plant:
+    """Reads and validates a PLANT.toml; given: keys of [service] that go before its own. Raises UsageError with what is
+    wrong and where."""
     try:
         raw = _read(path)
         _check_tables(raw)
         return Plant(
             path.parent,
-            _section("service", ServiceSection, raw.get("service", {})),
+            _section("service", ServiceSection, raw.get("service", {}) | (given or {})),
             _axes(raw, path.parent),
             {name: _of_kind("sources", name, table, SOURCES) for name, table in raw.get("sources", {}).items()},
             {name: _of_kind("sinks", name, table, SINKS) for name, table in raw.get("sinks", {}).items()},
@@ -94,6 +102,19 @@ def load_plant(path: Path) -> Plant:
         )
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
+
+
+def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, object] | None = None) -> Plant:
+    """The plant of one AXIS.toml and a record that is played, or standard input where `source` is "-": with one pipe
+    nothing waits for anything. given: keys of [service]."""
+    name = re.sub(r"[^A-Za-z0-9._-]|^[._-]+", "", config.stem)[:100] or "axis"
+    piped = str(source) == "-"
+    raw = {"kind": "stdin", "axis": name}
+    if not piped:
+        raw = {"kind": "file", "axis": name, "path": str(source.absolute()), "speed": speed}
+    sources = {"input" if piped else "record": _of_kind("sources", "input", raw, SOURCES)}
+    service = _section("service", ServiceSection, {"name": name, "window": 0.0, "every": 0.1} | dict(given or {}))
+    return Plant(config.parent, service, {name: config}, sources)
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -167,7 +188,9 @@ def _add_fleet(axes: dict[str, Path], key: str, fleet: FleetSection, folder: Pat
     axes.update(dict.fromkeys(names, folder / fleet.config))
 
 
-def _of_kind(where: str, name: str, table: Mapping[str, Any], kinds: Mapping[str, Callable[[], type[Section]]]) -> Section:
+def _of_kind(
+    where: str, name: str, table: Mapping[str, Any], kinds: Mapping[str, Callable[[], type[Section]]]
+) -> Section:
     """A source or a sink: `kind` says which section it is."""
     kind = table.get("kind")
     if kind not in kinds:
