@@ -119,17 +119,17 @@ class Board:
         """Raised whenever groups change."""
         return self._layout
 
-    def news(self, since: int = 0) -> News:
-        """What changed after version `since`; 0: everything."""
+    def news(self, since: int = 0, groups: bool = True) -> News:
+        """What changed after version `since`; 0: everything. groups: the axes as well as notices and alarms."""
         with self._lock:
-            groups = [panel.overview(since) for panel in self._panels]
+            overviews = [panel.overview(since) for panel in self._panels] if groups else []
             notices = [notice for version, notice in self._notices if version > since]
             if since == 0:
                 alarms = self._alarms.all()
             else:
                 numbers = dict.fromkeys(number for version, number in self._changed if version > since)
                 alarms = [alarm for number in numbers if (alarm := self._alarms.get(number))]
-            return News(self._version, self._layout, groups, notices, alarms)
+            return News(self._version, self._layout, overviews, notices, alarms)
 
     def alarm(self, number: int) -> Standing | None:
         """The alarm that was told as the notice of this number."""
