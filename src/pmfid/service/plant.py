@@ -23,7 +23,7 @@ __all__ = ["MOST_AXES", "AxisSection", "FleetSection", "Plant", "ServiceSection"
 #: More axes than one process can serve.
 MOST_AXES = 1_000_000
 #: Names of the service, of axes, sources and sinks: they stand in topics and in names of files.
-Word = Annotated[str, Field(pattern=r"\A[A-Za-z0-9][A-Za-z0-9._-]{0,99}\Z")]
+Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
 _WORD = "letters, digits, dots, hyphens and underscores, at most 100, a letter or a digit first"
 
 
@@ -109,7 +109,7 @@ def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, ob
     nothing waits for anything. given: keys of [service]."""
     name = re.sub(r"[^A-Za-z0-9._-]|^[._-]+", "", config.stem)[:100] or "axis"
     piped = str(source) == "-"
-    raw = {"kind": "stdin", "axis": name}
+    raw: dict[str, object] = {"kind": "stdin", "axis": name}
     if not piped:
         raw = {"kind": "file", "axis": name, "path": str(source.absolute()), "speed": speed}
     sources = {"input" if piped else "record": _of_kind("sources", "input", raw, SOURCES)}
@@ -192,8 +192,7 @@ def _of_kind(
     where: str, name: str, table: Mapping[str, Any], kinds: Mapping[str, Callable[[], type[Section]]]
 ) -> Section:
     """A source or a sink: `kind` says which section it is."""
-    kind = table.get("kind")
+    kind = str(table.get("kind"))
     if kind not in kinds:
-        hint = did_you_mean(str(kind), kinds)
-        raise UsageError(f"[{where}.{name}] kind = {kind!r} is none of {', '.join(kinds)}{hint}")
+        raise UsageError(f"[{where}.{name}] kind = {kind!r} is none of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
     return _section(f"{where}.{name}", kinds[kind](), table)

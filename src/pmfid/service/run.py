@@ -23,7 +23,6 @@ from pmfid.service.outcome import Outlet
 from pmfid.service.plant import Plant
 from pmfid.service.running import Sources
 from pmfid.service.sinks.queued import Queued
-from pmfid.service.sinks.section import Place
 from pmfid.service.systemd import notify
 from pmfid.service.web.config import PageConfig
 from pmfid.service.web.server import Page
@@ -90,7 +89,8 @@ class Service:
         """Until a signal, or the end of all sources. Raises UsageError for a plant that cannot be served at all."""
         self._plant = plant = self.load()
         self._page: Page | None = None
-        self._signals, self._reloading = _Signals(), None
+        self._signals = _Signals()
+        self._reloading: Thread | None = None
         with self._signals.handled():
             self._prepare(plant)
             try:
@@ -134,13 +134,7 @@ class Service:
 
     def _start(self, plant: Plant) -> None:
         context = self._context(plant)
-        for name, section in plant.sinks.items():
-            place = Place(plant.service.name, plant.folder, self._engine.tell)
-            sink = section.sink(name, place)
-            queued = Queued(
-                sink, self.counters, self._engine.tell, section.limits(), section.rows_wanted, section.events_wanted
-            )
-            self._sinks.append(queued)
+        self._sinks = [section.outlet(name, context) for name, section in plant.sinks.items()]
         sources = [section.make(name, context) for name, section in plant.sources.items()]
         self._serve_page(plant)
         for queued in self._sinks:
@@ -169,6 +163,7 @@ class Service:
         config = page_config(plant)
         if not config.enabled:
             return
+        from pmfid.service.metrics import exposition
         from pmfid.service.web.server import serve
 
         self._page = serve(
@@ -179,6 +174,7 @@ class Service:
             self._engine.commands,
             folder=plant.folder,
             reference=self._reference,
+            metrics=lambda: exposition(self.counters),
         )
 
     def _reference(self, axis: str) -> Record | None:
