@@ -18,7 +18,8 @@ class Kindred:
     """Axes of the same configuration, which are stepped together.
 
     config: name of their AXIS.toml; names, units: of the q parameters that are told; dt: sample period [s]; nominal:
-    (q,) normal values; axes: their names in PLANT.toml, by their number within the group.
+    (q,) normal values; axes: their names in PLANT.toml, by their number within the group; input_unit: of u;
+    resolution: of one count [position_unit].
     """
 
     config: str
@@ -27,6 +28,9 @@ class Kindred:
     dt: float
     nominal: Floats
     axes: tuple[str, ...]
+    input_unit: str = ""
+    resolution: float = 1.0
+    position_unit: str = "counts"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,49 @@
+"""Notices: their numbers, and to whom they go."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pmfid.service.board.alarms import Alarms
+from pmfid.service.outcome import Notice, Outlet
+
+__all__ = ["Notices"]
+
+#: Numbers of what the service says of itself begin here: microseconds since 1970, which none of the others reach.
+OWN = 10**15
+
+
+@dataclass
+class Notices:
+    """Notices on their way to the outlets.
+
+    What the data say is numbered 1, 2, 3 in their order: data that come again after a restart get the same numbers
+    again. What the service says of itself has no such order, so its numbers are those of a clock. last: the number of
+    the last notice of the data; alarms: as people deal with them.
+    """
+
+    outlets: Sequence[Outlet]
+    last: int = 0
+    alarms: Alarms = field(default_factory=Alarms)
+    wall: Callable[[], float] = time.time
+    _own: int = field(default=OWN, init=False)
+
+    def found(self, axis: str, what: dict[str, Any]) -> Notice:
+        """Of the data of an axis."""
+        self.last += 1
+        return self._give(Notice(axis, self.last, self.wall(), what))
+
+    def own(self, axis: str, what: dict[str, Any]) -> Notice:
+        """Of the service itself."""
+        wall = self.wall()
+        self._own = max(self._own + 1, int(1e6 * wall))
+        return self._give(Notice(axis, self._own, wall, what))
+
+    def _give(self, notice: Notice) -> Notice:
+        self.alarms.take(notice)
+        for outlet in self.outlets:
+            outlet.notice(notice)
+        return notice
