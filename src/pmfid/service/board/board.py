@@ -44,7 +44,7 @@ class Board:
     def __init__(
         self, groups: Sequence[Kindred], counters: Counters, *, budget: float = 64e6, every: float = 1.0
     ) -> None:
-        self._counters, self._budget, self._every = counters, budget, every
+        self._counters, self._budget, self.every = counters, budget, every
         self._lock = Lock()
         self._version, self._layout = 0, 0
         self._panels: list[Panel] = []
@@ -60,7 +60,7 @@ class Board:
     def arrange(self, groups: Sequence[Kindred]) -> None:
         """The groups that there are from now on; what is known of an axis stays where its parameters are the same."""
         share = self._budget / max(1, sum(len(group.axes) * row_bytes(group) for group in groups))
-        panels = [Panel(group, int(share), self._every) for group in groups]
+        panels = [Panel(group, int(share), self.every) for group in groups]
         with self._lock:
             self._version += 1
             for panel in panels:
