@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pmfid.service.board.alarms import Alarms
+from pmfid.service.board.alarms import Alarms, Standing
 from pmfid.service.outcome import Notice, Outlet
 
 __all__ = ["Notices"]
@@ -41,6 +41,26 @@ class Notices:
         wall = self.wall()
         self._own = max(self._own + 1, int(1e6 * wall))
         return self._give(Notice(axis, self._own, wall, what))
+
+    def restore(self, last: int, alarms: Sequence[Standing]) -> None:
+        """Goes on behind the notices of a checkpoint."""
+        self.last = last
+        self.alarms = Alarms()
+        for notice in self.replayed(alarms):
+            self.alarms.take(notice)
+
+    @staticmethod
+    def replayed(alarms: Sequence[Standing]) -> list[Notice]:
+        """Notices that lead to these alarms; for who must know them without being told anew."""
+        found = list[Notice]()
+        for alarm in alarms:
+            found.append(Notice(alarm.axis, alarm.number, alarm.wall, alarm.what))
+            if alarm.settled is not None:
+                found.append(Notice(alarm.axis, alarm.number, alarm.wall, {"event": "settled", **alarm.settled}))
+            if alarm.acknowledged is not None:
+                what = {"event": "acknowledged", "alarm": alarm.number, "note": alarm.note}
+                found.append(Notice(alarm.axis, alarm.number, alarm.acknowledged, what))
+        return found
 
     def _give(self, notice: Notice) -> Notice:
         self.alarms.take(notice)
