@@ -36,6 +36,8 @@ SEAT = np.dtype(
         ("number", "<i8"),
         ("start", "<f8"),
         ("first", "<i8"),
+        ("seat", "<i8"),
+        ("notices", "<i8"),
         ("told", "u1"),
         ("wrong_period", "u1"),
     ]
@@ -59,7 +61,7 @@ def snapshot(engine: Engine) -> list[bytes]:
     text = json.dumps(
         {
             "wall": time.time(),
-            "number": engine.notices.last,
+            "numbered": engine.numbered,
             "marks": engine.marks,
             "history": engine.history,
             "alarms": [vars(alarm) for alarm in engine.notices.alarms.all()],
@@ -79,6 +81,8 @@ def _seats(seats: Sequence[Seat]) -> NDArray[np.void]:
     found["number"] = [clock.number for clock in clocks]
     found["start"] = [clock.start for clock in clocks]
     found["first"] = [clock.first for clock in clocks]
+    found["seat"] = [seat.number for seat in seats]
+    found["notices"] = [seat.notices for seat in seats]
     found["told"] = [clock.told for clock in clocks]
     found["wrong_period"] = [order.wrong_period for order in orders]
     return found
@@ -134,10 +138,11 @@ class Saved:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A checkpoint. wall: when it was made, seconds since 1970; number: of the last notice; marks: of the sources."""
+    """A checkpoint. wall: when it was made, seconds since 1970; numbered: the last number that an axis got; marks: of
+    the sources."""
 
     wall: float
-    number: int
+    numbered: int
     marks: dict[str, Mark]
     history: list[dict[str, Any]]
     alarms: list[Standing]
@@ -166,7 +171,7 @@ def read_snapshot(body: bytes) -> Snapshot:
             raise ValueError("its parts do not fill it")
         marks = {str(name): dict(mark) for name, mark in raw["marks"].items()}
         alarms = [_standing(alarm) for alarm in raw["alarms"]]
-        return Snapshot(float(raw["wall"]), int(raw["number"]), marks, list(raw["history"]), alarms, groups)
+        return Snapshot(float(raw["wall"]), int(raw["numbered"]), marks, list(raw["history"]), alarms, groups)
     except (KeyError, TypeError, AttributeError, IndexError, struct.error, RecursionError) as error:
         raise ValueError(f"it is no checkpoint of this version: {error!r}") from None
 
@@ -180,7 +185,8 @@ def _restore_seat(seat: Seat, row: tuple[Any, ...], rare: Mapping[str, Any]) -> 
     order = seat.order
     order.epoch, order.expected, clock = row[0], row[1], order.clock
     clock.expected, clock.number, clock.start, clock.first = row[2:6]
-    clock.told, order.wrong_period = bool(row[6]), bool(row[7])
+    seat.number, seat.notices = row[6:8]
+    clock.told, order.wrong_period = bool(row[8]), bool(row[9])
     order.gaps = [(int(a), int(b)) for a, b in rare.get("gaps", ())]
     seat.told = {str(kind): int(times) for kind, times in rare.get("told", {}).items()}
     if "timed" in rare:

@@ -55,10 +55,12 @@ def _nobody() -> frozenset[str]:
 
 @dataclass
 class Engine:
-    """outlets: get rows and notices; followed: names of the axes of which every row is wanted; groups: all axes; marks:
-    where the sources stand behind what was stepped; history: what configurations there were since when; beat:
-    `time.monotonic()` of the last tick; changes: grows with all that a checkpoint holds; urgent: the next one is wanted
-    soon, for people asked for what no source brings again."""
+    """outlets: get rows and notices; followed: names of the axes of which every row is wanted; groups: all axes.
+
+    marks: where the sources stand behind what was stepped; history: what configurations there were since when;
+    numbered: the last number that an axis got; beat: `time.monotonic()` of the last tick; changes: grows with all that
+    a checkpoint holds; urgent: the next one is wanted soon, for people asked for what no source brings again.
+    """
 
     counters: Counters
     outlets: Sequence[Outlet] = ()
@@ -69,6 +71,7 @@ class Engine:
     groups: list[Group] = field(default_factory=list, init=False)
     marks: dict[str, Mark] = field(default_factory=dict, init=False)
     history: list[dict[str, Any]] = field(default_factory=list, init=False)
+    numbered: int = field(default=0, init=False)
     beat: float = field(default=0.0, init=False)
     changes: int = field(default=0, init=False)
     urgent: bool = field(default=False, init=False)
@@ -116,6 +119,10 @@ class Engine:
         """These are all the groups from now on."""
         self.groups = [group for group in groups if group.seats]
         self._seats = {seat.name: seat for group in self.groups for seat in group.seats}
+        for seat in self._seats.values():
+            if not seat.number:
+                self.numbered += 1
+                seat.number = self.numbered
         for group in self.groups:
             self.counters.put("pmfid_axes", len(group.seats), group=group.kindred.config)
 
@@ -204,7 +211,7 @@ class Engine:
         crash_point("engine.stepped")
         found.sort(key=lambda one: (one.turn, one.sample))
         for one in found:
-            self.notices.found(one.seat.name, one.what)
+            self.notices.found(one.seat, one.what)
         crash_point("engine.told")
 
     def _wanted(self, one: Found) -> bool:
@@ -255,7 +262,7 @@ class Engine:
             return
         self.notices.own(seat.name, {"event": "reference", "samples": int(group.numbers[index])})
         for event in events:
-            self.notices.found(seat.name, event_object(event, group.kindred.names))
+            self.notices.found(seat, event_object(event, group.kindred.names))
 
     def _speak(self) -> None:
         """What other threads had to say."""

@@ -143,7 +143,8 @@ class Service:
         saved, groups = found
         engine.marks.update(saved.marks)
         engine.history = saved.history
-        engine.notices.restore(saved.number, saved.alarms)
+        engine.numbered = saved.numbered
+        engine.notices.restore(saved.alarms)
         for notice in engine.notices.replayed(saved.alarms):
             self._board.notice(notice)
         fresh = self._arrange(groups)
