@@ -148,6 +148,12 @@ class Snapshot:
     alarms: list[Standing]
     groups: list[Saved]
 
+    def restore(self, engine: Engine) -> None:
+        """What of the engine does not stand in its groups."""
+        engine.marks.update(self.marks)
+        engine.history, engine.numbered = self.history, self.numbered
+        engine.notices.restore(self.alarms)
+
     def axes(self) -> Iterable[str]:
         """Names of all axes in it."""
         return (name for group in self.groups for name in group.axes)

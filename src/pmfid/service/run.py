@@ -141,10 +141,7 @@ class Service:
             self._tell_now({"event": "checkpoint", "restored": 0, "fresh": len(self._axes)})
             return
         saved, groups = found
-        engine.marks.update(saved.marks)
-        engine.history = saved.history
-        engine.numbered = saved.numbered
-        engine.notices.restore(saved.alarms)
+        saved.restore(engine)
         for notice in engine.notices.replayed(saved.alarms):
             self._board.notice(notice)
         fresh = self._arrange(groups)
