@@ -79,13 +79,30 @@ def _acknowledged(what: Told) -> str:
 
 
 def _reference(what: Told) -> str:
+    if "problem" in what:
+        return f"no new reference: {what['problem']}"
     return f"what it is after {what['samples']} samples is normal from now on"
+
+
+def _checkpoint(what: Told) -> str:
+    if "damaged" in what:
+        return f"a damaged checkpoint is set aside as {what['damaged']}: {what['problem']}"
+    if "problem" in what:
+        return f"checkpoints: {what['problem']}"
+    if "works" in what:
+        return "checkpoints are written again"
+    if "made" not in what:
+        return f"no checkpoint yet: {what['fresh']} axes start anew"
+    text = f"from the last checkpoint: {what['restored']} axes go on, {what['fresh']} start anew"
+    changed = what.get("changed", ())
+    return text + (f", of these with a changed configuration: {', '.join(changed)}" if changed else "")
 
 
 _SENTENCES: dict[str, Callable[[Told], str]] = {
     "serving": _serving,
     "configuration": _configuration,
     "calibration": _calibration,
+    "checkpoint": _checkpoint,
     "reload": _reload,
     "source": _problem,
     "sink": _problem,

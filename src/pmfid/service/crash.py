@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable
 
-__all__ = ["CRASH_AT", "POINTS", "crash_point"]
+__all__ = ["CRASH_AT", "POINTS", "arm", "crash_point"]
 
 #: The variable that names a point and the time of passing it that ends the process, as "checkpoint.renamed:3".
 CRASH_AT = "PMFID_CRASH_AT"
@@ -27,22 +26,23 @@ POINTS = (
 )
 
 
-def _nothing(name: str) -> None:
-    """Where no point is named, passing one costs a call."""
+_left: dict[str, int] = {}
 
 
-def _armed(setting: str) -> Callable[[str], None]:
-    wanted, _, times = setting.partition(":")
-    left = [int(times or 1)]
+def arm(setting: str) -> None:
+    """Ends the process at a point, as in the variable; "" for none."""
+    _left.clear()
+    if setting:
+        name, _, times = setting.partition(":")
+        _left[name] = int(times or 1)
 
-    def pass_by(name: str) -> None:
-        if name != wanted:
-            return
-        left[0] -= 1
-        if left[0] == 0:
+
+def crash_point(name: str) -> None:
+    """Ends the process if it is time for it here; costs a call where none is named."""
+    if _left and name in _left:
+        _left[name] -= 1
+        if _left[name] == 0:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    return pass_by
 
-
-crash_point: Callable[[str], None] = _armed(os.environ[CRASH_AT]) if os.environ.get(CRASH_AT) else _nothing
+arm(os.environ.get(CRASH_AT, ""))

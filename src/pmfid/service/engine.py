@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any, Protocol
 
+from pmfid.errors import UsageError
 from pmfid.service.commands import Acknowledge, Command, Commands, Refer
 from pmfid.service.counters import Counters
 from pmfid.service.crash import crash_point
@@ -54,8 +55,12 @@ def _nobody() -> frozenset[str]:
 
 @dataclass
 class Engine:
-    """outlets: get rows and notices; followed: names of the axes of which every row is wanted; groups: all axes; marks:
-    where the sources stand behind what was stepped."""
+    """outlets: get rows and notices; followed: names of the axes of which every row is wanted; groups: all axes.
+
+    marks: where the sources stand behind what was stepped; history: what configurations there were since when;
+    numbered: the last number that an axis got; beat: `time.monotonic()` of the last tick; changes: grows with all that
+    a checkpoint holds; urgent: the next one is wanted soon, for people asked for what no source brings again.
+    """
 
     counters: Counters
     outlets: Sequence[Outlet] = ()
@@ -66,7 +71,10 @@ class Engine:
     groups: list[Group] = field(default_factory=list, init=False)
     marks: dict[str, Mark] = field(default_factory=dict, init=False)
     history: list[dict[str, Any]] = field(default_factory=list, init=False)
+    numbered: int = field(default=0, init=False)
     beat: float = field(default=0.0, init=False)
+    changes: int = field(default=0, init=False)
+    urgent: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         self.notices = Notices(self.outlets)
@@ -111,6 +119,10 @@ class Engine:
         """These are all the groups from now on."""
         self.groups = [group for group in groups if group.seats]
         self._seats = {seat.name: seat for group in self.groups for seat in group.seats}
+        for seat in self._seats.values():
+            if not seat.number:
+                self.numbered += 1
+                seat.number = self.numbered
         for group in self.groups:
             self.counters.put("pmfid_axes", len(group.seats), group=group.kindred.config)
 
@@ -121,6 +133,7 @@ class Engine:
     def process(self, batch: Sequence[Delivery]) -> None:
         """Puts deliveries in order, steps what can be stepped, and gives out what that says."""
         begun, active, found = monotonic(), dict[Seat, None](), list[Found]()
+        self.changes += 1
         for delivery in batch:
             for item in delivery.items:
                 self._take(item, delivery, active, found)
@@ -198,7 +211,7 @@ class Engine:
         crash_point("engine.stepped")
         found.sort(key=lambda one: (one.turn, one.sample))
         for one in found:
-            self.notices.found(one.seat.name, one.what)
+            self.notices.found(one.seat, one.what)
         crash_point("engine.told")
 
     def _wanted(self, one: Found) -> bool:
@@ -218,8 +231,11 @@ class Engine:
     def _obey(self) -> None:
         while self._asked:
             self._asked.popleft()()
+            self.changes += 1
         for command in self.commands.taken():
             self._command(command)
+            self.changes += 1
+            self.urgent = True
 
     def _command(self, command: Command) -> None:
         if isinstance(command, Acknowledge):
@@ -239,10 +255,14 @@ class Engine:
         if seat is None:
             return
         group, index = seat.group, seat.index
-        events = group.fleet.refer(index)
+        try:
+            events = group.fleet.refer(index)
+        except UsageError as error:
+            self.notices.own(seat.name, {"event": "reference", "problem": str(error)})
+            return
         self.notices.own(seat.name, {"event": "reference", "samples": int(group.numbers[index])})
         for event in events:
-            self.notices.found(seat.name, event_object(event, group.kindred.names))
+            self.notices.found(seat, event_object(event, group.kindred.names))
 
     def _speak(self) -> None:
         """What other threads had to say."""

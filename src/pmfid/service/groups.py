@@ -58,16 +58,18 @@ class Pace:
 
 
 class Seat:
-    """One axis in its group. index: its number there; order, timed: of its blocks and its lines; queue: pieces that
-    wait for the next step."""
+    """One axis in its group. index: its place there; order, timed: of its blocks and its lines; queue: pieces that
+    wait for the next step; number: its own in the service, 0 while it has none; notices: how many there were of it;
+    told: how many there were of a kind that is not always told."""
 
-    __slots__ = ("group", "index", "name", "order", "queue", "timed", "told")
+    __slots__ = ("group", "index", "name", "notices", "number", "order", "queue", "timed", "told")
 
     def __init__(self, group: Group, index: int, name: str) -> None:
         self.group, self.index, self.name = group, index, name
         self.order = Order(group.dt, round(group.pace.window / group.dt))
         self.timed: Timed | None = None
         self.queue: list[Piece] = []
+        self.number, self.notices = 0, 0
         self.told: dict[str, int] = {}
 
     def lines(self, timed: bool) -> Timed:

@@ -1,9 +1,9 @@
 """Blocks of one axis in the order of their numbers: what comes twice is dropped, what comes too early waits.
 
 What is decided depends on the numbers alone, never on when something came: however the blocks of an axis change places
-within the window, the samples that result are the same. A hole is believed once what waits behind it reaches further
-than the window; then it is a gap of known length, and what comes for it is late. A higher epoch, and the first block of
-all, wait as long for lower numbers that may still come.
+within the window, the samples that result are the same. A hole is believed once what waits reaches further than the
+window behind its own begin, for until then a lower number may still come; then it is a gap of known length, and what
+comes for it is late. A higher epoch, and the first block of all, wait as long.
 """
 
 from __future__ import annotations
@@ -194,10 +194,10 @@ class Order:
         return self._between_epochs(block)
 
     def _waits(self, block: Block) -> bool:
-        """Whether lower numbers may still come: nothing that waits reaches further than the window."""
+        """Whether lower numbers may still come: nothing that waits reaches further than the window behind its begin."""
         if not self.window:
             return False
-        start, end, epoch = (self.expected if block.epoch == self.epoch else block.first), block.end, block.epoch
+        start, end, epoch = block.first, block.end, block.epoch
         for other in self.held:
             if other.epoch != epoch:
                 start, end, epoch = other.first, other.end, other.epoch

@@ -14,16 +14,19 @@ from typing import Any
 from pmfid.errors import PmfidError, UsageError
 from pmfid.service.arrangement import Configurations, arranged
 from pmfid.service.board import Board
+from pmfid.service.checkpoint import Snapshot, read_snapshot
 from pmfid.service.context import Context
 from pmfid.service.counters import Counters
 from pmfid.service.engine import Engine
 from pmfid.service.groups import Group, Pace, Prepared
+from pmfid.service.keeping import Checkpoints
 from pmfid.service.log import Log
-from pmfid.service.outcome import Outlet
+from pmfid.service.outcome import Notice, Outlet
 from pmfid.service.plant import Plant
 from pmfid.service.running import Sources
 from pmfid.service.sinks.queued import Queued
 from pmfid.service.systemd import notify
+from pmfid.service.vault import Vault
 from pmfid.service.web.config import PageConfig
 from pmfid.service.web.server import Page
 from pmfid.session.config import Axis
@@ -34,6 +37,8 @@ __all__ = ["Service", "page_config"]
 
 #: How often signals are looked at, and how long sources and sinks have to end [s].
 LOOK, ENDING = 0.1, 10.0
+#: Names that a notice lists at most, and configurations that are remembered.
+MOST_NAMES, MOST_HISTORY = 100, 1000
 #: An engine that has not come by for so long is not called alive any more [s].
 STUCK = 60.0
 
@@ -120,7 +125,42 @@ class Service:
         if not self._axes:
             self._log.close(ENDING)
             raise UsageError("no axis can be watched; correct what the log says of their configurations")
-        self._arrange([])
+        self._restore(plant)
+
+    def _restore(self, plant: Plant) -> None:
+        """Goes on from the last checkpoint, if there is one."""
+        if plant.state is None:
+            self._arrange([])
+            return
+        vault = Vault(plant.state)
+        found = vault.load(self._read, self._tell_now)
+        engine = self._engine
+        engine.keeper = Checkpoints(vault, plant.service.checkpoint, self.counters, engine.tell)
+        if found is None:
+            self._arrange([])
+            self._tell_now({"event": "checkpoint", "restored": 0, "fresh": len(self._axes)})
+            return
+        saved, groups = found
+        saved.restore(engine)
+        for notice in engine.notices.replayed(saved.alarms):
+            self._board.notice(notice)
+        fresh = self._arrange(groups)
+        known = set(saved.axes())
+        changed = [name for name in fresh if name in known]
+        told = {
+            "event": "checkpoint",
+            "restored": len(self._axes) - len(fresh),
+            "fresh": len(fresh),
+            "made": saved.wall,
+        }
+        self._tell_now({**told, "changed": changed[:MOST_NAMES]} if changed else told)
+
+    def _read(self, body: bytes) -> tuple[Snapshot, list[Group]]:
+        """A checkpoint and its groups that are still configured so. Raises ValueError for what is none."""
+        saved = read_snapshot(body)
+        present = {prepared.digest: prepared for prepared in self._axes.values()}
+        groups = [one.restored(present[one.digest], self._pace) for one in saved.groups if one.digest in present]
+        return saved, groups
 
     def _tell_now(self, what: dict[str, Any]) -> None:
         self._engine.notices.own("", what)
@@ -129,8 +169,21 @@ class Service:
         """Puts the axes into their groups, those of `groups` among them; names of the axes that start anew."""
         made, fresh = arranged(groups, self._axes, self._pace)
         self._engine.arranged(made)
+        self._remember()
         self._board.arrange([group.kindred for group in self._engine.groups])
         return fresh
+
+    def _remember(self) -> None:
+        """What configurations there are since when."""
+        history = self._engine.history
+        known = {entry["digest"] for entry in history[-MOST_NAMES:]}
+        for group in self._engine.groups:
+            if group.prepared.digest not in known:
+                entry = {"wall": time.time(), "config": group.kindred.config, "digest": group.prepared.digest}
+                history.append(
+                    {**entry, "nominal": dict(zip(group.kindred.names, group.kindred.nominal.tolist(), strict=True))}
+                )
+        del history[:-MOST_HISTORY]
 
     def _start(self, plant: Plant) -> None:
         context = self._context(plant)
@@ -140,7 +193,7 @@ class Service:
         for queued in self._sinks:
             queued.start()
             self._outlets.append(queued)
-        self._tell_now(self._started(plant))
+        self._say_started(plant)
         self._thread = Thread(target=self._engine_runs, name="engine", daemon=True)
         self._problem: BaseException | None = None
         self._thread.start()
@@ -154,10 +207,15 @@ class Service:
         prepared = self._axes.get(axis)
         return None if prepared is None else prepared.axis
 
-    def _started(self, plant: Plant) -> dict[str, Any]:
-        page = {} if self._page is None else {"page": self._page.url, "notes": list(self._page.notes)}
+    def _say_started(self, plant: Plant) -> None:
+        """To all; the address with the token in it to the log alone."""
         state = None if plant.state is None else str(plant.state)
-        return {"event": "serving", "name": plant.service.name, "axes": len(self._axes), "state": state, **page}
+        told = {"event": "serving", "name": plant.service.name, "axes": len(self._axes), "state": state}
+        self._outlets.remove(self._log)
+        number = self._engine.notices.own("", told).number
+        self._outlets.append(self._log)
+        page = {} if self._page is None else {"page": self._page.start_url, "notes": list(self._page.notes)}
+        self._log.notice(Notice("", number, time.time(), {**told, **page}))
 
     def _serve_page(self, plant: Plant) -> None:
         config = page_config(plant)
