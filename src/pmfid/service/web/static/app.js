@@ -55,7 +55,7 @@ function show() {
   view = known ? new AxisView(plant, axis) : new Overview(plant);
   const gone = axis !== null && !known ? [el("p", { class: "note", role: "alert" }, "There is no axis of that name.")] : [];
   main.replaceChildren(...gone, view.element);
-  view.shown?.();
+  view.entered?.();
   scrollTo(0, 0);
   stream = new Stream(known ? `api/stream?axis=${encodeURIComponent(axis)}` : "api/stream", take, showConnection);
 }

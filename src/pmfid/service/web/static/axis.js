@@ -7,7 +7,7 @@ import { Compare } from "./compare.js";
 import { csvOf, fileName } from "./csv.js";
 import { download, el, say } from "./dom.js";
 import { age, moment, number, percent, unitOf, withError, words } from "./format.js";
-import { noticeLine } from "./overview.js";
+import { noticeLine } from "./notices.js";
 import { MEANING, WORD, icon } from "./states.js";
 import { Strip } from "./strip.js";
 import { onTheme } from "./theme.js";
@@ -35,7 +35,7 @@ export class AxisView {
   }
 
   // Called when the element is in the page: charts need its width.
-  shown() {
+  entered() {
     this.sizes.observe(this.charts);
     this.load();
   }
@@ -71,8 +71,18 @@ export class AxisView {
     if (message.kind === "rows") {
       this.columns.add(message);
       this.dropped = message.dropped;
+      this.noteLast();
       this.later();
     }
+  }
+
+  // The stream of one axis brings no overview: its last row is what the plant knows of it.
+  noteLast() {
+    const { plant, place, columns } = this;
+    const last = (name) => columns.data[name][columns.size - 1];
+    plant.received[place] = plant.now();
+    plant.state[place] = last("state");
+    plant.status32[place] = last("status");
   }
 
   // --- what it is made of ---
@@ -147,7 +157,7 @@ export class AxisView {
     const charts = group.names.map((name, j) => this.estimateChart(name, j));
     const input = { title: "input", unit: group.input_unit, line: (seen) => seen.u, low: (seen) => seen.low, high: (seen) => seen.high, steps: true };
     input.told = (seen, k) => `${number(seen.u[k])}${unitOf(group.input_unit)}`;
-    const velocity = { title: "velocity", unit: speed, line: (seen) => seen.velocity, told: (seen, k) => `${number(seen.velocity[k])} ${speed}` };
+    const velocity = { title: "velocity", unit: `${speed}, mean between two points`, line: (seen) => seen.velocity, told: (seen, k) => `${number(seen.velocity[k])} ${speed}` };
     const innovation = { title: "innovation", unit: "", line: (seen) => seen.innovation, level: 0, told: (seen, k) => number(seen.innovation[k]) };
     return [...charts, ...[input, velocity, innovation].map((spec) => new Chart(spec, this))];
   }
@@ -157,7 +167,7 @@ export class AxisView {
     const edge = (sign) => (seen) => seen[`theta${j}`].map((value, k) => (seen[`std${j}`][k] === null || value === null ? null : value + sign * BAND * seen[`std${j}`][k]));
     const spec = {
       title: words(name),
-      unit: `${unit ? unit + ", " : ""}± ${BAND} standard deviations, dashed: nominal`,
+      unit: `${unit ? unit + ", " : ""}± ${BAND} σ, dashed: nominal`,
       line: (seen) => seen[`theta${j}`].map((value, k) => (seen[`std${j}`][k] === null ? null : value)),
       low: edge(-1),
       high: edge(1),
@@ -262,6 +272,7 @@ export class AxisView {
     this.seen = this.columns.thinned(from, to, POINTS, this.group.resolution);
     for (const chart of this.all) chart.draw(this.seen, from, to);
     this.strip.draw(this.seen, from, to);
+    this.cursor(this.cursorAt < this.seen.time.length ? this.cursorAt : null);
     this.compare?.tellSeen(this.seen);
     if (this.asTable.open) this.table();
     this.values();
@@ -275,7 +286,7 @@ export class AxisView {
       const value = columns.data[`theta${j}`][k], std = columns.data[`std${j}`][k];
       say(card.value, `${withError(value, std)}${unitOf(card.unit)}`);
       const off = card.nominal && Number.isFinite(std) ? value / card.nominal - 1 : NaN;
-      say(card.off, `${percent(off)} of nominal ${number(card.nominal)}`);
+      say(card.off, `${percent(off)} from nominal ${number(card.nominal)}`);
       card.element.classList.toggle("off", Math.abs(off) > 0.05);
     });
   }
