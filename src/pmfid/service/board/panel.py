@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,9 @@ from pmfid.types import Floats
 
 __all__ = ["Overview", "Panel", "Records", "row_bytes", "row_type"]
 
-#: Points of a trend; what one stands for at first, and at most [s]: then the trend is a day long.
-POINTS, FINEST, COARSEST = 90, 1.0, 960.0
+#: Points of a trend; what one stands for at first and at most [s]: then the trend is a day long. At least so many rows
+#: fall on a point, for with about one, some would be empty.
+POINTS, FINEST, COARSEST, ROWS = 90, 2.0, 1024.0, 2.0
 #: Rows of an axis that are kept at least and at most.
 FEWEST, MOST = 32, 20_000
 
@@ -65,10 +66,10 @@ class Panel:
     group: Kindred
     depth: int
     every: float = 1.0
-    interval: float = field(default=FINEST, init=False)
 
     def __post_init__(self) -> None:
         k = len(self.group.axes)
+        self.interval = max(FINEST, ROWS * self.every, ROWS * self.group.dt)
         self.depth = min(max(self.depth, FEWEST), MOST)
         self.place = {name: i for i, name in enumerate(self.group.axes)}
         self.last: Records = np.zeros(k, row_type(len(self.group.names)))
