@@ -72,6 +72,7 @@ class Panel:
         self.interval = max(FINEST, ROWS * self.every, ROWS * self.group.dt)
         self.depth = min(max(self.depth, FEWEST), MOST)
         self.place = {name: i for i, name in enumerate(self.group.axes)}
+        self.nominal = np.tile(np.asarray(self.group.nominal, float), (k, 1))
         self.last: Records = np.zeros(k, row_type(len(self.group.names)))
         self.received = np.full(k, np.nan)
         self._changed = np.zeros(k, np.int64)
@@ -86,6 +87,16 @@ class Panel:
         """The first parameter that deviations can be measured of."""
         usable = np.flatnonzero(self.group.nominal)
         return int(usable[0]) if usable.size else 0
+
+    def refer(self, axis: int) -> None:
+        """What the axis is now is normal; where nothing is known of it, what was normal stays."""
+        row = self.last[axis]
+        self.nominal[axis] = np.where(np.isfinite(row["std"]), row["theta"], self.nominal[axis])
+
+    def referred(self) -> dict[int, list[float]]:
+        """Axes whose normal values are not those of the group, and these."""
+        own = np.flatnonzero((self.nominal != self.group.nominal).any(axis=1))
+        return {int(axis): self.nominal[axis].tolist() for axis in own}
 
     def records(self, rows: Rows) -> Records:
         """(m,) the rows as they are kept."""
@@ -102,7 +113,7 @@ class Panel:
         self.received[axis] = rows.received
         self._changed[axis] = version
         self._turn(rows.received)
-        self._trend[axis, self._bin] = self.deviation(new)
+        self._trend[axis, self._bin] = self.deviation(axis, new)
         since = new["time"] - self._kept_at[axis]
         due = ~((since >= 0) & (since < 0.999 * self.every))
         self._keep(axis[due], new[due])
@@ -112,13 +123,13 @@ class Panel:
         self._rows[axis] += 1
         self._kept_at[axis] = new["time"]
 
-    def deviation(self, rows: Records) -> Floats:
-        """(m,) of the leading parameter, relative to nominal; NaN without an estimate."""
+    def deviation(self, axis: NDArray[np.int64], rows: Records) -> Floats:
+        """(m,) of the leading parameter of these axes, relative to nominal; NaN without an estimate."""
         lead = self.leading
-        nominal = float(self.group.nominal[lead])
-        theta, std = rows["theta"][:, lead], rows["std"][:, lead]
-        known = np.isfinite(std) & (nominal != 0)
-        return np.asarray(np.where(known, theta / (nominal or 1.0) - 1.0, np.nan), float)
+        nominal = self.nominal[axis, lead]
+        known = np.isfinite(rows["std"][:, lead]) & (nominal != 0)
+        ratio = rows["theta"][:, lead] / np.where(nominal == 0, 1.0, nominal)
+        return np.asarray(np.where(known, ratio - 1.0, np.nan), float)
 
     def _turn(self, now: float) -> None:
         """Goes on to the next point of the trend when its time has come; a full trend is made half as fine, and once
@@ -168,7 +179,7 @@ class Panel:
             self.received[axis],
             rows["theta"][:, lead],
             rows["std"][:, lead],
-            self.deviation(rows),
+            self.deviation(axis, rows),
             rows["status"],
             rows["state"],
         )
@@ -182,6 +193,8 @@ class Panel:
         theirs = np.array([other.place[name] for name in common], np.int64)
         seen = ~np.isnan(other.received[theirs])
         self.last[mine], self.received[mine] = other.last[theirs], other.received[theirs]
+        own = np.array([(other.nominal[j] != other.group.nominal).any() for j in theirs], bool)
+        self.nominal[mine[own]] = other.nominal[theirs[own]]
         self._changed[mine[seen]] = version
         for i, j in zip(mine[seen].tolist(), theirs[seen].tolist(), strict=True):
             rows = other.history(j)[-self.depth :]

@@ -11,7 +11,7 @@ const SENTENCES = {
   gap: (what) => `${what.missing} samples are missing`,
   clock: (what) => `the clock was set by ${number(what.jump)} s`,
   outlier: (what) => `${what.signal} that no motion explains, left out`,
-  reference: () => "what it is now is the reference",
+  reference: (what) => (what.problem ? `cannot become the reference: ${what.problem}` : "what it is now is the reference"),
 };
 
 // Of an event that this page has no sentence for, all that it says.
