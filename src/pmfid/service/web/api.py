@@ -70,6 +70,7 @@ class Api:
             "states": list(STATES),
             "status": [{"bit": int(bit), "name": str(bit.name).lower(), "advice": ADVICE[bit]} for bit in Status],
             "groups": [_group(group) for group in self.board.groups],
+            "referred": self.board.referred(),
         }
         return Response(json_line(content), media_type="application/json")
 

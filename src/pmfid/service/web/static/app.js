@@ -5,6 +5,7 @@ import { causeOf } from "./alarms.js";
 import { el, say } from "./dom.js";
 import { Overview } from "./overview.js";
 import { Plant } from "./plant.js";
+import { icon } from "./states.js";
 import { startTheme } from "./theme.js";
 import { forgetToken, setToken, takeToken } from "./token.js";
 
@@ -37,11 +38,21 @@ function announce(alarms) {
   while (spoken.childNodes.length > 5) spoken.firstChild.remove();
 }
 
+// In sight wherever someone has scrolled to, and whichever axis they look at.
+function showCount(open) {
+  const pill = document.getElementById("alarmed");
+  pill.hidden = open === 0;
+  if (pill.dataset.count === String(open)) return;
+  pill.dataset.count = open;
+  pill.replaceChildren(icon("alarm"), String(open), el("span", { class: "wide" }, ` open alarm${open === 1 ? "" : "s"}`));
+}
+
 function take(message) {
   if (message.kind !== "news") return view?.take?.(message);
   if (message.layout !== plant.layout) return start();
   announce(plant.take(message));
   const open = plant.openAlarms().length;
+  showCount(open);
   document.title = `${open ? `▲ ${open} alarm${open > 1 ? "s" : ""} · ` : ""}${plant.name}`;
   view?.update();
 }
@@ -55,7 +66,7 @@ function show() {
   view = known ? new AxisView(plant, axis) : new Overview(plant);
   const gone = axis !== null && !known ? [el("p", { class: "note", role: "alert" }, "There is no axis of that name.")] : [];
   main.replaceChildren(...gone, view.element);
-  view.shown?.();
+  view.entered?.();
   scrollTo(0, 0);
   stream = new Stream(known ? `api/stream?axis=${encodeURIComponent(axis)}` : "api/stream", take, showConnection);
 }

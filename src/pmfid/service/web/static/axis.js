@@ -6,15 +6,16 @@ import { Columns } from "./columns.js";
 import { Compare } from "./compare.js";
 import { csvOf, fileName } from "./csv.js";
 import { download, el, say } from "./dom.js";
-import { age, moment, number, percent, unitOf, withError, words } from "./format.js";
-import { noticeLine } from "./overview.js";
+import { age, number, percent, unitOf, withError, words } from "./format.js";
+import { noticeLine } from "./notices.js";
+import { chartSpecs } from "./specs.js";
 import { MEANING, WORD, icon } from "./states.js";
 import { Strip } from "./strip.js";
+import { tableOf } from "./table.js";
 import { onTheme } from "./theme.js";
 
 const POINTS = 700, TURN = 200; // points of a chart; least time between two drawings [ms]
 const SPANS = [[30, "30 s"], [120, "2 min"], [600, "10 min"], [Infinity, "all"]];
-const BAND = 2; // standard deviations
 
 export class AxisView {
   constructor(plant, axis) {
@@ -22,6 +23,7 @@ export class AxisView {
     this.axis = axis;
     this.place = plant.place.get(axis);
     this.group = plant.groups[plant.groupOf[this.place]];
+    this.nominal = plant.nominal(this.place);
     this.columns = new Columns(this.group.names.length);
     this.span = 30;
     this.zoomed = null; // [from, to] while someone looks at a part
@@ -35,7 +37,7 @@ export class AxisView {
   }
 
   // Called when the element is in the page: charts need its width.
-  shown() {
+  entered() {
     this.sizes.observe(this.charts);
     this.load();
   }
@@ -71,8 +73,18 @@ export class AxisView {
     if (message.kind === "rows") {
       this.columns.add(message);
       this.dropped = message.dropped;
+      this.noteLast();
       this.later();
     }
+  }
+
+  // The stream of one axis brings no overview: its last row is what the plant knows of it.
+  noteLast() {
+    const { plant, place, columns } = this;
+    const last = (name) => columns.data[name][columns.size - 1];
+    plant.received[place] = plant.now();
+    plant.state[place] = last("state");
+    plant.status32[place] = last("status");
   }
 
   // --- what it is made of ---
@@ -83,7 +95,7 @@ export class AxisView {
     this.facts = el("p", { class: "fine" });
     this.open = el("ul", { class: "cards", "aria-label": "Open alarms of this axis" });
     this.cards = group.names.map((name, j) => this.card(name, j));
-    this.all = this.makeCharts();
+    this.all = chartSpecs(group, this.nominal).map((spec) => new Chart(spec, this));
     this.strip = new Strip(this.plant);
     this.charts = el("div", { class: "charts" }, ...this.all.map((chart) => chart.element), this.strip.element);
     this.known = el("ul", { class: "cards" });
@@ -116,7 +128,7 @@ export class AxisView {
     const value = el("p", { class: "value" });
     const off = el("p", { class: "fine" });
     const unit = this.group.units[j];
-    const nominal = this.group.nominal[j];
+    const nominal = this.nominal[j];
     const element = el("div", { class: "value-card" }, el("h2", {}, words(name)), value, off);
     return { element, value, off, unit, nominal };
   }
@@ -139,32 +151,6 @@ export class AxisView {
       this.plant.may === "write" ? refer : null,
       this.said,
     );
-  }
-
-  makeCharts() {
-    const { group } = this;
-    const speed = `${group.position_unit}/s`;
-    const charts = group.names.map((name, j) => this.estimateChart(name, j));
-    const input = { title: "input", unit: group.input_unit, line: (seen) => seen.u, low: (seen) => seen.low, high: (seen) => seen.high, steps: true };
-    input.told = (seen, k) => `${number(seen.u[k])}${unitOf(group.input_unit)}`;
-    const velocity = { title: "velocity", unit: speed, line: (seen) => seen.velocity, told: (seen, k) => `${number(seen.velocity[k])} ${speed}` };
-    const innovation = { title: "innovation", unit: "", line: (seen) => seen.innovation, level: 0, told: (seen, k) => number(seen.innovation[k]) };
-    return [...charts, ...[input, velocity, innovation].map((spec) => new Chart(spec, this))];
-  }
-
-  estimateChart(name, j) {
-    const unit = this.group.units[j];
-    const edge = (sign) => (seen) => seen[`theta${j}`].map((value, k) => (seen[`std${j}`][k] === null || value === null ? null : value + sign * BAND * seen[`std${j}`][k]));
-    const spec = {
-      title: words(name),
-      unit: `${unit ? unit + ", " : ""}± ${BAND} standard deviations, dashed: nominal`,
-      line: (seen) => seen[`theta${j}`].map((value, k) => (seen[`std${j}`][k] === null ? null : value)),
-      low: edge(-1),
-      high: edge(1),
-      level: this.group.nominal[j],
-      told: (seen, k) => `${withError(seen[`theta${j}`][k] ?? NaN, seen[`std${j}`][k] ?? NaN)}${unitOf(unit)}`,
-    };
-    return new Chart(spec, this);
   }
 
   // --- what someone does ---
@@ -262,8 +248,9 @@ export class AxisView {
     this.seen = this.columns.thinned(from, to, POINTS, this.group.resolution);
     for (const chart of this.all) chart.draw(this.seen, from, to);
     this.strip.draw(this.seen, from, to);
+    this.cursor(this.cursorAt < this.seen.time.length ? this.cursorAt : null);
     this.compare?.tellSeen(this.seen);
-    if (this.asTable.open) this.table();
+    if (this.asTable.open) this.rows.replaceChildren(tableOf(this.seen, this.group, this.plant.states));
     this.values();
   }
 
@@ -275,25 +262,9 @@ export class AxisView {
       const value = columns.data[`theta${j}`][k], std = columns.data[`std${j}`][k];
       say(card.value, `${withError(value, std)}${unitOf(card.unit)}`);
       const off = card.nominal && Number.isFinite(std) ? value / card.nominal - 1 : NaN;
-      say(card.off, `${percent(off)} of nominal ${number(card.nominal)}`);
+      say(card.off, `${percent(off)} from nominal ${number(card.nominal)}`);
       card.element.classList.toggle("off", Math.abs(off) > 0.05);
     });
-  }
-
-  table() {
-    const { seen, group } = this;
-    const heads = ["t [s]", ...group.names.map((name, j) => `${words(name)}${unitOf(group.units[j])}`), "input", "velocity", "innovation", "state"];
-    const step = Math.max(1, Math.ceil(seen.time.length / 40));
-    const rows = [];
-    for (let k = seen.time.length - 1; k >= 0; k -= step) {
-      const values = group.names.map((_, j) => withError(seen[`theta${j}`][k] ?? NaN, seen[`std${j}`][k] ?? NaN));
-      const signals = [seen.u[k], seen.velocity[k], seen.innovation[k]].map((value) => number(value ?? NaN));
-      const cells = [...values, ...signals, this.plant.states[seen.state[k]] ?? "–"].map((text) => el("td", {}, text));
-      rows.push(el("tr", {}, el("th", { scope: "row" }, moment(seen.time[k])), ...cells));
-    }
-    const caption = el("caption", {}, "latest first, ± one standard deviation");
-    const head = el("thead", {}, el("tr", {}, ...heads.map((text) => el("th", { scope: "col" }, text))));
-    this.rows.replaceChildren(el("table", {}, caption, head, el("tbody", {}, ...rows)));
   }
 
   update() {

@@ -5,7 +5,7 @@ import { isWall, moment, number } from "./format.js";
 import { colour } from "./theme.js";
 import uPlot from "./vendor/uPlot.js";
 
-const HEIGHT = 190, LABELS = 62;
+const HEIGHT = 170, LABELS = 62;
 
 // spec: {title, unit, line, low, high, level, levelName, steps, told(k)}; line, low, high: names of columns.
 export class Chart {
@@ -15,9 +15,9 @@ export class Chart {
     this.read = el("p", { class: "read" });
     this.place = el("div", { class: "plot" });
     this.element = el(
-      "figure",
+      "div",
       { class: "chart", tabindex: "0", role: "group", "aria-label": `${spec.title}: chart; arrow keys move the cursor, plus and minus zoom, 0 goes back` },
-      el("figcaption", {}, el("span", { class: "chart-title" }, spec.title), spec.unit ? el("span", { class: "fine" }, spec.unit) : null, this.read),
+      el("div", { class: "caption" }, el("span", { class: "chart-title" }, spec.title), spec.unit ? el("span", { class: "fine" }, spec.unit) : null, this.read),
       this.place,
     );
     this.element.addEventListener("keydown", (event) => group.key(event));

@@ -31,7 +31,7 @@ export class Compare {
       new Chart({ title: "velocity, reference", unit: speed, line: (seen) => seen.velocity, told: (seen, k) => `${number(seen.velocity[k])} ${speed}` }, still),
     ];
     this.table = el("tbody", {});
-    const heads = ["", "Reference", "What is seen"].map((text) => el("th", { scope: "col" }, text));
+    const heads = ["Quantity", "Reference", "What is seen"].map((text) => el("th", { scope: "col" }, text));
     const table = el("table", {}, el("caption", {}, "How much it moves"), el("thead", {}, el("tr", {}, ...heads)), this.table);
     this.body.replaceChildren(el("div", { class: "charts" }, ...this.charts.map((chart) => chart.element)), table);
     this.redraw();

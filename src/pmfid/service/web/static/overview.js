@@ -1,7 +1,8 @@
 // All axes: how many are in which state, open alarms, and the table, what needs someone first.
 import { alarmCard } from "./alarms.js";
 import { el, say } from "./dom.js";
-import { number, wall, words } from "./format.js";
+import { number, words } from "./format.js";
+import { noticeLine } from "./notices.js";
 import { Rows } from "./rows.js";
 import { KINDS, MEANING, WORD, icon } from "./states.js";
 
@@ -152,11 +153,4 @@ export class Overview {
     });
     this.totals.replaceChildren(...(rows.length ? rows : [el("div", {}, el("dt", {}, "nothing yet"), el("dd", {}, "–"))]));
   }
-}
-
-export function noticeLine(notice) {
-  const { axis, number: _, wall: at, event, time, ...rest } = notice;
-  const details = Object.entries(rest).filter(([, value]) => typeof value !== "object" && value !== "");
-  const text = details.map(([key, value]) => `${words(key)} ${typeof value === "number" ? number(value) : value}`).join(", ");
-  return el("li", {}, el("time", {}, wall(at)), " ", axis ? el("strong", {}, axis) : "service", ` ${words(event)}${text ? ": " + text : ""}`);
 }

@@ -89,6 +89,12 @@ export class Plant {
     return [...this.open.values()].flat().sort((a, b) => b.number - a.number);
   }
 
+  // Normal values of an axis: its own since someone set it as reference, else those of its configuration.
+  nominal(i) {
+    const g = this.groupOf[i];
+    return this.referred[g]?.[i - this.starts[g]] ?? this.groups[g].nominal;
+  }
+
   bits(status) {
     return this.status.filter((one) => one.bit & status);
   }

@@ -17,6 +17,7 @@ export class Rows {
     this.trends = new Trends(plant, () => this.draw(true));
     this.body = el("div", { role: "rowgroup", class: "rows" });
     const heads = COLUMNS.map((name) => el("span", { role: "columnheader" }, name));
+    this.trendHead = heads[COLUMNS.indexOf("Trend")];
     const head = el("div", { role: "rowgroup" }, el("div", { role: "row", class: "row head", "aria-rowindex": "1" }, ...heads));
     this.element = el("div", { role: "table", class: "axes", "aria-label": "Axes" }, head, this.body);
     this.element.addEventListener("keydown", (event) => this.key(event));
@@ -62,6 +63,8 @@ export class Rows {
     }
     wanted.forEach((i, k) => this.place(i, first + k, all));
     this.trends.want(wanted);
+    const trend = this.trends.of(wanted[0]);
+    if (trend) say(this.trendHead, `Trend, ${age(trend.interval * trend.values.length)}`);
   }
 
   place(i, index, all) {

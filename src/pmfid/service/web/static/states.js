@@ -28,7 +28,7 @@ const SHAPES = {
   silent: ["M3 3l10 10M13 3 3 13", false],
   suspicious: ["M8 1l7 7-7 7-7-7Z", true],
   "cannot-tell": ["M8 2a6 6 0 1 0 .01 0M5 8h6", false],
-  settling: ["M8 2a6 6 0 0 1 0 12Z M8 2a6 6 0 0 0 0 12", true],
+  settling: ["M8 2a6 6 0 1 0 .01 0M8 2v12M11 3.2v9.6", false],
   starting: ["M3 8h.01M8 8h.01M13 8h.01", false],
   watching: ["M3 8.5l3.5 3.5L13 4.5", false],
 };

@@ -14,9 +14,9 @@ export class Strip {
     this.labels = el("ul", { class: "lanes" });
     this.read = el("p", { class: "read" });
     this.element = el(
-      "figure",
+      "div",
       { class: "chart strip" },
-      el("figcaption", {}, el("span", { class: "chart-title" }, "Validity"), this.read),
+      el("div", { class: "caption" }, el("span", { class: "chart-title" }, "Validity"), this.read),
       el("div", { class: "strip-body" }, this.canvas),
       this.labels,
     );

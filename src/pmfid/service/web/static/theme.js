@@ -1,6 +1,6 @@
 // Light, dark, or as the system has it; and the colours of the style sheet for what is drawn.
 const CHOICES = ["auto", "light", "dark"];
-const WORDS = { auto: "as the system", light: "light", dark: "dark" };
+const WORDS = { auto: "auto", light: "light", dark: "dark" };
 const heard = new Set();
 
 function apply(choice, button) {
