@@ -46,7 +46,7 @@ test-long: .venv/tools firmware-tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark \
 	-m long
 
-KERNEL = $(wildcard csrc/*.[ch] csrc/many/*.[ch])
+KERNEL = $(wildcard csrc/*.[ch] csrc/many/*.[ch] csrc/wire/*.[ch])
 
 check: .venv/tools
 	.venv/bin/ruff format --check .
