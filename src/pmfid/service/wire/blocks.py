@@ -18,7 +18,17 @@ from pmfid.service.delivery import Block, Unusable
 from pmfid.session.monitored.reading import MAX_COUNT, MOST_TIME
 from pmfid.types import Counts, Floats
 
-__all__ = ["LONGEST_NAME", "MAGIC", "MOST_BYTES", "MOST_SAMPLES", "VERSION", "BlockStream", "decode", "encode"]
+__all__ = [
+    "LONGEST_NAME",
+    "MAGIC",
+    "MOST_BYTES",
+    "MOST_SAMPLES",
+    "VERSION",
+    "BlockStream",
+    "decode",
+    "encode",
+    "problem_of",
+]
 
 MAGIC, VERSION = b"PMFB", 1
 MOST_SAMPLES, LONGEST_NAME = 1024, 64
@@ -46,7 +56,7 @@ def encode(block: Block) -> bytes:
     if not (0 < u.size <= MOST_SAMPLES and u.shape == counts.shape == (u.size,)):
         raise UsageError(f"a block has 1 to {MOST_SAMPLES} u and as many counts, got {u.shape} and {counts.shape}")
     name = block.axis.encode("utf-8", "replace")
-    refused = _refused(block, u, counts)
+    refused = problem_of(block, u, counts)
     if refused is not None:
         raise UsageError(f"a receiver would refuse this block: {refused.problem}")
     with np.errstate(over="ignore"):  # what has no float32 is sent as float64
@@ -142,10 +152,10 @@ def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unus
     u = np.frombuffer(data, u_type, n, u_at).astype(np.float64)
     counts = np.frombuffer(data, counts_type, n, counts_at).astype(np.int64)
     block = Block(name, epoch, first, time, dt, u, counts)
-    return end, _refused(block, u, counts, bool(flags & _WIDE_COUNTS)) or block
+    return end, problem_of(block, u, counts, bool(flags & _WIDE_COUNTS)) or block
 
 
-def _refused(block: Block, u: Floats, counts: Counts, wide: bool = True) -> Unusable | None:
+def problem_of(block: Block, u: Floats, counts: Counts, wide: bool = True) -> Unusable | None:
     """Why a block of (n,) u and (n,) counts cannot be used, whatever its form; wide: counts may have any size."""
     name, n = block.axis, u.size
     if not (name.isprintable() and 0 < len(name.encode("utf-8", "replace")) <= LONGEST_NAME):
