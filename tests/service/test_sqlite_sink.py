@@ -175,6 +175,7 @@ for number in range(1, 10**6, 3):
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lines", [1, 40])
 def test_after_a_kill_all_that_was_put_is_there(tmp_path: Path, lines: int) -> None:
     path = tmp_path / "a.sqlite"
