@@ -11,6 +11,7 @@ import time
 
 import numpy as np
 import paho.mqtt.client as mqtt
+from paho.mqtt.enums import CallbackAPIVersion
 
 from pmfid.service.delivery import Block
 from pmfid.service.wire.blocks import encode
@@ -57,7 +58,7 @@ def main() -> None:
     parser.add_argument("--speed", type=float, default=1.0, help="in place of real time, so many times as fast")
     options = parser.parse_args()
     carts = [cart(number, options.seconds, options.step) for number in range(AXES)]
-    client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv5)
+    client = mqtt.Client(CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv5)
     client.connect(options.host, options.port)
     client.loop_start()
     begin, epoch, dt = time.monotonic(), int(time.time()), carts[0].dt

@@ -72,7 +72,7 @@ count = {axes}
 kind = "mqtt"
 host = "127.0.0.1"
 port = {port}
-topic = "load/blocks"
+topics = ["load/blocks"]
 """
     path = folder / "plant.toml"
     path.write_text(plant)
@@ -104,9 +104,10 @@ class Machines:
 def send(port: int, axes: int, seconds: float, topic: str = "load/blocks") -> dict[str, float]:
     """Sends in real time at QoS 1; what was sent, and by how much the sender itself was late at most [s]."""
     import paho.mqtt.client as mqtt
+    from paho.mqtt.enums import CallbackAPIVersion
 
     machines = Machines(axes, seconds)
-    client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, "machines", protocol=mqtt.MQTTv5)
+    client = mqtt.Client(CallbackAPIVersion.VERSION2, "machines", protocol=mqtt.MQTTv5)
     client.max_inflight_messages_set(1000)
     client.connect("127.0.0.1", port)
     client.loop_start()

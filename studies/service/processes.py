@@ -81,7 +81,7 @@ def _until(there: object, process: subprocess.Popen[bytes]) -> None:
     begin = time.monotonic()
     while not there():  # type: ignore[operator]
         if process.poll() is not None or time.monotonic() > begin + STARTING:
-            raise UsageError(f"{process.args} did not start")
+            raise UsageError(f"{process.args!r} did not start")
         time.sleep(0.1)
 
 

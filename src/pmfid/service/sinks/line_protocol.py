@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from pmfid.errors import UsageError
 from pmfid.service.broker import secret
 from pmfid.service.outcome import Notice, Rows
-from pmfid.service.sinks.line_targets import FileTarget, HttpTarget, TcpTarget, Target, UdpTarget
+from pmfid.service.sinks.line_targets import FileTarget, HttpTarget, Target, TcpTarget, UdpTarget
 from pmfid.service.sinks.plain import as_json, single_rows
 from pmfid.service.sinks.posting import Poster, checked_address
 from pmfid.service.sinks.section import Host, SinkSection
@@ -86,8 +86,8 @@ class LineProtocolSection(SinkSection):
 
 class LineProtocolSink:
     """Lines `pmfid,service=...,axis=...,config=...,state=... mass=1.07,mass_std=0.01,... TIME` for rows, and
-    `pmfid_event,service=...,axis=...,event=... number=7i,...` for notices. The same points may come twice after an error
-    or a restart: databases know them by tags and time."""
+    `pmfid_event,service=...,axis=...,event=... number=7i,...` for notices. The same points may come twice after an
+    error or a restart: databases know them by tags and time."""
 
     def __init__(self, name: str, service: str, target: Target) -> None:
         self.name = name
