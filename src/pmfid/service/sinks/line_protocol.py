@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from pmfid.errors import UsageError
 from pmfid.service.broker import secret
 from pmfid.service.outcome import Notice, Rows
-from pmfid.service.sinks.line_targets import FileTarget, HttpTarget, TcpTarget, Target, UdpTarget
+from pmfid.service.sinks.line_targets import FileTarget, HttpTarget, Target, TcpTarget, UdpTarget
 from pmfid.service.sinks.plain import as_json, single_rows
 from pmfid.service.sinks.posting import Poster, checked_address
 from pmfid.service.sinks.section import Host, SinkSection
@@ -86,8 +86,8 @@ class LineProtocolSection(SinkSection):
 
 class LineProtocolSink:
     """Lines `pmfid,service=...,axis=...,config=...,state=... mass=1.07,mass_std=0.01,... TIME` for rows, and
-    `pmfid_event,service=...,axis=...,event=... number=7i,...` for notices. The same points may come twice after an error
-    or a restart: databases know them by tags and time."""
+    `pmfid_event,service=...,axis=...,event=... number=7i,...` for notices. The same points may come twice after an
+    error or a restart: databases know them by tags and time."""
 
     def __init__(self, name: str, service: str, target: Target) -> None:
         self.name = name
@@ -120,7 +120,7 @@ class LineProtocolSink:
             ]
             own.append(f"counts={row.counts}i,status={row.status}i,number={row.number}i")
             # where the axis has no clock, the time is that of the server that stores it
-            stamp = f" {round(1e9 * row.time)}" if abs(row.time) < LARGEST_TIME else ""
+            stamp = f" {nanoseconds(row.time)}" if abs(row.time) < LARGEST_TIME else ""
             yield f"{_head(self._service, config, row.axis, row.state)} {','.join(own + fields)}{stamp}"
 
     def _notice_line(self, notice: Notice) -> str:
@@ -130,11 +130,16 @@ class LineProtocolSink:
             if key not in ("event", "number") and value is not None:
                 fields[key] = value if isinstance(value, int | float | str) else as_json(value)
         wall = notice.wall if math.isfinite(notice.wall) else time.time()
-        return format_line("pmfid_event", tags, fields, round(1e9 * wall))
+        return format_line("pmfid_event", tags, fields, nanoseconds(wall))
 
     def close(self) -> None:
         """Ends the connection, or closes the file."""
         self._target.close()
+
+
+def nanoseconds(seconds: float) -> int:
+    """Whole microseconds: a number of seconds since 1970 has no more digits."""
+    return 1000 * round(1e6 * seconds)
 
 
 # Names come again in every row: they are escaped once, by the writer of whole lines, and lines are put together here.
