@@ -20,8 +20,9 @@ class Sink(Protocol):
     full and counts them, and keeps notices as long as it can: what waits for a broken sink never delays an estimate.
 
     name: in PLANT.toml. `put` writes what is given, in order; an OSError, which errors of its library are turned into,
-    is told once, and all that was given is tried again after a pause with `open` before it. `close` writes what can
-    still be written.
+    is told once, and all that was given is tried again after a pause with `open` before it. While nothing comes
+    `put` is called with nothing, first at the start and then every few seconds. `close` writes what can still be
+    written.
     """
 
     name: str

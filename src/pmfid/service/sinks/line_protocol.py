@@ -120,7 +120,7 @@ class LineProtocolSink:
             ]
             own.append(f"counts={row.counts}i,status={row.status}i,number={row.number}i")
             # where the axis has no clock, the time is that of the server that stores it
-            stamp = f" {round(1e9 * row.time)}" if abs(row.time) < LARGEST_TIME else ""
+            stamp = f" {nanoseconds(row.time)}" if abs(row.time) < LARGEST_TIME else ""
             yield f"{_head(self._service, config, row.axis, row.state)} {','.join(own + fields)}{stamp}"
 
     def _notice_line(self, notice: Notice) -> str:
@@ -130,11 +130,16 @@ class LineProtocolSink:
             if key not in ("event", "number") and value is not None:
                 fields[key] = value if isinstance(value, int | float | str) else as_json(value)
         wall = notice.wall if math.isfinite(notice.wall) else time.time()
-        return format_line("pmfid_event", tags, fields, round(1e9 * wall))
+        return format_line("pmfid_event", tags, fields, nanoseconds(wall))
 
     def close(self) -> None:
         """Ends the connection, or closes the file."""
         self._target.close()
+
+
+def nanoseconds(seconds: float) -> int:
+    """Whole microseconds: a number of seconds since 1970 has no more digits."""
+    return 1000 * round(1e6 * seconds)
 
 
 # Names come again in every row: they are escaped once, by the writer of whole lines, and lines are put together here.

@@ -43,8 +43,10 @@ class FileTarget(Target):
             self._file = os.dup(1)
         else:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
+            # without O_NONBLOCK a named pipe that nobody reads could not be given up
+            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
             self._file = os.open(self._path, flags, 0o666)
+            os.set_blocking(self._file, True)
             self._end_line()
 
     def _end_line(self) -> None:
