@@ -27,7 +27,7 @@ export class AxisView {
     this.columns = new Columns(this.group.names.length);
     this.span = 30;
     this.zoomed = null; // [from, to] while someone looks at a part
-    this.paused = null; // [from, to] while it stands still
+    this.paused = null; // the time at its end while it stands still
     this.missed = 0;
     this.build();
     this.update();
@@ -156,10 +156,10 @@ export class AxisView {
   // --- what someone does ---
 
   pause() {
-    this.paused = this.paused ? null : this.range();
+    this.paused = this.paused === null ? this.columns.end : null;
     this.pausedAt = this.columns.size ? this.columns.data.number[this.columns.size - 1] : 0;
-    this.pauseButton.setAttribute("aria-pressed", String(Boolean(this.paused)));
-    say(this.pauseButton, this.paused ? "Go on" : "Pause");
+    this.pauseButton.setAttribute("aria-pressed", String(this.paused !== null));
+    say(this.pauseButton, this.paused !== null ? "Go on" : "Pause");
     this.update();
     this.draw();
   }
@@ -229,8 +229,8 @@ export class AxisView {
 
   range() {
     if (this.zoomed) return this.zoomed;
-    if (this.paused) return this.paused;
-    const { start, end } = this.columns;
+    const { start } = this.columns;
+    const end = this.paused ?? this.columns.end;
     if (!Number.isFinite(end)) return [0, 1];
     const from = this.span === Infinity ? start : end - this.span;
     return [Math.min(from, end - 1e-3), end];
@@ -277,7 +277,7 @@ export class AxisView {
       this.state.title = MEANING[kind];
     }
     const end = this.columns.size ? this.columns.data.number[this.columns.size - 1] : NaN;
-    const waiting = this.paused ? `, paused, ${Math.max(0, end - this.pausedAt)} samples since` : "";
+    const waiting = this.paused !== null ? `, paused, ${Math.max(0, end - this.pausedAt)} samples since` : "";
     const lost = (this.dropped ?? 0) + this.missed;
     say(this.facts, `data ${age(this.age())} old, a sample every ${number(1000 * group.dt)} ms, ${group.config}${lost ? `, ${lost} rows not shown here` : ""}${waiting}`);
     this.showAlarms();
