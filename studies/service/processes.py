@@ -118,7 +118,7 @@ def service(plant: Path, log: Path) -> Iterator[Service]:
     port = int(re.findall(r"^port = (\d+)$", plant.read_text(), re.MULTILINE)[-1])
     environment = os.environ | {"PMFID_TOKEN": token, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with log.open("wb") as out:
-        command = [sys.executable, "-m", "pmfid.cli.main", "serve", str(plant), "--json"]
+        command = [str(Path(sys.executable).with_name("pmfid")), "serve", str(plant), "--json"]
         process = subprocess.Popen(command, stdout=out, stderr=out, env=environment)
     try:
         _until(lambda: _listens(port), process)
