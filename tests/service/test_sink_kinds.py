@@ -73,7 +73,7 @@ def test_a_folder_that_nothing_can_be_written_to_is_told_once_and_costs_only_wha
         outlet.notice(alarm(number))
     assert until(lambda: host.count("pmfid_sink_errors_total", sink="a") > 2)
     assert outlet.close(20)
-    assert [told["works"] for told in host.told][0] is False
+    assert host.told[0]["works"] is False
     assert len(host.told) <= 2, "and once more at the end"
     assert host.count("pmfid_sink_working", sink="a") == 0
     rows, notices = (host.count(f"pmfid_dropped_{what}_total", sink="a") for what in ("rows", "notices"))

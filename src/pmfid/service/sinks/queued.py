@@ -92,8 +92,10 @@ class Queued:
         with self._changed:
             first = not self._waiting
             lost = self._waiting.add(outcome)
+            waiting = self._waiting.rows
             if first or self._waiting.crowded:
                 self._changed.notify()
+        self._counters.put("pmfid_sink_waiting_rows", waiting, sink=self.name)
         self._count_lost(lost)
 
     def start(self) -> None:
@@ -107,7 +109,8 @@ class Queued:
             self._deadline = time.monotonic() + within
             self._closing.set()
             self._changed.notify()
-        self._thread.join(within)
+        if self._thread.ident is not None:
+            self._thread.join(within)
         ended = not self._thread.is_alive()
         with self._changed:
             lost = Lost(self._waiting.rows, self._waiting.notices)
