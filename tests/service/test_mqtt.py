@@ -213,7 +213,7 @@ def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[
     thread = engine.running(hall)
     assert connected(hall)
     ended, sent = threading.Event(), {"x1": 0, "x2": 0}
-    gateway = sender(broker, "killed/a", samples=5, size=400, delay=0.02)
+    gateway = sender(broker, "killed/a", samples=5, size=400, delay=0.02, keep=5.0)
 
     def feed() -> None:
         while not ended.wait(0.005):
@@ -236,7 +236,12 @@ def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[
     feeder.join()
     assert gateway.close(30), gateway.problem
     assert gateway.dropped == 0
-    wait_for(lambda: all(any(b.axis == name and b.end == n for b in engine.blocks) for name, n in sent.items()))
+
+    def complete() -> bool:
+        engine.checkpoint()
+        return all(any(b.axis == name and b.end == n for b in reversed(engine.blocks)) for name, n in sent.items())
+
+    wait_for(complete)
     stop(hall, thread)
     broker.stop()
     return engine, sent
