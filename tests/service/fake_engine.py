@@ -103,7 +103,7 @@ class FakePlant:
         drift = 1 + 0.004 * np.sin(2 * np.pi * t[:, None] / 47 + phase) + 0.001 * self._rng.standard_normal((t.size, q))
         wrong = np.array([self.odd.get(group.axes[i], "") for i in axis])
         drift[:, 0] += 0.075 * np.clip((t - 40) / 6, 0, 1) * (wrong == "heavy")
-        drift[:, 2] += 0.03 * np.clip((t - 30) / 20, 0, 1) * (wrong == "suspicious")
+        drift[:, -1] += 0.03 * np.clip((t - 30) / 20, 0, 1) * (wrong == "suspicious")
         state = np.full(t.size, WATCHING)
         state[wrong == "poor"], state[wrong == "suspicious"] = CANNOT_TELL, SUSPICIOUS
         status = np.where(wrong == "poor", int(Status.POOR_EXCITATION | Status.STANDSTILL), 0)

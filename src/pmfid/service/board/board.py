@@ -44,7 +44,7 @@ class Board:
     def __init__(
         self, groups: Sequence[Kindred], counters: Counters, *, budget: float = 64e6, every: float = 1.0
     ) -> None:
-        self._counters, self._budget, self._every = counters, budget, every
+        self._counters, self._budget, self.every = counters, budget, every
         self._lock = Lock()
         self._version, self._layout = 0, 0
         self._panels: list[Panel] = []
@@ -60,7 +60,7 @@ class Board:
     def arrange(self, groups: Sequence[Kindred]) -> None:
         """The groups that there are from now on; what is known of an axis stays where its parameters are the same."""
         share = self._budget / max(1, sum(len(group.axes) * row_bytes(group) for group in groups))
-        panels = [Panel(group, int(share), self._every) for group in groups]
+        panels = [Panel(group, int(share), self.every) for group in groups]
         with self._lock:
             self._version += 1
             for panel in panels:
@@ -103,6 +103,14 @@ class Board:
             self._version += 1
             self._notices.append((self._version, notice))
             self._changed.extend((self._version, alarm.number) for alarm in self._alarms.take(notice))
+            if notice.what.get("event") == "reference" and "problem" not in notice.what:
+                self._refer(notice.axis)
+
+    def _refer(self, axis: str) -> None:
+        panel = self._by_axis.get(axis)
+        if panel is not None:
+            panel.refer(panel.place[axis])
+            self._layout += 1
 
     def followed(self) -> frozenset[str]:
         """Names of the axes of which someone wants every row."""
@@ -116,7 +124,7 @@ class Board:
 
     @property
     def layout(self) -> int:
-        """Raised whenever groups change."""
+        """Raised whenever groups, or what is normal for an axis, change."""
         return self._layout
 
     def news(self, since: int = 0, groups: bool = True) -> News:
@@ -130,6 +138,11 @@ class Board:
                 numbers = dict.fromkeys(number for version, number in self._changed if version > since)
                 alarms = [alarm for number in numbers if (alarm := self._alarms.get(number))]
             return News(self._version, self._layout, overviews, notices, alarms)
+
+    def referred(self) -> list[dict[int, list[float]]]:
+        """For each group the axes whose normal values are their own, by number, and these."""
+        with self._lock:
+            return [panel.referred() for panel in self._panels]
 
     def alarm(self, number: int) -> Standing | None:
         """The alarm that was told as the notice of this number."""

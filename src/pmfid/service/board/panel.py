@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,9 @@ from pmfid.types import Floats
 
 __all__ = ["Overview", "Panel", "Records", "row_bytes", "row_type"]
 
-#: Points of a trend; what one stands for at first, and at most [s]: then the trend is a day long.
-POINTS, FINEST, COARSEST = 90, 1.0, 960.0
+#: Points of a trend; what one stands for at first and at most [s]: then the trend is a day long. At least so many rows
+#: fall on a point, for with about one, some would be empty.
+POINTS, FINEST, COARSEST, ROWS = 90, 2.0, 1024.0, 2.0
 #: Rows of an axis that are kept at least and at most.
 FEWEST, MOST = 32, 20_000
 
@@ -65,12 +66,13 @@ class Panel:
     group: Kindred
     depth: int
     every: float = 1.0
-    interval: float = field(default=FINEST, init=False)
 
     def __post_init__(self) -> None:
         k = len(self.group.axes)
+        self.interval = max(FINEST, ROWS * self.every, ROWS * self.group.dt)
         self.depth = min(max(self.depth, FEWEST), MOST)
         self.place = {name: i for i, name in enumerate(self.group.axes)}
+        self.nominal = np.tile(np.asarray(self.group.nominal, float), (k, 1))
         self.last: Records = np.zeros(k, row_type(len(self.group.names)))
         self.received = np.full(k, np.nan)
         self._changed = np.zeros(k, np.int64)
@@ -85,6 +87,16 @@ class Panel:
         """The first parameter that deviations can be measured of."""
         usable = np.flatnonzero(self.group.nominal)
         return int(usable[0]) if usable.size else 0
+
+    def refer(self, axis: int) -> None:
+        """What the axis is now is normal; where nothing is known of it, what was normal stays."""
+        row = self.last[axis]
+        self.nominal[axis] = np.where(np.isfinite(row["std"]), row["theta"], self.nominal[axis])
+
+    def referred(self) -> dict[int, list[float]]:
+        """Axes whose normal values are not those of the group, and these."""
+        own = np.flatnonzero((self.nominal != self.group.nominal).any(axis=1))
+        return {int(axis): self.nominal[axis].tolist() for axis in own}
 
     def records(self, rows: Rows) -> Records:
         """(m,) the rows as they are kept."""
@@ -101,7 +113,7 @@ class Panel:
         self.received[axis] = rows.received
         self._changed[axis] = version
         self._turn(rows.received)
-        self._trend[axis, self._bin] = self.deviation(new)
+        self._trend[axis, self._bin] = self.deviation(axis, new)
         since = new["time"] - self._kept_at[axis]
         due = ~((since >= 0) & (since < 0.999 * self.every))
         self._keep(axis[due], new[due])
@@ -111,13 +123,13 @@ class Panel:
         self._rows[axis] += 1
         self._kept_at[axis] = new["time"]
 
-    def deviation(self, rows: Records) -> Floats:
-        """(m,) of the leading parameter, relative to nominal; NaN without an estimate."""
+    def deviation(self, axis: NDArray[np.int64], rows: Records) -> Floats:
+        """(m,) of the leading parameter of these axes, relative to nominal; NaN without an estimate."""
         lead = self.leading
-        nominal = float(self.group.nominal[lead])
-        theta, std = rows["theta"][:, lead], rows["std"][:, lead]
-        known = np.isfinite(std) & (nominal != 0)
-        return np.asarray(np.where(known, theta / (nominal or 1.0) - 1.0, np.nan), float)
+        nominal = self.nominal[axis, lead]
+        known = np.isfinite(rows["std"][:, lead]) & (nominal != 0)
+        ratio = rows["theta"][:, lead] / np.where(nominal == 0, 1.0, nominal)
+        return np.asarray(np.where(known, ratio - 1.0, np.nan), float)
 
     def _turn(self, now: float) -> None:
         """Goes on to the next point of the trend when its time has come; a full trend is made half as fine, and once
@@ -167,7 +179,7 @@ class Panel:
             self.received[axis],
             rows["theta"][:, lead],
             rows["std"][:, lead],
-            self.deviation(rows),
+            self.deviation(axis, rows),
             rows["status"],
             rows["state"],
         )
@@ -181,6 +193,8 @@ class Panel:
         theirs = np.array([other.place[name] for name in common], np.int64)
         seen = ~np.isnan(other.received[theirs])
         self.last[mine], self.received[mine] = other.last[theirs], other.received[theirs]
+        own = np.array([(other.nominal[j] != other.group.nominal).any() for j in theirs], bool)
+        self.nominal[mine[own]] = other.nominal[theirs[own]]
         self._changed[mine[seen]] = version
         for i, j in zip(mine[seen].tolist(), theirs[seen].tolist(), strict=True):
             rows = other.history(j)[-self.depth :]

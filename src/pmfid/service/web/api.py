@@ -66,9 +66,11 @@ class Api:
             "name": self.name,
             "may": request.scope["may"],
             "layout": self.board.layout,
+            "every": self.board.every,
             "states": list(STATES),
             "status": [{"bit": int(bit), "name": str(bit.name).lower(), "advice": ADVICE[bit]} for bit in Status],
             "groups": [_group(group) for group in self.board.groups],
+            "referred": self.board.referred(),
         }
         return Response(json_line(content), media_type="application/json")
 

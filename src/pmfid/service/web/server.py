@@ -22,6 +22,7 @@ from pmfid.session.records import Record
 if TYPE_CHECKING:
     from uvicorn import Config, Server
 
+    from pmfid.service.web.api import Api
     from pmfid.service.web.hub import Hub
 
 __all__ = ["Page", "serve"]
@@ -30,6 +31,8 @@ __all__ = ["Page", "serve"]
 BESIDE = 64
 #: Until the page answers, and until it has ended [s].
 STARTED, ENDED = 10.0, 3.0
+#: What the system may keep for a browser that reads slowly [bytes]; left alone it would keep some megabytes for each.
+WAITING = 262_144
 
 
 @dataclass
@@ -41,7 +44,7 @@ class Page:
     start_url: str
     notes: tuple[str, ...]
     _server: Server
-    _hub: Hub
+    _api: Api
     _thread: Thread
 
     def stop(self) -> None:
@@ -77,12 +80,16 @@ def serve(
     hub = Hub(board, counters)
     api = Api(name, board, counters, hub, acts, reference, metrics, config.browsers)
     app = make_app(api, hosts_of(config.address, port, config.hosts), tokens)
-    server = _server(_uvicorn_config(app, config, counters, folder), hub)
+    try:
+        server = _server(_uvicorn_config(app, config, counters, folder), hub)
+    except UsageError:
+        listener.close()
+        raise
     thread = Thread(target=_run, args=(server, listener), name="page", daemon=True)
     thread.start()
     _wait(server, thread)
     url = f"{'https' if config.certificate else 'http'}://{_shown_host(config, port)}/"
-    return Page(url, f"{url}#token={tokens.write}" if tokens.made else url, _notes(config, tokens), server, hub, thread)
+    return Page(url, f"{url}#token={tokens.write}" if tokens.made else url, _notes(config, tokens), server, api, thread)
 
 
 def _check_extra() -> None:
@@ -96,7 +103,9 @@ def _check_extra() -> None:
 def _listener(config: PageConfig) -> socket.socket:
     family = socket.AF_INET6 if ":" in config.address else socket.AF_INET
     try:
-        return socket.create_server((config.address, config.port), family=family, backlog=256)
+        listener = socket.create_server((config.address, config.port), family=family, backlog=256)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING)
+        return listener
     except (OSError, OverflowError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise UsageError(
