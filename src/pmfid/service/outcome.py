@@ -61,7 +61,8 @@ class Rows:
 class Notice:
     """An event of one axis, or of the service where axis is "".
 
-    number: raised by one from notice to notice of the service, also over restarts: who gets one twice knows it by that;
+    number: its own, in JSON a number like any other; of an axis those of later notices are higher. What data that come
+    again after a restart say has the number that it had before: who gets a notice twice knows it by that;
     wall: seconds since 1970 when it was found; what: the object that `pmfid monitor --json` prints for an event
     ("event": alarm, state, settled, outlier, gap, clock, ...), or one of the service's own of the same form (late,
     duplicate, unusable, dropped, checkpoint, acknowledged, reference, source, sink).
