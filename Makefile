@@ -1,11 +1,13 @@
 # One door for every chore; each target makes the environment it needs in .venv.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck clang valgrind
+SERVICE_TOOLS = mosquitto
 BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.py' -o -name '*.py[ix]' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.j2')
 
-.PHONY: demo test test-long check format bench study hostile firmware firmware-tools images clean
+.PHONY: demo test test-long check format bench study hostile firmware firmware-tools service-tools \
+    images clean
 
 # What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. Not compiled to
 # bytecode before it is imported: most of it never is.
@@ -34,19 +36,29 @@ firmware-tools:
 	    $(FIRMWARE_TOOLS) >/dev/null 2>&1 || echo "no firmware tools: their tests will skip"; \
 	fi
 
+# The broker for the tests of the service; without it they skip. In the same way.
+service-tools: firmware-tools
+	@if [ -n "$(INSTALL_TOOLS)" ] && command -v apt-get >/dev/null && \
+	! PATH="$$PATH:/usr/sbin" command -v $(SERVICE_TOOLS) >/dev/null; then \
+	  root=$$([ "$$(id -u)" = 0 ] || echo "sudo -n"); \
+	  $$root timeout 60 apt-get update -qq >/dev/null 2>&1; \
+	  $$root timeout 170 env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
+	    $(SERVICE_TOOLS) >/dev/null 2>&1 || echo "no service tools: their tests will skip"; \
+	fi
+
 # A process for each core with one thread each (the threads of several would only wait for each other), a file of tests
 # in one of them; benchmarks stay out, they want the machine for themselves.
 WORKERS ?= auto
-test: .venv/tools firmware-tools
+test: .venv/tools firmware-tools service-tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark \
 	-m "not long"
 
 # The rest, of seconds each.
-test-long: .venv/tools firmware-tools
+test-long: .venv/tools firmware-tools service-tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark \
 	-m long
 
-KERNEL = $(wildcard csrc/*.[ch] csrc/many/*.[ch])
+KERNEL = $(wildcard csrc/*.[ch] csrc/many/*.[ch] csrc/wire/*.[ch])
 
 check: .venv/tools
 	.venv/bin/ruff format --check .

@@ -168,7 +168,7 @@ def _export(rng: Rng, folder: Path) -> Case:
     chosen += options(
         rng, 0.1, dt=["0.01", "1e-3"], prefix=["axis", "int", "µ", "a b", "../x"], forgetting=["0.99", "1"]
     )
-    chosen += _flags(rng, 0.1, "--no-guard") + _alarms(rng)
+    chosen += _flags(rng, 0.1, "--no-guard", "--blocks") + _alarms(rng)
     out = _out(rng, 1.0) if rng.random() < 0.2 else ["--out", "out"]
     record = ["--record", name] if rng.random() < 0.8 else []
     return Case(("export", "axis.toml", *record, *out, *chosen), files)

@@ -34,6 +34,7 @@ from pmfid.estimators import METHODS
     metavar="PARAMETER NOMINAL SHIFT",
     help="An alarm where a parameter leaves its nominal value by such a shift; may be given several times.",
 )
+@click.option("--blocks", is_flag=True, help="With pmf_block.c, which makes blocks of samples for pmfid serve.")
 @click.option("--no-guard", is_flag=True, help="Let every sample in: smaller, but a glitch spoils the estimate.")
 def export(
     axis_file: Path,
@@ -42,6 +43,7 @@ def export(
     record: Path | None,
     dt: float | None,
     alarms: tuple[tuple[str, float, float], ...],
+    blocks: bool,
     no_guard: bool,
     **options: object,
 ) -> None:
@@ -64,7 +66,7 @@ def export(
     name = prefix or re.sub(r"\W+", "_", axis_file.stem.lower())
     samples = None if data is None else (data.u, data.counts)
     watched = [ParameterAlarm(*alarm) for alarm in alarms]
-    export_firmware(estimator, out, prefix=name, record=samples, alarms=watched)
+    export_firmware(estimator, out, prefix=name, record=samples, alarms=watched, blocks=blocks)
     click.echo(f"{estimator.method}, {estimator.precision}, every {estimator.dt:.9g} s: {out / name}.h")
     if estimator.precision == "float32" and estimator.forgetting >= LONG_MEMORY:
         click.echo(

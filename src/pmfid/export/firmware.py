@@ -32,6 +32,8 @@ FILES = {
     "CMakeLists.txt.j2": "CMakeLists.txt",
 }
 COPIED = ("*.c", "*.h", "LICENSE")
+#: What sends samples to `pmfid serve`.
+BLOCKS = ("wire/pmf_block.c", "wire/pmf_block.h")
 
 
 def export_firmware(
@@ -41,24 +43,30 @@ def export_firmware(
     prefix: str = "axis",
     record: tuple[ArrayLike, ArrayLike] | None = None,
     alarms: Sequence[ParameterAlarm] = (),
+    blocks: bool = False,
 ) -> list[Path]:
     """Writes the estimator as C99 into a folder: kernel, configuration, header, example, build files and self-test.
 
     The C computes the same bits as the estimator. prefix: of all names, an identifier of C. record: (n,) inputs and
-    (n,) counts of the axis for the self-test; None: of a made-up motion. alarms: on parameters of the estimate. Same
-    arguments, same bytes. Returns the files. Raises UsageError for an off-line method, a prefix or names of parameters
-    that would not compile, a folder with other things in it, an alarm that cannot be, or a record that is empty or not
-    finite, and OSError where the folder cannot be written.
+    (n,) counts of the axis for the self-test; None: of a made-up motion. alarms: on parameters of the estimate.
+    blocks: with the encoder of blocks for `pmfid serve`. Same arguments, same bytes. Returns the files. Raises
+    UsageError for an off-line method, a prefix or names of parameters that would not compile, a folder with other
+    things in it, an alarm that cannot be, or a record that is empty or not finite, and OSError where the folder cannot
+    be written.
     """
     if not isinstance(estimator, RecursiveEstimator):
         raise UsageError(f"{estimator.method} works on whole records; export rls, bcrls, rknown-step or riv")
     check_names(prefix, estimator.names)
     folder = Path(folder)
     names = {template: file.replace("NAME", prefix) for template, file in FILES.items()}
-    copied = sorted({path for pattern in COPIED for path in source_files(pattern)} - {source_folder() / "pmf_sizes.h"})
+    patterns = [*COPIED, *(BLOCKS if blocks else ())]
+    copied = sorted(
+        {path for pattern in patterns for path in source_files(pattern)} - {source_folder() / "pmf_sizes.h"}
+    )
     _check_folder(folder, prefix, {*names.values(), *(path.name for path in copied)})
     texts = _render(
         _context(estimator, prefix, record)
+        | {"sources": sorted(path.name for path in copied if path.suffix == ".c")}
         | {"alarms": alarms, "alarm_initializers": [initializer(alarm.structure(estimator), 1) for alarm in alarms]}
     )
     contents = {file: texts[template].encode("ascii") for template, file in names.items()}
@@ -120,7 +128,6 @@ def _context(
         "fixed": fixed_recursion(config),
         "layout": layout_number(types["pmf_state_t"]),
         "functions": sorted(set(re.findall(r"\b(pmf_\w+)\(", "".join(map(header, HEADERS))))),
-        "sources": sorted(path.name for path in source_files("*.c")),
         "sizes": {name: types[f"pmf_{name}_t"].itemsize for name in ("state", "config", "saved")},
         "config": initializer(resized(config, types["pmf_config_t"])),
         "samples": [(literal(u), f"{count}U", f"0x{crc:08x}U") for u, count, crc in rows],

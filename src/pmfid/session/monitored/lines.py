@@ -5,20 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.session.clock import time_factor
 from pmfid.session.config import Axis
-from pmfid.session.conversion import Sections, conversion
 from pmfid.session.formats.layout import SEPARATORS, are_units, split
+from pmfid.session.monitored.reading import Reading, check_streamed
 from pmfid.session.monitored.timeline import Line
 from pmfid.session.tables import whole_name
 
-#: Beyond it neighbouring whole numbers are no longer separate doubles.
-_MAX_COUNT = 2.0**53
-#: Of a stamp, in s, though it may be in ns by mistake: in samples it must stay a number.
-_MOST_TIME = 1e30
 #: How a line begins that is for people.
 COMMENTS = ("#", "%", "//", ";")
 
@@ -40,13 +34,9 @@ class LineParser:
     """
 
     def __init__(self, header: bytes, axis: Axis) -> None:
-        self._config = config = axis.record
-        if isinstance(config.input_scale, str):
-            raise UsageError(f"[record] input_scale = {config.input_scale!r} names a variable; a pipe needs a number")
+        check_streamed(axis)
+        config, self._axis = axis.record, axis
         self._wanted = [config.input, config.output] + ([config.time] if config.time else [])
-        if config.output_kind == "velocity" or axis.encoder.range is not None:
-            raise UsageError("a pipe has positions that go on, or counts: unwrap or integrate the output before")
-        self._sections = Sections(axis.record, axis.encoder, axis.model)
         self._read_header(_likeliest(_text(header), self._wanted))
 
     def _read_header(self, header: _Header) -> None:
@@ -57,13 +47,8 @@ class LineParser:
                 raise UsageError(f"standard input has no column {name!r}; it has {known}{hint}")
             if header.names.count(header.names[place]) > 1:
                 raise UsageError(f"standard input has two columns {name!r}; rename one of them")
-        config, encoder = self._config, self._sections.encoder
-        units = conversion(self._sections, *(header.names[place] for place in header.places[:2]))
+        self._reading = Reading(self._axis, tuple(header.names[place] for place in header.places))
         self._header = header
-        self._scale = float(config.input_scale) * units.u
-        self._step = encoder.resolution / units.y if config.output_kind == "position" else None
-        time = header.names[header.places[2]] if len(header.places) == 3 else None  # its unit may stand in it
-        self._unit = time_factor(self._config.model_copy(update={"time": time}))
 
     def __call__(self, line: bytes) -> Line | None:
         """What a line says; None of a comment, of units, and of a header: a logger that starts again writes its own."""
@@ -100,32 +85,8 @@ class LineParser:
         return found if separator == "," and plain else [cell.replace(",", ".") for cell in found]
 
     def _values(self, cells: list[str]) -> Line:
-        time = self._time(cells[2]) if len(cells) == 3 else math.nan
-        if len(cells) == 3 and not abs(time) < _MOST_TIME:
-            raise ValueError("a time that is not finite, or beyond all clocks")
-        try:
-            u, output = self._scale * float(cells[0]), float(cells[1])
-            if not (math.isfinite(u) and math.isfinite(output)):
-                raise ValueError("a value that is not finite")
-            return Line(time, u, self._count(output))
-        except (ValueError, OverflowError) as error:
-            if math.isnan(time):
-                raise
-            return Line(time, math.nan, 0, str(error))
-
-    def _time(self, cell: str) -> float:
-        """A stamp [s]; a date or a time of day has its own unit, whatever [record] says."""
-        try:
-            return self._unit * float(cell)
-        except ValueError:
-            return _moment(cell.strip())
-
-    def _count(self, value: float) -> int:
-        """The count of an output; a position a hair below a step belongs to it, as in a record."""
-        counts = math.floor(value / self._step + 1e-6) if self._step else round(value)
-        if abs(counts) >= _MAX_COUNT or (self._step is None and abs(counts - value) > 1e-6):
-            raise ValueError(f"counts must be whole numbers below 2**53, got {value:.9g}")
-        return counts
+        time = self._reading.time(cells[2]) if len(cells) == 3 else math.nan
+        return self._reading.line(cells[0], cells[1], time)
 
 
 def is_comment(line: bytes) -> bool:
@@ -140,16 +101,6 @@ def _for_people(text: str) -> bool:
 def _text(line: bytes) -> str:
     text = line.decode("utf-8", "replace").strip(" \r\n\ufeff")
     return text.replace("\r", " ") if "\r" in text else text  # where one ends a line inside, as some loggers have it
-
-
-def _moment(text: str) -> float:
-    """Seconds since 1970 of a date with a time, and since midnight of a time of day, as ISO 8601 writes them."""
-    day = "" if "-" in text[1:] else "1970-01-01 "
-    try:
-        moment = datetime.fromisoformat(day + text)
-    except ValueError:
-        raise ValueError(f"{text!r} is no time") from None
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def _are_units(fields: Sequence[str]) -> bool:

@@ -1,0 +1,109 @@
+"""How an MQTT broker is reached: the keys that every section has which names one, and a client of MQTT 5 of them."""
+
+from __future__ import annotations
+
+import os
+import ssl
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Self
+
+from pydantic import Field, model_validator
+
+from pmfid.errors import UsageError
+from pmfid.session.toml_file import FileSection
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client
+
+__all__ = ["BrokerSection", "new_client", "pauses", "secret"]
+
+#: Seconds until an attempt to connect is given up.
+_CONNECTING = 10.0
+
+Text = Annotated[str, Field(min_length=1)]
+
+
+class BrokerSection(FileSection):
+    """Keys of a section that names a broker."""
+
+    host: Text = Field("127.0.0.1", description="the name or address of the broker")
+    port: int | None = Field(None, ge=1, le=65535, description="its port, or leave it out: 1883, with TLS 8883")
+    keepalive: int = Field(60, ge=5, le=65535, description="the seconds after which a silent connection is a dead one")
+    user: Text | None = Field(None, description="the user's name, or leave it out")
+    password_env: Text | None = Field(None, description="the environment variable that holds the password")
+    password_file: Text | None = Field(None, description="the file that holds the password")
+    tls: bool = Field(False, description="true for TLS by the certificates that the system trusts")
+    ca: Text | None = Field(None, description="the file of the certificates that are trusted; it asks for TLS, too")
+    cert: Text | None = Field(None, description="the file of this client's own certificate, with key")
+    key: Text | None = Field(None, description="the file of the key of cert")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.password_env and self.password_file:
+            raise ValueError("password_env and password_file are both there; give one of them")
+        if (self.password_env or self.password_file) and not self.user:
+            raise ValueError("there is a password without a user; give user")
+        if bool(self.cert) != bool(self.key):
+            raise ValueError("cert and key belong together; give both, or neither")
+        return self
+
+    @property
+    def encrypted(self) -> bool:
+        return self.tls or self.ca is not None or self.cert is not None
+
+    @property
+    def address(self) -> tuple[str, int]:
+        return self.host, self.port or (8883 if self.encrypted else 1883)
+
+
+def secret(env: str | None, file: str | None, folder: Path) -> str | None:
+    """A password or token from the environment or from a file in `folder`; None where neither is given. Raises
+    UsageError where it is not there: its name is told, never itself."""
+    if env is not None:
+        if env not in os.environ:
+            raise UsageError(f"the environment variable {env} is not set; set it to the secret, or give a file")
+        return os.environ[env]
+    if file is None:
+        return None
+    try:
+        return (folder / file).read_text(encoding="utf-8").rstrip("\r\n")
+    except (OSError, UnicodeDecodeError):
+        raise UsageError(f"the secret in {folder / file} cannot be read; correct the name or its rights") from None
+
+
+def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges: bool = False) -> Client:
+    """A client of MQTT 5 that is not connected yet, connects once and acknowledges by itself, or not (`acknowledges`:
+    whoever takes its messages does). folder: that files are relative to. Raises UsageError without paho-mqtt, and for
+    certificates or a password that cannot be read."""
+    try:
+        from paho.mqtt import client as mqtt
+        from paho.mqtt.enums import CallbackAPIVersion
+    except ImportError:
+        raise UsageError("MQTT needs paho-mqtt: pip install 'pmfid[serve]'") from None
+    client = mqtt.Client(
+        CallbackAPIVersion.VERSION2, name, protocol=mqtt.MQTTv5, reconnect_on_failure=False, manual_ack=acknowledges
+    )
+    client.connect_timeout = _CONNECTING
+    if section.user is not None:
+        client.username_pw_set(section.user, secret(section.password_env, section.password_file, folder))
+    if section.encrypted:
+        client.tls_set_context(_context(section, folder))
+    return client
+
+
+def _context(section: BrokerSection, folder: Path) -> ssl.SSLContext:
+    try:
+        context = ssl.create_default_context(cafile=None if section.ca is None else str(folder / section.ca))
+        if section.cert is not None and section.key is not None:
+            context.load_cert_chain(folder / section.cert, folder / section.key)
+    except (OSError, ssl.SSLError) as error:
+        raise UsageError(f"the certificates of the broker cannot be used ({error}); correct ca, cert and key") from None
+    return context
+
+
+def pauses(first: float = 0.5, longest: float = 30.0) -> Iterator[float]:
+    """Seconds to wait before each attempt after a failure: each twice the last one."""
+    while True:
+        yield first
+        first = min(2 * first, longest)

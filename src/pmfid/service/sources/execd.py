@@ -1,0 +1,86 @@
+"""Telegraf's execd: line protocol on standard input, of an output or of a processor, which passes every line on.
+
+Telegraf starts the service, and ends it by closing the pipe.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from threading import Event
+from typing import Any, Literal
+
+from pydantic import Field
+
+from pmfid.service.broker import Text
+from pmfid.service.delivery import Delivery, Mark
+from pmfid.service.sources import Take
+from pmfid.service.wire.line_protocol import Precision
+from pmfid.service.wire.messages import Messages
+from pmfid.service.wire.points import Readers
+from pmfid.service.wire.splitter import LineSplitter
+from pmfid.session.config import Axis
+from pmfid.session.toml_file import FileSection
+
+__all__ = ["ExecdSection", "ExecdSource"]
+
+#: A look whether the service ends, while nothing comes [s]; bytes of one read.
+_LOOK, _MOST_BYTES = 0.2, 65_536
+
+
+class ExecdSection(FileSection):
+    """[sources.NAME] of kind "execd"."""
+
+    kind: Literal["execd"] = Field(description='"execd"')
+    pass_on: bool = Field(False, description="true where it is a processor: every line goes to standard output, too")
+    axis_tag: Text = Field("axis", description="the tag that names the axis; without it the measurement does")
+    precision: Precision = Field("ns", description='the unit of timestamps, which Telegraf has in "ns"')
+
+
+@dataclass
+class ExecdSource:
+    """A `Source` of line protocol. name: in PLANT.toml; axes: by name; tell: takes what happens to the source; stdin,
+    stdout: file descriptors."""
+
+    name: str
+    section: ExecdSection
+    axes: Mapping[str, Axis]
+    tell: Callable[[dict[str, Any]], None]
+    stdin: int = 0
+    stdout: int = 1
+    _stopped: Event = field(default_factory=Event, init=False)
+
+    def run(self, take: Take, mark: Mark | None) -> None:
+        """Reads until the pipe is closed or `stop` is called."""
+        form = Messages(Readers(self.axes), "line", self.section.axis_tag, self.section.precision)
+        splitter, passing = LineSplitter(), self.section.pass_on
+        while not self._stopped.is_set():
+            if not select.select([self.stdin], [], [], _LOOK)[0]:
+                continue
+            data = os.read(self.stdin, _MOST_BYTES)
+            lines = splitter.feed(data or b"\n")  # the last line may lack its end
+            text = b"".join(line + b"\n" for line in lines if line.strip())
+            passing = passing and self._pass_on(text)
+            items = form.items(text)
+            if items and not take(Delivery(self.name, items, None, None, time.monotonic())):
+                return
+            if not data:
+                return
+
+    def stop(self) -> None:
+        """Ends `run` after what it is reading."""
+        self._stopped.set()
+
+    def _pass_on(self, text: bytes) -> bool:
+        """Writes lines to standard output; False where nobody reads it any more."""
+        try:
+            while text:
+                text = text[os.write(self.stdout, text) :]
+        except OSError as error:
+            problem = f"lines cannot be passed on ({error.strerror}); the axes go on"
+            self.tell({"event": "source", "source": self.name, "problem": problem})
+            return False
+        return True

@@ -1,0 +1,223 @@
+"""Messages of a broker by MQTT 5, each acknowledged when it is durable: what the service loses the broker sends again.
+
+A persistent session under a fixed name, quality of service 1. The broker sends at most `receive_maximum` messages that
+are not acknowledged, so that is also what may be under way between two checkpoints.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from threading import Event
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field
+
+from pmfid.service.broker import BrokerSection, Text, new_client, pauses
+from pmfid.service.delivery import Delivery, Mark
+from pmfid.service.sources import Take
+from pmfid.service.wire.line_protocol import Precision
+from pmfid.service.wire.messages import Form, Messages
+from pmfid.service.wire.points import Readers
+from pmfid.session.config import Axis
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage
+    from paho.mqtt.properties import Properties
+    from paho.mqtt.reasoncodes import ReasonCode
+
+__all__ = ["MqttSection", "MqttSource"]
+
+#: A level of a topic that names the axis.
+AXIS_LEVEL = "{axis}"
+#: A connection that lasted so long was a good one: the next failure is told at once and tried again soon [s].
+_LASTING = 60.0
+
+
+def _topics(texts: tuple[str, ...]) -> tuple[str, ...]:
+    for text in texts:
+        levels = text.split("/")
+        if levels.count(AXIS_LEVEL) != ("{" in text) or "#" in levels[:-1] or any(map(_mixed, levels)) or not text:
+            example = f"hall/{AXIS_LEVEL}/#"
+            raise ValueError(
+                f"{text!r} is no topic: + and {AXIS_LEVEL} are whole levels, # is the last, as {example!r}"
+            )
+    return texts
+
+
+def _mixed(level: str) -> bool:
+    return len(level) > 1 and level != AXIS_LEVEL and any(sign in level for sign in "+#{}\0")
+
+
+class MqttSection(BrokerSection):
+    """[sources.NAME] of kind "mqtt"."""
+
+    kind: Literal["mqtt"] = Field(description='"mqtt"')
+    topics: Annotated[tuple[str, ...], AfterValidator(_topics)] = Field(
+        strict=False, min_length=1, description='the topics, for example ["hall/+/blocks"] or ["hall/{axis}/json"]'
+    )
+    format: Form = Field("auto", description='what messages are: "block", "json", "line", or "auto": each says it')
+    axis_tag: Text = Field("axis", description="the tag of line protocol that names the axis")
+    precision: Precision = Field("ns", description='the unit of timestamps in line protocol, for example "ms"')
+    client: Text | None = Field(None, description="the name of the session at the broker, one for each service")
+    qos: Literal[0, 1] = Field(1, description="1, or 0 where messages may be lost")
+    session: int = Field(86400, ge=0, le=2**32 - 1, description="the seconds for which the broker keeps what waits")
+    receive_maximum: int = Field(20_000, ge=1, le=65535, description="the most messages that wait for a checkpoint")
+    largest: int = Field(2**20, ge=1024, le=2**28, description="the most bytes of a message")
+
+
+@dataclass
+class MqttSource:
+    """A `Source` of messages. name: in PLANT.toml; axes: by name; tell: takes what happens to the source; folder: that
+    files in the section are relative to; client: name of the session where the section has none; subscribed: it is,
+    now."""
+
+    name: str
+    section: MqttSection
+    axes: Mapping[str, Axis]
+    tell: Callable[[dict[str, Any]], None]
+    folder: Path = Path()
+    client: str = "pmfid"
+    subscribed: bool = field(default=False, init=False)
+    _stopped: Event = field(default_factory=Event, init=False)
+    _over: Event = field(default_factory=Event, init=False)
+    _told: str = field(default="", init=False)
+    _problem: str = field(default="", init=False)
+    _failure: BaseException | None = field(default=None, init=False)
+    _had_session: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        section = self.section
+        self._messages = Messages(
+            Readers(self.axes), section.format, section.axis_tag, section.precision, section.largest
+        )
+
+    def run(self, take: Take, mark: Mark | None) -> None:
+        """Takes messages until `stop`. Raises UsageError for a section that cannot work."""
+        waiting = pauses()
+        while not self._stopped.is_set():
+            began = time.monotonic()
+            self._connected(take)
+            if self._failure is not None:
+                raise self._failure
+            if self._stopped.is_set():
+                return
+            if time.monotonic() - began > _LASTING:
+                waiting = pauses()
+            self._say(self._problem)
+            self._stopped.wait(next(waiting))
+
+    def stop(self) -> None:
+        """Ends `run`; what has been taken may still be acknowledged until then."""
+        self._stopped.set()
+        self._over.set()
+
+    def _connected(self, take: Take) -> None:
+        """One connection, from its beginning to its end."""
+        section, self._problem = self.section, ""
+        self._over.clear()
+        client = new_client(section, self.folder, section.client or self.client, acknowledges=True)
+        client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
+        client.on_disconnect = self._on_disconnect
+        client.on_message = partial(self._on_message, take)
+        try:
+            client.connect(*section.address, section.keepalive, clean_start=False, properties=self._properties())
+        except (OSError, ValueError) as error:
+            self._problem = f"no connection to {section.host} port {section.address[1]}: {error}"
+            return
+        client.loop_start()
+        if self._stopped.is_set():  # while the connection was made
+            self._over.set()
+        self._over.wait()
+        self.subscribed = False
+        client.disconnect()
+        client.loop_stop()
+
+    def _properties(self) -> Properties:
+        from paho.mqtt.packettypes import PacketTypes
+        from paho.mqtt.properties import Properties
+
+        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        properties.SessionExpiryInterval = self.section.session
+        properties.ReceiveMaximum = self.section.receive_maximum
+        properties.MaximumPacketSize = self.section.largest + 65_536 + 64  # a topic and a few properties
+        return properties
+
+    def _on_connect(
+        self, client: Client, _: object, flags: ConnectFlags, reason: ReasonCode, properties: Properties | None
+    ) -> None:
+        from paho.mqtt.subscribeoptions import SubscribeOptions
+
+        if reason.is_failure:
+            self._end(f"the broker refuses the connection: {reason}")
+            return
+        if self._had_session and not flags.session_present and self.section.session:
+            self._say("the broker has forgotten the session: what came while it was away is lost")
+        self._had_session = True
+        options = SubscribeOptions(self.section.qos, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND)
+        client.subscribe([(topic.replace(AXIS_LEVEL, "+"), options) for topic in self.section.topics])
+
+    def _on_subscribe(
+        self, client: Client, _: object, mid: int, reasons: list[ReasonCode], properties: Properties | None
+    ) -> None:
+        refused = [
+            f"{topic} ({reason})"
+            for topic, reason in zip(self.section.topics, reasons, strict=False)
+            if reason.is_failure
+        ]
+        if refused:
+            self._end(f"the broker refuses the topic {refused[0]}")
+        else:
+            self.subscribed = True
+            self._say("")
+
+    def _on_disconnect(
+        self, client: Client, _: object, flags: DisconnectFlags, reason: ReasonCode, properties: Properties | None
+    ) -> None:
+        self._end(f"the connection to {self.section.host} ended: {reason}")
+
+    def _on_message(self, take: Take, client: Client, _: object, message: MQTTMessage) -> None:
+        try:
+            items = self._messages.items(bytes(message.payload), self._axis_of(message.topic))
+            done = partial(_acknowledge, client, message.mid) if message.qos == 1 else None
+            if not take(Delivery(self.name, items, done, None, time.monotonic())):
+                self.stop()
+        except BaseException as error:  # paho's thread would end without a word
+            self._failure = error
+            self._over.set()
+
+    def _axis_of(self, topic: str) -> str:
+        """The axis that a topic names, "" where it names none."""
+        levels = topic.split("/")
+        for pattern in self.section.topics:
+            parts = pattern.split("/")
+            if AXIS_LEVEL in parts and _matches(parts, levels):
+                return levels[parts.index(AXIS_LEVEL)]
+        return ""
+
+    def _end(self, problem: str) -> None:
+        """Ends the connection; the first problem is what is told."""
+        self._problem = self._problem or problem
+        self._over.set()
+
+    def _say(self, problem: str) -> None:
+        """Tells a problem once, and its end."""
+        if problem != self._told:
+            self._told = problem
+            self.tell({"event": "source", "source": self.name, "problem": problem})
+
+
+def _acknowledge(client: Client, mid: int) -> None:
+    """Of a connection that is over it goes nowhere: there the message comes again, maybe under another number."""
+    client.ack(mid, 1)
+
+
+def _matches(parts: list[str], levels: list[str]) -> bool:
+    if parts[-1] == "#":
+        parts, levels = parts[:-1], levels[: len(parts) - 1]
+    return len(parts) == len(levels) and all(
+        part in ("+", AXIS_LEVEL, level) for part, level in zip(parts, levels, strict=True)
+    )

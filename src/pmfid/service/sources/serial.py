@@ -1,0 +1,164 @@
+"""A serial port: lines of CSV of one axis, or binary blocks of any."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from threading import Event
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
+
+from pydantic import Field, model_validator
+
+from pmfid.errors import UsageError
+from pmfid.service.broker import Text, pauses
+from pmfid.service.delivery import Delivery, Item, Lines, Mark, Unusable
+from pmfid.service.sources import Take
+from pmfid.service.wire.blocks import BlockStream
+from pmfid.service.wire.splitter import LineSplitter
+from pmfid.session.config import Axis
+from pmfid.session.monitored.lines import LineParser, is_comment
+from pmfid.session.monitored.stream import FIRST_LINES
+from pmfid.session.toml_file import FileSection
+
+if TYPE_CHECKING:
+    from serial import Serial
+
+__all__ = ["SerialSection", "SerialSource"]
+
+#: A read ends when nothing has come for so long [s], and takes at most so many bytes.
+_SILENCE, _MOST_BYTES = 0.1, 65_536
+
+
+class SerialSection(FileSection):
+    """[sources.NAME] of kind "serial"."""
+
+    kind: Literal["serial"] = Field(description='"serial"')
+    port: Text = Field(description='the port, for example "/dev/ttyUSB0"')
+    baud: int = Field(115_200, ge=50, le=20_000_000, description="the bits per second, for example 115200")
+    format: Literal["csv", "block"] = Field("csv", description='what comes: lines of "csv", or "block"')
+    axis: Text | None = Field(None, description="the axis of lines of csv; blocks name theirs")
+    header: Text | None = Field(
+        None, description='the names of the columns, for example "t,u,x", or leave it out: a line of the port says them'
+    )
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if (self.format == "csv") != (self.axis is not None):
+            raise ValueError('axis is for format = "csv", which needs it; give it there, and drop it elsewhere')
+        if self.header is not None and self.format != "csv":
+            raise ValueError('header is for format = "csv"; drop it')
+        return self
+
+
+class _Reader(Protocol):
+    """Makes items of bytes as they come. `begin`: the port has been opened, maybe in the middle of something."""
+
+    def begin(self) -> None: ...
+
+    def feed(self, data: bytes) -> Sequence[Item]: ...
+
+
+class _Blocks:
+    def begin(self) -> None:
+        self._stream = BlockStream()
+
+    def feed(self, data: bytes) -> Sequence[Item]:
+        return self._stream.feed(data)
+
+
+class _Csv:
+    """name: of the axis. Raises UsageError for a header that lacks columns."""
+
+    def __init__(self, name: str, axis: Axis, header: str | None) -> None:
+        self._name, self._axis, self._tried = name, axis, 0
+        self._parser = None if header is None else LineParser(header.encode(), axis)
+        self.begin()
+
+    def begin(self) -> None:
+        self._splitter = LineSplitter(cut=self._parser is not None)  # before it is known, the first may be the header
+
+    def feed(self, data: bytes) -> Sequence[Item]:
+        items: list[Item] = []
+        lines = []
+        for text in self._splitter.feed(data):
+            if self._parser is None:
+                items += self._header(text)
+            elif text.strip() and (line := self._parser(text)) is not None:
+                lines.append(line)
+        return [*items, Lines(self._name, lines)] if lines else items
+
+    def _header(self, text: bytes) -> list[Unusable]:
+        """Takes a line for the header if it is one; after FIRST_LINES others the reason is told."""
+        if is_comment(text):
+            return []
+        try:
+            self._parser = LineParser(text, self._axis)
+        except UsageError as error:
+            self._tried += 1
+            if self._tried % FIRST_LINES == 0:
+                problem = f"none of the last {FIRST_LINES} lines names the columns: give header ({error})"
+                return [Unusable("header", problem, self._name)]
+        return []
+
+
+@dataclass
+class SerialSource:
+    """A `Source` of a serial port. name: in PLANT.toml; axes: by name; tell: takes what happens to the source;
+    opened: the port is, now."""
+
+    name: str
+    section: SerialSection
+    axes: Mapping[str, Axis]
+    tell: Callable[[dict[str, Any]], None]
+    opened: bool = field(default=False, init=False)
+    _stopped: Event = field(default_factory=Event, init=False)
+    _told: str = field(default="", init=False)
+
+    def run(self, take: Take, mark: Mark | None) -> None:
+        """Reads until `stop`. Raises UsageError for a section that cannot work, and without pyserial."""
+        reader, waiting = self._reader(), pauses()
+        while not self._stopped.is_set():
+            try:
+                with self._opened() as port:
+                    self._say("")
+                    waiting = pauses()
+                    reader.begin()
+                    self.opened = True
+                    self._read(port, reader, take)
+            except OSError as error:  # serial.SerialException is one
+                self.opened = False
+                self._say(f"the port {self.section.port} cannot be read: {error}")
+                self._stopped.wait(next(waiting))
+
+    def stop(self) -> None:
+        """Ends `run` after what it is reading."""
+        self._stopped.set()
+
+    def _reader(self) -> _Reader:
+        section = self.section
+        if section.axis is None:
+            return _Blocks()
+        if section.axis not in self.axes:
+            raise UsageError(f"[sources.{self.name}] axis = {section.axis!r}: there is no such axis; correct the name")
+        return _Csv(section.axis, self.axes[section.axis], section.header)
+
+    def _opened(self) -> Serial:
+        try:
+            from serial import Serial
+        except ImportError:
+            raise UsageError("a serial port needs pyserial: pip install 'pmfid[serve]'") from None
+        return Serial(self.section.port, self.section.baud, timeout=_SILENCE)
+
+    def _read(self, port: Serial, reader: _Reader, take: Take) -> None:
+        while not self._stopped.is_set():
+            data = port.read(min(_MOST_BYTES, max(1, port.in_waiting)))
+            items = reader.feed(data) if data else ()
+            if items and not take(Delivery(self.name, items, None, None, time.monotonic())):
+                self.stop()
+
+    def _say(self, problem: str) -> None:
+        """Tells a problem once, and its end."""
+        if problem != self._told:
+            self._told = problem
+            self.tell({"event": "source", "source": self.name, "problem": problem})

@@ -1,0 +1,173 @@
+"""Blocks of numbered samples in binary, one or several behind one another: docs/wire.md says where each byte is.
+
+Sizes are checked before anything is read by them, the checksum before anything is believed. A block that cannot be used
+costs its neighbours nothing: the next one begins where it ends, or else at the next MAGIC.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pmfid.errors import UsageError
+from pmfid.service.delivery import Block, Unusable
+from pmfid.session.monitored.reading import MAX_COUNT, MOST_TIME
+from pmfid.types import Counts, Floats
+
+__all__ = [
+    "LONGEST_NAME",
+    "MAGIC",
+    "MOST_BYTES",
+    "MOST_SAMPLES",
+    "VERSION",
+    "BlockStream",
+    "decode",
+    "encode",
+    "problem_of",
+]
+
+MAGIC, VERSION = b"PMFB", 1
+MOST_SAMPLES, LONGEST_NAME = 1024, 64
+#: Epochs have 32 bits; from this number of samples on neighbours are no longer separate doubles, as JSON has them.
+_MOST_EPOCH, _MOST_NUMBER = 2**32, 2**53
+#: Bits of the flags: u are float64 in place of float32, counts int64 in place of int32.
+_WIDE_U, _WIDE_COUNTS = 1, 2
+_U, _COUNTS = (np.dtype("<f4"), np.dtype("<f8")), (np.dtype("<i4"), np.dtype("<i8"))
+#: Magic, version, flags, samples, epoch, bytes of the name, first, time, dt.
+_HEADER = struct.Struct("<4sBBHIB3xQdd")
+_CRC = struct.Struct("<I")
+#: Bytes of the longest block.
+MOST_BYTES = _HEADER.size + LONGEST_NAME + 16 * MOST_SAMPLES + _CRC.size
+#: How often in one message a block is looked for by MAGIC alone: each may cost the checksum of a whole block.
+_MOST_SEARCHES = 16
+
+
+def encode(block: Block) -> bytes:
+    """The bytes of a block, in the shortest form that loses nothing.
+
+    Raises UsageError for what a receiver would refuse: 0 or more than MOST_SAMPLES samples, a name that is empty,
+    longer than LONGEST_NAME bytes or not printable, numbers that are out of range or not finite.
+    """
+    u, counts = np.asarray(block.u, np.float64), np.asarray(block.counts, np.int64)
+    if not (0 < u.size <= MOST_SAMPLES and u.shape == counts.shape == (u.size,)):
+        raise UsageError(f"a block has 1 to {MOST_SAMPLES} u and as many counts, got {u.shape} and {counts.shape}")
+    name = block.axis.encode("utf-8", "replace")
+    refused = problem_of(block, u, counts)
+    if refused is not None:
+        raise UsageError(f"a receiver would refuse this block: {refused.problem}")
+    with np.errstate(over="ignore"):  # what has no float32 is sent as float64
+        single, short = u.astype(_U[0]), counts.astype(_COUNTS[0])
+    wide_u, wide_counts = not ((single == u) | np.isnan(u)).all(), not (short == counts).all()
+    flags = _WIDE_U * wide_u | _WIDE_COUNTS * wide_counts
+    sizes = (MAGIC, VERSION, flags, u.size, block.epoch, len(name))
+    header = _HEADER.pack(*sizes, block.first, block.time, block.dt)
+    u_bytes = (u.astype(_U[1]) if wide_u else single).tobytes()
+    counts_bytes = (counts.astype(_COUNTS[1]) if wide_counts else short).tobytes()
+    body = header + name + bytes(-len(name) % 8) + u_bytes + counts_bytes
+    return body + _CRC.pack(zlib.crc32(body))
+
+
+def decode(data: bytes) -> list[Block | Unusable]:
+    """What a message says: its blocks in order, and in place of each that cannot be used the reason."""
+    return _blocks(data, whole=True)[0]
+
+
+@dataclass
+class BlockStream:
+    """Blocks out of a stream without messages, as a serial line."""
+
+    _rest: bytes = field(default=b"", init=False)
+
+    def feed(self, data: bytes) -> list[Block | Unusable]:
+        """What is known after some more bytes; a block that has only begun waits for the others."""
+        taken = self._rest + data
+        found, used = _blocks(taken, whole=False)
+        self._rest = taken[used:]
+        return found
+
+
+def _blocks(data: bytes, whole: bool) -> tuple[list[Block | Unusable], int]:
+    """The blocks of a message (whole), or of what has come of a stream, and how many of its bytes are done with."""
+    view, found, place, searches = memoryview(data), list[Block | Unusable](), 0, 0
+    while place < len(data):
+        end, item = _block(data, view, place)
+        if item is None and not whole:
+            break
+        if isinstance(item, Block) or (item and _begins(data, end)):
+            found.append(item)
+            place = end
+            continue
+        found.append(
+            item or Unusable("length", f"{len(data) - place} bytes at the end of a message are no whole block")
+        )
+        searches += 1
+        place = _next(data, place + 1, whole) if searches <= _MOST_SEARCHES or not whole else len(data)
+    return found, place
+
+
+def _begins(data: bytes, end: int) -> bool:
+    """Whether a block may begin where another one says that it ends: then its length is believed."""
+    return end > 0 and (end == len(data) or data.startswith(MAGIC, end))
+
+
+def _next(data: bytes, start: int, whole: bool) -> int:
+    """Where the next block may begin: at a MAGIC, or in a stream at what may become one."""
+    place = data.find(MAGIC, start)
+    if place >= 0 or whole:
+        return place if place >= 0 else len(data)
+    beginnings = (len(data) - n for n in (3, 2, 1) if len(data) - n >= start and data.endswith(MAGIC[:n]))
+    return next(beginnings, len(data))
+
+
+def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unusable | None]:
+    """Where the block that begins at `place` ends, 0 where that is not known, and what it says; None: it is cut off."""
+    if not data.startswith(MAGIC[: len(data) - place], place):
+        return 0, Unusable("magic", "bytes that are no block: none begins there")
+    if place + _HEADER.size > len(data):
+        return 0, None
+    _, version, flags, n, epoch, letters, first, time, dt = _HEADER.unpack_from(data, place)
+    if version != VERSION:
+        return 0, Unusable("version", f"a block of version {version}, not {VERSION}")
+    if not (0 < n <= MOST_SAMPLES and 0 < letters <= LONGEST_NAME and flags < 4):
+        return 0, Unusable("length", f"a block of {n} samples, {letters} bytes of name and flags {flags}")
+    name_at = place + _HEADER.size
+    u_at = name_at + letters + -letters % 8
+    u_type, counts_type = _U[flags & _WIDE_U], _COUNTS[flags >> 1]
+    counts_at = u_at + n * u_type.itemsize
+    crc_at = counts_at + n * counts_type.itemsize
+    end = crc_at + _CRC.size
+    if end > len(data):
+        return 0, None
+    if zlib.crc32(view[place:crc_at]) != _CRC.unpack_from(data, crc_at)[0]:
+        return end, Unusable("crc", "a block with a wrong checksum")
+    try:
+        name = data[name_at : name_at + letters].decode()
+    except UnicodeDecodeError:
+        return end, Unusable("name", "a block with a name that is no UTF-8")
+    # copies: they are aligned, and do not keep the whole message
+    u = np.frombuffer(data, u_type, n, u_at).astype(np.float64)
+    counts = np.frombuffer(data, counts_type, n, counts_at).astype(np.int64)
+    block = Block(name, epoch, first, time, dt, u, counts)
+    return end, problem_of(block, u, counts, bool(flags & _WIDE_COUNTS)) or block
+
+
+def problem_of(block: Block, u: Floats, counts: Counts, wide: bool = True) -> Unusable | None:
+    """Why a block of (n,) u and (n,) counts cannot be used, whatever its form; wide: counts may have any size."""
+    name, n = block.axis, u.size
+    if not (name.isprintable() and 0 < len(name.encode("utf-8", "replace")) <= LONGEST_NAME):
+        return Unusable(
+            "name", f"the name {name[:LONGEST_NAME]!r} is not printable, or not of 1 to {LONGEST_NAME} bytes"
+        )
+    if not (0 <= block.epoch < _MOST_EPOCH and 0 <= block.first <= _MOST_NUMBER - n):
+        return Unusable("number", f"epoch {block.epoch} or number {block.first} is out of range", name)
+    if not (0 < block.dt < math.inf and (math.isnan(block.time) or abs(block.time) < MOST_TIME)):
+        return Unusable("not finite", f"a time of {block.time:g} s or a period of {block.dt:g} s", name)
+    if np.isinf(u).any():
+        return Unusable("not finite", "an input that is infinite", name)
+    if wide and max(abs(int(counts.min())), abs(int(counts.max()))) >= MAX_COUNT:
+        return Unusable("number", "counts beyond 2**53", name)
+    return None

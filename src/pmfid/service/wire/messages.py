@@ -1,0 +1,51 @@
+"""A message in whatever form it comes: binary blocks, JSON or line protocol, told by its first bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from pmfid.service.delivery import Block, Item, Unusable
+from pmfid.service.wire import blocks, json_lines, line_protocol
+from pmfid.service.wire.line_protocol import Precision
+from pmfid.service.wire.points import Readers
+
+__all__ = ["Form", "Messages"]
+
+Form = Literal["auto", "block", "json", "line"]
+
+
+@dataclass(frozen=True)
+class Messages:
+    """Takes messages apart. readers: what fields mean; form: of all messages, "auto": each says it; tag: that names the
+    axis in line protocol; precision: of its timestamps; largest: bytes of a message."""
+
+    readers: Readers
+    form: Form = "auto"
+    tag: str = "axis"
+    precision: Precision = "ns"
+    largest: int = 2**20
+
+    def items(self, data: bytes, axis: str = "") -> Sequence[Item]:
+        """What a message says. axis: the only one that it may be of, "": any. Never raises."""
+        if len(data) > self.largest:
+            return [Unusable("oversized", f"a message of {len(data)} bytes, more than {self.largest}", axis)]
+        form = self._form(data) if self.form == "auto" else self.form
+        if form == "block":
+            return [_of(item, axis) for item in blocks.decode(data)]
+        if form == "json":
+            return self.readers.items(json_lines.decode(data, axis))
+        return self.readers.items(line_protocol.decode(data, axis, self.tag, self.precision))
+
+    def _form(self, data: bytes) -> Form:
+        if data.startswith(blocks.MAGIC):
+            return "block"
+        return "json" if data.lstrip()[:1] in (b"{", b"[") else "line"
+
+
+def _of(item: Block | Unusable, axis: str) -> Block | Unusable:
+    """A block by the topic of one axis must not be another's: who may write to the first might not to the second."""
+    if axis and isinstance(item, Block) and item.axis != axis:
+        return Unusable("name", f"a block of {item.axis!r} that came as one of {axis!r}", axis)
+    return item

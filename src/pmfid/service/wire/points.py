@@ -1,0 +1,63 @@
+"""Samples with named fields, as JSON and line protocol have them, become lines of their axes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import groupby
+
+from pmfid.errors import UsageError
+from pmfid.service.delivery import Lines, Unusable
+from pmfid.session.config import Axis
+from pmfid.session.monitored.reading import FieldReader
+
+__all__ = ["MOST_POINTS", "Point", "Readers"]
+
+#: Of one message; what is beyond is not looked at.
+MOST_POINTS = 20_000
+
+
+@dataclass(frozen=True)
+class Point:
+    """A sample as it came. axis: its name; fields: by name; time: beside the fields [s], NaN where there is none."""
+
+    axis: str
+    fields: Mapping[str, object]
+    time: float = math.nan
+
+
+@dataclass
+class Readers:
+    """What the fields of each axis mean, by the [record] of its AXIS.toml.
+
+    axes: by name, looked at for each sample, so that it may change; axes that share an object share a reader.
+    """
+
+    axes: Mapping[str, Axis]
+    _made: dict[int, tuple[Axis, FieldReader]] = field(default_factory=dict, init=False)
+
+    def items(self, points: Iterable[Point | Unusable]) -> list[Lines | Unusable]:
+        """Lines of each axis, those that follow one another together."""
+        found: list[Lines | Unusable] = []
+        for axis, group in groupby(points, lambda point: point.axis if isinstance(point, Point) else None):
+            if axis is None:
+                found += (point for point in group if isinstance(point, Unusable))
+                continue
+            found.append(self._lines(axis, [point for point in group if isinstance(point, Point)]))
+        return found
+
+    def _lines(self, axis: str, points: list[Point]) -> Lines | Unusable:
+        config = self.axes.get(axis)
+        if config is None:
+            return Unusable("axis", f"there is no axis {axis[:64]!r}", axis)
+        try:
+            reader = self._reader(config)
+        except UsageError as error:
+            return Unusable("axis", str(error), axis)
+        return Lines(axis, [reader(point.fields, point.time) for point in points])
+
+    def _reader(self, config: Axis) -> FieldReader:
+        if id(config) not in self._made:
+            self._made[id(config)] = config, FieldReader(config)  # kept beside it, so that its id stays its own
+        return self._made[id(config)][1]

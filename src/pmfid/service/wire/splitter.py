@@ -1,0 +1,30 @@
+"""Lines out of bytes as they come."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from pmfid.session.monitored.stream import LONGEST_LINE
+
+__all__ = ["LineSplitter"]
+
+
+@dataclass
+class LineSplitter:
+    """Whole lines of a stream; one of more than LONGEST_LINE bytes is left out.
+
+    cut: the stream may begin in the middle of a line, so the first one is left out, too.
+    """
+
+    cut: bool = False
+    _rest: bytes = field(default=b"", init=False)
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """The lines that end in `data`, without their ends."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if lines and self.cut:
+            self.cut = False
+            del lines[0]
+        if len(self._rest) > LONGEST_LINE:
+            self._rest, self.cut = b"", True
+        return [line for line in lines if len(line) <= LONGEST_LINE]

@@ -1,0 +1,147 @@
+"""What the values of a sample mean: units and scales of [record], the same for lines of text and for named fields."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import TypeGuard
+
+from pmfid.errors import UsageError
+from pmfid.session.clock import time_factor
+from pmfid.session.config import Axis
+from pmfid.session.conversion import Sections, conversion
+from pmfid.session.monitored.timeline import Line
+from pmfid.session.tables import whole_name
+
+__all__ = ["MAX_COUNT", "MOST_TIME", "FieldReader", "Reading", "check_streamed"]
+
+#: Beyond it neighbouring whole numbers are no longer separate doubles.
+MAX_COUNT = 2.0**53
+#: Of a stamp, in s, though it may be in ns by mistake: in samples it must stay a number.
+MOST_TIME = 1e30
+#: Ways in which one axis's fields may be called, with units in brackets or without, that are kept.
+_MOST_READINGS = 16
+#: Of a problem with a value from outside, so many letters are told.
+_MOST_LETTERS = 200
+
+#: A value as a text, and as JSON and line protocol have it.
+Value = float | str
+
+
+def check_streamed(axis: Axis) -> None:
+    """Raises UsageError for a configuration whose columns cannot be read one sample at a time."""
+    if isinstance(axis.record.input_scale, str):
+        raise UsageError(f"[record] input_scale = {axis.record.input_scale!r} names a variable; a pipe needs a number")
+    if axis.record.output_kind == "velocity" or axis.encoder.range is not None:
+        raise UsageError("a pipe has positions that go on, or counts: unwrap or integrate the output before")
+
+
+class Reading:
+    """From the values of input and output, and maybe of time, to a `Line`.
+
+    names: of their columns, in which units may stand. Raises UsageError where these are others than the
+    configuration's, and for what cannot be read one sample at a time.
+    """
+
+    def __init__(self, axis: Axis, names: tuple[str, ...]) -> None:
+        config = axis.record
+        check_streamed(axis)
+        units = conversion(Sections(config, axis.encoder, axis.model), *names[:2])
+        self._scale = float(config.input_scale) * units.u
+        self._step = axis.encoder.resolution / units.y if config.output_kind == "position" else None
+        self._unit = time_factor(config.model_copy(update={"time": names[2] if len(names) == 3 else None}))
+
+    def time(self, value: Value) -> float:
+        """A stamp [s]; a date or a time of day has its own unit, whatever [record] says. Raises ValueError for none."""
+        try:
+            time = self._unit * float(value)
+        except ValueError:
+            time = _moment(str(value).strip())
+        if not abs(time) < MOST_TIME:
+            raise ValueError("a time that is not finite, or beyond all clocks")
+        return time
+
+    def line(self, u: Value, output: Value, time: float = math.nan) -> Line:
+        """Values at a time [s], NaN for none: then ValueError or OverflowError is raised where one cannot be used,
+        beside a time the line says so."""
+        try:
+            scaled, place = self._scale * float(u), float(output)
+            if not (math.isfinite(scaled) and math.isfinite(place)):
+                raise ValueError("a value that is not finite")
+            return Line(time, scaled, self._count(place))
+        except (ValueError, OverflowError) as error:
+            if math.isnan(time):
+                raise
+            return Line(time, math.nan, 0, str(error))
+
+    def _count(self, value: float) -> int:
+        """The count of an output; a position a hair below a step belongs to it, as in a record."""
+        counts = math.floor(value / self._step + 1e-6) if self._step else round(value)
+        if abs(counts) >= MAX_COUNT or (self._step is None and abs(counts - value) > 1e-6):
+            raise ValueError(f"counts must be whole numbers below 2**53, got {value:.9g}")
+        return counts
+
+
+class FieldReader:
+    """Fields by name, as of JSON or line protocol, to a `Line`; [record] says which are input, output and time.
+
+    Raises UsageError for a configuration that cannot be read one sample at a time.
+    """
+
+    def __init__(self, axis: Axis) -> None:
+        config = axis.record
+        self._wanted = (config.input, config.output, *([config.time] if config.time else []))
+        self._axis = axis
+        self._readings = {self._wanted: Reading(axis, self._wanted)}
+
+    def __call__(self, fields: Mapping[str, object], stamp: float = math.nan) -> Line:
+        """Never raises: the line says what is wrong. stamp: time beside the fields [s], taken where [record] names a
+        time that is none of them."""
+        try:
+            return self._line(fields, stamp)
+        except (ValueError, OverflowError, UsageError) as error:
+            return Line(math.nan, math.nan, 0, str(error)[:_MOST_LETTERS])
+
+    def _line(self, fields: Mapping[str, object], stamp: float) -> Line:
+        names = tuple(whole_name(fields, name) for name in self._wanted)
+        timed = len(names) == 3
+        stamped = timed and names[2] not in fields and abs(stamp) < MOST_TIME
+        reading = self._reading(names[:2] if stamped else names)
+        time = stamp if stamped else reading.time(_value(fields, names[2])) if timed else math.nan
+        try:
+            line = reading.line(_value(fields, names[0]), _value(fields, names[1]), time)
+        except (ValueError, OverflowError) as error:
+            line = Line(time, math.nan, 0, str(error))
+        return Line(line.time, line.u, line.counts, line.problem[:_MOST_LETTERS])
+
+    def _reading(self, names: tuple[str, ...]) -> Reading:
+        if names not in self._readings:
+            if len(self._readings) >= _MOST_READINGS:
+                self._readings.clear()
+            self._readings[names] = Reading(self._axis, names)
+        return self._readings[names]
+
+
+def _value(fields: Mapping[str, object], name: str) -> Value:
+    """The value of a field. Raises ValueError where there is none, or it is no number and no text."""
+    if name not in fields:
+        raise ValueError(f"there is no field {name!r}")
+    value = fields[name]
+    if not _is_value(value):
+        raise ValueError(f"the field {name!r} is no number")
+    return value
+
+
+def _is_value(value: object) -> TypeGuard[Value]:
+    return isinstance(value, int | float | str) and not isinstance(value, bool)
+
+
+def _moment(text: str) -> float:
+    """Seconds since 1970 of a date with a time, and since midnight of a time of day, as ISO 8601 writes them."""
+    day = "" if "-" in text[1:] else "1970-01-01 "
+    try:
+        moment = datetime.fromisoformat(day + text)
+    except ValueError:
+        raise ValueError(f"{text!r} is no time") from None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()

@@ -1,0 +1,67 @@
+"""What stands for the engine where a source is tested: it keeps deliveries and calls `done` as a checkpoint would."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from threading import Thread
+from typing import Any
+
+from pmfid.service.delivery import Block, Delivery, Item
+from pmfid.service.sources import Source
+
+
+@dataclass
+class FakeEngine:
+    """deliveries: all that came; told: what sources told; checkpoint: makes all that came durable; ends: takes no
+    more."""
+
+    deliveries: list[Delivery] = field(default_factory=list)
+    told: list[dict[str, Any]] = field(default_factory=list)
+    ends: bool = False
+    slow: float = 0.0
+    _durable: int = 0
+
+    def take(self, delivery: Delivery) -> bool:
+        time.sleep(self.slow)
+        if not self.ends:
+            self.deliveries.append(delivery)
+        return not self.ends
+
+    def checkpoint(self) -> None:
+        deliveries = self.deliveries[self._durable :]
+        self._durable += len(deliveries)
+        for delivery in deliveries:
+            if delivery.done is not None:
+                delivery.done()
+
+    @property
+    def items(self) -> list[Item]:
+        return [item for delivery in list(self.deliveries) for item in delivery.items]
+
+    @property
+    def blocks(self) -> list[Block]:
+        return [item for item in self.items if isinstance(item, Block)]
+
+    def tell(self, what: dict[str, Any]) -> None:
+        self.told.append(what)
+
+    def problems(self) -> list[str]:
+        return [one["problem"] for one in self.told]
+
+    def running(self, source: Source) -> Thread:
+        """The source's thread, started."""
+        thread = Thread(target=source.run, args=(self.take, None), daemon=True)
+        thread.start()
+        return thread
+
+
+def wait_for(condition: Callable[[], object], seconds: float = 10.0) -> bool:
+    """Whether a condition comes true in time."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.005)
+    return bool(condition())

@@ -1,0 +1,301 @@
+"""Binary blocks: what is sent comes out, what is damaged says why and costs its neighbours nothing."""
+
+from __future__ import annotations
+
+import re
+import struct
+import subprocess
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pmfid
+from pmfid.errors import UsageError
+from pmfid.service.delivery import Block, Unusable
+from pmfid.service.wire.blocks import MAGIC, MOST_BYTES, MOST_SAMPLES, BlockStream, decode, encode
+from tests.firmware.build import GCC
+
+ROOT = Path(__file__).parents[2]
+NAN = float("nan")
+EXAMPLE = Block("x1", 7, 12, 1.5, 0.002, np.array([0.5, NAN, -1.25]), np.array([100, 101, 99]))
+
+
+def block(k: int = 0, n: int = 3, axis: str = "x1") -> Block:
+    u = np.random.default_rng(k).normal(size=n)
+    return Block(axis, 1, 1000 * k, 0.5 * k, 0.01, u, np.arange(n) * 7 - 5)
+
+
+def same(one: object, other: Block) -> bool:
+    if not isinstance(one, Block):
+        return False
+    scalars = [(b.axis, b.epoch, b.first, str(b.time), b.dt) for b in (one, other)]
+    u, counts = np.array_equal(one.u, other.u, equal_nan=True), np.array_equal(one.counts, other.counts)
+    return scalars[0] == scalars[1] and u and counts and one.u.dtype == np.float64 and one.counts.dtype == np.int64
+
+
+def reasons(data: bytes) -> list[str]:
+    return [item.reason if isinstance(item, Unusable) else item.axis for item in decode(data)]
+
+
+def signed(body: bytes) -> bytes:
+    return body + struct.pack("<I", zlib.crc32(body))
+
+
+numbers = st.floats(allow_infinity=False, width=64) | st.floats(allow_infinity=False, width=32)
+samples = st.lists(
+    st.tuples(numbers, st.integers(-(2**53) + 1, 2**53 - 1) | st.integers(-9, 9)), min_size=1, max_size=9
+)
+names = st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_size=16)
+any_block = st.builds(
+    lambda name, epoch, first, time, dt, values: Block(
+        name, epoch, first, time, dt, np.array([u for u, _ in values]), np.array([c for _, c in values], np.int64)
+    ),
+    names,
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 2**53 - 9),
+    st.floats(-1e29, 1e29) | st.just(NAN),
+    st.floats(1e-9, 1e9),
+    samples,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(any_block, min_size=1, max_size=4))
+def test_what_is_sent_comes_out_to_the_bit(blocks: list[Block]) -> None:
+    found = decode(b"".join(map(encode, blocks)))
+    assert len(found) == len(blocks)
+    assert all(map(same, found, blocks))
+
+
+def test_a_block_is_as_short_as_loses_nothing_and_at_most_so_long() -> None:
+    sizes = [
+        len(encode(replace(block(), u=np.full(3, u), counts=np.full(3, c)))) for u in (0.5, 0.1) for c in (5, 2**40)
+    ]
+    assert sizes == [44 + 8 + 24, 44 + 8 + 36, 44 + 8 + 36, 44 + 8 + 48]
+    longest = replace(block(n=MOST_SAMPLES), axis="a" * 64, counts=np.full(MOST_SAMPLES, 2**40))
+    assert len(encode(longest)) == MOST_BYTES
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"u": np.zeros(0), "counts": np.zeros(0, int)}, "1 to 1024"),
+        ({"u": np.zeros(1025), "counts": np.zeros(1025, int)}, "1 to 1024"),
+        ({"counts": np.zeros(2, int)}, "1 to 1024"),
+        ({"axis": ""}, "not printable"),
+        ({"axis": "ä" * 33}, "64 bytes"),
+        ({"axis": "a\nb"}, "not printable"),
+        ({"axis": "a\udc80"}, "not printable"),
+        ({"epoch": -1}, "epoch -1"),
+        ({"first": 2**53 - 2}, "out of range"),
+        ({"dt": 0.0}, "period of 0 s"),
+        ({"time": float("inf")}, "time of inf"),
+        ({"u": np.array([1.0, np.inf, 0.0])}, "infinite"),
+        ({"counts": np.array([0, 2**53, 0])}, "beyond"),
+    ],
+)
+def test_what_a_receiver_would_refuse_is_not_sent(change: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        encode(replace(block(), **change))
+
+
+def changed(at: int, new: bytes) -> bytes:
+    """A block with other bytes at a place and the right checksum."""
+    body = bytearray(encode(block())[:-4])
+    body[at : at + len(new)] = new
+    return signed(bytes(body))
+
+
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        (changed(0, b"X"), "magic"),
+        (changed(4, b"\x02"), "version"),
+        (changed(5, b"\x04"), "length"),
+        (changed(6, b"\x00\x00"), "length"),
+        (changed(6, b"\x01\x04"), "length"),
+        (changed(12, b"\x00"), "length"),
+        (changed(12, b"\x41"), "length"),
+        (encode(block())[:-5], "crc"),
+        (encode(block())[:30], "crc"),
+        (encode(block())[:-1] + b"\x00", "crc"),
+        (changed(40, b"\xff"), "name"),
+        (changed(40, b"\n"), "name"),
+        (changed(16, struct.pack("<Q", 2**63)), "number"),
+        (changed(24, struct.pack("<d", float("inf"))), "not finite"),
+        (changed(32, struct.pack("<d", NAN)), "not finite"),
+        (changed(32, struct.pack("<d", -1.0)), "not finite"),
+        (changed(48, struct.pack("<d", float("-inf"))), "not finite"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_bad_block_says_why_and_its_neighbours_stay(bad: bytes, reason: str) -> None:
+    found = decode(encode(block(1)) + bad + encode(block(2)))
+    assert same(found[0], block(1))
+    assert same(found[-1], block(2))
+    (only,) = found[1:-1]
+    assert isinstance(only, Unusable)
+    assert only.reason == reason
+    assert only.problem
+
+
+def test_an_empty_message_says_nothing_and_one_of_text_says_magic() -> None:
+    assert decode(b"") == []
+    assert reasons(b"hello, world") == ["magic"]
+    assert [reasons(encode(block())[:size]) for size in (4, 39, 40, 60)] == [["length"]] * 4
+
+
+def test_counts_of_64_bits_are_looked_at() -> None:
+    wide = bytearray(encode(replace(block(), counts=np.array([0, 2**40, 0])))[:-4])
+    wide[-8:] = struct.pack("<q", -(2**63))
+    assert reasons(signed(bytes(wide))) == ["number"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_damage_anywhere_never_raises_and_costs_little(seed: int) -> None:
+    """Bytes that change, are lost or come in: whatever comes out is a block that was sent, and most come out."""
+    rng = np.random.default_rng(seed)
+    blocks = [block(k, int(rng.integers(1, 40)), f"axis-{k}") for k in range(40)]
+    sent = {b.axis: b for b in blocks}
+    for _ in range(25):
+        data = bytearray(b"".join(map(encode, blocks)))
+        for _ in range(hits := int(rng.integers(1, 4))):
+            at, size = int(rng.integers(len(data))), int(rng.integers(1, 9))
+            data[at : at + size * int(rng.integers(2))] = rng.bytes(size * int(rng.integers(2)))
+        found = decode(bytes(data))
+        good = [item for item in found if isinstance(item, Block)]
+        assert all(same(item, sent[item.axis]) for item in good)
+        assert len(good) >= len(blocks) - 2 * hits
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_bytes_with_the_magic_among_them_never_raise(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for size in (1, 39, 40, 60, 500, 20_000):
+        pieces = [rng.bytes(int(n)) + MAGIC + b"\x01\x00" for n in rng.integers(0, 60, 1 + size // 30)]
+        assert all(isinstance(item, Unusable) for item in decode(b"".join(pieces)))
+
+
+def test_a_message_of_beginnings_alone_is_not_searched_for_long() -> None:
+    header = encode(block(n=1000))[:40]
+    assert len(decode(header * 20_000)) < 30
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_stream_in_any_pieces_gives_the_same_blocks(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    blocks = [block(k, int(rng.integers(1, 60))) for k in range(30)]
+    noise = [rng.bytes(int(rng.integers(1, 30))) if rng.random() < 0.3 else b"" for _ in blocks]
+    data = b"".join(noise[k] + encode(blocks[k]) for k in range(30))
+    stream, found = BlockStream(), []
+    while data:
+        size = int(rng.integers(1, 200))
+        found += stream.feed(data[:size])
+        data = data[size:]
+    good = [item for item in found if isinstance(item, Block)]
+    assert len(good) == 30
+    assert all(map(same, good, blocks))
+    assert any(isinstance(item, Unusable) for item in found)
+
+
+def test_a_stream_finds_the_next_block_where_bytes_were_lost() -> None:
+    stream, cut = BlockStream(), encode(block(1))
+    assert stream.feed(cut[:50] + cut[57:]) == []
+    first, second = stream.feed(encode(block(2)))
+    assert isinstance(first, Unusable)
+    assert first.reason == "crc"
+    assert same(second, block(2))
+
+
+def hex_dump(data: bytes) -> str:
+    return "\n".join(f"{at:04x}  {data[at : at + 16].hex(' ')}" for at in range(0, len(data), 16))
+
+
+def test_the_page_shows_the_bytes_of_a_block() -> None:
+    shown = re.findall(r"```\n(0000 .*?)\n```", (ROOT / "docs" / "wire.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert shown == [hex_dump(encode(EXAMPLE))]
+
+
+# --- the encoder in C -------------------------------------------------------------------------------------------------
+
+PROGRAM = """\
+#include <stdio.h>
+#include <string.h>
+#include "pmf_block.h"
+
+int main(void)
+{
+    static uint8_t out[PMF_BLOCK_SIZE(PMF_BLOCK_NAME, PMF_BLOCK_SAMPLES)];
+    static float u[PMF_BLOCK_SAMPLES];
+    static int32_t counts[PMF_BLOCK_SAMPLES];
+    char name[80];
+    pmf_block_t block = {name, 4000000000U, 9007199254730000U, 1.7e9, 0.00025, 0U, u, counts};
+    uint32_t sizes[] = {1U, 2U, 50U, 1024U}, letters[] = {1U, 7U, 8U, 64U}, i, k, size;
+    for (i = 0U; i < PMF_BLOCK_SAMPLES; ++i) {
+        u[i] = (float)i * 0.37f - 100.0f;
+        counts[i] = (int32_t)(i * 40503U * 65536U + i);
+    }
+    memset(name, 'a', sizeof name);
+    for (k = 0U; k < 4U; ++k) {
+        name[letters[k]] = '\\0';
+        block.samples = sizes[k];
+        size = pmf_block(&block, out, (uint32_t)sizeof out);
+        if (size != PMF_BLOCK_SIZE(letters[k], sizes[k]) || pmf_block(&block, out, size - 1U) != 0U) {
+            return 1;
+        }
+        fwrite(out, 1U, size, stdout);
+        name[letters[k]] = 'a';
+    }
+    block.samples = PMF_BLOCK_SAMPLES + 1U;
+    name[3] = '\\0';
+    k = pmf_block(&block, out, (uint32_t)sizeof out);
+    block.samples = 0U;
+    k += pmf_block(&block, out, (uint32_t)sizeof out);
+    block.samples = 1U;
+    name[0] = '\\0';
+    k += pmf_block(&block, out, (uint32_t)sizeof out);
+    name[0] = name[3] = 'a';
+    name[65] = '\\0';
+    return (int)(k + pmf_block(&block, out, (uint32_t)sizeof out));
+}
+"""
+WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wdouble-promotion"]
+
+
+@pytest.mark.skipif(bool(GCC.missing), reason=GCC.missing)
+def test_the_drive_writes_the_bytes_of_python(tmp_path: Path) -> None:
+    wire = ROOT / "csrc" / "wire"
+    (tmp_path / "main.c").write_text(PROGRAM)
+    sources = ["main.c", str(wire / "pmf_block.c"), f"-I{wire}"]
+    subprocess.run(["gcc", *WARNINGS, "-fsanitize=undefined,address", "-o", "main", *sources], cwd=tmp_path, check=True)
+    run = subprocess.run([tmp_path / "main"], capture_output=True, check=True)
+    i = np.arange(MOST_SAMPLES)
+    u = i.astype(np.float32) * np.float32(0.37) - np.float32(100)
+    counts = (i * 40503 * 65536 + i).astype(np.uint32).astype(np.int32)
+    expected = [
+        Block(
+            "a" * m, 4_000_000_000, 9007199254730000, 1.7e9, 0.00025, u[:n].astype(float), counts[:n].astype(np.int64)
+        )
+        for m, n in ((1, 1), (7, 2), (8, 50), (64, 1024))
+    ]
+    assert run.stdout == b"".join(map(encode, expected))
+    assert all(map(same, decode(run.stdout), expected))
+
+
+def test_the_encoder_goes_out_with_firmware_on_request_alone(tmp_path: Path) -> None:
+    estimator = pmfid.BCRLS(pmfid.Drive(2.0), pmfid.Encoder(1e-5), 0.001, 50.0)
+    without, with_it = tmp_path / "without", tmp_path / "with"
+    pmfid.export_firmware(estimator, without)
+    pmfid.export_firmware(estimator, with_it, blocks=True)
+    files = {path.name: path.read_bytes() for path in with_it.iterdir()}
+    added = {name for name in files if not (without / name).exists()}
+    other = {path.name for path in without.iterdir() if path.read_bytes() != files[path.name]}
+    assert added == {"pmf_block.c", "pmf_block.h"}
+    assert other == {"Makefile", "CMakeLists.txt"}
+    assert b" pmf_block.o" in files["Makefile"]
+    assert files["pmf_block.c"] == (ROOT / "csrc" / "wire" / "pmf_block.c").read_bytes()

@@ -1,0 +1,409 @@
+"""Messages through a real Mosquitto: acknowledged when they are durable, lost by neither a kill nor a pause."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import Field
+
+from pmfid.errors import UsageError
+from pmfid.service.broker import BrokerSection, pauses, secret
+from pmfid.service.delivery import Block, Lines, Unusable
+from pmfid.service.sources.mqtt import MqttSection, MqttSource
+from pmfid.service.wire.blocks import encode
+from pmfid.service.wire.sender import Sender
+from pmfid.session.toml_file import FileSection, validated
+from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
+from tests.service.engine import FakeEngine, wait_for
+from tests.service.test_lines import axis
+
+pytestmark = [needs_broker, pytest.mark.usefixtures("stopped_brokers")]
+
+
+@pytest.fixture(scope="module")
+def broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Broker]:
+    broker = Broker(tmp_path_factory.mktemp("broker")).start()
+    yield broker
+    broker.stop()
+
+
+def source(engine: FakeEngine, broker: Broker, client: str, *topics: str, **options: object) -> MqttSource:
+    section = MqttSection(kind="mqtt", port=broker.port, topics=topics or (f"{client}/#",), client=client, **options)
+    return MqttSource("hall", section, {}, engine.tell)
+
+
+def stop(running: MqttSource, thread: threading.Thread) -> None:
+    running.stop()
+    running.stop()
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+def connected(running: MqttSource) -> bool:
+    return wait_for(lambda: running.subscribed)
+
+
+def numbers(blocks: list[Block]) -> list[int]:
+    return [block.first for block in blocks]
+
+
+def sender(broker: Broker, topic: str, **options: object) -> Sender:
+    """A message for every block of one sample."""
+    return Sender(topic, 0.01, broker.section, **{"epoch": 3, "samples": 1, "size": 1, **options})
+
+
+def test_a_message_is_acknowledged_when_it_is_durable(broker: Broker) -> None:
+    engine = FakeEngine()
+    hall = source(engine, broker, "durable", receive_maximum=5)
+    thread = engine.running(hall)
+    assert connected(hall)
+    with sender(broker, "durable/a") as gateway:
+        gateway.add("x1", np.arange(12.0), np.arange(12), time=5.0)
+        assert gateway.flush()
+    assert wait_for(lambda: len(engine.blocks) == 5)
+    assert not wait_for(lambda: len(engine.blocks) > 5, 0.2), "more than receive_maximum came unacknowledged"
+    engine.checkpoint()
+    assert wait_for(lambda: len(engine.blocks) == 12)
+    stop(hall, thread)
+
+    hall = source(engine, broker, "durable", receive_maximum=50)
+    thread = engine.running(hall)
+    assert wait_for(lambda: len(engine.blocks) == 19), "what was not durable comes again"
+    assert numbers(engine.blocks) == [*range(12), *range(5, 12)]
+    assert [(block.epoch, block.u[0], block.counts[0], block.dt) for block in engine.blocks[:2]] == [
+        (3, 0.0, 0, 0.01),
+        (3, 1.0, 1, 0.01),
+    ]
+    assert [block.time for block in engine.blocks[:3]] == pytest.approx([5.0, 5.01, 5.02])
+    engine.checkpoint()
+    stop(hall, thread)
+
+    hall = source(engine, broker, "durable")
+    thread = engine.running(hall)
+    assert connected(hall)
+    assert not wait_for(lambda: len(engine.blocks) > 19, 0.2), "what was acknowledged came again"
+    stop(hall, thread)
+
+
+def test_a_stale_acknowledgement_is_none(broker: Broker) -> None:
+    """After a new connection the numbers of packets may be those of other messages."""
+    engine = FakeEngine()
+    hall = source(engine, broker, "stale")
+    thread = engine.running(hall)
+    assert connected(hall)
+    with sender(broker, "stale/a") as gateway:
+        gateway.add("x1", np.zeros(3), np.zeros(3, int))
+    assert wait_for(lambda: len(engine.blocks) == 3)
+    stop(hall, thread)
+    engine.checkpoint()
+    hall = source(engine, broker, "stale")
+    thread = engine.running(hall)
+    assert wait_for(lambda: numbers(engine.blocks) == [0, 1, 2, 0, 1, 2])
+    stop(hall, thread)
+
+
+def test_many_axes_go_in_one_message_and_numbers_go_on(broker: Broker) -> None:
+    engine = FakeEngine()
+    hall = source(engine, broker, "many")
+    thread = engine.running(hall)
+    assert connected(hall)
+    with sender(broker, "many/a", samples=50, size=2**16, delay=0.1) as gateway:
+        for _ in range(3):
+            for name in ("x1", "x2", "ümlaut"):
+                gateway.add(name, np.ones(30), np.arange(30))
+        gateway.skip("x2", 7)
+        gateway.add("x2", 2.0, 5)
+        assert wait_for(lambda: len(engine.deliveries) == 1), "a message waits no longer than its delay"
+    stop(hall, thread)
+    assert [(b.axis, b.first, b.end) for b in engine.blocks if b.axis != "ümlaut"] == [
+        ("x1", 0, 50),
+        ("x2", 0, 50),
+        ("x2", 50, 90),
+        ("x1", 50, 90),
+        ("x2", 97, 98),
+    ]
+
+
+def test_back_pressure_does_not_read_on(broker: Broker) -> None:
+    engine = FakeEngine(slow=0.05)
+    hall = source(engine, broker, "pressure")
+    thread = engine.running(hall)
+    assert connected(hall)
+    with sender(broker, "pressure/a") as gateway:
+        gateway.add("x1", np.zeros(20), np.zeros(20, int))
+        assert gateway.flush(), "the broker takes what the service does not"
+        assert len(engine.blocks) < 20
+    assert wait_for(lambda: len(engine.blocks) == 20)
+    assert numbers(engine.blocks) == list(range(20))
+    engine.ends = True
+    with sender(broker, "pressure/a", epoch=4) as gateway:
+        gateway.add("x1", 0.0, 0)
+        thread.join(10)
+    assert not thread.is_alive(), "a source ends when nothing is taken any more"
+
+
+def test_a_topic_may_name_the_axis_and_messages_have_any_form(broker: Broker, tmp_path: Path) -> None:
+    from paho.mqtt.publish import single
+
+    engine = FakeEngine()
+    hall = replace(source(engine, broker, "named", "named/{axis}/data", "other/+"), axes={"x1": axis(tmp_path)})
+    thread = engine.running(hall)
+    assert connected(hall)
+    block = encode(Block("x1", 0, 0, 0.0, 0.01, np.zeros(2), np.zeros(2, int)))
+    texts = [json.dumps({"t": 0, "u": 1, "x": 1}), "anything t=1,u=1,x=1", "x1 t=2,u=1,x=1"]
+    for topic, payload in (
+        ("named/x1/data", block),
+        ("named/x2/data", block),
+        ("other/x2", block),
+        ("named/x1/data", texts[0]),
+        ("named/x1/data", texts[1]),
+        ("other/x1", texts[2]),
+        ("other/x1", b"\xff\x00"),
+        ("other/x1", b""),
+    ):
+        single(topic, payload, qos=1, hostname="127.0.0.1", port=broker.port)
+    assert wait_for(lambda: len(engine.deliveries) == 8)
+    stop(hall, thread)
+    kinds = [(type(item), getattr(item, "reason", item.axis)) for item in engine.items]
+    assert kinds == [
+        (Block, "x1"),
+        (Unusable, "name"),
+        (Block, "x1"),
+        (Lines, "x1"),
+        (Lines, "x1"),
+        (Lines, "x1"),
+        (Unusable, "line"),
+    ]
+
+
+def test_what_the_broker_keeps_is_bounded_by_its_configuration(tmp_path: Path) -> None:
+    """Mosquitto's max_queued_messages: what is beyond, it drops without a word to the sender."""
+    engine, small = FakeEngine(), Broker(tmp_path, "max_queued_messages 30\n").start()
+    hall = source(engine, small, "queue", receive_maximum=5)
+    thread = engine.running(hall)
+    assert connected(hall)
+    stop(hall, thread)
+    with sender(small, "queue/a") as gateway:
+        gateway.add("x1", np.zeros(100), np.zeros(100, int))
+        assert gateway.flush()
+        assert gateway.dropped == 0
+    hall = source(engine, small, "queue")
+    thread = engine.running(hall)
+    assert wait_for(lambda: len(engine.blocks) >= 30)
+    stop(hall, thread)
+    small.stop()
+    assert 30 <= len(engine.blocks) <= 35
+
+
+# --- the broker goes away ---------------------------------------------------------------------------------------------
+
+
+def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[FakeEngine, dict[str, int]]:
+    """Deliveries of a sender whose broker is killed so many times, `seconds` apart, and samples sent of each axis."""
+    engine, broker, rng = FakeEngine(), Broker(folder, more).start(), np.random.default_rng(kills)
+    hall = source(engine, broker, "killed")
+    thread = engine.running(hall)
+    assert connected(hall)
+    ended, sent = threading.Event(), {"x1": 0, "x2": 0}
+    gateway = sender(broker, "killed/a", samples=5, size=400, delay=0.02, keep=5.0)
+
+    def feed() -> None:
+        while not ended.wait(0.005):
+            for name in sent:
+                n = int(rng.integers(1, 9))
+                gateway.add(name, np.arange(sent[name], sent[name] + n), np.arange(sent[name], sent[name] + n))
+                sent[name] += n
+
+    feeder = threading.Thread(target=feed)
+    feeder.start()
+    for k in range(kills):
+        for _ in range(4):
+            ended.wait(seconds / 4)
+            engine.checkpoint()
+        broker.kill()
+        ended.wait(0.3 * (k % 3))
+        broker.start()
+    ended.wait(seconds / 2)
+    ended.set()
+    feeder.join()
+    assert gateway.close(30), gateway.problem
+    assert gateway.dropped == 0
+
+    def complete() -> bool:
+        engine.checkpoint()
+        return all(any(b.axis == name and b.end == n for b in reversed(engine.blocks)) for name, n in sent.items())
+
+    wait_for(complete)
+    stop(hall, thread)
+    broker.stop()
+    return engine, sent
+
+
+def check_nothing_lost(engine: FakeEngine, sent: dict[str, int]) -> None:
+    """In the order of delivery, with what is known already left out, each axis goes on without a hole."""
+    for name, n in sent.items():
+        expected = 0
+        for block in engine.blocks:
+            if block.axis == name and block.end > expected:
+                assert block.first <= expected, f"a hole before {block.first} of {name}, expected {expected}"
+                assert block.counts.tolist() == list(range(block.first, block.end))
+                expected = block.end
+        assert expected == n
+
+
+PERSISTENT = "max_queued_messages 100000\nautosave_on_changes true\n"
+
+
+def test_a_killed_broker_costs_nothing(tmp_path: Path) -> None:
+    engine, sent = through_kills(tmp_path, 2, 0.5, PERSISTENT)
+    check_nothing_lost(engine, sent)
+    assert sum(block.end - block.first for block in engine.blocks) > sum(sent.values()), "nothing was sent again"
+    assert any("ended" in problem for problem in engine.problems())
+    assert engine.problems()[-1] == ""
+
+
+def test_a_broker_that_keeps_nothing_costs_nothing_either(tmp_path: Path) -> None:
+    engine, sent = through_kills(tmp_path, 1, 0.5, "max_queued_messages 100000\nautosave_interval 0\n")
+    check_nothing_lost(engine, sent)
+    assert any("forgotten the session" in problem for problem in engine.problems())
+
+
+@pytest.mark.long
+def test_fifty_kills_of_the_broker_cost_nothing(tmp_path: Path) -> None:
+    engine, sent = through_kills(tmp_path, 50, 1.0, PERSISTENT)
+    check_nothing_lost(engine, sent)
+
+
+def test_a_source_waits_for_a_broker_that_is_not_there_yet(tmp_path: Path) -> None:
+    engine, late = FakeEngine(), Broker(tmp_path)
+    hall = source(engine, late, "late")
+    thread = engine.running(hall)
+    assert wait_for(lambda: engine.told)
+    assert engine.told[0]["event"] == "source"
+    assert engine.told[0]["source"] == "hall"
+    assert f"no connection to 127.0.0.1 port {late.port}" in engine.problems()[0]
+    late.start()
+    assert connected(hall)
+    assert wait_for(lambda: engine.problems()[-1] == "")
+    stop(hall, thread)
+    late.stop()
+
+
+def test_what_is_kept_while_the_broker_is_away_is_bounded(tmp_path: Path) -> None:
+    gateway = sender(Broker(tmp_path), "a", most=600)
+    gateway.add("x1", np.zeros(20), np.zeros(20, int))
+    assert not gateway.close(0.3)
+    assert "no connection" in gateway.problem
+    assert gateway.dropped == 20 - 600 // 60
+
+
+# --- who may, and who may not -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # paho leaves a refused socket open
+def test_tls_with_a_password_out_of_a_file(tmp_path: Path) -> None:
+    def run(*words: str) -> None:
+        subprocess.run(words, cwd=tmp_path, check=True, capture_output=True)
+
+    key = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2 -keyout key.pem -out ca.pem"
+    run("openssl", *key.split(), "-subj", "/CN=127.0.0.1", "-addext", "subjectAltName=IP:127.0.0.1")
+    (tmp_path / "users").write_text("hall:s3cret words\n")
+    (tmp_path / "secret").write_text("s3cret words\n")
+    (tmp_path / "wrong").write_text("other\n")
+    run("mosquitto_passwd", "-U", "users")
+    lines = ("password_file {}/users", "certfile {}/ca.pem", "keyfile {}/key.pem", "allow_anonymous false")
+    more = "\n".join(line.format(tmp_path) for line in lines)
+    safe = Broker(tmp_path, more)
+    safe.start()
+    engine = FakeEngine()
+    options = {"ca": "ca.pem", "user": "hall", "password_file": "secret"}
+    hall = replace(source(engine, safe, "tls", **options), folder=tmp_path)
+    thread = engine.running(hall)
+    assert connected(hall), engine.problems()
+    section = BrokerSection(port=safe.port, **options)
+    with Sender("tls/a", 0.01, section, folder=tmp_path, samples=1) as gateway:
+        gateway.add("x1", 1.0, 1)
+    assert wait_for(lambda: len(engine.blocks) == 1)
+    stop(hall, thread)
+    for change in ({"password_file": "wrong"}, {"ca": None, "tls": True}):
+        engine = FakeEngine()
+        hall = replace(source(engine, safe, "tls", **(options | change)), folder=tmp_path)
+        thread = engine.running(hall)
+        assert wait_for(lambda engine=engine: engine.told)
+        stop(hall, thread)
+        assert not hall.subscribed
+        assert "Not authorized" in engine.problems()[0] or "certificate verify failed" in engine.problems()[0]
+        assert "s3cret" not in str(engine.told) + repr(hall)
+    safe.stop()
+
+
+def test_a_topic_that_the_broker_refuses_is_told(broker: Broker) -> None:
+    """Mosquitto's own lists of rights refuse no subscription, its plugins and other brokers do."""
+    from paho.mqtt.packettypes import PacketTypes
+    from paho.mqtt.reasoncodes import ReasonCode
+
+    engine = FakeEngine()
+    hall = source(engine, broker, "refused", "mine/#", "theirs/#")
+    granted = hall._on_subscribe
+    answers = [ReasonCode(PacketTypes.SUBACK, identifier=code) for code in (1, 0x87)]
+    hall._on_subscribe = lambda client, data, mid, _, properties: granted(client, data, mid, answers, properties)
+    thread = engine.running(hall)
+    assert wait_for(lambda: engine.told)
+    stop(hall, thread)
+    assert engine.problems()[0] == "the broker refuses the topic theirs/# (Not authorized)"
+
+
+def test_a_secret_that_is_not_there_is_named_and_never_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PMFID_TEST_SECRET", "s3cret")
+    assert secret("PMFID_TEST_SECRET", None, tmp_path) == "s3cret"
+    assert secret(None, None, tmp_path) is None
+    with pytest.raises(UsageError, match="PMFID_TEST_OTHER is not set"):
+        secret("PMFID_TEST_OTHER", None, tmp_path)
+    with pytest.raises(UsageError, match="nowhere cannot be read"):
+        secret(None, "nowhere", tmp_path)
+
+
+class Plant(FileSection):
+    source: MqttSection = Field(description="a source")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"topics": []}, "topics"),
+        ({"topics": ["a/{axis"]}, "is no topic"),
+        ({"topics": ["a/x{axis}"]}, "is no topic"),
+        ({"topics": ["{axis}/{axis}"]}, "is no topic"),
+        ({"topics": ["a/#/b"]}, "is no topic"),
+        ({"topics": ["a+"]}, "is no topic"),
+        ({"user": "u", "password_env": "A", "password_file": "b"}, "give one of them"),
+        ({"password_env": "A"}, "give user"),
+        ({"cert": "a"}, "belong together"),
+        ({"receive_maximum": 0}, "receive_maximum"),
+        ({"password": "secret"}, "password"),
+    ],
+)
+def test_a_section_that_cannot_work_is_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        validated(Plant, {"source": {"kind": "mqtt", "topics": ["a"], **change}})
+
+
+def test_pauses_grow_up_to_the_longest() -> None:
+    waiting = pauses(1.0, 5.0)
+    assert [next(waiting) for _ in range(5)] == [1.0, 2.0, 4.0, 5.0, 5.0]
+
+
+@pytest.mark.parametrize(
+    ("u", "counts", "name"), [(math.inf, 1, "x"), ([1.0, 2.0], [1], "x"), (1.0, 1, ""), (1.0, 1, "a" * 65)]
+)
+def test_a_sender_refuses_what_no_block_takes(broker: Broker, u: object, counts: object, name: str) -> None:
+    with sender(broker, "refused/a") as gateway, pytest.raises(UsageError):
+        gateway.add(name, u, counts)
