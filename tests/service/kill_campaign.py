@@ -1,4 +1,5 @@
-"""The service killed again and again, at named points and at random: `python -m tests.service.kill_campaign --kills 1000`.
+"""The service killed again and again, at named points and at random:
+`python -m tests.service.kill_campaign --kills 1000`.
 
 Each incarnation is a process of its own, forked from one that has calibrated. Its sources are one that acknowledges and
 delivers again what was not acknowledged, as a broker does at QoS 1, with blocks of one axis and lines of another, and
