@@ -161,7 +161,7 @@ class MqttSource:
             self._end(f"the broker refuses the connection: {reason}")
             return
         if self._had_session and not flags.session_present and self.section.session:
-            self._say("the broker has forgotten the session: what came while it was away is lost")
+            self._say("the broker has forgotten the session: what waited is lost unless it is sent again")
         self._had_session = True
         options = SubscribeOptions(self.section.qos, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND)
         client.subscribe([(topic.replace(AXIS_LEVEL, "+"), options) for topic in self.section.topics])

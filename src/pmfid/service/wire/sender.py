@@ -49,7 +49,7 @@ class _Axis:
 
 @dataclass
 class _Message:
-    """payload: blocks; acknowledged: when the broker had it for the first time [s], by `time.monotonic`, infinite
+    """payload: blocks; acknowledged: when the broker last said that it has it [s], by `time.monotonic`, infinite
     before; open: not acknowledged on this connection."""
 
     payload: bytes
@@ -61,10 +61,11 @@ class Sender:
     """Sends samples of axes with the sample period dt [s] to a topic; a context manager, which flushes at its end.
 
     epoch: raised whenever the numbers begin anew, None: the time of day; samples: of a block; size: bytes of a message
-    from which on it is sent; delay: after which it is sent at the latest [s]; keep: for which what the broker has
-    acknowledged is kept [s], more than its autosave_interval; most: bytes that are kept at most, beyond which the
-    oldest messages are dropped, and counted in `dropped`. Methods may be called from any thread. Raises UsageError for
-    sizes that no receiver takes, and without paho-mqtt.
+    from which on it is sent; delay: after which it is sent at the latest [s]; keep: a message that is acknowledged is
+    forgotten when the connection has held for so long since [s], which must be more than the broker's
+    autosave_interval; most: bytes that are kept at most, beyond which the oldest messages are dropped, and counted in
+    `dropped`. Methods may be called from any thread. Raises UsageError for sizes that no receiver takes, and without
+    paho-mqtt.
     """
 
     def __init__(
@@ -236,7 +237,6 @@ class Sender:
         """All that is kept goes out again, from the oldest on."""
         if client is not self._client:
             return
-        self._forget()
         self._room, self._next, self._sent, self.problem = room, 0, {}, ""
         for message in self._log:
             message.open = True
@@ -268,7 +268,7 @@ class Sender:
         del self._sent[mid]
         self._open -= message.open
         message.open = False
-        message.acknowledged = min(message.acknowledged, _now())
+        message.acknowledged = _now()
         self._settle()
 
     def _settle(self) -> None:
@@ -287,13 +287,17 @@ class Sender:
         client.loop_stop()
 
     def _forget(self) -> None:
-        """What has been acknowledged for long enough; and the oldest messages where there is no more room."""
-        while self._log and (self._log[0].acknowledged + self._keep < _now() or self._bytes > self._most):
+        """What has been acknowledged for long enough, on this connection: while it is down, the broker saves nothing.
+        And the oldest messages where there is no more room."""
+        while self._log and (self._is_safe(self._log[0]) or self._bytes > self._most):
             message = self._log.popleft()
             self._bytes -= len(message.payload)
             self._open -= message.open
             self._next = max(0, self._next - 1)
             self.dropped += math.isinf(message.acknowledged)
+
+    def _is_safe(self, message: _Message) -> bool:
+        return self._client is not None and not message.open and message.acknowledged + self._keep < _now()
 
 
 def _now() -> float:

@@ -1,0 +1,146 @@
+"""Estimates, alarms and the status of the service at an MQTT broker."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any, Literal
+from urllib.parse import quote
+
+from pydantic import Field
+
+from pmfid.monitor.events import STATES
+from pmfid.service.broker import BrokerSection, Text, new_client
+from pmfid.service.outcome import Notice, Rows
+from pmfid.service.sinks.broker_link import BrokerLink
+from pmfid.service.sinks.plain import alarm_of, as_json, notice_object, row_object, single_rows
+from pmfid.service.sinks.section import Host, SinkSection
+
+__all__ = ["MqttSection", "MqttSink"]
+
+ONLINE, OFFLINE = b"online", b"offline"
+#: Rows of one message where many axes share it.
+BATCH = 500
+
+
+class MqttSection(SinkSection, BrokerSection):
+    """[sinks.NAME] with kind = "mqtt"."""
+
+    kind: Literal["mqtt"] = Field("mqtt", description='"mqtt"')
+    prefix: Text = Field("pmfid", pattern="^[^#+\\x00]+$", description='the first levels of all topics, as "pmfid"')
+    client_id: Text | None = Field(None, description="the name of the client, or leave it out: from service and sink")
+    estimates: Literal["axis", "batch", "off"] = Field(
+        "axis", description='"axis" for a message for each row, "batch" for messages of many axes, "off" for none'
+    )
+    qos: Literal[0, 1] = Field(0, description="the quality of service of estimates, 0 or 1; that of alarms is 1")
+    retain: bool = Field(False, description="true where the broker keeps the last estimate of each axis")
+    events: bool = Field(True, description="false where only alarms are published, and no other events")
+    clear: Literal["acknowledged", "settled", "either", "never"] = Field(
+        "acknowledged", description="what takes back the retained alarm of an axis"
+    )
+
+    def wants_rows(self) -> bool:
+        """Unless estimates are off."""
+        return self.estimates != "off"
+
+    def wants_events(self) -> frozenset[str] | None:
+        """All, or what concerns alarms."""
+        return None if self.events else frozenset({"alarm", "acknowledged", "settled"})
+
+    def make(self, name: str, context: Host) -> MqttSink:
+        """The sink, not yet open. Raises UsageError without paho-mqtt, and for secrets that are not there."""
+        base = f"{self.prefix}/{quote(context.name, safe='')}"
+        new = partial(new_client, self, context.folder, self.client_id or f"pmfid-{context.name}-{name}")
+        new()  # what is wrong with it is said at the start
+        link = BrokerLink(new, self.address, self.keepalive, (f"{base}/status", OFFLINE))
+        return MqttSink(name, base, link, self)
+
+
+class MqttSink:
+    """Topics, below prefix and service: `status` (retained; `offline` is the last will), `axis/NAME/estimate`,
+    `axis/NAME/alarm` (retained, empty when it is taken back), `estimates/CONFIG` for batches, `event`.
+
+    Messages may come twice after an error or a restart; numbers tell.
+    """
+
+    def __init__(self, name: str, base: str, link: BrokerLink, section: MqttSection) -> None:
+        self.name = name
+        self._base, self._link, self._section = base, link, section
+        self._standing: dict[str, tuple[int, bytes]] = {}  # axis -> number of its alarm, and the message
+
+    def open(self) -> None:
+        """Connects, and publishes what the broker is to know from now on: it may have lost what it retained."""
+        self._link.open()
+        self._link.publish(f"{self._base}/status", ONLINE, 1, retain=True)
+        for axis, (_, payload) in self._standing.items():
+            self._link.publish(self._topic(axis, "alarm"), payload, 1, retain=True)
+        self._link.flush()
+
+    def put(self, outcomes: list[Rows | Notice]) -> None:
+        """Raises OSError where the connection has ended, or not all is acknowledged."""
+        self._link.check()
+        for one in outcomes:
+            if isinstance(one, Notice):
+                self._notice(one)
+            elif self._section.estimates == "batch":
+                self._batches(one)
+            else:
+                self._rows(one)
+        self._link.flush()
+
+    def _topic(self, axis: str, what: str) -> str:
+        return f"{self._base}/axis/{quote(axis, safe='')}/{what}"
+
+    def _rows(self, rows: Rows) -> None:
+        section = self._section
+        for row in single_rows(rows):
+            payload = as_json(row_object(row, rows.group.names)).encode()
+            self._link.publish(self._topic(row.axis, "estimate"), payload, section.qos, section.retain)
+
+    def _batches(self, rows: Rows) -> None:
+        topic = f"{self._base}/estimates/{quote(rows.group.config, safe='')}"
+        for batch in batches_of(rows):
+            self._link.publish(topic, as_json(batch).encode(), self._section.qos)
+
+    def _notice(self, notice: Notice) -> None:
+        payload, event = as_json(notice_object(notice)).encode(), notice.what.get("event")
+        if event == "alarm":
+            self._standing[notice.axis] = notice.number, payload
+            self._link.publish(self._topic(notice.axis, "alarm"), payload, 1, retain=True)
+        elif self._takes_back(notice):
+            self._standing.pop(notice.axis, None)
+            self._link.publish(self._topic(notice.axis, "alarm"), b"", 1, retain=True)
+        if self._section.events:
+            self._link.publish(f"{self._base}/event", payload, 1)
+
+    def _takes_back(self, notice: Notice) -> bool:
+        """Whether the alarm of the axis is over. One that was raised before this start is not known here."""
+        event, clear = notice.what.get("event"), self._section.clear
+        if event == "acknowledged" and clear in ("acknowledged", "either"):
+            standing = self._standing.get(notice.axis)
+            return bool(notice.axis) and (standing is None or standing[0] == alarm_of(notice))
+        return event == "settled" and clear in ("settled", "either")
+
+    def close(self) -> None:
+        """Says that the service is offline, and ends the connection."""
+        try:
+            self._link.publish(f"{self._base}/status", OFFLINE, 1, retain=True)
+            self._link.flush()
+        finally:
+            self._link.drop()
+
+
+def batches_of(rows: Rows) -> Iterator[dict[str, Any]]:
+    """Columns of up to BATCH rows each, for JSON: axis, number, time, theta and std as lists of lists, ..."""
+    named = ("number", "time", "u", "counts", "theta", "std", "innovation", "status")
+    for start in range(0, rows.axis.size, BATCH):
+        part = slice(start, start + BATCH)
+        columns = {name: getattr(rows, name)[part].tolist() for name in named}
+        states, axes = rows.state[part].tolist(), rows.axis[part].tolist()
+        yield {
+            "config": rows.group.config,
+            "names": list(rows.group.names),
+            "axis": [rows.group.axes[axis] for axis in axes],
+            **columns,
+            "state": [STATES[state] for state in states],
+        }

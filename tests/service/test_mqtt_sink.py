@@ -1,0 +1,289 @@
+"""Estimates and alarms at a broker: what is retained, what is taken back, and what a broker that dies changes."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pmfid.errors import UsageError
+from pmfid.service.broker import new_client
+from pmfid.service.sinks import mqtt, queued
+from pmfid.service.sinks.broker_link import BrokerLink
+from pmfid.service.sinks.mqtt import MqttSection, MqttSink
+from pmfid.service.sinks.queued import Queued
+from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401
+from tests.service.feed import Host, alarm, block, kindred, notice, until
+
+pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed: pip install 'pmfid[serve]'")
+GROUP = kindred(2)
+
+
+class Link(BrokerLink):
+    """A broker that keeps what it gets: (topic, payload, qos, retained)."""
+
+    def __init__(self) -> None:
+        self.got: list[tuple[str, bytes, int, bool]] = []
+        self.problem = ""
+
+    def open(self) -> None:
+        self.problem = ""
+
+    def check(self) -> None:
+        if self.problem:
+            raise OSError(self.problem)
+
+    def publish(self, topic: str, payload: bytes, qos: int, retain: bool = False) -> None:
+        self.check()
+        self.got.append((topic, payload, qos, retain))
+
+    def flush(self) -> None:
+        self.check()
+
+    def drop(self) -> None:
+        self.got.append(("dropped", b"", 0, False))
+
+    def retained(self) -> dict[str, bytes]:
+        return {topic: payload for topic, payload, _, retain in self.got if retain}
+
+
+def sink_of(link: Link, **keys: object) -> MqttSink:
+    sink = MqttSink("m", "pmfid/hall-3", link, MqttSection(**keys))  # type: ignore[arg-type]
+    sink.open()
+    return sink
+
+
+# --- what is published ------------------------------------------------------------------------------------------------
+
+
+def test_rows_are_messages_of_their_axes() -> None:
+    link = Link()
+    rows = block(GROUP, 5)
+    rows.std[0, 1] = np.inf
+    sink_of(link).put([rows])
+    (status, first, second) = link.got
+    assert status == ("pmfid/hall-3/status", b"online", 1, True)
+    assert (first[0], first[2:]) == ("pmfid/hall-3/axis/x0/estimate", (0, False))
+    told = json.loads(first[1])
+    assert told["theta"] == {"mass": 5.0, "friction": 5.25}
+    assert told["std"] == {"mass": 0.05, "friction": None}
+    assert (told["number"], told["state"]) == (5, "watching")
+    assert second[0] == "pmfid/hall-3/axis/x1/estimate"
+
+
+def test_many_axes_share_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mqtt, "BATCH", 4)
+    link = Link()
+    sink_of(link, estimates="batch", qos=1).put([block(kindred(5), 1, samples=2)])
+    messages = [json.loads(payload) for _, payload, _, _ in link.got[1:]]
+    assert {topic for topic, *_ in link.got[1:]} == {"pmfid/hall-3/estimates/cart.toml"}
+    assert [len(message["axis"]) for message in messages] == [4, 4, 2]
+    assert [axis for message in messages for axis in message["axis"]] == [f"x{k}" for k in range(5)] * 2
+    assert messages[2]["theta"] == [[2.003, 2.253], [2.004, 2.254]]
+    assert messages[2]["state"] == ["watching"] * 2
+
+
+def test_what_stands_in_a_topic_is_one_level_of_it() -> None:
+    link = Link()
+    group = kindred(1)
+    odd = type(group)(**{**group.__dict__, "axes": ("a/+#é\0<b>",), "config": "../x.toml"})
+    sink_of(link).put([block(odd)])
+    sink_of(link, estimates="batch").put([block(odd)])
+    assert link.got[1][0] == "pmfid/hall-3/axis/a%2F%2B%23%C3%A9%00%3Cb%3E/estimate"
+    assert link.got[3][0] == "pmfid/hall-3/estimates/..%2Fx.toml"
+
+
+ALARM = "pmfid/hall-3/axis/x1/alarm"
+
+
+@pytest.mark.parametrize(
+    ("clear", "event", "over"),
+    [
+        ("acknowledged", notice(9, "acknowledged", alarm=2), True),
+        ("acknowledged", notice(9, "acknowledged", alarm=1), False),  # of an older one
+        ("acknowledged", notice(9, "acknowledged", axis="x0", alarm=2), False),
+        ("acknowledged", notice(9, "settled"), False),
+        ("settled", notice(9, "settled"), True),
+        ("settled", notice(9, "acknowledged", alarm=2), False),
+        ("either", notice(9, "settled"), True),
+        ("either", notice(9, "acknowledged", alarm=2), True),
+        ("never", notice(9, "acknowledged", alarm=2), False),
+        ("never", notice(9, "settled"), False),
+    ],
+)
+def test_an_alarm_stays_until_it_is_taken_back(clear: str, event: Any, over: bool) -> None:
+    link = Link()
+    sink = sink_of(link, clear=clear)
+    sink.put([alarm(1), alarm(2), event])
+    assert (link.retained()[ALARM] == b"") == over
+    sink.open()  # the broker may have forgotten everything
+    again = [topic for topic, *_ in link.got[-2:]]
+    assert (ALARM in again) == (not over)
+
+
+def test_an_alarm_of_an_earlier_start_is_taken_back() -> None:
+    link = Link()
+    sink_of(link).put([notice(9, "acknowledged", alarm=2), notice(10, "acknowledged", axis="", alarm=None)])
+    assert link.retained()[ALARM] == b""
+    assert set(link.retained()) == {ALARM, "pmfid/hall-3/status"}
+
+
+def test_events_are_published_unless_only_alarms_are_wanted(tmp_path: Path) -> None:
+    link = Link()
+    sink_of(link).put([notice(1, "gap", missing=3), alarm(2)])
+    events = [json.loads(payload) for topic, payload, _, _ in link.got if topic == "pmfid/hall-3/event"]
+    assert [(event["number"], event["event"]) for event in events] == [(1, "gap"), (2, "alarm")]
+    quiet = Link()
+    sink_of(quiet, events=False).put([alarm(2)])
+    assert [topic for topic, *_ in quiet.got] == ["pmfid/hall-3/status", ALARM]
+    assert MqttSection(events=False).wants_events() == {"alarm", "acknowledged", "settled"}
+    assert MqttSection(estimates="off").wants_rows() is False
+
+
+def test_the_end_is_said() -> None:
+    link = Link()
+    sink_of(link).close()
+    assert link.got[-2:] == [("pmfid/hall-3/status", b"offline", 1, True), ("dropped", b"", 0, False)]
+
+
+def test_secrets_come_from_the_environment_alone(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="NO_SUCH_SECRET is not set"):
+        MqttSection(user="me", password_env="NO_SUCH_SECRET").make("m", Host(tmp_path))
+
+
+# --- with Mosquitto ---------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Listener:
+    """Subscribed to everything; got: (topic, payload, retained)."""
+
+    broker: Broker
+    got: list[tuple[str, bytes, bool]] = field(default_factory=list)
+
+    def __enter__(self) -> Listener:
+        self.client = new_client(self.broker.section, Path(), f"listener-{time.monotonic()}")
+        self.client.on_message = lambda client, data, message: self.got.append(
+            (message.topic, message.payload, message.retain)
+        )
+        self.client.on_connect = lambda client, *rest: client.subscribe("#", qos=1)
+        subscribed: list[bool] = []
+        self.client.on_subscribe = lambda *rest: subscribed.append(True)
+        self.client.connect("127.0.0.1", self.broker.port)
+        self.client.loop_start()
+        assert until(lambda: subscribed)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.client.disconnect()
+        self.client.loop_stop()
+
+    def last(self, topic: str) -> bytes | None:
+        return next((payload for name, payload, _ in reversed(self.got) if name == topic), None)
+
+
+@pytest.fixture
+def broker(tmp_path: Path, stopped_brokers: None) -> Broker:  # noqa: F811
+    folder = tmp_path / "broker"
+    folder.mkdir()
+    return Broker(folder).start()
+
+
+@pytest.fixture
+def started(tmp_path: Path, broker: Broker, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Queued]]:
+    monkeypatch.setattr(queued, "FIRST_PAUSE", 0.05)
+    monkeypatch.setattr(queued, "LONGEST_PAUSE", 0.1)
+    monkeypatch.setattr(queued, "IDLE", 0.05)
+    running: list[Queued] = []
+
+    def start(host: Host, **keys: object) -> Queued:
+        section = MqttSection(port=broker.port, **keys)  # type: ignore[arg-type]
+        running.append(section.outlet("m", host))
+        running[-1].start()
+        return running[-1]
+
+    yield start
+    for one in running:
+        one.close(5)
+
+
+STATUS = "pmfid/hall-3/status"
+
+
+@needs_broker
+def test_a_broker_gets_all_and_keeps_the_alarm(tmp_path: Path, broker: Broker, started: Callable[..., Queued]) -> None:
+    outlet = started(Host(tmp_path))
+    with Listener(broker) as listener:
+        for number in range(1, 101):
+            outlet.rows(block(GROUP, number))
+        outlet.notice(alarm(7))
+        assert until(lambda: listener.last(ALARM))
+        estimates = [json.loads(text)["number"] for topic, text, _ in listener.got if topic.endswith("x0/estimate")]
+        assert estimates == list(range(1, 101))
+    with Listener(broker) as late:
+        assert until(lambda: late.last(ALARM) and late.last(STATUS))
+        assert sorted((topic, retained) for topic, _, retained in late.got) == [(ALARM, True), (STATUS, True)]
+        outlet.notice(notice(8, "acknowledged", alarm=7, note="seen"))
+        assert until(lambda: late.last(ALARM) == b"")
+        assert outlet.close(20)
+        assert until(lambda: late.last(STATUS) == b"offline")
+    with Listener(broker) as later:
+        assert until(lambda: later.got)
+        assert [topic for topic, *_ in later.got] == [STATUS]
+
+
+@needs_broker
+def test_a_connection_that_breaks_is_the_last_will_and_comes_again_by_itself(
+    tmp_path: Path, broker: Broker, started: Callable[..., Queued]
+) -> None:
+    host = Host(tmp_path)
+    outlet = started(host)
+    with Listener(broker) as listener:
+        assert until(lambda: listener.last(STATUS) == b"online")
+        seen = len(listener.got)
+        outlet._sink._link._client.socket().shutdown(2)  # type: ignore[attr-defined]
+        assert until(lambda: len(listener.got) >= seen + 2)
+        assert [payload for topic, payload, _ in listener.got[seen:] if topic == STATUS] == [b"offline", b"online"]
+    assert until(lambda: len(host.told) == 2)
+    assert [told["works"] for told in host.told] == [False, True]
+
+
+@needs_broker
+def test_a_broker_that_lost_everything_is_told_the_alarms_again(
+    tmp_path: Path, broker: Broker, started: Callable[..., Queued]
+) -> None:
+    host = Host(tmp_path)
+    outlet = started(host)
+    outlet.notice(alarm(7))
+    assert until(lambda: outlet._sink._standing)  # type: ignore[attr-defined]
+    broker.kill()
+    for path in broker.folder.glob("mosquitto.db*"):
+        path.unlink()
+    assert until(lambda: host.told)
+    outlet.notice(alarm(8, axis="x0"))
+    broker.start()
+    with Listener(broker) as listener:
+        assert until(lambda: listener.last(ALARM) and listener.last(ALARM.replace("x1", "x0")))
+        assert json.loads(listener.last(ALARM) or b"")["number"] == 7
+    assert host.count("pmfid_dropped_notices_total", sink="m") == 0
+
+
+@needs_broker
+def test_a_broker_that_refuses_says_why_and_no_secret(
+    tmp_path: Path, broker: Broker, started: Callable[..., Queued], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broker.stop()
+    broker.more = "allow_anonymous false\n"
+    broker.start()
+    monkeypatch.setenv("M_PASSWORD", "hidden-hidden")
+    host = Host(tmp_path)
+    started(host, user="me", password_env="M_PASSWORD")
+    assert until(lambda: host.told)
+    assert "refuses the connection: " in host.told[0]["problem"]
+    assert "hidden" not in repr(host.told)
