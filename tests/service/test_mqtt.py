@@ -93,6 +93,32 @@ def test_a_message_is_acknowledged_when_it_is_durable(broker: Broker) -> None:
     stop(hall, thread)
 
 
+def test_more_wait_for_a_checkpoint_than_mosquitto_has_in_flight_by_itself(broker: Broker) -> None:
+    """Its max_inflight_messages is 20: a source that does not ask for more would get 20 messages a checkpoint."""
+    engine = FakeEngine()
+    hall = source(engine, broker, "flight")
+    thread = engine.running(hall)
+    assert connected(hall)
+    with sender(broker, "flight/a") as gateway:
+        gateway.add("x1", np.zeros(60), np.zeros(60, int))
+    assert wait_for(lambda: len(engine.blocks) == 60)
+    stop(hall, thread)
+
+
+def test_a_message_that_nobody_has_subscribed_to_is_kept(broker: Broker) -> None:
+    engine, gateway = FakeEngine(), sender(broker, "nobody/a")
+    gateway.add("x1", np.zeros(5), np.zeros(5, int))
+    assert not gateway.flush(0.3)
+    assert "No matching subscribers" in gateway.problem
+    hall = source(engine, broker, "nobody")
+    thread = engine.running(hall)
+    assert connected(hall)
+    assert gateway.close()
+    assert wait_for(lambda: numbers(engine.blocks)[-1:] == [4])
+    stop(hall, thread)
+    assert list(dict.fromkeys(numbers(engine.blocks))) == [0, 1, 2, 3, 4]
+
+
 def test_a_stale_acknowledgement_is_none(broker: Broker) -> None:
     """After a new connection the numbers of packets may be those of other messages."""
     engine = FakeEngine()
@@ -213,10 +239,10 @@ def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[
     thread = engine.running(hall)
     assert connected(hall)
     ended, sent = threading.Event(), {"x1": 0, "x2": 0}
-    gateway = sender(broker, "killed/a", samples=5, size=400, delay=0.02, keep=4.0)
+    gateway = sender(broker, "killed/a", samples=5, size=400, delay=0.02, keep=2.5)
 
     def feed() -> None:
-        while not ended.wait(0.005):
+        while not ended.wait(0.02):
             for name in sent:
                 n = int(rng.integers(1, 9))
                 gateway.add(name, np.arange(sent[name], sent[name] + n), np.arange(sent[name], sent[name] + n))
@@ -278,7 +304,7 @@ def test_a_broker_that_keeps_nothing_costs_nothing_either(tmp_path: Path) -> Non
 
 @pytest.mark.long
 def test_fifty_kills_of_the_broker_cost_nothing(tmp_path: Path) -> None:
-    engine, sent = through_kills(tmp_path, 50, 1.5, PERSISTENT)
+    engine, sent = through_kills(tmp_path, 50, 3.0, PERSISTENT)
     check_nothing_lost(engine, sent)
 
 

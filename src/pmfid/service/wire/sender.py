@@ -188,7 +188,7 @@ class Sender:
                 retry = _now() + next(waiting)
                 self._connect()
             try:
-                self._events.get(timeout=self._delay / 2)()
+                self._events.get(timeout=max(self._delay / 2, 0.01))()
                 while True:
                     self._events.get_nowait()()
             except Empty:
@@ -207,7 +207,11 @@ class Sender:
 
     def _connect(self) -> None:
         """A new client each time: one of paho's own would send again what it has, without regard to the order."""
-        client = self._make_client()
+        try:
+            client = self._make_client()
+        except UsageError as error:  # a file of the password that was there before
+            self.problem = str(error)
+            return
         client.max_inflight_messages_set(0)
         client.on_connect, client.on_publish, client.on_disconnect = self._on_connect, self._on_publish, self._on_lost
         try:
