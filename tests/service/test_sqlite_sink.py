@@ -89,6 +89,20 @@ def test_a_service_that_counts_from_one_again_loses_no_alarm(tmp_path: Path) -> 
     ]
 
 
+def test_the_history_of_configurations_has_what_changed(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    digests = ["aa", "aa", "bb", "bb", "aa"]
+    for number, digest in enumerate(digests):
+        written(path, notice(number, "configuration", axis="", config="cart.toml", digest=digest, wall=number))
+        written(path, notice(100 + number, "configuration", axis="", config="cell.toml", digest="cc"))
+    assert of(path, "SELECT config, digest FROM configurations ORDER BY id") == [
+        ("cart.toml", "aa"),
+        ("cell.toml", "cc"),
+        ("cart.toml", "bb"),
+        ("cart.toml", "aa"),
+    ]
+
+
 def test_numbers_that_are_none_and_alarms_that_are_not_there(tmp_path: Path) -> None:
     path = tmp_path / "a.sqlite"
     written(

@@ -44,6 +44,12 @@ def _line_protocol() -> type[SinkSection]:
     return LineProtocolSection
 
 
+def _mqtt_sink() -> type[SinkSection]:
+    from pmfid.service.sinks.mqtt import MqttSection
+
+    return MqttSection
+
+
 def _plotjuggler() -> type[SinkSection]:
     from pmfid.service.sinks.plotjuggler import PlotJugglerSection
 
@@ -66,6 +72,7 @@ SOURCES: dict[str, Callable[[], type[SourceSection]]] = {"file": _file, "stdin":
 SINKS: dict[str, Callable[[], type[SinkSection]]] = {
     "arrow": _arrow,
     "line_protocol": _line_protocol,
+    "mqtt": _mqtt_sink,
     "plotjuggler": _plotjuggler,
     "sqlite": _sqlite,
     "webhook": _webhook,

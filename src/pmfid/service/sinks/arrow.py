@@ -35,7 +35,7 @@ class ArrowSection(SinkSection):
 
     kind: Literal["arrow"] = Field("arrow", description='"arrow"')
     folder: Name = Field(description='the folder of the tables, as "rows"')
-    rotate_mb: Positive = Field(64.0, description="the size in MB at which a stream becomes Parquet")
+    rotate_mb: Positive = Field(32.0, description="the size in MB at which a stream becomes Parquet")
     rotate_s: Positive = Field(3600.0, description="the age in s at which a stream becomes Parquet")
     sync_s: float = Field(5.0, ge=0, description="the time in s between two syncs to the disk")
 

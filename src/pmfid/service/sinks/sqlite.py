@@ -69,6 +69,10 @@ CREATE TABLE configurations (
 """
 
 INSERT = "INSERT OR IGNORE INTO notices (number, axis, event, wall, what) VALUES (?, ?, ?, ?, ?)"
+INSERT_CONFIGURATION = """
+INSERT INTO configurations SELECT ?, ?, ?, ?, ?, ?
+WHERE (SELECT digest FROM configurations WHERE config IS ? AND axis = ? ORDER BY id DESC LIMIT 1) IS NOT ?
+"""
 #: Keys of an alarm that are columns.
 ALARM = (
     "time",
@@ -195,9 +199,10 @@ def _insert(cursor: sqlite3.Cursor, notice: Notice) -> None:
         values = (row, alarm_of(notice), notice.axis, notice.axis, notice.wall, str(what.get("note", "")))
         cursor.execute(f"INSERT INTO acknowledgements VALUES (?, {alarm}, ?, ?, ?)", values)
     elif event == "configuration":
+        # the service tells what it has at every start; history is what differs from the time before
         config, digest = _cell(what.get("config")), _cell(what.get("digest"))
-        values = (row, notice.axis, notice.wall, config, digest, as_json(what))
-        cursor.execute("INSERT INTO configurations VALUES (?, ?, ?, ?, ?, ?)", values)
+        values = (row, notice.axis, notice.wall, config, digest, as_json(what), config, notice.axis, digest)
+        cursor.execute(INSERT_CONFIGURATION, values)
 
 
 def _cell(value: object) -> float | str | None:
