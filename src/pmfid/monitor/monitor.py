@@ -30,6 +30,7 @@ from pmfid.monitor.events import (
     StateChange,
     Watch,
 )
+from pmfid.monitor.lost import Lately
 from pmfid.monitor.scores import Blocks, Scale, ScoreFilter
 from pmfid.shown import Parameters, Shown, Summary, plain, remarks_of
 from pmfid.status import Status
@@ -51,9 +52,6 @@ MOST_INFORMATION = 1.5
 KEEP = 0.003
 #: What a flagged sample is told as.
 OUTLIERS = {Status.COUNT_JUMP: "counts", Status.INVALID_INPUT: "input"}
-#: An input that changed over lost samples by so many times what it usually does in as many has switched in one of them,
-#: nobody knows which; and the part by which a sample counts in what is usual.
-SWITCHED, LATELY = 6.0, 0.01
 NO_ALARM = Status.STARTING | Status.POOR_EXCITATION
 
 
@@ -90,7 +88,7 @@ class Monitor(Shown):
         self._sum = Blocks(np.zeros((1, p)), np.zeros((1, p, p)), np.zeros((1, p, p)))
         self._gain = 1.0  # of the input, over that of the estimator
         self._counts, self._zero, self._lost, self._flagged = 0, 0, False, Status(0)
-        self._input, self._usual, self._change = 0.0, 0.0, 0
+        self._lately = Lately(self.estimator)
         self._silent_blocks = max(SILENT_BLOCKS, round(SILENT_TIME / self._block_time))
 
     @property
@@ -167,11 +165,8 @@ class Monitor(Shown):
         if self._lost and not lost:
             self._zero = self._counts - counts
         counts = self._counts if lost else counts + self._zero
-        self._change = 0 if lost or not self.samples else counts - self._counts
         self._lost, self._counts = lost, counts
-        if not lost and math.isfinite(self._input):
-            self._usual += LATELY * (abs(u - self._input) - self._usual)
-            self._input = u
+        self._lately.note(u, counts)
         estimate = self.estimator.step(u, counts)
         self.samples += 1
         block = self._filter.step(u, counts)
@@ -197,20 +192,18 @@ class Monitor(Shown):
         return events
 
     def between(self, missing: int, u: float, counts: int) -> list[Event]:
-        """A few samples that were lost before one of u and counts: the input is on a straight line to it from the last,
-        the counts on the parabola that leaves the last as fast as they came to it.
-        Where nothing is known of that, the input has switched in one of them, or it is lost itself, as `skip`. What
-        there is to tell."""
-        if self._lost or not (self.samples and math.isfinite(u)):
+        """A few samples that were lost before one of u and counts: what most likely stood there (`Lately.guess`), and
+        nothing is learnt for a while where a held input switched in one of them, nobody knows which. Where nothing is
+        known of them, as `skip`. What there is to tell."""
+        guess = None if self._lost else self._lately.guess(missing, u, counts + self._zero)
+        if guess is None:
             return self.skip(missing)
-        if abs(u - self._input) > SWITCHED * (missing + 1) * self._usual:
-            return self.skip(missing)
-        first, start = self._input, self._counts - self._zero
-        events, n, change = list[Event](), missing + 1, self._change
-        bend = (counts - start - change * n) / (n * n + n)
-        for k in range(1, n):
-            moved = round(k * (change + bend * (k + 1)))
-            events += self.step(first + k / n * (u - first), start + moved)[1]
+        if guess.doubt:
+            self.estimator.doubt(guess.doubt)
+            self._filter.doubt(guess.doubt)
+        events = list[Event]()
+        for moment in guess.samples:
+            events += self.step(moment[0], moment[1] - self._zero)[1]
         return events
 
     def _refer(self, theta: Floats) -> None:

@@ -148,6 +148,10 @@ class ScoreFilter:
         self._wait = self._waiting = start_blocks(estimator, theta)
         self._u, self._count, self._filled = np.empty(1), np.empty(1, np.int64), 0
 
+    def doubt(self, samples: int) -> None:
+        """So many samples from now on count for nothing."""
+        self._kernel.doubt(samples)
+
     def step(self, u: float, count: int) -> Blocks | None:
         """One sample; the block that it completes, or None."""
         self._u[0], self._count[0] = u, count

@@ -1,0 +1,81 @@
+"""A few lost samples on-line: what stands in their place, and for how long nothing is learnt from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from pmfid.estimators.recursive import RecursiveEstimator
+
+#: The part by which a sample counts in what an input usually does.
+LATELY = 0.01
+#: An input that changed over lost samples by so many times what it usually does in as many has switched in one of them,
+#: nobody knows which.
+SWITCHED = 6.0
+#: An input that is the same as before in more than this part of the samples is held for several of them.
+HELD = 0.5
+#: A switch matters where not knowing its instant moves the input behind the filters by so much of its size.
+DOUBTFUL = 0.01
+#: The filters forget a blow in so many of their time constants.
+FORGOTTEN = 5.0
+
+
+@dataclass(frozen=True)
+class Guess:
+    """Lost samples: input and counts of each, and for how many samples behind them nothing is to be learnt."""
+
+    samples: tuple[tuple[float, int], ...]
+    doubt: int
+
+
+@dataclass
+class Lately:
+    """What input and counts did up to the last sample, for estimators with the filters of this one."""
+
+    estimator: RecursiveEstimator
+    _input: float = field(default=math.nan, init=False)
+    _counts: int = field(default=0, init=False)
+    _moved: int = field(default=0, init=False)
+    _samples: int = field(default=0, init=False)
+    _change: float = field(default=0.0, init=False)
+    _held: float = field(default=0.0, init=False)
+    _power: float = field(default=0.0, init=False)
+
+    def note(self, u: float, counts: int) -> None:
+        """A sample; u is NaN where it was lost."""
+        lost = not math.isfinite(u)
+        self._moved = counts - self._counts if self._samples and not lost else 0
+        self._counts = counts
+        if not lost:
+            self._learn(u)
+            self._input = u
+        self._samples += 1
+
+    def _learn(self, u: float) -> None:
+        share = max(LATELY, 1 / (self._samples + 1))
+        self._power += share * (u * u - self._power)
+        if math.isfinite(self._input):
+            self._change += share * (abs(u - self._input) - self._change)
+            self._held += share * ((u == self._input) - self._held)
+
+    def guess(self, missing: int, u: float, counts: int) -> Guess | None:
+        """So many samples before one of u and counts, which go on from the last: the input on a straight line, the
+        counts on the parabola that leaves the last as fast as they came to it. None where nothing is known of them: an
+        input that is lost itself, or one that is not held and leaps."""
+        if not (self._samples and math.isfinite(u) and math.isfinite(self._input)):
+            return None
+        n, leap = missing + 1, u - self._input
+        if self._held <= HELD and abs(leap) > SWITCHED * n * self._change:
+            return None
+        bend = (counts - self._counts - self._moved * n) / (n * n + n)
+        between = (
+            (self._input + k / n * leap, self._counts + round(k * (self._moved + bend * (k + 1)))) for k in range(1, n)
+        )
+        return Guess(tuple(between), self._doubt(missing, leap) if self._held > HELD else 0)
+
+    def _doubt(self, missing: int, leap: float) -> int:
+        """A held input may have switched at any of the instants."""
+        rate = self.estimator.cutoff * self.estimator.dt
+        if abs(leap) * missing * rate / math.sqrt(12) <= DOUBTFUL * math.sqrt(self._power):
+            return 0
+        return missing + round(FORGOTTEN / rate)
