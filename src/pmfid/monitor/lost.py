@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 
 from pmfid.estimators.recursive import RecursiveEstimator
 
-#: The part by which a sample counts in what an input usually does.
-LATELY = 0.01
+#: The part by which a sample counts in what an input usually does, and a change in how changes come.
+LATELY, SELDOM = 0.01, 0.05
 #: An input that changed over lost samples by so many times what it usually does in as many has switched in one of them,
 #: nobody knows which.
 SWITCHED = 6.0
-#: An input that is the same as before in more than this part of the samples is held for several of them.
-HELD = 0.5
+#: An input that is the same as before in more than this part of the samples, and of whose changes more than that part
+#: come alone, is held for several of them; one that rests now and then is not.
+HELD, ALONE = 0.5, 0.9
 #: A switch matters where not knowing its instant moves the input behind the filters by so much of its size.
 DOUBTFUL = 0.01
 #: The filters forget a blow in so many of their time constants.
@@ -38,7 +39,9 @@ class Lately:
     _moved: int = field(default=0, init=False)
     _samples: int = field(default=0, init=False)
     _change: float = field(default=0.0, init=False)
-    _held: float = field(default=0.0, init=False)
+    _same: float = field(default=0.0, init=False)
+    _alone: float = field(default=1.0, init=False)
+    _changed: bool = field(default=False, init=False)
     _power: float = field(default=0.0, init=False)
 
     def note(self, u: float, counts: int) -> None:
@@ -56,7 +59,15 @@ class Lately:
         self._power += share * (u * u - self._power)
         if math.isfinite(self._input):
             self._change += share * (abs(u - self._input) - self._change)
-            self._held += share * ((u == self._input) - self._held)
+            changed = u != self._input
+            self._same += share * (float(not changed) - self._same)
+            if changed:
+                self._alone += SELDOM * (float(not self._changed) - self._alone)
+            self._changed = changed
+
+    @property
+    def _held(self) -> bool:
+        return self._same > HELD and self._alone > ALONE
 
     def guess(self, missing: int, u: float, counts: int) -> Guess | None:
         """So many samples before one of u and counts, which go on from the last: the input on a straight line, the
@@ -65,13 +76,13 @@ class Lately:
         if not (self._samples and math.isfinite(u) and math.isfinite(self._input)):
             return None
         n, leap = missing + 1, u - self._input
-        if self._held <= HELD and abs(leap) > SWITCHED * n * self._change:
+        if not self._held and abs(leap) > SWITCHED * n * self._change:
             return None
         bend = (counts - self._counts - self._moved * n) / (n * n + n)
         between = (
             (self._input + k / n * leap, self._counts + round(k * (self._moved + bend * (k + 1)))) for k in range(1, n)
         )
-        return Guess(tuple(between), self._doubt(missing, leap) if self._held > HELD else 0)
+        return Guess(tuple(between), self._doubt(missing, leap) if self._held else 0)
 
     def _doubt(self, missing: int, leap: float) -> int:
         """A held input may have switched at any of the instants."""

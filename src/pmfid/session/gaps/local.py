@@ -17,7 +17,7 @@ from pmfid.types import Floats
 #: Samples farther away than so many times `half` count for next to nothing: they lie beyond another gap.
 NEAR, FAR_WEIGHT = 3.0, 1e-6
 #: Left out are at most so many samples, and at least; gaps are filled in so many at once.
-MOST, FEWEST, CHUNK = 4000, 30, 20_000
+MOST, FEWEST, CHUNK = 1000, 30, 20_000
 
 
 @dataclass(frozen=True)

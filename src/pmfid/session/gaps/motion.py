@@ -65,7 +65,7 @@ def by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floa
     """Input and counts (n,) with those that are not there as the motion says; an input that is NaN stays so, and
     becomes so where the motion tells more. What stands there now is what `filled` says. None where the record
     identifies no motion."""
-    line, own = (u, counts), np.flatnonzero(np.isfinite(u))
+    line, own, held = (u, counts), np.flatnonzero(np.isfinite(u)), is_held(u, there)
     parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
     try:
         theta = method.settled(u, counts)[1]
@@ -74,7 +74,7 @@ def by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floa
             u, counts = line[0].copy(), line[1].copy()
             for part in parts:
                 if not np.all(there[part]):
-                    u[part], counts[part] = _filled(machine, line[0][part], line[1][part], there[part])
+                    u[part], counts[part] = _filled(machine, line[0][part], line[1][part], there[part], held)
             before, theta = theta, method.settled(u, counts)[1]
             if np.max(np.abs(theta - before) / np.maximum(np.abs(theta), np.finfo(float).tiny)) < SETTLED:
                 break
@@ -101,9 +101,9 @@ def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
     return np.abs(moved) / np.maximum(np.abs(theta), np.finfo(float).tiny)
 
 
-def _filled(machine: Machine, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts]:
-    """Of one part (n,), which is there at its ends."""
-    place, speed, held = counts - counts[0] + 0.5, 0.0, is_held(u, there)
+def _filled(machine: Machine, u: Floats, counts: Counts, there: Flags, held: bool) -> tuple[Floats, Counts]:
+    """Of one part (n,), which is there at its ends; held: is the input?"""
+    place, speed = counts - counts[0] + 0.5, 0.0
     gap = _doubtful(u, there, held)
     missed, none = _missed(gap, u, there, held), np.zeros(0, np.intp)
     u = u.copy()

@@ -52,9 +52,10 @@ def gaps_of(there: Flags) -> Gap:
 
 
 def is_held(u: Floats, there: Flags) -> bool:
-    """Does the input (n,) keep its value for several samples?"""
+    """Does the input (n,) keep its value for several samples? One that rests now and then, and else changes in every
+    sample, does not."""
     beside = there[1:] & there[:-1]
-    return bool(np.any(beside) and np.mean((np.diff(u) == 0)[beside]) > HELD)
+    return bool(np.any(beside) and np.mean((np.diff(u) == 0)[beside]) > HELD and _longest_held(u, there) > 0)
 
 
 def filled(
@@ -73,7 +74,7 @@ def filled(
         longest = _longest_held(line, there)
     else:
         local = best_of(u, places)
-        line, longest = local.on_grid(u, places), _longest_bridged(local, u, places)
+        line, longest = local.on_grid(u, places), _longest_bridged(local, u, places, int(np.max(gap.missing)))
     if np.mean(~there & ~np.isnan(line)) > SCATTERED:
         longest = max(longest, min(ALWAYS, int(np.quantile(gap.missing, 0.99)) if gap.missing.size else 0))
     longest = longest if bridged else 0
@@ -106,11 +107,14 @@ def _longest_held(u: Floats, there: Flags) -> int:
     return int(min(LENGTHS[-1], np.quantile(np.diff(changes), SHORTEST) - 1))
 
 
-def _longest_bridged(local: Polynomial, u: Floats, places: NDArray[np.intp]) -> int:
-    """Missing samples of whose mean little is missed, by the samples u (m,) at their places (m,)."""
+def _longest_bridged(local: Polynomial, u: Floats, places: NDArray[np.intp], most: int) -> int:
+    """Missing samples of whose mean little is missed, by the samples u (m,) at their places (m,); of no more than the
+    gaps have."""
     size, longest = float(np.sqrt(np.mean(u**2))), 0
     for length in LENGTHS:
         if u.size < 10 * (length + 2) or local.missed(u, places, length) > FAITHFUL * size * length:
             break
         longest = length
+        if length >= most:
+            break
     return longest
