@@ -47,3 +47,13 @@ void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count)
     pmf_clear(&state->linear, (uint32_t)sizeof state->linear);
 #endif
 }
+
+void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples)
+{
+    samples = samples < config->settle_samples ? samples : config->settle_samples;
+#if PMF_WITH_GUARD
+    state->hold = samples > state->hold ? samples : state->hold;
+#else
+    state->settle = samples > state->settle ? samples : state->settle;
+#endif
+}

@@ -217,6 +217,10 @@ class RecursiveEstimator(Estimator):
             raise UsageError(f"{self.method} of a linear process takes no gaps: reset it, or use srivc off-line")
         self.runner.gap(counts)
 
+    def doubt(self, samples: int) -> None:
+        """The next samples are guesses: `Runner.doubt` of `runner`."""
+        self.runner.doubt(samples)
+
     def reset(self) -> None:
         """Forgets all samples."""
         self.runner.reset()
