@@ -29,6 +29,9 @@ __all__ = ["acts_late", "drifts", "too_fast", "too_slow"]
 #: Change of the velocity from sample to sample, in parts of the velocity, beyond which samples miss the motion; counts
 #: per sample from which on that is not the encoder's.
 HASTY, FINE = 0.42, 3.0
+#: The same in records too short for filters, where the input at the rows leaves so much of the change unexplained,
+#: which is so many counts, in so many rows.
+RATHER, ASTRAY, COUNTS, ROWS = 0.25, 0.5, 10.0, 12
 #: Counts per sample below which most samples say nothing, and those that are plenty.
 IDLE, PLENTY = 0.02, 0.2
 #: Filters through which a drift is looked for [samples]; of a drift: samples, standard deviations, and what may be left
@@ -44,7 +47,10 @@ def too_slow(log: Log) -> Iterator[Finding]:
     """A sample period in which the velocity becomes another one."""
     change = np.diff(log.known.counts)
     moving = np.abs(change[change != 0])
-    if moving.size < 2 or float(np.median(moving)) < FINE or not (jumps := hasty(change)) > HASTY:
+    if moving.size < 2 or float(np.median(moving)) < FINE:
+        return
+    jumps = hasty(change)
+    if not (jumps > HASTY or (jumps > RATHER and _misses_input(log))):
         return
     yield Finding(
         "rate_low",
@@ -52,6 +58,17 @@ def too_slow(log: Log) -> Iterator[Finding]:
         f"{log.record.dt:g} s the record misses most of the motion",
         f"record anew, at a sample period of at most {log.record.dt / 10 / min(jumps, 2):.1g} s",
     )
+
+
+def _misses_input(log: Log) -> bool:
+    """Does the velocity of a short record change by what the input at the rows does not say?"""
+    change, u = np.diff(log.known.counts).astype(np.float64), log.known.u
+    turn, velocity = np.diff(change), (change[1:] + change[:-1]) / 2
+    if log.view is not None or not log.is_machine or turn.size < ROWS or np.std(turn) < COUNTS:
+        return False
+    causes = np.column_stack([u[:-2], u[1:-1], velocity, np.sign(velocity), np.ones(turn.size)])
+    left = turn - causes @ np.linalg.lstsq(causes, turn, rcond=None)[0]
+    return bool(np.linalg.norm(left) > ASTRAY * np.linalg.norm(turn - turn.mean()))
 
 
 def too_fast(log: Log) -> Iterator[Finding]:
