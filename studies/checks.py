@@ -64,9 +64,10 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         "",
         *table(header, rows),
         "",
-        f"Something is named in {named_clean} of {len(clean_logs)} clean logs; {at_limit} of them have a note that their "
-        "input is at its limit, which is so and costs nothing. Where the drive is at its limit for as much of the log "
-        f"as a log with a saturated input cuts off, something is named in {named_limited} of {len(limited_logs)}.",
+        f"Something is named in {named_clean} of {len(clean_logs)} clean logs; {at_limit} of them have a note that "
+        "their input is at its limit, which is so and costs nothing. Where the drive is at its limit for as much of "
+        "the log as a log with a saturated input cuts off, something is named in "
+        f"{named_limited} of {len(limited_logs)}.",
         "",
         "## Every log that was read otherwise than it is",
         "",

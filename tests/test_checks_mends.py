@@ -13,8 +13,10 @@ from click.testing import CliRunner
 from pmfid.cli.main import main
 from pmfid.findings import Finding, codes
 from pmfid.session.checks import checked
+from pmfid.session.checks.log import Log
 from pmfid.session.checks.readings import as_velocity
 from pmfid.session.checks.stops import long_stops, sudden
+from pmfid.session.checks.timing import FITTED, acts_late
 from pmfid.session.outliers import believed
 from studies.check_logs import ALL, Logged, clean, faulty, limited
 from tests.test_checks import written
@@ -123,3 +125,14 @@ def test_a_motion_that_starts_with_all_its_force_has_no_wrong_first_row() -> Non
 
 def test_findings_are_told_by_their_weight() -> None:
     assert codes((Finding("saturated", "at a limit", severity="note"),)) == ()
+
+
+def test_a_late_input_is_looked_for_in_a_part_of_a_long_record() -> None:
+    log = clean(1, {"cart": ALL["cart"]})
+    record = log.record()
+    times = FITTED // record.u.size + 2
+    u, counts = np.tile(record.u, times), np.tile(record.counts - record.counts[0], times)
+    seen = mock.Mock(return_value=None)
+    with mock.patch("pmfid.session.checks.timing.examined", seen):
+        assert list(acts_late(Log(replace(record, u=u, counts=counts), log.configuration))) == []
+    assert seen.call_args.args[1].size == FITTED

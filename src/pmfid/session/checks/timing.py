@@ -39,8 +39,8 @@ IDLE, PLENTY = 0.02, 0.2
 DRIFT_TIMES, DRIFTED, SURE, LESS = (10.0, 30.0, 100.0), 1.5, 4.5, 0.95
 #: Looks behind a correction, and how far these may move a drift, in parts of the first.
 CORRECTIONS, MOST = 3, 1.5
-#: Samples in which it is looked for.
-MOST_SAMPLES = 40_000
+#: Samples in which it is looked for, and a late input, which is fitted again and again.
+MOST_SAMPLES, FITTED = 40_000, 6000
 
 
 def too_slow(log: Log) -> Iterator[Finding]:
@@ -138,15 +138,16 @@ def acts_late(log: Log) -> Iterator[Finding]:
     model = axis.model.make()
     if model.equation.further:
         return
-    encoder = axis.encoder.made(record.resolution)
+    part, encoder = liveliest(record.counts, FITTED), axis.encoder.made(record.resolution)
+    u, counts = record.u[part], record.counts[part]
     with suppress(NotIdentifiableError, UsageError):
-        cutoff = axis.estimator.cutoff or choose_cutoff([model], encoder, record.dt, record.u, record.counts)
+        cutoff = axis.estimator.cutoff or choose_cutoff([model], encoder, record.dt, u, counts)
         method = IntervalML(model, encoder, record.dt, cutoff, order=axis.estimator.order)
-        found = examined(method, record.u, record.counts, np.zeros(len(method.equation.names)))
+        found = examined(method, u, counts, np.zeros(len(method.equation.names)))
         if found is None or found.adequate:
             return
         told = list(late(found))
-        if told and any(_is_enough(method, key, record.u, record.counts) for key in ("dead_time", "lag")):
+        if told and any(_is_enough(method, key, u, counts) for key in ("dead_time", "lag")):
             yield from told
 
 
