@@ -81,7 +81,9 @@ bench: .venv/peers
 	mkdir -p .benchmarks
 	.venv/bin/python -m pytest benchmarks --benchmark-only --benchmark-sort=name --benchmark-json=.benchmarks/latest.json
 	.venv/bin/python -m benchmarks.instructions .benchmarks/instructions.json
-	.venv/bin/python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json docs/benchmarks.md
+	.venv/bin/python -m benchmarks.reading .benchmarks/reading.json
+	.venv/bin/python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json .benchmarks/reading.json \
+		docs/benchmarks.md
 
 firmware: .venv/tools
 	.venv/bin/python -m tests.firmware.study --out docs/footprint.md
