@@ -265,9 +265,9 @@ def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[
 
     def complete() -> bool:
         engine.checkpoint()
-        return all(any(b.axis == name and b.end == n for b in reversed(engine.blocks)) for name, n in sent.items())
+        return engine.reached == sent
 
-    wait_for(complete)
+    wait_for(complete, 30)
     stop(hall, thread)
     broker.stop()
     return engine, sent
@@ -321,6 +321,17 @@ def test_a_source_waits_for_a_broker_that_is_not_there_yet(tmp_path: Path) -> No
     assert wait_for(lambda: engine.problems()[-1] == "")
     stop(hall, thread)
     late.stop()
+
+
+def test_two_services_under_one_name_are_told(broker: Broker) -> None:
+    engine = FakeEngine()
+    first, second = source(engine, broker, "same"), source(FakeEngine(), broker, "same")
+    threads = [engine.running(first)]
+    assert connected(first)
+    threads.append(engine.running(second))
+    assert wait_for(lambda: "another service has the session 'same'" in str(engine.problems()))
+    stop(first, threads[0])
+    stop(second, threads[1])
 
 
 def test_what_is_kept_while_the_broker_is_away_is_bounded(tmp_path: Path) -> None:
