@@ -142,6 +142,19 @@ def test_a_line_that_a_kill_cut_off_spoils_no_other(tmp_path: Path) -> None:
     assert path.read_bytes().startswith(b"pmfid,axis=x0 mass=1.0 17\npmfid,axis=x0 ma\npmfid,axis=x0")
 
 
+def test_a_file_that_is_renamed_or_removed_is_made_anew(tmp_path: Path) -> None:
+    path = tmp_path / "rows.lp"
+    sink = sink_to("rows.lp", tmp_path)
+    sink.put([block(GROUP, 1)])
+    path.rename(tmp_path / "rows.lp.1")
+    sink.put([block(GROUP, 2)])
+    path.rename(tmp_path / "rows.lp.2")
+    sink.put([block(GROUP, 3)])
+    sink.close()
+    names = ("rows.lp.1", "rows.lp.2", "rows.lp")
+    assert [parsed((tmp_path / name).read_bytes())[0].fields["number"] for name in names] == [1, 2, 3]
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
 def test_a_device_that_is_full_is_an_error_that_may_pass(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="No space left on device") as error:

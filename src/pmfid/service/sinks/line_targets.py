@@ -33,7 +33,8 @@ class Target(ABC):
 
 
 class FileTarget(Target):
-    """A file that grows; None: standard output. All lines are written, or none of them where it is a file."""
+    """A file that grows; None: standard output. All lines are written, or none of them where it is a file. One that was
+    renamed or removed, as by who rotates logs, is made anew."""
 
     def __init__(self, path: Path | None) -> None:
         self._path, self._file = path, -1
@@ -60,7 +61,17 @@ class FileTarget(Target):
                 if file.read(1) != b"\n":
                     write_all(self._file, b"\n")
 
+    def _is_there(self) -> bool:
+        """Whether the file that is open is still the one of that name."""
+        try:
+            return self._path is None or os.path.samestat(os.stat(self._path), os.fstat(self._file))
+        except FileNotFoundError:
+            return False
+
     def send(self, lines: list[bytes]) -> None:
+        if not self._is_there():
+            self.close()
+            self.open()
         state = os.fstat(self._file)
         try:
             write_all(self._file, b"".join(lines))

@@ -25,7 +25,7 @@ class Limits:
     rows: int = 100_000
     size: int = 64_000_000
     notices: int = 10_000
-    take: int = 50_000
+    take: int = 20_000
     pace: float = 0.0
 
 
