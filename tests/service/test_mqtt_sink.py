@@ -287,3 +287,28 @@ def test_a_broker_that_refuses_says_why_and_no_secret(
     assert until(lambda: host.told)
     assert "refuses the connection: " in host.told[0]["problem"]
     assert "hidden" not in repr(host.told)
+
+
+@needs_broker
+@pytest.mark.long
+def test_no_alarm_is_lost_whatever_becomes_of_the_broker(
+    tmp_path: Path, broker: Broker, started: Callable[..., Queued]
+) -> None:
+    """Alarms of many axes while the broker is killed again and again, and forgets what it had not yet saved."""
+    host = Host(tmp_path)
+    outlet = started(host, events=False)
+    for number in range(300):
+        outlet.notice(alarm(number, axis=f"x{number}"))
+        if number % 50 == 25:
+            broker.kill()
+            outlet.notice(alarm(1000 + number, axis=f"y{number}"))
+            time.sleep(0.02)
+            broker.start()
+        time.sleep(0.003)
+    assert until(lambda: host.count("pmfid_sink_working", sink="m") == 1)
+    assert outlet.close(20)
+    with Listener(broker) as listener:
+        assert until(lambda: sum(topic.endswith("/alarm") for topic, *_ in listener.got) >= 306)
+        assert listener.last(STATUS) == b"offline"
+    assert host.count("pmfid_sink_errors_total", sink="m") >= 6
+    assert host.count("pmfid_dropped_notices_total", sink="m") == 0

@@ -95,6 +95,7 @@ def test_the_history_of_configurations_has_what_changed(tmp_path: Path) -> None:
     for number, digest in enumerate(digests):
         written(path, notice(number, "configuration", axis="", config="cart.toml", digest=digest, wall=number))
         written(path, notice(100 + number, "configuration", axis="", config="cell.toml", digest="cc"))
+        written(path, notice(200 + number, "configuration", axis="", config="cart.toml", problem="it cannot be read"))
     assert of(path, "SELECT config, digest FROM configurations ORDER BY id") == [
         ("cart.toml", "aa"),
         ("cell.toml", "cc"),
