@@ -66,10 +66,11 @@ class MqttSink:
     def __init__(self, name: str, base: str, link: BrokerLink, section: MqttSection) -> None:
         self.name = name
         self._base, self._link, self._section = base, link, section
-        self._standing: dict[str, tuple[int, bytes]] = {}  # axis -> number of its alarm, and the message
+        self._standing: dict[str, tuple[int, bytes]] = {}  # axis -> what is retained: number, message
 
     def open(self) -> None:
-        """Connects, and publishes what the broker is to know from now on: it may have lost what it retained."""
+        """Connects, and publishes what the broker is to know from now on: one that was killed may have lost what it
+        retained, or retain again what was taken back."""
         self._link.open()
         self._link.publish(f"{self._base}/status", ONLINE, 1, retain=True)
         for axis, (_, payload) in self._standing.items():
@@ -108,7 +109,7 @@ class MqttSink:
             self._standing[notice.axis] = notice.number, payload
             self._link.publish(self._topic(notice.axis, "alarm"), payload, 1, retain=True)
         elif self._takes_back(notice):
-            self._standing.pop(notice.axis, None)
+            self._standing[notice.axis] = notice.number, b""
             self._link.publish(self._topic(notice.axis, "alarm"), b"", 1, retain=True)
         if self._section.events:
             self._link.publish(f"{self._base}/event", payload, 1)
@@ -118,7 +119,7 @@ class MqttSink:
         event, clear = notice.what.get("event"), self._section.clear
         if event == "acknowledged" and clear in ("acknowledged", "either"):
             standing = self._standing.get(notice.axis)
-            return bool(notice.axis) and (standing is None or standing[0] == alarm_of(notice))
+            return bool(notice.axis) and (standing is None or not standing[1] or standing[0] == alarm_of(notice))
         return event == "settled" and clear in ("settled", "either")
 
     def close(self) -> None:
