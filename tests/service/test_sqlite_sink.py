@@ -154,6 +154,16 @@ def test_a_folder_that_is_read_only_is_an_error_that_may_pass() -> None:
         SqliteSink("a", Path("/proc/a.sqlite")).open()
 
 
+def test_without_a_path_it_lies_where_the_state_is_kept(tmp_path: Path) -> None:
+    for host in (Host(tmp_path), Host(tmp_path, state=tmp_path / "state")):
+        sink = SqliteSection().make("alarms", host)
+        sink.open()
+        sink.put([alarm(1)])
+        sink.close()
+    assert of(tmp_path / "alarms.sqlite", "SELECT number FROM alarms") == [(1,)]
+    assert of(tmp_path / "state" / "alarms.sqlite", "SELECT number FROM alarms") == [(1,)]
+
+
 def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
     text, other, newer = (tmp_path / name for name in ("text", "other", "newer"))
     text.write_text("no database, and long enough to be taken for one " * 30)

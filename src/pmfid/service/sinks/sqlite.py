@@ -94,11 +94,14 @@ class SqliteSection(SinkSection):
     rows_wanted: ClassVar[bool] = False
 
     kind: Literal["sqlite"] = Field("sqlite", description='"sqlite"')
-    path: Name = Field(description='the file of the database, as "alarms.sqlite"')
+    path: Name | None = Field(
+        None, description='the file of the database, as "alarms.sqlite"; left out: NAME.sqlite where the state is kept'
+    )
 
     def make(self, name: str, context: Host) -> SqliteSink:
         """The sink, not yet open."""
-        return SqliteSink(name, context.folder / self.path)
+        kept = context.state or context.folder
+        return SqliteSink(name, kept / f"{name}.sqlite" if self.path is None else context.folder / self.path)
 
 
 @contextmanager
