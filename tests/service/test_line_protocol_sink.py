@@ -214,6 +214,21 @@ def test_udp_has_whole_lines_in_bounded_datagrams(tmp_path: Path) -> None:
     assert [point.fields["number"] for point in points] == [n for n in range(1, 11) for _ in range(2)]
 
 
+def test_a_line_too_long_for_any_datagram_holds_up_no_other(tmp_path: Path) -> None:
+    host = Host(tmp_path)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(20)
+        outlet = LineProtocolSection(to=f"udp://127.0.0.1:{listener.getsockname()[1]}").outlet("lines", host)
+        outlet.notice(notice(1, "source", problem="x" * 100_000))
+        outlet.notice(alarm(2))
+        outlet.start()
+        assert parsed(listener.recv(65536))[0].fields["number"] == 2
+        assert outlet.close(20)
+    assert host.count("pmfid_refused_total", sink="lines") == 1
+    assert "too long for a datagram" in host.told[0]["problem"]
+
+
 def test_http_with_the_token_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(line_targets, "MOST_POSTED", 1000)
     (tmp_path / "token").write_text("abc-123\n")

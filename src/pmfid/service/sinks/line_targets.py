@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import stat
@@ -9,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 
+from pmfid.service.sinks import RefusedError
 from pmfid.service.sinks.durable import write_all
 from pmfid.service.sinks.posting import Poster
 
@@ -116,7 +118,7 @@ class TcpTarget(Target):
 
 class UdpTarget(TcpTarget):
     """Datagrams with as many whole lines as fit; whether anyone listens makes no difference. A line that is too large
-    for one goes alone, and the system says whether that is possible."""
+    for one goes alone; RefusedError where that is more than the system takes."""
 
     def __init__(self, address: tuple[str, int], timeout: float, largest: int) -> None:
         super().__init__(address, timeout, largest)
@@ -134,6 +136,10 @@ class UdpTarget(TcpTarget):
                 opened.send(datagram)
             except ConnectionRefusedError:  # of the datagram before
                 continue
+            except OSError as error:
+                if error.errno == errno.EMSGSIZE:
+                    raise RefusedError(f"a line of {len(datagram)} bytes is too long for a datagram") from None
+                raise
 
 
 class HttpTarget(Target):
