@@ -1,7 +1,7 @@
 # One door for every chore; each target makes the environment it needs in .venv.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck clang valgrind
-SERVICE_TOOLS = mosquitto
+SERVICE_TOOLS = mosquitto chromium
 BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.py' -o -name '*.py[ix]' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.j2')
@@ -36,10 +36,10 @@ firmware-tools:
 	    $(FIRMWARE_TOOLS) >/dev/null 2>&1 || echo "no firmware tools: their tests will skip"; \
 	fi
 
-# The broker for the tests of the service; without it they skip. In the same way.
+# The broker and the browser for the tests of the service; without them they skip. In the same way.
 service-tools: firmware-tools
 	@if [ -n "$(INSTALL_TOOLS)" ] && command -v apt-get >/dev/null && \
-	! PATH="$$PATH:/usr/sbin" command -v $(SERVICE_TOOLS) >/dev/null; then \
+	! (PATH="$$PATH:/usr/sbin" command -v mosquitto && command -v chromium) >/dev/null; then \
 	  root=$$([ "$$(id -u)" = 0 ] || echo "sudo -n"); \
 	  $$root timeout 60 apt-get update -qq >/dev/null 2>&1; \
 	  $$root timeout 170 env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \

@@ -108,7 +108,7 @@ PUBLIC = [
     "validate",
 ]
 
-SLOW_TO_IMPORT = {"numpy", "scipy", "pydantic", "polars", "matplotlib", "rich"}
+SLOW_TO_IMPORT = {"numpy", "scipy", "pydantic", "polars", "matplotlib", "rich", "starlette", "uvicorn"}
 
 COMPILER = shutil.which("cc")
 C_WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wdouble-promotion"]

@@ -20,6 +20,7 @@ from pmfid.errors import UsageError
 from pmfid.service.board.alarms import Standing
 from pmfid.service.delivery import Block, Mark
 from pmfid.service.groups import Group, Pace, Prepared, Seat
+from pmfid.service.outcome import Notice
 
 if TYPE_CHECKING:
     from pmfid.service.engine import Engine
@@ -65,6 +66,11 @@ def snapshot(engine: Engine) -> list[bytes]:
             "marks": engine.marks,
             "history": engine.history,
             "alarms": [vars(alarm) for alarm in engine.notices.alarms.all()],
+            "unwritten": {
+                sink: [[notice.axis, notice.number, notice.wall, notice.what] for notice in some]
+                for sink, some in engine.unwritten().items()
+                if some
+            },
             "groups": groups,
         }
     ).encode()
@@ -139,13 +145,14 @@ class Saved:
 @dataclass(frozen=True)
 class Snapshot:
     """A checkpoint. wall: when it was made, seconds since 1970; numbered: the last number that an axis got; marks: of
-    the sources."""
+    the sources; unwritten: alarms that sinks did not have yet, by the name of the sink."""
 
     wall: float
     numbered: int
     marks: dict[str, Mark]
     history: list[dict[str, Any]]
     alarms: list[Standing]
+    unwritten: dict[str, list[Notice]]
     groups: list[Saved]
 
     def restore(self, engine: Engine) -> None:
@@ -177,7 +184,9 @@ def read_snapshot(body: bytes) -> Snapshot:
             raise ValueError("its parts do not fill it")
         marks = {str(name): dict(mark) for name, mark in raw["marks"].items()}
         alarms = [_standing(alarm) for alarm in raw["alarms"]]
-        return Snapshot(float(raw["wall"]), int(raw["numbered"]), marks, list(raw["history"]), alarms, groups)
+        unwritten = {sink: [Notice(*entry) for entry in some] for sink, some in raw["unwritten"].items()}
+        history = list(raw["history"])
+        return Snapshot(float(raw["wall"]), int(raw["numbered"]), marks, history, alarms, unwritten, groups)
     except (KeyError, TypeError, AttributeError, IndexError, struct.error, RecursionError) as error:
         raise ValueError(f"it is no checkpoint of this version: {error!r}") from None
 

@@ -17,7 +17,7 @@ from pmfid.service.groups import Group, Seat
 from pmfid.service.inbox import Inbox
 from pmfid.service.notices import Notices
 from pmfid.service.order import Verdict
-from pmfid.service.outcome import Outlet
+from pmfid.service.outcome import Notice, Outlet
 from pmfid.service.stepping import Found, step
 from pmfid.session.monitored.run import event_object
 
@@ -55,7 +55,8 @@ def _nobody() -> frozenset[str]:
 
 @dataclass
 class Engine:
-    """outlets: get rows and notices; followed: names of the axes of which every row is wanted; groups: all axes.
+    """outlets: get rows and notices; followed: names of the axes of which every row is wanted; groups: all axes;
+    unwritten: alarms that sinks do not have yet, by the name of the sink.
 
     marks: where the sources stand behind what was stepped; history: what configurations there were since when;
     numbered: the last number that an axis got; beat: `time.monotonic()` of the last tick; changes: grows with all that
@@ -68,6 +69,7 @@ class Engine:
     inbox: Inbox = field(default_factory=Inbox)
     commands: Commands = field(default_factory=Commands)
     keeper: Keeper = field(default_factory=_Forgetful)
+    unwritten: Callable[[], dict[str, list[Notice]]] = dict
     groups: list[Group] = field(default_factory=list, init=False)
     marks: dict[str, Mark] = field(default_factory=dict, init=False)
     history: list[dict[str, Any]] = field(default_factory=list, init=False)

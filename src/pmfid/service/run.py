@@ -118,6 +118,7 @@ class Service:
         self._outlets: list[Outlet] = [self._board, self._log]
         self._engine = Engine(self.counters, self._outlets, self._board.followed)
         self._sinks: list[Queued] = []
+        self._unwritten: dict[str, list[Notice]] = {}
         self._sources = Sources(self._engine.inbox, self._engine.tell, self._engine.marks)
         self._pace = Pace(plant.service.window, plant.service.every)
         self._configurations = Configurations(self._tell_now, self.record)
@@ -142,6 +143,7 @@ class Service:
             return
         saved, groups = found
         saved.restore(engine)
+        self._unwritten = saved.unwritten
         for notice in engine.notices.replayed(saved.alarms):
             self._board.notice(notice)
         fresh = self._arrange(groups)
@@ -188,6 +190,10 @@ class Service:
     def _start(self, plant: Plant) -> None:
         context = self._context(plant)
         self._sinks = [section.outlet(name, context) for name, section in plant.sinks.items()]
+        self._engine.unwritten = lambda: {sink.name: sink.unwritten() for sink in self._sinks}
+        for queued in self._sinks:
+            for notice in self._unwritten.get(queued.name, ()):
+                queued.notice(notice)
         sources = [section.make(name, context) for name, section in plant.sources.items()]
         self._serve_page(plant)
         for queued in self._sinks:

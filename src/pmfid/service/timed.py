@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import struct
+import zlib
 from bisect import insort
+from collections import deque
 
 import numpy as np
 
@@ -11,7 +14,7 @@ from pmfid.errors import UsageError
 from pmfid.service.delivery import Lines
 from pmfid.service.order import ANEW, Piece, Verdict
 from pmfid.session.monitored.period import Saved
-from pmfid.session.monitored.timeline import COMMENT, Found, Line, Metronome, Sample, Timeline
+from pmfid.session.monitored.timeline import COMMENT, REPEATED, Found, Line, Metronome, Sample, Timeline
 
 __all__ = ["Timed"]
 
@@ -19,8 +22,10 @@ __all__ = ["Timed"]
 BEHIND = 5
 #: Samples that follow one another after lines came with another period, until they are believed again.
 PROBATION = 50
-#: Lines that wait at most.
-MOST = 100_000
+#: Lines that wait at most, and lines that are known again when a source delivers them once more after a restart.
+MOST, KNOWN = 100_000, 1000
+
+_LINE = struct.Struct("<ddq")
 
 
 def _when(line: Line) -> float:
@@ -28,13 +33,20 @@ def _when(line: Line) -> float:
 
 
 class Timed:
-    """dt: sample period [s]; window: how long lines wait for older ones [s], 0: not at all; timed: they have a time."""
+    """dt: sample period [s]; window: how long lines wait for older ones [s], 0: not at all; timed: they have a time.
+
+    A line has no number: that it came before shows only in what it says. So the last of them are remembered over a
+    restart, for a source that delivers again what it does not know to be kept: without that, old lines in a row would
+    be those of a clock that was set back.
+    """
 
     def __init__(self, dt: float, window: float, timed: bool) -> None:
         self.dt, self.window, self.timed = dt, window, timed
         self._grid = self._new()
         self._held: list[Line] = []
         self._newest, self._behind = -math.inf, 0
+        self._recent: deque[int] = deque(maxlen=KNOWN)  # checksums of lines
+        self._before: frozenset[int] = frozenset()  # those of before the restart
         self._doubtful = 0  # samples that are still to follow one another before any is believed
 
     def _new(self) -> Timeline | Metronome:
@@ -44,10 +56,21 @@ class Timed:
         """Appends to `pieces` the samples that are known now."""
         verdict, samples = Verdict(), list[Sample]()
         for given in item.lines:
+            if self.timed and self._again(given):
+                verdict.lines[REPEATED] = verdict.lines.get(REPEATED, 0) + 1
+                continue
             for line in self._sorted(given):
                 samples += self._samples(line, verdict)
         pieces += _joined(samples, received, turn, verdict)
         return verdict
+
+    def _again(self, line: Line) -> bool:
+        """Whether a line came before the restart."""
+        checksum = zlib.crc32(_LINE.pack(line.time, line.u, line.counts))
+        if self._before and checksum in self._before:
+            return True
+        self._recent.append(checksum)
+        return False
 
     def _sorted(self, line: Line) -> list[Line]:
         """The lines whose turn it is: the window behind the newest has passed."""
@@ -111,6 +134,7 @@ class Timed:
             "newest": self._newest,
             "behind": self._behind,
             "doubtful": self._doubtful,
+            "recent": list(self._recent),
             "held": [[line.time, line.u, line.counts, line.problem] for line in self._held],
             "grid": self._grid.saved(),
         }
@@ -121,6 +145,8 @@ class Timed:
         self._newest, self._behind = float(saved["newest"]), int(saved["behind"])
         self._doubtful = int(saved["doubtful"])
         self._held = [Line(*entry) for entry in saved["held"]]
+        self._recent = deque((int(checksum) for checksum in saved["recent"]), KNOWN)
+        self._before = frozenset(self._recent)
         self._grid = self._new()
         self._grid.restore(saved["grid"])
 

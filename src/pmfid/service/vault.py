@@ -69,6 +69,7 @@ class Vault:
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
+            self._lock.close()
             raise UsageError(
                 f"[service] state: another service works in {self.folder}; end that, or choose another folder"
             ) from None

@@ -11,7 +11,7 @@ from pmfid.errors import PmfidError, printable
 from pmfid.service.counters import Counters
 from pmfid.service.outcome import Notice, Rows
 from pmfid.service.sinks import Sink
-from pmfid.service.sinks.waiting import MOST_ENTRIES, Entry, Limits, Lost, Waiting
+from pmfid.service.sinks.waiting import MOST_ENTRIES, Entry, Limits, Lost, Waiting, is_urgent
 
 __all__ = ["Queued", "Tell"]
 
@@ -71,6 +71,7 @@ class Queued:
         self._lost = Lost()  # rows and notices that were dropped and not yet told
         self._told_at = -TELL_EVERY
         self._refusals: set[str] = set()
+        self._unwritten: dict[int, Notice] = {}  # urgent ones that the sink does not have yet, by number
         self._thread = Thread(target=self._run, name=f"sink {sink.name}", daemon=True)
         for total in ("pmfid_dropped_rows_total", "pmfid_dropped_notices_total", "pmfid_sink_errors_total"):
             counters.add(total, 0, sink=self.name)
@@ -91,12 +92,26 @@ class Queued:
     def _offer(self, outcome: Rows | Notice) -> None:
         with self._changed:
             first = not self._waiting
+            if isinstance(outcome, Notice) and is_urgent(outcome) and len(self._unwritten) < self._limits.notices:
+                self._unwritten[outcome.number] = outcome
             lost = self._waiting.add(outcome)
             waiting = self._waiting.rows
             if first or self._waiting.crowded:
                 self._changed.notify()
         self._counters.put("pmfid_sink_waiting_rows", waiting, sink=self.name)
         self._count_lost(lost)
+
+    def unwritten(self) -> list[Notice]:
+        """Alarms and what became of them which the sink does not have yet: what a checkpoint keeps for it."""
+        with self._changed:
+            return list(self._unwritten.values())
+
+    def _had(self, batch: Sequence[Entry]) -> None:
+        """The sink has these, or they are not for it."""
+        with self._changed:
+            for entry in batch:
+                if isinstance(entry.outcome, Notice):
+                    self._unwritten.pop(entry.outcome.number, None)
 
     def start(self) -> None:
         """Begins to write."""
@@ -179,6 +194,7 @@ class Queued:
             self._worked(batch)
 
     def _worked(self, batch: Sequence[Entry]) -> None:
+        self._had(batch)
         self._alone = max(self._alone - 1, 0)
         self._counters.add("pmfid_sink_rows_total", sum(entry.rows for entry in batch), sink=self.name)
         if self._failing:
@@ -211,6 +227,7 @@ class Queued:
             self._alone = len(batch)
             self._give_back(batch)
             return
+        self._had(batch)
         self._alone = max(self._alone - 1, 0)
         self._counters.add("pmfid_refused_total", max(batch[0].rows, 1), sink=self.name)
         problem = problem_of(error)

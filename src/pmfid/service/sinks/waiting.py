@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from pmfid.service.outcome import Notice, Rows
 
-__all__ = ["MOST_ENTRIES", "Entry", "Limits", "Lost", "Waiting"]
+__all__ = ["MOST_ENTRIES", "Entry", "Limits", "Lost", "Waiting", "is_urgent"]
 
 #: Events that a person waits for; all others are dropped before them.
 URGENT = frozenset({"alarm", "acknowledged", "settled"})
@@ -46,6 +46,11 @@ class Entry(NamedTuple):
 
 
 Line = deque[Entry]
+
+
+def is_urgent(notice: Notice) -> bool:
+    """Whether a person waits for it."""
+    return notice.what.get("event") in URGENT
 
 
 def size_of(rows: Rows) -> int:
@@ -117,7 +122,7 @@ class Waiting:
         return self._bounded()
 
     def _line_of(self, notice: Notice) -> Line:
-        return self._urgent if notice.what.get("event") in URGENT else self._other
+        return self._urgent if is_urgent(notice) else self._other
 
     def _come(self, entry: Entry, front: bool = False) -> None:
         self.rows += entry.rows

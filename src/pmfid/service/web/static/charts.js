@@ -5,7 +5,7 @@ import { isWall, moment, number } from "./format.js";
 import { colour } from "./theme.js";
 import uPlot from "./vendor/uPlot.js";
 
-const HEIGHT = 170, LABELS = 62;
+const HEIGHT = 170, LABELS = 70;
 
 // spec: {title, unit, line, low, high, level, levelName, steps, told(k)}; line, low, high: names of columns.
 export class Chart {
@@ -28,14 +28,14 @@ export class Chart {
     const grid = { stroke: colour("grid"), width: 1 };
     const axis = { stroke: colour("soft"), grid, ticks: grid, font: "12px system-ui" };
     const line = { stroke: colour("line"), width: 1.6, points: { show: false }, spanGaps: false };
-    if (spec.steps) line.paths = uPlot.paths.stepped({ align: -1 });
     const edge = { stroke: "transparent", width: 0, points: { show: false } };
+    if (spec.steps) line.paths = edge.paths = uPlot.paths.stepped({ align: -1 });
     const series = [{}, edge, edge, line, { stroke: colour("level"), width: 1.4, dash: [6, 4], points: { show: false } }];
     const options = {
       width: this.width(),
       height: HEIGHT,
       legend: { show: false },
-      cursor: { drag: { x: true, y: false, setScale: false }, sync: { key: "axis", setSeries: false }, points: { size: 6 } },
+      cursor: { drag: { x: true, y: false, setScale: false }, sync: { key: "axis", setSeries: false }, points: { show: false } },
       scales: { x: { time: this.wall }, y: { range: (_, low, high) => this.range(low, high) } },
       axes: [{ ...axis, size: 30 }, { ...axis, size: LABELS, values: (_, ticks) => ticks.map((tick) => number(tick, 5).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "")) }],
       series,
@@ -54,8 +54,8 @@ export class Chart {
   range(low, high) {
     if (low == null || high == null) return [0, 1];
     const middle = (low + high) / 2;
-    const least = Math.abs(this.spec.level ?? middle) * (this.spec.level ? 0.02 : 1e-6) || 1e-9;
-    const half = Math.max((high - low) / 2, least) * 1.08;
+    const least = this.spec.level ? 0.02 * Math.abs(this.spec.level) : 0;
+    const half = Math.max((high - low) / 2, least) * 1.08 || 0.02 * Math.abs(middle) || 1;
     return [middle - half, middle + half];
   }
 

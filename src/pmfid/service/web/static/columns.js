@@ -2,6 +2,7 @@
 import { unpacked } from "./packed.js";
 
 const MOST = 120000;
+const BEHIND = 8; // messages, some seconds
 const SINGLE = ["number", "time", "u", "counts", "innovation", "status", "state"];
 
 export class Columns {
@@ -13,23 +14,40 @@ export class Columns {
   }
 
   clear() {
+    this.behind = 0;
     this.size = 0;
     this.room = 4096;
     this.data = Object.fromEntries(this.names.map((name) => [name, new Float64Array(this.room)]));
   }
 
-  // Rows of a message behind those that are here; numbers that went back are of a run that began anew.
+  // Rows of a message behind those that are here; what comes with the history a second time is left out. Numbers that
+  // stay behind are of a run that began anew.
   add(message) {
     const columns = Object.fromEntries(SINGLE.map((name) => [name, unpacked(message[name])]));
     message.theta.forEach((text, j) => (columns[`theta${j}`] = unpacked(text)));
     message.std.forEach((text, j) => (columns[`std${j}`] = unpacked(text)));
     const { number } = columns;
     if (!number.length) return;
-    if (this.size && number[number.length - 1] < this.data.number[this.size - 1] - 100000) this.clear();
+    const behind = this.size && number[number.length - 1] <= this.data.number[this.size - 1];
+    this.behind = behind ? this.behind + 1 : 0;
+    if (this.behind >= BEHIND) this.clear();
     const last = this.size ? this.data.number[this.size - 1] : -Infinity;
     let first = 0;
     while (first < number.length && number[first] <= last) first++;
+    first = this.afterJump(columns.time, first);
     this.append(columns, first, number.length - first);
+  }
+
+  // A clock that was set back starts the charts anew: two rows of one time cannot stand in one chart.
+  afterJump(time, first) {
+    for (let k = time.length - 1; k >= first; k--) {
+      const before = k > first ? time[k - 1] : this.end;
+      if (time[k] < before) {
+        this.clear();
+        return k;
+      }
+    }
+    return first;
   }
 
   append(columns, first, n) {
@@ -79,16 +97,26 @@ export class Columns {
     return [Math.max(0, this.find(from) - 1), Math.min(this.size, this.find(to) + 1)];
   }
 
-  // What charts show between two times, in `most` points at most: estimates as they are at the end of each, the input's
-  // mean, least and largest, the velocity over it, the largest innovation, all bits of the status.
+  // What charts show between two times, in about `most` points at most, each of the rows of an equal time: estimates as
+  // they are at its end, the input's mean, least and largest, the velocity over it, the largest innovation, all bits of
+  // the status. The times begin where the clock's do, so that points stay what they are while the view moves on.
   thinned(from, to, most, resolution) {
     const [first, last] = this.between(from, to);
-    const step = Math.max(1, Math.ceil((last - first) / most));
-    const n = Math.ceil((last - first) / step);
-    const made = { rows: last - first, step };
-    for (const name of [...this.names, "low", "high", "velocity"]) made[name] = new Array(n).fill(null);
-    for (let k = 0; k < n; k++) this.bin(made, k, first + k * step, Math.min(first + (k + 1) * step, last), resolution);
+    const ends = this.ends(first, last, (to - from) / most);
+    const made = {};
+    for (const name of [...this.names, "low", "high", "velocity"]) made[name] = new Array(ends.length).fill(null);
+    ends.forEach((end, k) => this.bin(made, k, k ? ends[k - 1] : first, end, resolution));
     return made;
+  }
+
+  // Rows behind the last of each stretch of time.
+  ends(first, last, width) {
+    const { time } = this.data;
+    const found = [];
+    for (let i = first + 1; i <= last; i++) {
+      if (i === last || Math.floor(time[i] / width) !== Math.floor(time[i - 1] / width)) found.push(i);
+    }
+    return found;
   }
 
   bin(made, k, start, end, resolution) {

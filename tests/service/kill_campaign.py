@@ -1,0 +1,345 @@
+"""The service killed again and again, at named points and at random:
+`python -m tests.service.kill_campaign --kills 1000`.
+
+Each incarnation is a process of its own, forked from one that has calibrated. Its sources are one that acknowledges and
+delivers again what was not acknowledged, as a broker does at QoS 1, with blocks of one axis and lines of another, and
+a record that is played and goes on behind its mark. After some kills the last incarnation runs to the end; its state
+must be that of a run without kills, bit by bit, and so must every row that any of them gave out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import signal
+import struct
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from threading import Condition
+from typing import IO, Literal
+
+import numpy as np
+
+from pmfid.service import arrangement, crash
+from pmfid.service.checkpoint import Saved, Snapshot, read_snapshot
+from pmfid.service.context import Context, SourceSection
+from pmfid.service.delivery import Delivery, Item, Lines, Mark
+from pmfid.service.groups import prepare
+from pmfid.service.log import Log
+from pmfid.service.outcome import Notice, Rows
+from pmfid.service.plant import Plant, ServiceSection
+from pmfid.service.run import Service
+from pmfid.service.sources import Source, Take
+from pmfid.service.sources.file import FileSource, Player
+from pmfid.service.vault import Vault
+from pmfid.session.monitored.timeline import Line
+from pmfid.session.records import Record, read_record
+from pmfid.simulation import CART, CART_DT, Schedule
+from studies.monitoring.axis import INCREMENTS, changing
+from studies.monitoring.pipe import write_axis
+from tests.service.orders import made
+
+WINDOW = 60
+#: Messages under way at most, as a broker has it.
+UNDER_WAY = 30
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is to be delivered: blocks of x1 out of order, and lines of x3."""
+
+    items: tuple[Item, ...]
+
+
+def work_of(seed: int, seconds: float, folder: Path) -> Work:
+    """Motions of three axes; that of x2 as a record in the folder."""
+    heavier = Schedule(((0.0, CART), (seconds / 2, replace(CART, mass=1.3 * CART.mass))))
+    motions = [changing(heavier, 5 * seed + k, INCREMENTS, seconds) for k in range(3)]
+    blocks = [replace(b, axis="x1", dt=CART_DT) for b in made(*motions[0], random.Random(seed), WINDOW).arrived]
+    u, counts = motions[1]
+    rows = (f"{k * CART_DT:.2f},{a!r},{b}" for k, (a, b) in enumerate(zip(u.tolist(), counts.tolist(), strict=True)))
+    (folder / "run.csv").write_text("\n".join(["t,u,counts", *rows]) + "\n")
+    lines = [Line(k * CART_DT, float(a), int(b)) for k, (a, b) in enumerate(zip(*motions[2], strict=True)) if k != 333]
+    some = [Lines("x3", lines[k : k + 20]) for k in range(0, len(lines), 20)]
+    share = max(1, len(blocks) // len(some))
+    items: list[Item] = []
+    for k, own in enumerate(some):
+        items += [own, *blocks[k * share : (k + 1) * share]]
+    return Work((*items, *blocks[len(some) * share :]))
+
+
+class Broker(SourceSection):
+    """Delivers again what was not acknowledged."""
+
+    kind: Literal["broker"] = "broker"
+    folder: str
+    seed: int
+    seconds: float
+
+    def make(self, name: str, context: Context) -> Source:
+        return _Client(name, Path(self.folder), WORK[self.seed, self.seconds])
+
+
+class Played(FileSource):
+    """The record of the folder, read before forking: its reader has threads, which a fork does not copy."""
+
+    def make(self, name: str, context: Context) -> Source:
+        axis, path = context.axis(self.axis), context.folder / self.path
+        assert axis is not None
+        assert self.speed is not None
+        return Player(name, self.axis, path, axis, self.speed, RECORDS[path])
+
+
+#: Made before forking.
+WORK: dict[tuple[int, float], Work] = {}
+RECORDS: dict[Path, Record] = {}
+
+
+@dataclass
+class _Client:
+    name: str
+    folder: Path
+    work: Work
+    _under_way: int = field(default=0, init=False)
+    _stopped: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        self._changed = Condition()
+        self._file = os.open(self.folder / "acknowledged", os.O_RDWR | os.O_CREAT | os.O_APPEND)
+
+    def run(self, take: Take, mark: Mark | None) -> None:
+        known = {int(line) for line in (self.folder / "acknowledged").read_text().split()}
+        for k, item in enumerate(self.work.items):
+            if k in known:
+                continue
+            with self._changed:
+                self._changed.wait_for(lambda: self._stopped or self._under_way < UNDER_WAY)
+                self._under_way += 1
+            if self._stopped or not take(Delivery(self.name, [item], lambda k=k: self._acknowledge(k))):
+                return
+
+    def _acknowledge(self, k: int) -> None:
+        os.write(self._file, f"{k}\n".encode())
+        with self._changed:
+            self._under_way -= 1
+            self._changed.notify()
+
+    def stop(self) -> None:
+        with self._changed:
+            self._stopped = True
+            self._changed.notify()
+
+
+_ROW = struct.Struct("<BqddddddBq")
+
+
+@dataclass
+class _RowFile:
+    """Rows as they are given out, each in the file when the call returns."""
+
+    path: Path
+
+    def __post_init__(self) -> None:
+        self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+
+    def rows(self, rows: Rows) -> None:
+        numbers = [int(name[1:]) for name in rows.group.axes]
+        packed = [
+            _ROW.pack(
+                numbers[rows.axis[k]],
+                int(rows.number[k]),
+                *rows.theta[k].tolist(),
+                *rows.std[k][:2].tolist(),
+                float(rows.innovation[k]),
+                int(rows.state[k]),
+                int(rows.status[k]),
+            )
+            for k in range(rows.axis.size)
+        ]
+        os.write(self._file, b"".join(packed))
+
+    def notice(self, notice: Notice) -> None:
+        """Not here."""
+
+
+class _Service(Service):
+    """With an outlet that is never behind."""
+
+    def _prepare(self, plant: Plant) -> None:
+        super()._prepare(plant)
+        self._outlets.append(_RowFile(plant.folder / "rows"))
+
+
+def plant_of(folder: Path, axis: Path, seed: int, seconds: float) -> Plant:
+    service = ServiceSection(state="state", checkpoint=0.05, window=WINDOW * CART_DT, every=0.0)
+    sources: dict[str, SourceSection] = {
+        "broker": Broker(folder=str(folder), seed=seed, seconds=seconds),
+        "record": Played(kind="file", path="run.csv", axis="x2", speed=20.0),
+    }
+    return Plant(folder, service, dict.fromkeys(("x1", "x2", "x3"), axis), sources, page={"enabled": False})
+
+
+def incarnation(plant: Plant, setting: str, log: IO[str]) -> int:
+    """A child that serves the plant until its end, or that of its sources; its number."""
+    number = os.fork()
+    if number:
+        return number
+    code = 1
+    try:
+        crash.arm(setting)
+        _Service(lambda: plant, Log(log), until_end=True).run()
+        code = 0
+    finally:
+        os._exit(code)
+
+
+def died(number: int, within: float) -> int | None:
+    """The exit status of a child, None while it lives after so many seconds."""
+    end = time.monotonic() + within
+    while time.monotonic() < end:
+        found, status = os.waitpid(number, os.WNOHANG)
+        if found:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.002)
+    return None
+
+
+@dataclass
+class Round:
+    """kills: so many; the others: what it was that killed, and how many incarnations ended by themselves."""
+
+    kills: int = 0
+    ended: int = 0
+    at: Counter[str] = field(default_factory=Counter)
+
+
+def kill_round(plant: Plant, wanted: int, rng: random.Random, log: IO[str], longest: float) -> Round:
+    """Kills until so many are done or the work is; raises AssertionError where an incarnation refuses to start."""
+    done = Round()
+    while done.kills < wanted:
+        point = rng.choice([*crash.POINTS, "random", "random", "random"])
+        setting = "" if point == "random" else f"{point}:{rng.randint(1, 4)}"
+        number = incarnation(plant, setting, log)
+        code = died(number, rng.uniform(0.02, longest) if point == "random" else longest)
+        if code is None:
+            os.kill(number, signal.SIGKILL)
+            _, status = os.waitpid(number, 0)
+            code, point = os.waitstatus_to_exitcode(status), "random"
+        assert code in (0, -signal.SIGKILL), f"an incarnation ended with {code}"
+        if code == 0:
+            done.ended += 1
+            break
+        done.kills += 1
+        done.at[point] += 1
+    return done
+
+
+def finish(plant: Plant, log: IO[str]) -> None:
+    """The last incarnation."""
+    number = incarnation(plant, "", log)
+    code = died(number, 120.0)
+    if code is None:
+        os.kill(number, signal.SIGKILL)
+    assert code == 0, f"the last incarnation ended with {code}"
+
+
+def state_of(plant: Plant) -> Snapshot:
+    """The last checkpoint."""
+    assert plant.state is not None
+    vault = Vault(plant.state)
+    damaged = list[dict[str, object]]()
+    found = vault.load(read_snapshot, damaged.append)
+    vault.close()
+    assert found is not None
+    assert not damaged
+    return found
+
+
+def rows_of(plant: Plant) -> tuple[dict[tuple[int, int], bytes], int]:
+    """(axis, number) -> bits of all rows, and how many came again; AssertionError where one came otherwise."""
+    data, found, again = (plant.folder / "rows").read_bytes(), dict[tuple[int, int], bytes](), 0
+    for k in range(0, len(data) - _ROW.size + 1, _ROW.size):
+        row = data[k : k + _ROW.size]
+        axis, number = _ROW.unpack(row)[:2]
+        again += (axis, number) in found
+        assert found.setdefault((axis, number), row) == row, f"axis {axis}: sample {number} came out otherwise"
+    return found, again
+
+
+def _kept(saved: Saved) -> dict[str, object]:
+    """What only some axes have, without what counts deliveries that came too late or again."""
+    return {name: {**rare, "told": {**rare.get("told", {}), "late": 0}} for name, rare in saved.rare.items()}
+
+
+def assert_same(killed: Plant, whole: Plant) -> int:
+    """Whether a plant that was killed ended as one that was not; how many rows came again."""
+    a, b = state_of(killed), state_of(whole)
+    assert a.marks["record"]["sample"] == b.marks["record"]["sample"]
+    for one, other in zip(a.groups, b.groups, strict=True):
+        assert one.axes == other.axes
+        assert _kept(one) == _kept(other)
+        assert one.state == other.state, "the states of the monitors differ"
+        assert np.array_equal(one.seats.view("u1"), other.seats.view("u1")), "the order of the blocks differs"
+        assert one.held == other.held
+    (rows, again), (expected, _) = rows_of(killed), rows_of(whole)
+    assert rows == expected
+    alarms = [[(x.number, x.what) for x in sorted(s.alarms, key=lambda x: x.number)] for s in (a, b)]
+    assert alarms[0] == alarms[1]
+    assert not list((killed.folder / "state").glob("*damaged*"))
+    return again
+
+
+def campaign(axis: Path, folder: Path, kills: int, a_round: int, seconds: float, seed: int = 0) -> Round:
+    """So many kills in rounds of `a_round`, each with data of its own, against a run without kills."""
+    total, rng = Round(), random.Random(seed)
+    prepared = prepare(axis)
+    arrangement.prepare = lambda *given: prepared  # type: ignore[assignment]
+    with open(os.devnull, "w", encoding="utf-8") as log:
+        while total.kills < kills:
+            seed += 1
+            pair = []
+            for name in ("killed", "whole"):
+                place = folder / f"{name}-{seed}"
+                place.mkdir()
+                WORK[seed, seconds] = work_of(seed, seconds, place)
+                RECORDS[place / "run.csv"] = read_record(place / "run.csv", prepared.axis)
+                pair.append(plant_of(place, axis, seed, seconds))
+            done = kill_round(pair[0], min(a_round, kills - total.kills), rng, log, 0.6)
+            finish(pair[0], log)
+            finish(pair[1], log)
+            again = assert_same(*pair)
+            total.kills += done.kills
+            total.ended += done.ended
+            total.at.update(done.at)
+            if done.kills:
+                print(f"{total.kills} kills, {again} rows came again", flush=True)
+    return total
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Prints how many kills there were of each kind; ends with an error where one of them left a trace."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--kills", type=int, default=1000)
+    parser.add_argument("--round", type=int, default=60)
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as name, suppress(KeyboardInterrupt):
+        folder = Path(name)
+        os.environ["PMFID_CACHE"] = str(folder / "cache")
+        write_axis(folder, 60.0)
+        total = campaign(folder / "axis.toml", folder, given.kills, given.round, given.seconds, given.seed)
+    print(f"{total.kills} kills, {total.ended} rounds whose data ended before: every state and row as without kills")
+    for point, times in sorted(total.at.items()):
+        print(f"{times:6d}  {point}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,200 @@
+"""Checkpoints: two generations, damaged ones set aside, disks that are full, read-only or somebody else's."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pmfid.errors import UsageError
+from pmfid.service import vault as module
+from pmfid.service.arrangement import arranged
+from pmfid.service.checkpoint import read_snapshot, snapshot
+from pmfid.service.counters import Counters
+from pmfid.service.delivery import Block, Delivery
+from pmfid.service.engine import Engine
+from pmfid.service.groups import Pace, Prepared
+from pmfid.service.keeping import Checkpoints
+from pmfid.service.vault import Vault
+from pmfid.simulation import CART_DT
+
+Told = list[dict[str, Any]]
+
+
+def as_text(body: bytes) -> str:
+    """A reader that knows what it has written."""
+    if not body.startswith(b"state "):
+        raise ValueError("it is no state")
+    return body.decode()
+
+
+def written(folder: Path, *bodies: bytes) -> None:
+    vault = Vault(folder)
+    vault.load(as_text, lambda told: None)
+    for body in bodies:
+        vault.write([body[:3], body[3:]])
+    vault.close()
+
+
+def loaded(folder: Path) -> tuple[str | None, Told]:
+    told: Told = []
+    vault = Vault(folder)
+    found = vault.load(as_text, told.append)
+    vault.close()
+    return found, told
+
+
+def flip(data: bytes, place: int) -> bytes:
+    return data[:place] + bytes([data[place] ^ 4]) + data[place + 1 :]
+
+
+#: What may happen to a file, by the kind of damage.
+DAMAGE: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda data: b"",
+    "cut short": lambda data: data[:-1],
+    "cut in the head": lambda data: data[:20],
+    "one more byte": lambda data: data + b"x",
+    "a bit of the body": lambda data: flip(data, len(data) - 2),
+    "a bit of the sequence number": lambda data: flip(data, 16),
+    "a bit of the length": lambda data: flip(data, 25),
+    "a bit of the checksum": lambda data: flip(data, 13),
+    "another version": lambda data: flip(data, 8),
+    "zeros": lambda data: bytes(len(data)),
+}
+
+
+def test_the_newest_is_taken_and_two_generations_are_kept(tmp_path: Path) -> None:
+    assert loaded(tmp_path / "a" / "b") == (None, [])
+    written(tmp_path, b"state 1", b"state 2", b"state 3")
+    written(tmp_path, b"state 4")
+    assert loaded(tmp_path) == ("state 4", [])
+    assert sorted(path.name for path in tmp_path.glob("checkpoint*")) == ["checkpoint-0", "checkpoint-1"]
+
+
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
+def test_a_damaged_one_is_set_aside_and_the_older_one_is_taken(
+    tmp_path: Path, damage: Callable[[bytes], bytes]
+) -> None:
+    written(tmp_path, b"state 1", b"state 2")
+    newest = tmp_path / "checkpoint-0"
+    newest.write_bytes(damage(newest.read_bytes()))
+    found, told = loaded(tmp_path)
+    assert found == "state 1"
+    assert [(what["event"], what["damaged"]) for what in told] == [("checkpoint", "checkpoint-0.damaged-1")]
+    assert (tmp_path / "checkpoint-0.damaged-1").exists()
+    written(tmp_path, b"state 5")
+    assert loaded(tmp_path) == ("state 5", [])
+
+
+def test_with_neither_the_service_starts_anew(tmp_path: Path) -> None:
+    written(tmp_path, b"state 1", b"other 2")
+    (tmp_path / "checkpoint-1").write_bytes(b"PMFIDCKP and nothing else")
+    found, told = loaded(tmp_path)
+    assert found is None
+    assert len(told) == 2
+
+
+def test_a_folder_has_one_service(tmp_path: Path) -> None:
+    first = Vault(tmp_path)
+    with pytest.raises(UsageError, match="another service works in"):
+        Vault(tmp_path)
+    first.close()
+    Vault(tmp_path).close()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match=r"\[service\] state: .*choose a folder"):
+        Vault(tmp_path / "file")
+
+
+# --- the engine's state -----------------------------------------------------------------------------------------------
+
+
+def engine_of(prepared: Prepared, window: float = 0.0) -> Engine:
+    engine = Engine(Counters())
+    engine.arranged(arranged([], {"x1": prepared, "x2": prepared}, Pace(window, 1.0))[0])
+    return engine
+
+
+def block(first: int, n: int = 10, axis: str = "x1") -> Block:
+    return Block(axis, 0, first, 0.01 * first, CART_DT, np.sin(np.arange(n) + first), np.arange(first, first + n))
+
+
+def test_a_snapshot_is_read_as_it_was_and_nothing_else_is(prepared: Prepared) -> None:
+    engine = engine_of(prepared, 0.5)
+    engine.process([Delivery("source", [block(0, 60), block(80), block(120), block(5, 70, "x2")], mark={"at": 7})])
+    body = b"".join(snapshot(engine))
+    found = read_snapshot(body)
+    (group,) = [one.restored(prepared, Pace(0.5, 1.0)) for one in found.groups]
+    again = Engine(Counters())
+    found.restore(again)
+    again.arranged([group])
+    assert [b.first for b in group.seats[0].order.held] == [80, 120]
+    assert snapshot(again)[2:] == snapshot(engine)[2:]
+    assert again.marks == {"source": {"at": 7}}
+    rng = np.random.default_rng(0)
+    for cut in rng.integers(0, len(body), 60).tolist():
+        with pytest.raises(ValueError, match=r".*"):
+            _restored(body[:cut], prepared)
+
+
+def _restored(body: bytes, prepared: Prepared) -> None:
+    for one in read_snapshot(body).groups:
+        one.restored(prepared, Pace())
+
+
+def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(
+    prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counters, told, done = Counters(), Told(), list[int]()
+    keeper = Checkpoints(Vault(tmp_path), 0.0, counters, told.append)
+    engine = engine_of(prepared)
+    engine.keeper = keeper
+
+    def full(number: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def checkpoint(k: int) -> None:
+        engine.process([Delivery("source", [block(10 * k)], lambda: done.append(k))])
+        keeper.offer(engine)
+        with keeper._changed:
+            assert keeper._changed.wait_for(lambda: keeper._job is None, 10.0)
+
+    checkpoint(0)
+    with monkeypatch.context() as patch:
+        patch.setattr(module.os, "fsync", full)
+        checkpoint(1)
+        checkpoint(2)
+    checkpoint(3)
+    keeper.offer(engine, last=True)
+    assert done == [0, 1, 2, 3]
+    assert [("works" in what, what.get("problem", "").split(";")[0]) for what in told] == [
+        (False, "no checkpoint can be written: No space left on device"),
+        (True, ""),
+    ]
+    values = {name: value for (name, _), value in counters.values().items()}
+    assert values["pmfid_checkpoint_errors_total"] == 2
+    assert values["pmfid_checkpoint_working"] == 1
+    vault = Vault(tmp_path)
+    found = vault.load(read_snapshot, told.append)
+    vault.close()
+    assert found is not None
+    assert found.groups[0].restored(prepared, Pace()).numbers.tolist() == [40, 0]
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_deliveries_wait_for_a_checkpoint_that_has_them(prepared: Prepared, tmp_path: Path) -> None:
+    done, told = list[int](), Told()
+    keeper = Checkpoints(Vault(tmp_path), 3600.0, Counters(), told.append)
+    engine = engine_of(prepared)
+    engine.keeper = keeper
+    for k in range(3):
+        engine.process([Delivery("source", [block(10 * k)], lambda k=k: done.append(k))])
+        keeper.offer(engine)
+    assert done == []
+    keeper.offer(engine, last=True)
+    assert done == [0, 1, 2]
+    assert told == []
