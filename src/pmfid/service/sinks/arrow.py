@@ -67,6 +67,7 @@ class ArrowSink:
 
     def put(self, outcomes: list[Rows | Notice]) -> None:
         """Raises OSError where the rows cannot be written: then none of them are."""
+        self._look_for_files()
         before = {key: stream.size for key, stream in self._streams.items()}
         try:
             for blocks in _by_group(outcomes):
@@ -77,6 +78,14 @@ class ArrowSink:
             raise
         self._rotate()
         self._make_parquet()
+
+    def _look_for_files(self) -> None:
+        """A stream that someone removed is told, and another one begun, so that no more rows go the same way."""
+        for key, stream in list(self._streams.items()):
+            if not stream.path.exists():
+                self._streams.pop(key).close()
+                problem = f"{stream.path.name} was removed, with its rows"
+                self._tell({"event": "sink", "sink": self.name, "works": True, "problem": problem})
 
     def _stream_of(self, group: Kindred) -> StreamFile:
         key = group.config, group.names

@@ -94,11 +94,14 @@ class SqliteSection(SinkSection):
     rows_wanted: ClassVar[bool] = False
 
     kind: Literal["sqlite"] = Field("sqlite", description='"sqlite"')
-    path: Name = Field(description='the file of the database, as "alarms.sqlite"')
+    path: Name | None = Field(
+        None, description='the file of the database, as "alarms.sqlite"; left out: NAME.sqlite where the state is kept'
+    )
 
     def make(self, name: str, context: Host) -> SqliteSink:
         """The sink, not yet open."""
-        return SqliteSink(name, context.folder / self.path)
+        kept = context.state or context.folder
+        return SqliteSink(name, kept / f"{name}.sqlite" if self.path is None else context.folder / self.path)
 
 
 @contextmanager
@@ -198,9 +201,9 @@ def _insert(cursor: sqlite3.Cursor, notice: Notice) -> None:
         alarm = "(SELECT max(id) FROM alarms WHERE number = ? AND axis = ?)"
         values = (row, alarm_of(notice), notice.axis, notice.axis, notice.wall, str(what.get("note", "")))
         cursor.execute(f"INSERT INTO acknowledgements VALUES (?, {alarm}, ?, ?, ?)", values)
-    elif event == "configuration":
+    elif event == "configuration" and what.get("digest") is not None:
         # the service tells what it has at every start; history is what differs from the time before
-        config, digest = _cell(what.get("config")), _cell(what.get("digest"))
+        config, digest = _cell(what.get("config")), _cell(what["digest"])
         values = (row, notice.axis, notice.wall, config, digest, as_json(what), config, notice.axis, digest)
         cursor.execute(INSERT_CONFIGURATION, values)
 
