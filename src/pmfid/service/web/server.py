@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import socket
 import time
 from collections.abc import Callable
@@ -145,9 +146,16 @@ def _uvicorn_config(app: object, config: PageConfig, counters: Counters, folder:
     return made
 
 
+def _only_failures(record: logging.LogRecord) -> bool:
+    """Who sends nonsense is counted, and must not be able to fill a log; what fails inside is told with its trace."""
+    return record.exc_info is not None
+
+
 def _server(config: Config, hub: Hub) -> Server:
     """Ends the streams before it waits for them."""
     from uvicorn import Server
+
+    logging.getLogger("uvicorn.error").addFilter(_only_failures)
 
     class Own(Server):
         async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
