@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pmfid.service.board import Board
-from pmfid.service.board.panel import COARSEST, MOST, POINTS, Panel
+from pmfid.service.board.panel import COARSEST, MOST, POINTS, Panel, row_bytes
 from pmfid.service.counters import Counters
 from pmfid.service.outcome import Kindred, Notice, Rows
 from tests.service.fake_engine import FakePlant
@@ -85,6 +85,15 @@ def test_memory_is_what_the_budget_says() -> None:
     assert large.depth == MOST
     kept = board_of(group, budget=8e6)._panels[0]._kept
     assert 7e6 < kept.nbytes <= 8e6
+
+
+def test_what_is_kept_can_be_changed_before_the_start() -> None:
+    group = kindred("a")
+    board = board_of(group)
+    board.rows(rows_of(group, [0], [1]))
+    board.keep(50 * row_bytes(group))
+    assert board._panels[0].depth == 50
+    assert board.history("a").size == 1  # type: ignore[union-attr]
 
 
 def test_a_trend_grows_to_a_day_and_then_moves_on() -> None:

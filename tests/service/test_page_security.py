@@ -140,6 +140,8 @@ def test_tokens_are_in_no_log_and_in_no_text_of_an_object(page: Served, caplog: 
     page.ask("/api/plant", host="evil.example")
     page.raw(b"GET / HTTP/1.1\r\nAuthorization: Bearer " + page.token.encode() + b"\r\nHo\x00st: x\r\n\r\n")
     assert page.token not in caplog.text
+    assert "uvicorn" not in {record.name.partition(".")[0] for record in caplog.records}, "nobody may fill the log"
+    assert page.counted("refused", reason="invalid") > 0
     assert page.token not in repr(Tokens(page.token, READER))
 
 
@@ -306,12 +308,15 @@ def test_every_answer_has_its_guards(page: Served, path: str, token: str | None)
     assert headers["cache-control"] == ("no-store" if path.startswith(("/api", "/metrics")) else "no-cache")
 
 
-def test_what_fails_inside_says_nothing_of_the_inside(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_fails_inside_says_nothing_of_the_inside_but_to_the_log(
+    page: Served, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     monkeypatch.setattr(page.plant.board, "referred", lambda: 1 / 0)
     status, _, body = page.ask("/api/plant")
     assert status == 500
     assert b"ZeroDivision" not in body
     assert b"Traceback" not in body
+    assert until(lambda: "ZeroDivisionError" in caplog.text)
 
 
 # --- configuration ----------------------------------------------------------------------------------------------------
