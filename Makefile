@@ -6,7 +6,7 @@ BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.py' -o -name '*.py[ix]' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.j2')
 
-.PHONY: demo test test-long check format bench study hostile firmware firmware-tools service-tools \
+.PHONY: demo test test-long kills check format bench study hostile firmware firmware-tools service-tools \
     images clean
 
 # What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. Not compiled to
@@ -57,6 +57,11 @@ test: .venv/tools firmware-tools service-tools
 test-long: .venv/tools firmware-tools service-tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark \
 	-m long
+
+# The service killed without notice, at named points and at random; every state and row must be as without.
+KILLS ?= 1000
+kills: .venv/tools
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.service.kill_campaign --kills $(KILLS)
 
 KERNEL = $(wildcard csrc/*.[ch] csrc/many/*.[ch] csrc/wire/*.[ch])
 

@@ -200,6 +200,43 @@ def _monitor(rng: Rng, folder: Path) -> Case:
     return Case(("monitor", name, "--config", "axis.toml", *chosen), files | {name: files_of_run})
 
 
+def _serve(rng: Rng, folder: Path) -> Case:
+    """A record or a pipe of one axis, and plants of what `[axes]` and `[sources]` may not be; none that would go on."""
+    _, columns, facts = _plant(rng, ("watched",))
+    files = {"normal.csv": as_csv(rng, columns)}
+    files["axis.toml"] = (axis(rng, "drive", facts, ("riv", "bcrls")) + monitor(rng, facts)).encode()
+    chosen = ["--no-page", "--until-end", *_flags(rng, 0.5, "--json")]
+    chosen += options(
+        rng, 0.1, every=["0", "0.5", "-1"], state=["state", "axis.toml", "nowhere/state"], port=["0", "x"]
+    )
+    kind = rng.random()
+    if kind < 0.4:
+        speed = ["--speed", str(rng.choice(["0", "1e6", "-1", "nan", "inf", "1e-320", "x"]))]
+        name, files_of_run = as_file(rng, with_defects(rng, columns), folder)
+        return Case(("serve", "axis.toml", "--from", name, *speed, *chosen), files | {name: files_of_run})
+    if kind < 0.7:
+        return Case(("serve", "axis.toml", "--from", "-", *chosen), files, as_pipe(rng, columns))
+    return Case(("serve", "plant.toml", *chosen), files | {"plant.toml": _odd_plant(rng).encode()})
+
+
+def _odd_plant(rng: Rng) -> str:
+    """A PLANT.toml in which something is wrong, one time in four nothing."""
+    names = ["x1", '"../x"', '"<script>"', '"a b"', '""', "9" * 200]
+    name = str(rng.choice([*8 * ("x1",), *names]))
+    lines = [f"[axes.{name}]", f'config = "{rng.choice(["axis.toml", "axis.toml", "nowhere.toml", "."])}"']
+    lines += ["[sources.a]", f'kind = "{rng.choice(["file", "file", "fil", "mqtt", ""])}"', 'axis = "x1"']
+    lines += ['path = "normal.csv"', f"speed = {rng.choice(['0.0', '0.0', '-1.0', '1e-320', 'inf', '[]'])}"]
+    lines += some_lines(
+        rng, ["[service]", "every = nan", 'state = "state"', "window = -1.0", "[what]", "axes = 3", "x ="]
+    )
+    return "\n".join(lines) + "\n"
+
+
+def some_lines(rng: Rng, lines: list[str]) -> list[str]:
+    """None of them, or one."""
+    return [str(rng.choice(lines))] if rng.random() < 0.3 else []
+
+
 def _simulate(rng: Rng, folder: Path) -> Case:
     """Short runs of the cart."""
     scenario = (
@@ -298,7 +335,8 @@ def _none(rng: Rng, folder: Path) -> Case:
 COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "identify": (_identify, 0.27),
     "validate": (_validate, 0.05),
-    "monitor": (_monitor, 0.2),
+    "monitor": (_monitor, 0.19),
+    "serve": (_serve, 0.01),
     "simulate": (_simulate, 0.13),
     "export": (_export, 0.15),
     "design": (_design, 0.07),

@@ -39,6 +39,7 @@ from pmfid.service.run import Service
 from pmfid.service.sources import Source, Take
 from pmfid.service.sources.file import FileSource, Player
 from pmfid.service.vault import Vault
+from pmfid.session.monitored import setup
 from pmfid.session.monitored.timeline import Line
 from pmfid.session.records import Record, read_record
 from pmfid.simulation import CART, CART_DT, Schedule
@@ -47,6 +48,8 @@ from studies.monitoring.pipe import write_axis
 from tests.service.orders import made
 
 WINDOW = 60
+#: Of simulated normal work: enough for thresholds that nobody relies on.
+HOURS = 0.5
 #: Messages under way at most, as a broker has it.
 UNDER_WAY = 30
 
@@ -331,6 +334,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(arguments)
+    setup.simulated_hours = lambda hours: HOURS
     with tempfile.TemporaryDirectory() as name, suppress(KeyboardInterrupt):
         folder = Path(name)
         os.environ["PMFID_CACHE"] = str(folder / "cache")

@@ -24,14 +24,12 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--speed",
-    type=click.FloatRange(min=0),
+    type=float,
     default=1.0,
     show_default=True,
     help="How fast the record is played; 0: as fast as it goes.",
 )
-@click.option(
-    "--every", type=click.FloatRange(min=0), metavar="S", help="Time between two estimates given out; 0: all."
-)
+@click.option("--every", type=float, metavar="S", help="Time between two estimates given out; 0: all.")
 @click.option(
     "--state", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Keep checkpoints there."
 )

@@ -34,7 +34,7 @@ class ServiceSection(FileSection):
     state: Name | None = Field(None, description='the folder of the checkpoints, as "state"; left out: nothing is kept')
     checkpoint: float = Field(1.0, ge=0.05, le=3600, description="the time between two checkpoints in s")
     window: float = Field(0.5, ge=0, le=600, description="for how long what comes too early waits for the rest, in s")
-    every: float = Field(1.0, ge=0, description="the time between two estimates that are given out in s; 0: all")
+    every: float = Field(1.0, ge=0, le=1e6, description="the time between two rows that are given out in s; 0: all")
 
 
 class AxisSection(FileSection):
@@ -112,7 +112,7 @@ def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, ob
     raw: dict[str, object] = {"kind": "stdin", "axis": name}
     if not piped:
         raw = {"kind": "file", "axis": name, "path": str(source.absolute()), "speed": speed}
-    sources = {"input" if piped else "record": _of_kind("sources", "input", raw, SOURCES)}
+    sources = {"input" if piped else "record": _of_kind("sources", "input" if piped else "record", raw, SOURCES)}
     service = _section("service", ServiceSection, {"name": name, "window": 0.0, "every": 0.1} | dict(given or {}))
     return Plant(config.parent, service, {name: config}, sources)
 

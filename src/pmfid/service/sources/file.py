@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event
-from typing import BinaryIO, Literal
+from typing import Annotated, BinaryIO, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from pmfid.errors import UsageError
 from pmfid.service.context import Context, SourceSection
@@ -32,6 +32,17 @@ __all__ = ["FileSource", "Follower", "Piped", "Player", "StdinSource"]
 CHUNK, LOOK = 65536, 0.1
 #: A played record comes in blocks of so much time [s], and of so many samples at most.
 BLOCK_TIME, BLOCK = 0.05, 1000
+#: Of a record that is played.
+SLOWEST, FASTEST = 0.001, 1e6
+
+
+def _usable(value: float) -> float:
+    if value != 0 and not SLOWEST <= value <= FASTEST:
+        raise ValueError(f"a speed is 0, or from {SLOWEST} to {FASTEST:g}")
+    return value
+
+
+Speed = Annotated[float, AfterValidator(_usable)]
 
 
 class FileSource(SourceSection):
@@ -40,8 +51,8 @@ class FileSource(SourceSection):
     kind: Literal["file"]
     path: Name = Field(description='the file, as "logs/x1.csv"')
     axis: Name = Field(description="the name of the axis that it is of")
-    speed: float | None = Field(
-        None, ge=0, description="how fast the record is played, 1.0 as it was, 0.0 as fast as it goes; left out: follow"
+    speed: Speed | None = Field(
+        None, description="how fast the record is played, 1.0 as it was, 0.0 as fast as it goes; left out: follow"
     )
 
     def make(self, name: str, context: Context) -> Source:
@@ -174,14 +185,24 @@ class Piped:
         stream without a header."""
         text = _Text(self.name, self.axis, self.config)
         while not self._stop.is_set():
-            if not select.select([self.stream], [], [], 2 * LOOK)[0]:
+            chunk = self._read()
+            if chunk is None:
                 continue
-            chunk = os.read(self.stream.fileno(), CHUNK)
             lines = text.take(chunk) if chunk else text.end()
             if lines and not take(Delivery(self.name, (Lines(self.axis, lines),), received=time.monotonic())):
                 return
             if not chunk:
                 return
+
+    def _read(self) -> bytes | None:
+        """What came, b"" at the end; None while nothing comes, to see now and then whether all is to end."""
+        try:
+            number = self.stream.fileno()
+        except OSError:  # a stream of the same process
+            return self.stream.read(CHUNK)
+        if not select.select([number], [], [], 2 * LOOK)[0]:
+            return None
+        return os.read(number, CHUNK)
 
     def stop(self) -> None:
         """Ends `run`."""

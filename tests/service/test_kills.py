@@ -1,0 +1,21 @@
+"""Kills of the service, a few of the thousand that `make kills` does."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+def test_a_service_that_is_killed_ends_as_one_that_was_not() -> None:
+    words = "-m tests.service.kill_campaign --kills 6 --round 6 --seconds 8 --seed 7"
+    done = subprocess.run([sys.executable, *words.split()], cwd=REPOSITORY, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "6 kills" in done.stdout
+    assert "every state and row as without kills" in done.stdout

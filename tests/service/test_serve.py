@@ -1,0 +1,298 @@
+"""`pmfid serve` from its command line: the same events as `pmfid monitor`, reloads, restarts, what is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from pmfid.cli.main import main
+from pmfid.service.log import Log
+from pmfid.service.plant import load_plant
+from pmfid.service.run import Service
+from pmfid.simulation import CART, CART_DT, Schedule
+from studies.monitoring.axis import INCREMENTS, changing
+
+Events = list[dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def folder(plant_folder: Path) -> Path:
+    """axis.toml and run.csv, in which the mass grows by a third; other.toml is the same, a little more patient."""
+    heavier = Schedule(((0.0, CART), (8.0, replace(CART, mass=1.33 * CART.mass))))
+    u, counts = changing(heavier, 5, INCREMENTS, 16.0)
+    rows = (f"{k * CART_DT:.2f},{a!r},{b}" for k, (a, b) in enumerate(zip(u.tolist(), counts.tolist(), strict=True)))
+    (plant_folder / "run.csv").write_text("\n".join(["t,u,counts", *rows]) + "\n")
+    text = (plant_folder / "axis.toml").read_text()
+    (plant_folder / "other.toml").write_text(text.replace("mtbf_hours = 1.0", "mtbf_hours = 2.0"))
+    return plant_folder
+
+
+def called(*arguments: str, code: int = 0, stdin: bytes | None = None) -> str:
+    result = CliRunner().invoke(main, list(arguments), input=stdin)
+    assert result.exit_code == code, result.output
+    return result.stdout if code == 0 else result.output
+
+
+def events(text: str, *kinds: str) -> Events:
+    found = [json.loads(line) for line in text.splitlines()]
+    return [event for event in found if event["event"] in kinds]
+
+
+FOUND = ("alarm", "state", "settled")
+
+
+@pytest.mark.parametrize("piped", [False, True])
+def test_one_axis_is_told_as_by_the_monitor(folder: Path, piped: bool) -> None:
+    axis, run = str(folder / "axis.toml"), str(folder / "run.csv")
+    stdin = Path(run).read_bytes() if piped else None
+    source = "-" if piped else run
+    expected = events(called("monitor", source, "--config", axis, "--json", stdin=stdin), *FOUND)
+    options = ("--speed", "0", "--until-end", "--no-page", "--json")
+    served = events(called("serve", axis, "--from", source, *options, stdin=stdin), *FOUND)
+    assert [event.pop("axis") for event in served] == ["axis"] * len(expected)
+    assert len({event.pop("number") for event in served}) == len(expected)
+    for one, other in zip(served, expected, strict=True):
+        times = {"time": 0, "changed_at": 0, "wall": 0}
+        assert {**one, **times} == {**other, **times}
+        assert one["time"] == pytest.approx(other["time"], abs=1e-6)
+
+
+def test_the_log_is_for_people(folder: Path) -> None:
+    options = ("--speed", "0", "--until-end", "--port", "0")
+    out = called("serve", str(folder / "axis.toml"), "--from", str(folder / "run.csv"), *options)
+    lines = out.splitlines()
+    assert lines[1].startswith("serving axis: 1 axis")
+    assert lines[2].startswith("page: http://127.0.0.1:")
+    assert "#token=" in lines[2]
+    assert any("ALARM  mass +" in line for line in lines)
+    assert lines[-1] == "ended"
+
+
+PLANT = """
+[service]
+name = "hall"
+window = 0.0
+[page]
+enabled = false
+[axes.x1]
+config = "axis.toml"
+[sources.a]
+kind = "file"
+path = "run.csv"
+axis = "x1"
+speed = 0.0
+"""
+
+
+def test_a_restart_goes_on_where_the_last_one_ended(folder: Path, tmp_path: Path) -> None:
+    plant = folder / "plant.toml"
+    plant.write_text(PLANT)
+    options = (str(plant), "--state", str(tmp_path / "state"), "--until-end", "--json")
+    first, second = called("serve", *options), called("serve", *options)
+    assert len(events(first, "alarm")) == 1
+    assert events(second, *FOUND) == []
+    (told,) = events(second, "checkpoint")
+    assert (told["restored"], told["fresh"]) == (1, 0)
+    plant.write_text(PLANT.replace("axis.toml", "other.toml"))
+    (told,) = events(called("serve", *options), "checkpoint")
+    assert (told["restored"], told["fresh"], told["changed"]) == (0, 1, ["x1"])
+
+
+def test_a_configuration_that_fails_costs_its_own_axes_only(folder: Path) -> None:
+    plant = folder / "plant.toml"
+    (folder / "lonely.toml").write_text((folder / "axis.toml").read_text().replace("normal.csv", "nowhere.csv"))
+    plant.write_text(PLANT + '[axes.x2]\nconfig = "lonely.toml"\n')
+    told = called("serve", str(plant), "--until-end", "--json")
+    assert events(told, "serving")[0]["axes"] == 1
+    assert len(events(told, "alarm")) == 1
+    (problem,) = [event["problem"] for event in events(told, "configuration") if "problem" in event]
+    assert "nowhere.csv" in problem
+    plant.write_text(PLANT.replace("axis.toml", "lonely.toml"))
+    assert "no axis can be watched" in called("serve", str(plant), "--until-end", code=2)
+
+
+REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
+    "an unknown section": (lambda text: text + "[axis.x3]\n", r"\[axis\] is an unknown section"),
+    "an unknown key": (lambda text: text.replace("window", "windows"), r"\[service\] windows is an unknown key"),
+    "an unknown kind": (
+        lambda text: text.replace('"file"', '"fil"'),
+        r"\[sources.a\] kind = 'fil' is none of .*'file'",
+    ),
+    "no axis": (
+        lambda text: text.replace("[axes.x1]", "[fleets]").replace('config = "axis.toml"', ""),
+        "no axis is named",
+    ),
+    "a name that is a path": (lambda text: text.replace("axes.x1", 'axes."../x"'), "is no name"),
+    "a script for a name": (lambda text: text.replace("axes.x1", 'axes."<script>"'), "is no name"),
+    "a key of an axis": (lambda text: text.replace("config", "file"), r"\[axes.x1\] file is an unknown key"),
+    "no pattern": (
+        lambda text: text + '[fleets.f]\nconfig = "axis.toml"\nnames = "cell"\ncount = 3\n',
+        r"\[fleets.f\] names = 'cell' is no pattern",
+    ),
+    "an axis twice": (
+        lambda text: text + '[fleets.f]\nconfig = "axis.toml"\nnames = "x{}"\ncount = 3\n',
+        r"\[fleets.f\] names the axis 'x1' once more",
+    ),
+    "an axis that is not there": (lambda text: text.replace('axis = "x1"', 'axis = "x9"'), "there is no axis 'x9'"),
+    "a speed below 0": (lambda text: text.replace("speed = 0.0", "speed = -1.0"), r"\[sources.a\] speed = -1.0"),
+    "a text for a number": (lambda text: text.replace("0.0", '"0"', 1), r"\[service\] window = '0'"),
+    "no TOML": (lambda text: text + "x =", "not valid TOML"),
+}
+
+
+@pytest.mark.parametrize(("change", "said"), REFUSED.values(), ids=REFUSED)
+def test_a_plant_is_refused_in_a_sentence(folder: Path, change: Callable[[str], str], said: str) -> None:
+    plant = folder / "refused.toml"
+    plant.write_text(change(PLANT))
+    output = called("serve", str(plant), "--until-end", "--json", code=2)
+    assert re.search(said, output), output
+    assert "Traceback" not in output
+
+
+def test_a_fleet_has_the_names_of_its_pattern(tmp_path: Path) -> None:
+    (tmp_path / "plant.toml").write_text('[fleets.cells]\nconfig = "cell.toml"\nnames = "cell-{:05d}"\ncount = 3\n')
+    plant = load_plant(tmp_path / "plant.toml")
+    assert dict(plant.axes) == dict.fromkeys(("cell-00000", "cell-00001", "cell-00002"), tmp_path / "cell.toml")
+
+
+# --- signals ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Acting:
+    """Does things to a service from a thread while it runs in this one, then ends it by SIGTERM."""
+
+    service: Service
+    text: StringIO
+
+    def run(self, *steps: Callable[[], None]) -> Events:
+        errors: list[BaseException] = []
+
+        def act() -> None:
+            try:
+                for step in steps:
+                    step()
+            except BaseException as error:
+                errors.append(error)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+        thread = threading.Thread(target=act)
+        thread.start()
+        self.service.run()
+        thread.join()
+        assert not errors, errors
+        return events(self.text.getvalue(), "alarm", "state", "settled", "reload", "ended", "gap", "unusable")
+
+    def until(self, *kinds: str, times: int = 1) -> None:
+        end = time.monotonic() + 20
+        while len(events(self.text.getvalue(), *kinds)) < times:
+            assert time.monotonic() < end, self.text.getvalue()
+            time.sleep(0.01)
+
+    def samples(self, number: int) -> None:
+        end = time.monotonic() + 20
+        group = (("group", "axis.toml"),)
+        while self.service.counters.values().get(("pmfid_samples_total", group), 0) < number:
+            assert time.monotonic() < end, self.text.getvalue()
+            time.sleep(0.01)
+
+
+@pytest.fixture
+def acting(folder: Path) -> Acting:
+    text = StringIO()
+    return Acting(Service(lambda: load_plant(folder / "plant.toml"), Log(text)), text)
+
+
+def test_a_reload_changes_axes_without_touching_the_others(folder: Path, acting: Acting) -> None:
+    plant, log = folder / "plant.toml", folder / "log.csv"
+    log.write_text("t,u,counts\n")
+    rows = (folder / "run.csv").read_text().splitlines(keepends=True)[1:]
+    follow = PLANT.replace("run.csv", "log.csv").replace("speed = 0.0\n", "")
+    plant.write_text(follow + '[axes.x2]\nconfig = "axis.toml"\n')
+
+    def write(part: list[str], samples: int) -> Callable[[], None]:
+        def step() -> None:
+            with log.open("a") as file:
+                file.write("".join(part))
+            acting.samples(samples)
+
+        return step
+
+    def reload() -> None:
+        text = follow.replace("window = 0.0", "window = 0.1") + '[axes.x3]\nconfig = "other.toml"\n'
+        plant.write_text(text)
+        os.kill(os.getpid(), signal.SIGHUP)
+        acting.until("reload")
+        plant.write_text("nothing [")
+        os.kill(os.getpid(), signal.SIGHUP)
+        acting.until("reload", times=2)
+
+    found = acting.run(write(rows[:900], 900), reload, write(rows[900:], 1600))
+    told = [event for event in found if event["event"] == "reload"]
+    assert (told[0]["added"], told[0]["changed"], told[0]["removed"]) == (1, 0, 1)
+    assert "start the service again" in told[0]["problem"]
+    assert "goes on as before" in told[1]["problem"]
+    expected = events(
+        called(
+            "monitor", "-", "--config", str(folder / "axis.toml"), "--json", stdin=(folder / "run.csv").read_bytes()
+        ),
+        *FOUND,
+    )
+    served = [event for event in found if event["event"] in FOUND]
+    assert [(e["event"], e["time"]) for e in served] == [(e["event"], e["time"]) for e in expected]
+    assert found[-1]["event"] == "ended"
+
+
+def test_systemd_is_told(folder: Path, acting: Acting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (folder / "plant.toml").write_text(PLANT)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
+        channel.bind(str(tmp_path / "notify"))
+        channel.settimeout(10)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        said: list[bytes] = []
+
+        def listen() -> None:
+            while b"WATCHDOG=1" not in said:
+                said.append(channel.recv(100))
+
+        acting.run(listen)
+        said.append(channel.recv(100))
+    assert said == [b"READY=1", b"WATCHDOG=1", b"STOPPING=1"]
+
+
+# --- encoders that wrap -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bits", [16, 24, 32])
+def test_a_counter_that_wraps_changes_nothing(folder: Path, tmp_path: Path, bits: int) -> None:
+    text = (folder / "axis.toml").read_text().replace("[model]", f"bits = {bits}\n\n[model]")
+    (tmp_path / "axis.toml").write_text(text)
+    (tmp_path / "normal.csv").write_text((folder / "normal.csv").read_text())
+    table = np.loadtxt(folder / "run.csv", delimiter=",", skiprows=1)
+    lines = {}
+    for start in (0, 2 ** (bits - 1) - 200):  # in the midst of the range, and near its end
+        counts = table[:, 2].astype(np.int64) + start
+        if start:
+            counts = (counts + 2 ** (bits - 1)) % 2**bits - 2 ** (bits - 1)
+            assert np.ptp(counts) > 2 ** (bits - 1)
+        rows = (f"{t!r},{u!r},{c}" for t, u, c in zip(table[:, 0].tolist(), table[:, 1].tolist(), counts, strict=True))
+        stdin = "\n".join(["t,u,counts", *rows]) + "\n"
+        options = ("--from", "-", "--no-page", "--until-end", "--json")
+        lines[start] = events(called("serve", str(tmp_path / "axis.toml"), *options, stdin=stdin.encode()), *FOUND)
+    first, second = ([{**event, "wall": 0} for event in found] for found in lines.values())
+    assert first == second
+    assert [event["event"] for event in first].count("alarm") == 1
