@@ -112,8 +112,8 @@ class Faulty:
             raise self.open_error
 
     def put(self, outcomes: list[Rows | Notice]) -> None:
-        self.puts += 1
-        if self.hold is not None:
+        self.puts += bool(outcomes)
+        if self.hold is not None and outcomes:
             self.hold.wait(20)
         if self.error:
             raise self.error

@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from pmfid.service.counters import Counters
 from pmfid.service.sources import Source
 from pmfid.session.config import Axis
 from pmfid.session.toml_file import FileSection
 
-__all__ = ["Context", "SourceSection"]
+__all__ = ["Axes", "Context", "SourceSection"]
+
+
+class Axes(Protocol):
+    """Names of axes -> what their AXIS.toml says, as it is when it is looked at; a dictionary is one, too."""
+
+    def get(self, name: str, /) -> Axis | None: ...
 
 
 @dataclass(frozen=True)
@@ -29,6 +35,22 @@ class Context:
     counters: Counters
     tell: Callable[[dict[str, Any]], None]
     axis: Callable[[str], Axis | None]
+
+    @property
+    def axes(self) -> Axes:
+        """The same as a mapping."""
+        return _Looked(self.axis)
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """`Axes` by a function."""
+
+    of: Callable[[str], Axis | None]
+
+    def get(self, name: str, /) -> Axis | None:
+        """Of an axis, or None."""
+        return self.of(name)
 
 
 class SourceSection(FileSection):

@@ -26,5 +26,47 @@ def _stdin() -> type[SourceSection]:
     return StdinSource
 
 
-SOURCES: dict[str, Callable[[], type[SourceSection]]] = {"file": _file, "stdin": _stdin}
-SINKS: dict[str, Callable[[], type[SinkSection]]] = {}
+def _mqtt() -> type[SourceSection]:
+    from pmfid.service.sources.mqtt import MqttSection
+
+    return MqttSection
+
+
+def _arrow() -> type[SinkSection]:
+    from pmfid.service.sinks.arrow import ArrowSection
+
+    return ArrowSection
+
+
+def _line_protocol() -> type[SinkSection]:
+    from pmfid.service.sinks.line_protocol import LineProtocolSection
+
+    return LineProtocolSection
+
+
+def _plotjuggler() -> type[SinkSection]:
+    from pmfid.service.sinks.plotjuggler import PlotJugglerSection
+
+    return PlotJugglerSection
+
+
+def _sqlite() -> type[SinkSection]:
+    from pmfid.service.sinks.sqlite import SqliteSection
+
+    return SqliteSection
+
+
+def _webhook() -> type[SinkSection]:
+    from pmfid.service.sinks.webhook import WebhookSection
+
+    return WebhookSection
+
+
+SOURCES: dict[str, Callable[[], type[SourceSection]]] = {"file": _file, "stdin": _stdin, "mqtt": _mqtt}
+SINKS: dict[str, Callable[[], type[SinkSection]]] = {
+    "arrow": _arrow,
+    "line_protocol": _line_protocol,
+    "plotjuggler": _plotjuggler,
+    "sqlite": _sqlite,
+    "webhook": _webhook,
+}

@@ -22,6 +22,8 @@ Tell = Callable[[dict[str, Any]], None]
 FIRST_PAUSE, LONGEST_PAUSE, STEADY = 0.5, 60.0, 60.0
 #: A sink that is too slow is told at most once in so many seconds.
 TELL_EVERY = 60.0
+#: s after which `put` is called with nothing, so that a sink sees that its connection has ended, or its file is old.
+IDLE = 5.0
 #: Different problems with outcomes that a sink refuses, which are told.
 MOST_TOLD = 10
 
@@ -64,7 +66,7 @@ class Queued:
         self._changed, self._closing = Condition(), Event()
         self._deadline = float("inf")  # of `close`
         self._open = self._failing = False
-        self._pause, self._working_since, self._taken_at = 0.0, 0.0, 0.0
+        self._pause, self._working_since, self._taken_at = 0.0, 0.0, -IDLE
         self._alone = 0  # so many of the next outcomes are written one by one
         self._lost = Lost()  # rows and notices that were dropped and not yet told
         self._told_at = -TELL_EVERY
@@ -125,7 +127,7 @@ class Queued:
     # --- the sink's thread --------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        while batch := self._next():
+        while (batch := self._next()) is not None:
             self._write(batch)
             self._tell_lost()
             self._counters.put("pmfid_sink_waiting_rows", self._waiting.rows, sink=self.name)
@@ -135,24 +137,23 @@ class Queued:
                 self._closing.wait(self._pause)
         self._end()
 
-    def _next(self) -> list[Entry]:
-        """What is to be written now; waits for it; nothing at the end."""
+    def _next(self) -> list[Entry] | None:
+        """What is to be written now, which is nothing now and then; waits for it; None at the end."""
         with self._changed:
             while not (self._closing.is_set() or self._due()):
                 self._changed.wait(self._until_due())
             self._taken_at = time.monotonic()
-            if self._taken_at >= self._deadline:
-                return []
+            if self._taken_at >= self._deadline or (self._closing.is_set() and not self._waiting):
+                return None
             return self._waiting.take(1 if self._alone else MOST_ENTRIES)
 
     def _due(self) -> bool:
-        return bool(self._waiting) and (self._waiting.crowded or self._until_due() == 0)
+        return self._waiting.crowded or self._until_due() == 0
 
-    def _until_due(self) -> float | None:
-        """Seconds until the pace lets the sink write again; None while nothing waits."""
-        if not self._waiting:
-            return None
-        return 0.0 if self._alone else max(self._taken_at + self._limits.pace - time.monotonic(), 0.0)
+    def _until_due(self) -> float:
+        """Seconds until the pace lets the sink write again, or until it is to be looked after."""
+        pace = self._limits.pace if self._waiting else IDLE
+        return 0.0 if self._alone else max(self._taken_at + pace - time.monotonic(), 0.0)
 
     def _write(self, batch: Sequence[Entry]) -> None:
         try:
@@ -167,7 +168,10 @@ class Queued:
         except OSError as error:
             self._trouble(error, batch)
         except Exception as error:
-            self._refused(error, batch)
+            if batch:
+                self._refused(error, batch)
+            else:
+                self._trouble(error, batch)
         else:
             self._worked(batch)
 
