@@ -64,11 +64,12 @@ def serve(
     folder: Path,
     reference: Callable[[str], Record | None] = lambda axis: None,
     metrics: Callable[[], str] | None = None,
+    alive: Callable[[], bool] = lambda: True,
 ) -> Page:
     """Starts to serve the page, before the engine's thread is started. name: of the service; folder: that of
     PLANT.toml; reference: record of normal work of an axis, by its name, read when someone asks, in a thread of its own
-    (it may raise UsageError); metrics: text for Prometheus. Raises UsageError where the address cannot be had, a token
-    is missing, or the extra is not installed."""
+    (it may raise UsageError); metrics: text for Prometheus; alive: whether the engine is, for health checks. Raises
+    UsageError where the address cannot be had, a token is missing, or the extra is not installed."""
     _check_extra()
     from pmfid.service.web.api import Api
     from pmfid.service.web.app import make_app
@@ -80,7 +81,7 @@ def serve(
     listener = _listener(config)
     port = listener.getsockname()[1]
     hub = Hub(board, counters)
-    api = Api(name, board, counters, hub, acts, reference, metrics, config.browsers)
+    api = Api(name, board, counters, hub, acts, reference, metrics, alive, config.browsers)
     app = make_app(api, hosts_of(config.address, port, config.hosts), tokens)
     try:
         server = _server(_uvicorn_config(app, config, counters, folder), hub)
