@@ -25,7 +25,8 @@ class FakeEngine:
     _durable: int = 0
 
     def take(self, delivery: Delivery) -> bool:
-        time.sleep(self.slow)
+        if self.slow:
+            time.sleep(self.slow)
         if not self.ends:
             self.deliveries.append(delivery)
             for item in delivery.items:
