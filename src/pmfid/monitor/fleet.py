@@ -16,7 +16,7 @@ from pmfid.estimators.configuration import configuration_of, made
 from pmfid.monitor.arrays import Places
 from pmfid.monitor.events import Event
 from pmfid.monitor.monitor import Monitor
-from pmfid.monitor.quiet import UNEASY, Quiet
+from pmfid.monitor.quiet import Quiet
 from pmfid.monitor.rows import FleetRows
 from pmfid.monitor.saved import checked, read, written
 from pmfid.types import Counts, Flags, Floats
@@ -63,9 +63,7 @@ class MonitorFleet:
 
     def _run(self, index: Places, u: Floats, counts: Counts, rows: FleetRows, part: tuple[slice, slice]) -> None:
         """A piece of a group of axes: the quiet ones at once, the others one after the other."""
-        quiet = ~np.isin(self._all.watched.state[index], UNEASY)
-        if self._source.known is not None:
-            quiet[:] = False  # what is known is put together with each estimate by itself
+        quiet = self._quiet.may_run(self._all.watched, index)
         if quiet.any():
             quiet[quiet] = self._run_quiet(index[quiet], u[quiet], counts[quiet], rows, part, np.flatnonzero(quiet))
         for k in np.flatnonzero(~quiet).tolist():
