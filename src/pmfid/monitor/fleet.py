@@ -18,7 +18,7 @@ from pmfid.monitor.events import Event
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.quiet import Quiet
 from pmfid.monitor.rows import FleetRows
-from pmfid.monitor.saved import checked, read, written
+from pmfid.monitor.saved import checked, pieces, read, written
 from pmfid.types import Counts, Flags, Floats
 
 T = TypeVar("T")
@@ -173,6 +173,10 @@ class MonitorFleet:
         """The states of all axes, with a version and checksums; `set_state` of a fleet with the same configuration goes
         on from them."""
         return written(self._all, self._source.configuration_number)
+
+    def state_pieces(self) -> list[memoryview]:
+        """The same one after the other and without a copy, to be written before the next sample or change."""
+        return pieces(self._all, self._source.configuration_number)
 
     def set_state(self, state: bytes) -> None:
         """Goes on from saved states, of as many axes as they are of. Raises UsageError, and stays as it was, for those
