@@ -103,6 +103,7 @@ cdef extern from "many/pmf_many.h":
         const double *input
         const double *theta
         const int64_t *counts
+        uint32_t way
         uint64_t samples
         double *sums
         uint32_t *progress
@@ -405,10 +406,10 @@ cdef class ManyKernel:
     def score(self, cnp.ndarray[double, ndim=2, mode="c"] u not None, cnp.ndarray[int64_t, ndim=2, mode="c"] counts not None,
               scoring, cnp.ndarray[double, ndim=2, mode="c"] theta not None,
               cnp.ndarray[double, ndim=2, mode="c"] sums not None,
-              cnp.ndarray[uint32_t, ndim=2, mode="c"] progress not None):
+              cnp.ndarray[uint32_t, ndim=2, mode="c"] progress not None, way=None):
         """Encoder and filters alone, in blocks. u, counts: (axes, n); scoring: first column, parameters p, samples of a
         block, status of samples left out, of disturbed ones; theta: (axes, p); sums: (axes, p + 2 p^2) and progress
-        (axes, 2): of the block under way, to go on with. Returns the blocks that were completed (axes, most, p + 2 p^2),
+        (axes, 2): of the block under way, to go on with; way: None: the fastest. Returns the blocks that were completed (axes, most, p + 2 p^2),
         and whether all samples of one were disturbed (axes, most). Releases the interpreter meanwhile. Raises ValueError
         where an array has another shape than that."""
         cdef pmf_scoring_t numbers
@@ -423,6 +424,7 @@ cdef class ManyKernel:
         cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] lost = np.zeros((axes, kept), np.uint8)
         many.input, many.counts, many.theta = <double *> _numbers(u), <int64_t *> _numbers(counts), <double *> _numbers(theta)
         many.sums, many.progress, many.samples = <double *> _numbers(sums), <uint32_t *> _numbers(progress), n
+        many.way = self.fastest_way if way is None else way
         many.kept, many.blocks, many.lost = kept, <double *> _numbers(blocks), <unsigned char *> _numbers(lost)
         with nogil:
             pmf_many_scores(&self.config, &self.layout, &numbers, &many, axes, <unsigned char *> cnp.PyArray_DATA(states))

@@ -93,10 +93,21 @@ class Glr:
         return (np.zeros((self.window, *shape)), np.zeros((self.window, *shape)))
 
     def update(self, state: State, x: Floats, w: Floats, tolerance: Floats) -> tuple[State, Floats]:
-        sums, weights = (np.concatenate([np.zeros_like(part[:1]), part[:-1]]) for part in state)
-        sums, weights = sums + x, weights + w  # row j: the last j + 1 blocks
-        beyond = np.maximum(np.abs(sums) - tolerance * weights, 0.0)
-        return (sums, weights), (beyond * beyond / (weights + EDGE)).max(axis=0).max(axis=-1) / 2
+        sums, weights = (_longer(part, new) for part, new in zip(state, (x, w), strict=True))
+        beyond, known = np.abs(sums), weights + EDGE
+        beyond -= tolerance * weights
+        np.maximum(beyond, 0.0, out=beyond)
+        beyond *= beyond
+        beyond /= known
+        return (sums, weights), beyond.max(axis=0).max(axis=-1) / 2
+
+
+def _longer(sums: Floats, new: Floats) -> Floats:
+    """Of the last j + 1 blocks in row j, (window, ..., p), behind one more (..., p)."""
+    found = np.empty(sums.shape)
+    found[0] = 0.0 + new
+    np.add(sums[:-1], new, out=found[1:])
+    return found
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from pmfid.estimators.configuration import configuration_of, made
 from pmfid.monitor.arrays import Places
 from pmfid.monitor.events import Event
 from pmfid.monitor.monitor import Monitor
-from pmfid.monitor.quiet import UNEASY, Quiet
+from pmfid.monitor.quiet import Quiet
 from pmfid.monitor.rows import FleetRows
-from pmfid.monitor.saved import checked, read, written
+from pmfid.monitor.saved import checked, pieces, read, written
 from pmfid.types import Counts, Flags, Floats
 
 T = TypeVar("T")
@@ -63,9 +63,7 @@ class MonitorFleet:
 
     def _run(self, index: Places, u: Floats, counts: Counts, rows: FleetRows, part: tuple[slice, slice]) -> None:
         """A piece of a group of axes: the quiet ones at once, the others one after the other."""
-        quiet = ~np.isin(self._all.watched.state[index], UNEASY)
-        if self._source.known is not None:
-            quiet[:] = False  # what is known is put together with each estimate by itself
+        quiet = self._quiet.may_run(self._all.watched, index)
         if quiet.any():
             quiet[quiet] = self._run_quiet(index[quiet], u[quiet], counts[quiet], rows, part, np.flatnonzero(quiet))
         for k in np.flatnonzero(~quiet).tolist():
@@ -175,6 +173,10 @@ class MonitorFleet:
         """The states of all axes, with a version and checksums; `set_state` of a fleet with the same configuration goes
         on from them."""
         return written(self._all, self._source.configuration_number)
+
+    def state_pieces(self) -> list[memoryview]:
+        """The same one after the other and without a copy, to be written before the next sample or change."""
+        return pieces(self._all, self._source.configuration_number)
 
     def set_state(self, state: bytes) -> None:
         """Goes on from saved states, of as many axes as they are of. Raises UsageError, and stays as it was, for those

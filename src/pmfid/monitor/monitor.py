@@ -176,7 +176,8 @@ class Monitor(Axis, Shown):
         the new reference, and that the watch begins. Raises UsageError, and changes nothing, while there is no estimate
         and for numbers that no machine has."""
         estimate = self.estimator.estimate
-        if theta is None and estimate.status & (Status.STARTING | Status.FALLBACK):
+        unknown = estimate.status & (Status.STARTING | Status.FALLBACK) or not np.all(np.isfinite(estimate.theta_std))
+        if theta is None and unknown:
             raise UsageError("there is no estimate yet that could be the reference: let the axis move first")
         wanted = np.array(estimate.theta if theta is None else theta, np.float64)
         if wanted.shape != self.reference.shape or not self.plausible(wanted):

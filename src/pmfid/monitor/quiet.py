@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pmfid._stage import follow_many
 from pmfid.estimators.track import Tracks
+from pmfid.models.equation import ESTIMATE
 from pmfid.monitor.arrays import Disturbed, Places, Sampled, Watched
 from pmfid.monitor.events import SETTLING, SUSPICIOUS, Event, Outlier, StateChange
 from pmfid.monitor.monitor import ANY_OUTLIER, Monitor, outliers
@@ -60,6 +61,14 @@ class Quiet:
         self._watching, self._names, self._units = monitor.watching, monitor.names, monitor.units
         self._estimator, self._filter = monitor.packers
         self._scoring, self._dt = monitor.scoring, monitor.estimator.dt
+        self._alone = monitor.known is not None  # put together with each estimate by itself
+        self._one_reference = monitor.estimator.equation.dead_time == ESTIMATE  # the kernel is configured with it
+        self._theta = monitor.calibration.theta
+
+    def may_run(self, watched: Watched, index: Places) -> Flags:
+        """(k,) which of these axes can be run here."""
+        quiet = ~np.isin(watched.state[index], UNEASY) & (not self._alone)
+        return quiet & np.all(watched.theta[index] == self._theta, axis=1) if self._one_reference else quiet
 
     def run(self, sampled: Sampled, watched: Watched, u: Floats, counts: Counts) -> Piece:
         """A piece u, counts: (k, n), n >= 1, of k axes, whose states are changed."""

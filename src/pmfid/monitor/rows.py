@@ -35,10 +35,12 @@ class FleetRows:
         return cls(theta, std, np.empty(shape), np.empty(shape, np.uint32), np.empty(shape, np.uint8), [])
 
     def take(self, part: FleetRows, rows: NDArray[np.int64], time: slice, kept: Flags | None = None) -> None:
-        """A part becomes that of these rows (k,) and of a time; kept: (k,) which of them, None: all."""
+        """A part becomes that of these rows (k,), which rise, and of a time; kept: (k,) which of them, None: all."""
         taken = np.ones(rows.size, np.bool_) if kept is None else kept
+        whole = taken.all() and rows[-1] - rows[0] == rows.size - 1  # rows rise: they follow one another
+        place, source = (slice(rows[0], rows[-1] + 1), slice(None)) if whole else (rows[taken], taken)
         for name in ("theta", "std", "innovation", "status", "state"):
-            getattr(self, name)[rows[taken], time] = getattr(part, name)[taken]
+            getattr(self, name)[place, time] = getattr(part, name)[source]
         for row, sample, event in part.events:
             if taken[row]:
                 self.events.append((int(rows[row]), time.start + sample, event))

@@ -90,13 +90,18 @@ class Saved:
 
 def written(saved: Saved, config: int) -> bytes:
     """The bytes of all axes; config: a checksum of whose they are."""
+    return b"".join(pieces(saved, config))
+
+
+def pieces(saved: Saved, config: int) -> list[memoryview]:
+    """The same one after the other; all but the first are the arrays themselves."""
     head = _head(saved, config, saved.axes)
     parts = [np.ascontiguousarray(array).reshape(-1).view(np.uint8).data for array in saved.arrays()]
     checksum = zlib.crc32(head.tobytes()[:-4])
     for part in parts:
         checksum = zlib.crc32(part, checksum)
     head["checksum"] = checksum
-    return b"".join([head.tobytes(), *parts])
+    return [memoryview(head.tobytes()), *parts]
 
 
 def read(data: bytes, like: Saved, config: int) -> Saved:
