@@ -132,8 +132,8 @@ class Runner(Generic[E]):
 
     def doubt(self, samples: int) -> None:
         """The next samples are guesses, as those of a gap in which the input switched: nothing is learnt from so many,
-        at most from as many as the filters take to settle, and the status says `SETTLING`. Filters and auxiliary model
-        go on. Raises UsageError for a number that is negative or no integer."""
+        in slow motion some more, at most from as many as the filters take to settle, and the status says `SETTLING`.
+        Filters and auxiliary model go on. Raises UsageError for a number that is negative or no integer."""
         if isinstance(samples, bool) or not isinstance(samples, Integral) or not samples >= 0:
             raise UsageError(f"samples must be a whole number from 0 on, got {samples!r}")
         self.kernel.doubt(min(int(samples), 2**31))

@@ -16,7 +16,7 @@ HELD, ALONE = 0.5, 0.9
 #: A switch matters where not knowing its instant moves the input behind the filters by so much of its size.
 DOUBTFUL = 0.01
 #: The filters forget a blow in so many of their time constants.
-FORGOTTEN = 5.0
+FORGOTTEN = 4.5
 
 
 @dataclass(frozen=True)
