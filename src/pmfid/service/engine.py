@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any, Protocol
 
-from pmfid.errors import UsageError
 import numpy as np
 
+from pmfid.errors import UsageError
 from pmfid.service.commands import Acknowledge, Command, Commands, Refer
 from pmfid.service.counters import Counters
 from pmfid.service.crash import crash_point
