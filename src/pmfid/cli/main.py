@@ -20,6 +20,7 @@ from pmfid.cli.options import CUTOFF, JSON, RECORDS, config_option, folder_optio
 from pmfid.cli.output import print_json
 from pmfid.cli.progress import progress
 from pmfid.cli.reproduce import reproduce
+from pmfid.cli.serve import serve
 from pmfid.cli.simulate import simulate
 from pmfid.cli.terms import terms
 from pmfid.cli.validate import validate
@@ -238,6 +239,7 @@ main.add_command(init)
 main.add_command(design)
 main.add_command(commission)
 main.add_command(monitor)
+main.add_command(serve)
 main.add_command(simulate)
 main.add_command(terms)
 main.add_command(validate)

@@ -3,6 +3,7 @@
 calibration = calibrate(estimator, nominal, u, counts, hours)   # thresholds, from simulated normal work
 monitor = Monitor(estimator, calibration, Watch("glr", mtbf_hours=24.0))
 estimate, events = monitor.step(u, count)                       # an Alarm names what changed, by how much, since when
+fleet = MonitorFleet(monitor, axes=1000)                        # as many axes, each with a state of its own
 """
 
 from __future__ import annotations
@@ -19,12 +20,16 @@ if TYPE_CHECKING:
     from pmfid.monitor.events import Settled as Settled
     from pmfid.monitor.events import StateChange as StateChange
     from pmfid.monitor.events import Watch as Watch
+    from pmfid.monitor.fleet import MonitorFleet as MonitorFleet
     from pmfid.monitor.monitor import Monitor as Monitor
+    from pmfid.monitor.rows import FleetRows as FleetRows
 
 _PUBLIC = {
     "Alarm": "events",
     "Calibration": "calibration",
+    "FleetRows": "rows",
     "Monitor": "monitor",
+    "MonitorFleet": "fleet",
     "Outlier": "events",
     "Settled": "events",
     "StateChange": "events",

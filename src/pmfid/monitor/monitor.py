@@ -8,8 +8,11 @@ from dataclasses import dataclass, field, replace
 from operator import index
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pmfid._estimate import Estimate
+from pmfid.errors import UsageError
+from pmfid.estimators.arguments import check_arrays
 from pmfid.estimators.configuration import like
 from pmfid.estimators.facts import INPUT_GAIN, forces_of
 from pmfid.estimators.iv import IV
@@ -30,13 +33,14 @@ from pmfid.monitor.events import (
     StateChange,
     Watch,
 )
+from pmfid.monitor.record import LOOK_BACK, configuration_number, load, store
+from pmfid.monitor.rows import STATES, FleetRows
+from pmfid.monitor.saved import read, written
 from pmfid.monitor.scores import Blocks, Scale, ScoreFilter
 from pmfid.shown import Parameters, Shown, Summary, plain, remarks_of
 from pmfid.status import Status
 from pmfid.types import Floats
 
-#: Blocks that an alarm looks back on.
-LOOK_BACK = 64
 #: A block with less of the average information tells nothing.
 INFORMATIVE = 0.05
 #: Time without such a block after which nothing can be told [s], at least so many blocks.
@@ -181,6 +185,49 @@ class Monitor(Shown):
     def rebase(self, counts: int) -> None:
         """The counter was set anew: it would have read `counts` at the last sample. Raises TypeError for no integer."""
         self._zero = self._counts - index(counts)
+
+    def run(self, u: ArrayLike, counts: ArrayLike) -> FleetRows:
+        """Many samples at once, u, counts: (n,), with the bits of `step` in a loop: the rows of a fleet of one. Raises
+        UsageError where the arrays do not fit."""
+        inputs, places = check_arrays(u, counts)
+        rows = FleetRows.empty(1, inputs.size, len(self.names))
+        for k, (one, count) in enumerate(zip(inputs.tolist(), places.tolist(), strict=True)):
+            estimate, events = self.step(one, count)
+            told = self.told(estimate)
+            rows.theta[0, k], rows.std[0, k], rows.innovation[0, k] = told.theta, told.theta_std, told.innovation
+            rows.status[0, k], rows.state[0, k] = estimate.status, STATES.index(self.state)
+            rows.events.extend((0, k, event) for event in events)
+        return rows
+
+    def refer(self, theta: ArrayLike | None = None) -> list[Event]:
+        """What is now is normal: theta (p,) becomes the reference, None: the present estimate. What there is to tell:
+        the new reference, and that the watch begins. Raises UsageError, and changes nothing, while there is no estimate
+        and for numbers that no machine has."""
+        estimate = self.estimator.estimate
+        if theta is None and estimate.status & (Status.STARTING | Status.FALLBACK):
+            raise UsageError("there is no estimate yet that could be the reference: let the axis move first")
+        wanted = np.array(estimate.theta if theta is None else theta, np.float64)
+        if wanted.shape != self.reference.shape or not self._plausible(wanted):
+            raise UsageError(f"these are no parameters of a machine: {wanted.tolist()}; give {list(self._front.names)}")
+        before, std = self.reference, np.array(estimate.theta_std) if theta is None else np.zeros(wanted.size)
+        self._refer(wanted)
+        events: list[Event] = [Settled(self._time, *self._beside(wanted, std), self._beside(before, std)[0])]
+        busy = self.state in (SUSPICIOUS, SETTLING)
+        return [*events, *(self._enter(WATCHING, "a new reference was given") if busy else [])]
+
+    def get_state(self) -> bytes:
+        """All that changes, with a version and checksums; `set_state` of a monitor with the same configuration goes on
+        from it."""
+        return written(store(self), configuration_number(self))
+
+    def set_state(self, state: bytes) -> None:
+        """Goes on from a saved state. Raises UsageError, and stays as it was, for one of another configuration, a
+        damaged one, and numbers that no sample could have made."""
+        own = store(self)
+        found = read(state, own, configuration_number(self))
+        if len(found["state"]) != 1:
+            raise UsageError("these bytes are the states of several axes; a monitor is of one")
+        load(self, found, 0)
 
     def _outliers(self, status: Status) -> list[Event]:
         """Once for what lasts over several samples."""

@@ -18,7 +18,8 @@ class Kindred:
     """Axes of the same configuration, which are stepped together.
 
     config: name of their AXIS.toml; names, units: of the q parameters that are told; dt: sample period [s]; nominal:
-    (q,) normal values; axes: their names in PLANT.toml, by their number within the group.
+    (q,) normal values; axes: their names in PLANT.toml, by their number within the group; input_unit: of u;
+    resolution: of one count [position_unit].
     """
 
     config: str
@@ -27,6 +28,9 @@ class Kindred:
     dt: float
     nominal: Floats
     axes: tuple[str, ...]
+    input_unit: str = ""
+    resolution: float = 1.0
+    position_unit: str = "counts"
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,8 @@ class Rows:
 class Notice:
     """An event of one axis, or of the service where axis is "".
 
-    number: raised by one from notice to notice of the service, also over restarts: who gets one twice knows it by that;
+    number: its own, in JSON a number like any other; of an axis those of later notices are higher. What data that come
+    again after a restart say has the number that it had before: who gets a notice twice knows it by that;
     wall: seconds since 1970 when it was found; what: the object that `pmfid monitor --json` prints for an event
     ("event": alarm, state, settled, outlier, gap, clock, ...), or one of the service's own of the same form (late,
     duplicate, unusable, dropped, checkpoint, acknowledged, reference, source, sink).

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, Field
 
 from pmfid.service.broker import BrokerSection, Text, new_client, pauses
+from pmfid.service.context import Axes, Context, SourceSection
 from pmfid.service.delivery import Delivery, Mark
 from pmfid.service.sources import Take
 from pmfid.service.wire.line_protocol import Precision
 from pmfid.service.wire.messages import Form, Messages
 from pmfid.service.wire.points import Readers
-from pmfid.session.config import Axis
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage
@@ -54,7 +54,7 @@ def _mixed(level: str) -> bool:
     return len(level) > 1 and level != AXIS_LEVEL and any(sign in level for sign in "+#{}\0")
 
 
-class MqttSection(BrokerSection):
+class MqttSection(BrokerSection, SourceSection):
     """[sources.NAME] of kind "mqtt"."""
 
     kind: Literal["mqtt"] = Field(description='"mqtt"')
@@ -70,6 +70,12 @@ class MqttSection(BrokerSection):
     receive_maximum: int = Field(20_000, ge=1, le=65535, description="the most messages that wait for a checkpoint")
     largest: int = Field(2**20, ge=1024, le=2**28, description="the most bytes of a message")
 
+    def make(self, name: str, context: Context) -> MqttSource:
+        """The source. Raises UsageError where the client cannot be made."""
+        client = self.client or f"pmfid-{context.name}-{name}"
+        new_client(self, context.folder, client, acknowledges=True)  # says now what would fail later
+        return MqttSource(name, self, context.axes, context.tell, context.folder, client)
+
 
 @dataclass
 class MqttSource:
@@ -79,7 +85,7 @@ class MqttSource:
 
     name: str
     section: MqttSection
-    axes: Mapping[str, Axis]
+    axes: Axes
     tell: Callable[[dict[str, Any]], None]
     folder: Path = Path()
     client: str = "pmfid"

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from itertools import groupby
 
 from pmfid.errors import UsageError
+from pmfid.service.context import Axes
 from pmfid.service.delivery import Lines, Unusable
 from pmfid.session.config import Axis
 from pmfid.session.monitored.reading import FieldReader
@@ -34,7 +35,7 @@ class Readers:
     axes: by name, looked at for each sample, so that it may change; axes that share an object share a reader.
     """
 
-    axes: Mapping[str, Axis]
+    axes: Axes
     _made: dict[int, tuple[Axis, FieldReader]] = field(default_factory=dict, init=False)
 
     def items(self, points: Iterable[Point | Unusable]) -> list[Lines | Unusable]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -21,6 +21,9 @@ REGULAR, CLOSE = 0.8, 0.25
 #: Samples after which the mean period must be right to so much.
 LONG, FINE = 500, 0.005
 
+#: Where something is, as an object for JSON.
+Saved = dict[str, Any]
+
 
 @dataclass
 class Period:
@@ -34,6 +37,24 @@ class Period:
     _start: float = field(default=math.nan, init=False)
     _count: int = field(default=0, init=False)
     _checked: bool = field(default=False, init=False)
+
+    def saved(self) -> Saved:
+        """Where it is, for JSON that knows NaN."""
+        return {
+            "steps": list(self._steps),
+            "last": self._last,
+            "wrong": self._wrong,
+            "patience": self._patience,
+            "start": self._start,
+            "count": self._count,
+            "checked": self._checked,
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Goes on from where another one was. Raises KeyError, TypeError or ValueError for what none has saved."""
+        self._steps, self._last = [float(step) for step in saved["steps"]], float(saved["last"])
+        self._wrong, self._patience = int(saved["wrong"]), int(saved["patience"])
+        self._start, self._count, self._checked = float(saved["start"]), int(saved["count"]), bool(saved["checked"])
 
     def line(self, time: float) -> None:
         """A stamp [s], whatever it is worth."""

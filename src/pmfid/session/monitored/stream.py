@@ -101,24 +101,44 @@ def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterato
 
 
 def _begun(stream: BinaryIO, axis: Axis, stop: Stop) -> LineParser | None:
-    """With the header: the first line that has the columns; None if a signal comes before it. What stands in front of
-    it, as the name of the logger, is not read; but where data come there will be no header."""
-    refused = UsageError("standard input is empty: write the header with the names of the columns first")
-    lines = 0
-    while lines < FIRST_LINES and (line := stop.read(stream)):
-        if is_comment(line):
-            continue
-        lines += 1
-        data = is_data(line.decode("utf-8", "replace"))
-        try:
-            return LineParser(line, axis)
-        except UsageError as error:
-            refused = refused if data and lines > 1 else error
-        if data:
-            break
+    """With the header; None if a signal comes before it."""
+    beginning = Beginning(axis)
+    while line := stop.read(stream):
+        parser = beginning.take(line)
+        if parser is not None:
+            return parser
     if stop.requested:
         return None
-    raise refused
+    raise beginning.problem
+
+
+@dataclass
+class Beginning:
+    """Looks for the header: the first line that has the columns. What stands in front of it, as the name of the logger,
+    is not read; but where data come there will be no header. problem: why none of the lines so far is one."""
+
+    axis: Axis
+    problem: UsageError = field(
+        default_factory=lambda: UsageError(
+            "standard input is empty: write the header with the names of the columns first"
+        ),
+        init=False,
+    )
+    _lines: int = field(default=0, init=False)
+
+    def take(self, line: bytes) -> LineParser | None:
+        """The parser for the lines behind this one, if it is the header. Raises UsageError once none will come."""
+        if is_comment(line):
+            return None
+        self._lines += 1
+        data = is_data(line.decode("utf-8", "replace"))
+        try:
+            return LineParser(line, self.axis)
+        except UsageError as error:
+            self.problem = self.problem if data and self._lines > 1 else error
+        if data or self._lines >= FIRST_LINES:
+            raise self.problem
+        return None
 
 
 @dataclass

@@ -13,7 +13,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from pmfid.errors import UsageError
-from pmfid.session.monitored.period import Period
+from pmfid.session.monitored.period import Period, Saved
 
 #: A line is the expected sample if its stamp is off by less [sample periods]: a late stamp is commoner than a lost one.
 NEAR = 0.75
@@ -76,6 +76,14 @@ class Metronome:
     _next: float = field(default=0.0, init=False)
     _counts: int = field(default=0, init=False)
 
+    def saved(self) -> Saved:
+        """Where it is, for JSON."""
+        return {"next": self._next, "counts": self._counts}
+
+    def restore(self, saved: Saved) -> None:
+        """Goes on from where another one was. Raises KeyError, TypeError or ValueError for what none has saved."""
+        self._next, self._counts = float(saved["next"]), int(saved["counts"])
+
     def take(self, line: Line) -> list[Found]:
         """What the line gives; one that cannot be used takes its time all the same."""
         time, self._next = self._next, self._next + self.dt
@@ -106,6 +114,26 @@ class Timeline:
     def __post_init__(self) -> None:
         self._period = Period(self.dt)
         self._recent: deque[Line] = deque(maxlen=REMEMBERED)
+
+    def saved(self) -> Saved:
+        """Where it is, for JSON that knows NaN."""
+        lines = {"held": self._held, "recent": self._recent}
+        return {
+            "expected": self._expected,
+            "unused": self._unused,
+            "strays": self._strays,
+            "counts": self._counts,
+            "period": self._period.saved(),
+            **{name: [[x.time, x.u, x.counts, x.problem] for x in some] for name, some in lines.items()},
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Goes on from where another one was. Raises KeyError, TypeError or ValueError for what none has saved."""
+        self._expected, self._unused = float(saved["expected"]), int(saved["unused"])
+        self._strays, self._counts = int(saved["strays"]), int(saved["counts"])
+        self._held = [Line(*entry) for entry in saved["held"]]
+        self._recent = deque((Line(*entry) for entry in saved["recent"]), REMEMBERED)
+        self._period.restore(saved["period"])
 
     def take(self, line: Line) -> list[Found]:
         """What is known after a line, in the order of time."""

@@ -1,0 +1,82 @@
+"""The command `pmfid serve`: many axes watched at once, as a service."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from pmfid.service.plant import Plant
+    from pmfid.session.records import Record
+
+
+@click.command(short_help="Watch many axes as a service, with a page.")
+@click.argument("config", type=click.Path(path_type=Path, dir_okay=False))
+@click.option(
+    "--from",
+    "source",
+    type=click.Path(path_type=Path, dir_okay=False, allow_dash=True),
+    metavar="RECORD",
+    help="Serve this record, or CSV lines on standard input if it is -, for the one axis of AXIS.toml.",
+)
+@click.option(
+    "--speed",
+    type=click.FloatRange(min=0),
+    default=1.0,
+    show_default=True,
+    help="How fast the record is played; 0: as fast as it goes.",
+)
+@click.option(
+    "--every", type=click.FloatRange(min=0), metavar="S", help="Time between two estimates given out; 0: all."
+)
+@click.option(
+    "--state", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Keep checkpoints there."
+)
+@click.option("--port", type=click.IntRange(0, 65535), help="Of the page on 127.0.0.1; 8127 if left out.")
+@click.option("--no-page", is_flag=True, help="Serve no page.")
+@click.option("--until-end", is_flag=True, help="End when all sources have ended.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per event.")
+def serve(
+    config: Path,
+    source: Path | None,
+    speed: float,
+    every: float | None,
+    state: Path | None,
+    port: int | None,
+    no_page: bool,
+    until_end: bool,
+    as_json: bool,
+) -> None:
+    """Watch all axes of PLANT.toml, given as CONFIG, or with --from the one of AXIS.toml, until a signal.
+
+    SIGTERM and Ctrl-C end the service with everything written; SIGHUP reads PLANT.toml again.
+    """
+    from pmfid.service.log import Log, json_line
+    from pmfid.service.run import Service
+    from pmfid.session.config import load_axis
+    from pmfid.session.records import read_record
+
+    page: dict[str, object] | None = {"enabled": False} if no_page else None if port is None else {"port": port}
+    record: Record | None = None
+    if source is not None and str(source) != "-":
+        record = read_record(source, load_axis(config))
+    options = {"every": every, "state": None if state is None else str(state.absolute())}
+    given = {key: value for key, value in options.items() if value is not None}
+
+    def load() -> Plant:
+        from pmfid.service.plant import load_plant, single_axis
+
+        plant = load_plant(config, given) if source is None else single_axis(config, source, speed, given)
+        return plant.with_page(page)
+
+    line = json_line if as_json else _sentence
+    Service(load, Log(sys.stdout, line), until_end, record).run()
+
+
+def _sentence(notice: object) -> str:
+    from pmfid.cli.serve_lines import line
+
+    return line(notice)  # type: ignore[arg-type]

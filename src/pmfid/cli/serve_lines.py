@@ -1,0 +1,117 @@
+"""Notices of the service as lines for people."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from pmfid.cli.monitor_lines import sentence
+from pmfid.errors import printable
+from pmfid.service.outcome import Notice
+
+Told = dict[str, Any]
+
+
+def line(notice: Notice) -> str:
+    """One line, or more at the start; with the axis in front."""
+    what = notice.what
+    own = _SENTENCES.get(str(what["event"]))
+    text = own(what) if own is not None else _monitored(what)
+    return printable(f"{notice.axis}  {text}" if notice.axis else text)
+
+
+def _monitored(what: Told) -> str:
+    try:
+        return sentence(what)
+    except KeyError:  # an event of a source or a sink that has no sentence of its own
+        rest = ", ".join(f"{key} {value}" for key, value in what.items() if key != "event")
+        return f"{what['event']}: {rest}"
+
+
+def _serving(what: Told) -> str:
+    lines = [f"serving {what['name']}: {what['axes']} ax{'e' if what['axes'] != 1 else 'i'}s"]
+    lines += [f"page: {what['page']}"] if "page" in what else []
+    lines += [f"note: {note}" for note in what.get("notes", ())]
+    kept = f"checkpoints: {what['state']}" if what["state"] else "nothing is kept: [service] state names no folder"
+    return "\n".join([*lines, kept])
+
+
+def _configuration(what: Told) -> str:
+    if "problem" in what:
+        return f"{what['config']}: {what['problem']}"
+    ready = "calibration from the cache" if what["cached"] else "calibrated"
+    return "\n".join([f"{what['config']}: {ready}", *(f"note: {note}" for note in what["notes"])])
+
+
+def _calibration(what: Told) -> str:
+    return f"{what['config']}: calibration {100 * what['part']:.0f} %"
+
+
+def _reload(what: Told) -> str:
+    changes = ", ".join(f"{what[key]} axes {key}" for key in ("added", "changed", "removed") if key in what)
+    return "read again: " + "; ".join(part for part in (changes, what.get("problem", "")) if part)
+
+
+def _problem(what: Told) -> str:
+    name = what.get("source") or what.get("sink") or ""
+    return f"{what['event']} {name}: {what.get('problem', what.get('state', 'works'))}".replace(" :", ":")
+
+
+def _epoch(what: Told) -> str:
+    off = "" if what["jump"] is None else f", {what['jump']:+.6g} s from where it should be"
+    return f"the sender began anew (epoch {what['epoch']}){off}"
+
+
+def _period(what: Told) -> str:
+    return str(what["problem"])
+
+
+def _clock(what: Told) -> str:
+    if "problem" in what:
+        return str(what["problem"])
+    return sentence({**what, "jump": what["jump"] if what["jump"] is not None else float("nan")})
+
+
+def _acknowledged(what: Told) -> str:
+    if what["alarm"] is None:
+        return str(what["problem"])
+    return f"alarm {what['alarm']} acknowledged: {what['note']}"
+
+
+def _reference(what: Told) -> str:
+    if "problem" in what:
+        return f"no new reference: {what['problem']}"
+    return f"what it is after {what['samples']} samples is normal from now on"
+
+
+def _checkpoint(what: Told) -> str:
+    if "damaged" in what:
+        return f"a damaged checkpoint is set aside as {what['damaged']}: {what['problem']}"
+    if "problem" in what:
+        return f"checkpoints: {what['problem']}"
+    if "works" in what:
+        return "checkpoints are written again"
+    if "made" not in what:
+        return f"no checkpoint yet: {what['fresh']} axes start anew"
+    text = f"from the last checkpoint: {what['restored']} axes go on, {what['fresh']} start anew"
+    changed = what.get("changed", ())
+    return text + (f", of these with a changed configuration: {', '.join(changed)}" if changed else "")
+
+
+_SENTENCES: dict[str, Callable[[Told], str]] = {
+    "serving": _serving,
+    "configuration": _configuration,
+    "calibration": _calibration,
+    "checkpoint": _checkpoint,
+    "reload": _reload,
+    "source": _problem,
+    "sink": _problem,
+    "unusable": _problem,
+    "epoch": _epoch,
+    "period": _period,
+    "late": _period,
+    "clock": _clock,
+    "acknowledged": _acknowledged,
+    "reference": _reference,
+    "ended": lambda what: "ended",
+}

@@ -1,0 +1,41 @@
+"""What a fleet of monitors says of its samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.monitor.events import CANNOT_TELL, SETTLING, STARTING, SUSPICIOUS, WATCHING, Event
+from pmfid.types import Floats
+
+#: Names of the states, by their numbers.
+STATES = (STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING)
+
+
+@dataclass(frozen=True)
+class FleetRows:
+    """What n samples of k axes gave. theta, std: (k, n, q) of what is told; innovation: (k, n); status: (k, n)
+    bits of the estimates; state: (k, n) of the monitors behind the samples, numbers of `STATES`; events: (row, sample,
+    event), those of a row in the order of time, row by row."""
+
+    theta: Floats
+    std: Floats
+    innovation: Floats
+    status: NDArray[np.uint32]
+    state: NDArray[np.uint8]
+    events: list[tuple[int, int, Event]]
+
+    @classmethod
+    def empty(cls, axes: int, samples: int, parameters: int) -> FleetRows:
+        """Room for so many."""
+        shape = (axes, samples)
+        theta, std = np.empty((*shape, parameters)), np.empty((*shape, parameters))
+        return cls(theta, std, np.empty(shape), np.empty(shape, np.uint32), np.empty(shape, np.uint8), [])
+
+    def take(self, row: int, single: FleetRows) -> None:
+        """The rows of one axis become those of a row."""
+        for name in ("theta", "std", "innovation", "status", "state"):
+            getattr(self, name)[row] = getattr(single, name)[0]
+        self.events.extend((row, sample, event) for _, sample, event in single.events)

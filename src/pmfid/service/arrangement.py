@@ -1,0 +1,89 @@
+"""Which axis is in which group: at the start, after a restart, and when PLANT.toml has changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from pmfid.errors import PmfidError
+from pmfid.service.groups import Group, Pace, Prepared, prepare
+from pmfid.session.config import Axis, load_axis
+from pmfid.session.records import Record
+
+__all__ = ["Configurations", "arranged"]
+
+#: The progress of a calibration is told so often [s].
+PROGRESS = 10.0
+
+Tell = Callable[[dict[str, Any]], None]
+
+
+@dataclass
+class Configurations:
+    """The configurations of a plant, calibrated one after the other, each once. record: that the only axis is to be
+    watched on, None where samples come from elsewhere. One that fails costs its own axes only, and is told."""
+
+    tell: Tell
+    record: Record | None = None
+    _known: dict[Path, tuple[str, Prepared]] = field(default_factory=dict, init=False)
+
+    def of(self, axes: Mapping[str, Path]) -> dict[str, Prepared]:
+        """Name -> configuration of those axes whose configuration can be used: the present one, or where that fails
+        the one before."""
+        found = {path: self._prepared(path) for path in dict.fromkeys(axes.values())}
+        return {name: prepared for name, path in axes.items() if (prepared := found[path]) is not None}
+
+    def _prepared(self, path: Path) -> Prepared | None:
+        before = self._known.get(path)
+        try:
+            axis = load_axis(path)
+            stamp = _stamp(path, axis)
+            if before is None or before[0] != stamp:
+                self._known[path] = stamp, self._made(path, axis)
+            return self._known[path][1]
+        except (PmfidError, OSError) as error:
+            left = "its axes are not watched" if before is None else "its axes go on as they were configured before"
+            self.tell({"event": "configuration", "config": path.name, "problem": f"{error}; {left}"})
+            return None if before is None else before[1]
+
+    def _made(self, path: Path, axis: Axis) -> Prepared:
+        told = [monotonic()]
+
+        def progress(part: float) -> None:
+            if monotonic() - told[0] > PROGRESS:
+                told[0] = monotonic()
+                self.tell({"event": "calibration", "config": path.name, "part": part})
+
+        made = prepare(path, self.record, progress, axis)
+        what = {"event": "configuration", "config": path.name, "cached": made.setup.cached}
+        self.tell({**what, "notes": list(made.setup.notes)})
+        return made
+
+
+def _stamp(path: Path, axis: Axis) -> str:
+    """What changes when the configuration does, or the record that it names."""
+    reference = axis.monitor.reference
+    status = None if reference is None else (path.parent / reference).stat()
+    return f"{axis.model_dump_json()} {status and (status.st_size, status.st_mtime_ns, status.st_ino)}"
+
+
+def arranged(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: Pace) -> tuple[list[Group], list[str]]:
+    """The groups for these axes, and the names of those that start anew: axes that are in a group with the same
+    configuration stay there as they are."""
+    present = {group.prepared.digest: group for group in groups}
+    wanted: dict[str, tuple[Prepared, list[str]]] = {}
+    for name, prepared in axes.items():
+        wanted.setdefault(prepared.digest, (prepared, []))[1].append(name)
+    made, fresh = list[Group](), list[str]()
+    for digest, (prepared, names) in wanted.items():
+        group = present.get(digest) or Group(prepared, pace)
+        here, kept = set(names), {seat.name for seat in group.seats}
+        group.remove([seat.index for seat in group.seats if seat.name not in here])
+        new = [name for name in names if name not in kept]
+        group.add(new)
+        made.append(group)
+        fresh += new
+    return made, fresh

@@ -1,0 +1,88 @@
+"""Alarms as people deal with them: told, acknowledged with a note, settled at a new value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from pmfid.service.outcome import Notice
+
+__all__ = ["Alarms", "Standing"]
+
+#: Alarms that are kept; beyond, the oldest acknowledged goes first.
+MOST = 2000
+
+
+@dataclass(frozen=True)
+class Standing:
+    """An alarm and what became of it. number: of its notice; wall: seconds since 1970; what: as `pmfid monitor --json`
+    tells it; note, acknowledged: what someone wrote, and when, None while nobody did; settled: the new values once
+    they are known, as in "settled"."""
+
+    axis: str
+    number: int
+    wall: float
+    what: dict[str, Any]
+    note: str = ""
+    acknowledged: float | None = None
+    settled: dict[str, Any] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            **self.what,
+            "axis": self.axis,
+            "number": self.number,
+            "wall": self.wall,
+            "note": self.note,
+            "acknowledged": self.acknowledged,
+            "settled": self.settled,
+        }
+
+
+@dataclass
+class Alarms:
+    """By number, in the order in which they were told."""
+
+    _all: dict[int, Standing] = field(default_factory=dict, init=False)
+
+    def take(self, notice: Notice) -> list[Standing]:
+        """What a notice changes: the alarms as they are now. One that came before changes nothing again."""
+        what = notice.what
+        if what.get("event") == "alarm":
+            return self._raise(notice)
+        if what.get("event") == "acknowledged":
+            return self._change(what.get("alarm", what.get("number")), note=str(what.get("note", "")), at=notice.wall)
+        if what.get("event") == "settled":
+            return self._settle(notice)
+        return []
+
+    def _raise(self, notice: Notice) -> list[Standing]:
+        if notice.number in self._all:
+            return []
+        self._all[notice.number] = Standing(notice.axis, notice.number, notice.wall, notice.what)
+        if len(self._all) > MOST:
+            known = (n for n, alarm in self._all.items() if alarm.acknowledged is not None)
+            del self._all[next(known, next(iter(self._all)))]
+        return [self._all[notice.number]] if notice.number in self._all else []
+
+    def _change(self, number: object, note: str, at: float) -> list[Standing]:
+        alarm = self._all.get(number) if isinstance(number, int) else None
+        if alarm is None:
+            return []
+        self._all[alarm.number] = replace(alarm, note=note, acknowledged=at)
+        return [self._all[alarm.number]]
+
+    def _settle(self, notice: Notice) -> list[Standing]:
+        """The alarms of the axis that no value is known of yet."""
+        told = {"time": notice.what.get("time"), "parameters": notice.what.get("parameters", {})}
+        open_ones = [a for a in self._all.values() if a.axis == notice.axis and a.settled is None]
+        for alarm in open_ones:
+            self._all[alarm.number] = replace(alarm, settled=told)
+        return [self._all[alarm.number] for alarm in open_ones]
+
+    def all(self) -> list[Standing]:
+        """Oldest first."""
+        return list(self._all.values())
+
+    def get(self, number: int) -> Standing | None:
+        return self._all.get(number)

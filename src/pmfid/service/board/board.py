@@ -1,0 +1,186 @@
+"""The board: an outlet that the page reads from its own thread."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from threading import Lock
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.service.board.alarms import Alarms, Standing
+from pmfid.service.board.panel import Overview, Panel, Records, row_bytes
+from pmfid.service.board.subscription import Subscription
+from pmfid.service.counters import Counters
+from pmfid.service.outcome import Kindred, Notice, Rows
+
+__all__ = ["Board", "News"]
+
+#: Notices that are kept, and rows that wait for one who follows an axis.
+NOTICES, WAITING = 2000, 50_000
+
+
+@dataclass(frozen=True)
+class News:
+    """What changed since someone looked. version: to ask for the next with; layout: raised when groups change;
+    groups: by their place; notices, alarms: those told or changed since, oldest first."""
+
+    version: int
+    layout: int
+    groups: list[Overview]
+    notices: list[Notice]
+    alarms: list[Standing]
+
+
+class Board:
+    """groups: the axes; budget: bytes for the history of all of them; every: time between two rows that are kept [s].
+
+    The engine's thread calls `rows`, `notice`, `arrange` and `followed`, any thread the others. A reader holds the lock
+    while it copies arrays, which takes less than a millisecond with 10 000 axes, never while it writes to anyone.
+    """
+
+    def __init__(
+        self, groups: Sequence[Kindred], counters: Counters, *, budget: float = 64e6, every: float = 1.0
+    ) -> None:
+        self._counters, self._budget, self.every = counters, budget, every
+        self._lock = Lock()
+        self._version, self._layout = 0, 0
+        self._panels: list[Panel] = []
+        self._alarms = Alarms()
+        self._notices: deque[tuple[int, Notice]] = deque(maxlen=NOTICES)
+        self._changed: deque[tuple[int, int]] = deque(maxlen=NOTICES)  # version, number of an alarm
+        self._subscriptions: dict[str, list[Subscription]] = {}
+        self._followed: frozenset[str] = frozenset()
+        self.arrange(groups)
+
+    # --- for the engine ---
+
+    def arrange(self, groups: Sequence[Kindred]) -> None:
+        """The groups that there are from now on; what is known of an axis stays where its parameters are the same."""
+        share = self._budget / max(1, sum(len(group.axes) * row_bytes(group) for group in groups))
+        panels = [Panel(group, int(share), self.every) for group in groups]
+        with self._lock:
+            self._version += 1
+            for panel in panels:
+                for old in self._panels:
+                    panel.adopt(old, self._version)
+            self._panels, self._layout = panels, self._layout + 1
+            self._by_group = {id(panel.group): panel for panel in panels}
+            self._by_axis = {name: panel for panel in panels for name in panel.place}
+
+    def rows(self, rows: Rows) -> None:
+        """Takes rows of one group."""
+        if rows.axis.size == 0:
+            return
+        panel = self._panel_of(rows.group)
+        records = panel.records(rows)
+        with self._lock:
+            self._version += 1
+            panel.update(rows, records, self._version)
+        for name in self._followed & panel.place.keys():
+            own = records[rows.axis == panel.place[name]]
+            if own.size:
+                self._hand_over(name, own)
+
+    def _hand_over(self, axis: str, rows: Records) -> None:
+        for subscription in self._subscriptions.get(axis, ()):
+            dropped = subscription.put(rows)
+            if dropped:
+                self._counters.add("pmfid_page_rows_dropped_total", dropped)
+
+    def _panel_of(self, group: Kindred) -> Panel:
+        """A group that nobody announced takes the place of those that have axes of its names."""
+        if id(group) not in self._by_group:
+            others = [panel.group for panel in self._panels if not panel.place.keys() & set(group.axes)]
+            self.arrange([*others, group])
+        return self._by_group[id(group)]
+
+    def notice(self, notice: Notice) -> None:
+        """Takes an event."""
+        with self._lock:
+            self._version += 1
+            self._notices.append((self._version, notice))
+            self._changed.extend((self._version, alarm.number) for alarm in self._alarms.take(notice))
+            if notice.what.get("event") == "reference" and "problem" not in notice.what:
+                self._refer(notice.axis)
+
+    def _refer(self, axis: str) -> None:
+        panel = self._by_axis.get(axis)
+        if panel is not None:
+            panel.refer(panel.place[axis])
+            self._layout += 1
+
+    def followed(self) -> frozenset[str]:
+        """Names of the axes of which someone wants every row."""
+        return self._followed
+
+    # --- for the page ---
+
+    @property
+    def groups(self) -> tuple[Kindred, ...]:
+        return tuple(panel.group for panel in self._panels)
+
+    @property
+    def layout(self) -> int:
+        """Raised whenever groups, or what is normal for an axis, change."""
+        return self._layout
+
+    def news(self, since: int = 0, groups: bool = True) -> News:
+        """What changed after version `since`; 0: everything. groups: the axes as well as notices and alarms."""
+        with self._lock:
+            overviews = [panel.overview(since) for panel in self._panels] if groups else []
+            notices = [notice for version, notice in self._notices if version > since]
+            if since == 0:
+                alarms = self._alarms.all()
+            else:
+                numbers = dict.fromkeys(number for version, number in self._changed if version > since)
+                alarms = [alarm for number in numbers if (alarm := self._alarms.get(number))]
+            return News(self._version, self._layout, overviews, notices, alarms)
+
+    def referred(self) -> list[dict[int, list[float]]]:
+        """For each group the axes whose normal values are their own, by number, and these."""
+        with self._lock:
+            return [panel.referred() for panel in self._panels]
+
+    def alarm(self, number: int) -> Standing | None:
+        """The alarm that was told as the notice of this number."""
+        with self._lock:
+            return self._alarms.get(number)
+
+    def group_of(self, axis: str) -> Kindred | None:
+        """The group that an axis is of, None where there is no such axis."""
+        with self._lock:
+            panel = self._by_axis.get(axis)
+            return panel.group if panel else None
+
+    def history(self, axis: str) -> Records | None:
+        """Rows of an axis, oldest first; None where there is no such axis."""
+        with self._lock:
+            panel = self._by_axis.get(axis)
+            return panel.history(panel.place[axis]) if panel else None
+
+    def trends(self, group: int, axes: NDArray[np.int64]) -> tuple[float, NDArray[np.float32]]:
+        """(time between two points [s], (m, points) relative deviations of the leading parameter), the last of now.
+        Raises IndexError for a group or an axis that is not there."""
+        with self._lock:
+            panel = self._panels[group]
+            return panel.interval, panel.trend(axes)
+
+    def follow(self, axis: str) -> Subscription:
+        """Every row of an axis from now on, until it is closed."""
+        subscription = Subscription(axis, WAITING, self._leave)
+        with self._lock:
+            self._subscriptions[axis] = [*self._subscriptions.get(axis, ()), subscription]
+            self._followed = frozenset(self._subscriptions)
+        return subscription
+
+    def _leave(self, subscription: Subscription) -> None:
+        with self._lock:
+            rest = [one for one in self._subscriptions.get(subscription.axis, ()) if one is not subscription]
+            if rest:
+                self._subscriptions[subscription.axis] = rest
+            else:
+                self._subscriptions.pop(subscription.axis, None)
+            self._followed = frozenset(self._subscriptions)

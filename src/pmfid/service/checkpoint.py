@@ -1,0 +1,214 @@
+"""What of the engine survives a restart, as bytes: no pickle, fixed layouts, every number checked by who reads it.
+
+Body: the length of an object of JSON (8 bytes), the object, then what it names `parts` in their order. JSON holds what
+is small or rare, as marks, alarms, and axes with lines or gaps; arrays hold what every axis has.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import UsageError
+from pmfid.service.board.alarms import Standing
+from pmfid.service.delivery import Block, Mark
+from pmfid.service.groups import Group, Pace, Prepared, Seat
+
+if TYPE_CHECKING:
+    from pmfid.service.engine import Engine
+
+__all__ = ["Snapshot", "read_snapshot", "snapshot"]
+
+_LENGTH = struct.Struct("<Q")
+#: Of every axis: where its numbers and its clock stand.
+SEAT = np.dtype(
+    [
+        ("epoch", "<i8"),
+        ("expected", "<i8"),
+        ("time", "<f8"),
+        ("number", "<i8"),
+        ("start", "<f8"),
+        ("first", "<i8"),
+        ("seat", "<i8"),
+        ("notices", "<i8"),
+        ("told", "u1"),
+        ("wrong_period", "u1"),
+    ]
+)
+#: Of every block that waits for those before it; its samples follow, u as float64, counts as int64.
+HELD = np.dtype(
+    [("seat", "<i8"), ("epoch", "<i8"), ("first", "<i8"), ("time", "<f8"), ("dt", "<f8"), ("samples", "<i8")]
+)
+
+
+def snapshot(engine: Engine) -> list[bytes]:
+    """The engine between two ticks."""
+    groups, parts = list[dict[str, Any]](), list[bytes]()
+    for group in engine.groups:
+        own = [group.fleet.get_state(), _seats(group.seats).tobytes(), _held(group.seats)]
+        names = [seat.name for seat in group.seats]
+        groups.append({"digest": group.prepared.digest, "config": group.kindred.config, "axes": names})
+        groups[-1]["seats"] = {str(seat.index): rare for seat in group.seats if (rare := _rare(seat))}
+        groups[-1]["parts"] = [len(part) for part in own]
+        parts += own
+    text = json.dumps(
+        {
+            "wall": time.time(),
+            "numbered": engine.numbered,
+            "marks": engine.marks,
+            "history": engine.history,
+            "alarms": [vars(alarm) for alarm in engine.notices.alarms.all()],
+            "groups": groups,
+        }
+    ).encode()
+    return [_LENGTH.pack(len(text)), text, *parts]
+
+
+def _seats(seats: Sequence[Seat]) -> NDArray[np.void]:
+    orders = [seat.order for seat in seats]
+    clocks = [order.clock for order in orders]
+    found = np.zeros(len(orders), SEAT)
+    found["epoch"] = [order.epoch for order in orders]
+    found["expected"] = [order.expected for order in orders]
+    found["time"] = [clock.expected for clock in clocks]
+    found["number"] = [clock.number for clock in clocks]
+    found["start"] = [clock.start for clock in clocks]
+    found["first"] = [clock.first for clock in clocks]
+    found["seat"] = [seat.number for seat in seats]
+    found["notices"] = [seat.notices for seat in seats]
+    found["told"] = [clock.told for clock in clocks]
+    found["wrong_period"] = [order.wrong_period for order in orders]
+    return found
+
+
+def _rare(seat: Seat) -> dict[str, Any]:
+    """What only some axes have."""
+    found: dict[str, Any] = {}
+    if seat.order.gaps:
+        found["gaps"] = seat.order.gaps
+    if seat.told:
+        found["told"] = seat.told
+    if seat.timed is not None:
+        found["timed"] = seat.timed.saved()
+    return found
+
+
+def _held(seats: Sequence[Seat]) -> bytes:
+    """Blocks that wait."""
+    pairs = [(seat.index, block) for seat in seats for block in seat.order.held]
+    if not pairs:
+        return b""
+    heads = [(index, b.epoch, b.first, b.time, b.dt, b.counts.size) for index, b in pairs]
+    u = np.concatenate([np.asarray(block.u, "<f8") for _, block in pairs])
+    counts = np.concatenate([np.asarray(block.counts, "<i8") for _, block in pairs])
+    return _LENGTH.pack(len(pairs)) + np.array(heads, HELD).tobytes() + u.tobytes() + counts.tobytes()
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A group in a checkpoint. axes: their names; state: of their fleet; seats, held: as above; rare: number -> what
+    only some axes have."""
+
+    digest: str
+    axes: tuple[str, ...]
+    state: bytes
+    seats: NDArray[np.void]
+    held: bytes
+    rare: Mapping[str, Any]
+
+    def restored(self, prepared: Prepared, pace: Pace) -> Group:
+        """The group as it was. Raises ValueError for what no group has saved."""
+        group = Group(prepared, pace)
+        try:
+            group.restore(self.axes, self.state)
+            for seat, row in zip(group.seats, self.seats.tolist(), strict=True):
+                _restore_seat(seat, row, self.rare.get(str(seat.index), {}))
+            _restore_held(group.seats, self.held)
+        except (UsageError, KeyError, TypeError, IndexError, AttributeError, struct.error, OverflowError) as error:
+            raise ValueError(str(error)) from None
+        return group
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A checkpoint. wall: when it was made, seconds since 1970; numbered: the last number that an axis got; marks: of
+    the sources."""
+
+    wall: float
+    numbered: int
+    marks: dict[str, Mark]
+    history: list[dict[str, Any]]
+    alarms: list[Standing]
+    groups: list[Saved]
+
+    def restore(self, engine: Engine) -> None:
+        """What of the engine does not stand in its groups."""
+        engine.marks.update(self.marks)
+        engine.history, engine.numbered = self.history, self.numbered
+        engine.notices.restore(self.alarms)
+
+    def axes(self) -> Iterable[str]:
+        """Names of all axes in it."""
+        return (name for group in self.groups for name in group.axes)
+
+
+def read_snapshot(body: bytes) -> Snapshot:
+    """What `snapshot` made. Raises ValueError for anything else."""
+    try:
+        (length,) = _LENGTH.unpack_from(body)
+        place = _LENGTH.size + length
+        raw = json.loads(body[_LENGTH.size : place])
+        groups = list[Saved]()
+        for one in raw["groups"]:
+            own = list[bytes]()
+            for size in one["parts"]:
+                own.append(body[place : place + size])
+                place += size
+            seats = np.frombuffer(own[1], SEAT)
+            groups.append(Saved(one["digest"], tuple(one["axes"]), own[0], seats, own[2], one["seats"]))
+        if place != len(body):
+            raise ValueError("its parts do not fill it")
+        marks = {str(name): dict(mark) for name, mark in raw["marks"].items()}
+        alarms = [_standing(alarm) for alarm in raw["alarms"]]
+        return Snapshot(float(raw["wall"]), int(raw["numbered"]), marks, list(raw["history"]), alarms, groups)
+    except (KeyError, TypeError, AttributeError, IndexError, struct.error, RecursionError) as error:
+        raise ValueError(f"it is no checkpoint of this version: {error!r}") from None
+
+
+def _standing(raw: Mapping[str, Any]) -> Standing:
+    keys = ("axis", "number", "wall", "what", "note", "acknowledged", "settled")
+    return Standing(**{key: raw[key] for key in keys})
+
+
+def _restore_seat(seat: Seat, row: tuple[Any, ...], rare: Mapping[str, Any]) -> None:
+    order = seat.order
+    order.epoch, order.expected, clock = row[0], row[1], order.clock
+    clock.expected, clock.number, clock.start, clock.first = row[2:6]
+    seat.number, seat.notices = row[6:8]
+    clock.told, order.wrong_period = bool(row[8]), bool(row[9])
+    order.gaps = [(int(a), int(b)) for a, b in rare.get("gaps", ())]
+    seat.told = {str(kind): int(times) for kind, times in rare.get("told", {}).items()}
+    if "timed" in rare:
+        seat.lines(bool(rare["timed"]["timed"])).restore(rare["timed"])
+
+
+def _restore_held(seats: Sequence[Seat], held: bytes) -> None:
+    if not held:
+        return
+    (number,) = _LENGTH.unpack_from(held)
+    heads = np.frombuffer(held, HELD, number, _LENGTH.size)
+    samples, place = int(heads["samples"].sum()), _LENGTH.size + heads.nbytes
+    u = np.frombuffer(held, "<f8", samples, place)
+    counts = np.frombuffer(held, "<i8", samples, place + u.nbytes)
+    start = 0
+    for index, epoch, first, begun, dt, n in heads.tolist():
+        seat, here = seats[index], slice(start, start + n)
+        seat.order.held.append(Block(seat.name, epoch, first, begun, dt, u[here], counts[here]))
+        start += n

@@ -1,0 +1,271 @@
+"""The engine: one thread that owns all that is estimated."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from time import monotonic
+from typing import Any, Protocol
+
+from pmfid.errors import UsageError
+from pmfid.service.commands import Acknowledge, Command, Commands, Refer
+from pmfid.service.counters import Counters
+from pmfid.service.crash import crash_point
+from pmfid.service.delivery import Block, Delivery, Item, Lines, Mark, Unusable
+from pmfid.service.groups import Group, Seat
+from pmfid.service.inbox import Inbox
+from pmfid.service.notices import Notices
+from pmfid.service.order import Verdict
+from pmfid.service.outcome import Outlet
+from pmfid.service.stepping import Found, step
+from pmfid.session.monitored.run import event_object
+
+__all__ = ["Engine", "Keeper"]
+
+#: The engine looks at its commands so often where nothing comes in [s].
+IDLE = 0.1
+
+
+class Keeper(Protocol):
+    """Keeps what must survive."""
+
+    def offer(self, engine: Engine, last: bool = False) -> None:
+        """Between two ticks: makes a checkpoint if it is time for one; last: at once, and waits until it is written."""
+        ...
+
+    def taken(self, done: Callable[[], None]) -> None:
+        """To be called once all that was stepped so far is in a checkpoint that a restart would find."""
+        ...
+
+
+class _Forgetful:
+    """Nothing is kept: what was stepped is done with."""
+
+    def offer(self, engine: Engine, last: bool = False) -> None:
+        """Nothing."""
+
+    def taken(self, done: Callable[[], None]) -> None:
+        done()
+
+
+def _nobody() -> frozenset[str]:
+    return frozenset()
+
+
+@dataclass
+class Engine:
+    """outlets: get rows and notices; followed: names of the axes of which every row is wanted; groups: all axes.
+
+    marks: where the sources stand behind what was stepped; history: what configurations there were since when;
+    numbered: the last number that an axis got; beat: `time.monotonic()` of the last tick; changes: grows with all that
+    a checkpoint holds; urgent: the next one is wanted soon, for people asked for what no source brings again.
+    """
+
+    counters: Counters
+    outlets: Sequence[Outlet] = ()
+    followed: Callable[[], frozenset[str]] = _nobody
+    inbox: Inbox = field(default_factory=Inbox)
+    commands: Commands = field(default_factory=Commands)
+    keeper: Keeper = field(default_factory=_Forgetful)
+    groups: list[Group] = field(default_factory=list, init=False)
+    marks: dict[str, Mark] = field(default_factory=dict, init=False)
+    history: list[dict[str, Any]] = field(default_factory=list, init=False)
+    numbered: int = field(default=0, init=False)
+    beat: float = field(default=0.0, init=False)
+    changes: int = field(default=0, init=False)
+    urgent: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        self.notices = Notices(self.outlets)
+        self._seats: dict[str, Seat] = {}
+        self._said: deque[tuple[str, dict[str, Any]]] = deque()
+        self._asked: deque[Callable[[], None]] = deque()
+        self._unusable: set[tuple[str, str]] = set()
+        self._turn = 0
+
+    # --- from any thread ----------------------------------------------------------------------------------------------
+
+    def tell(self, what: dict[str, Any], axis: str = "") -> None:
+        """What the service has to say of itself, as a notice of the next tick."""
+        self._said.append((axis, what))
+
+    def ask(self, change: Callable[[], None]) -> None:
+        """Has something done by the engine's thread, between two ticks."""
+        self._asked.append(change)
+
+    # --- the engine's thread ------------------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Until the inbox is closed and empty; then with a last checkpoint."""
+        while self.tick(IDLE):
+            pass
+        self._speak()
+        self.keeper.offer(self, last=True)
+        self._speak()
+
+    def tick(self, timeout: float) -> bool:
+        """Takes what came and steps it; False once nothing will come any more."""
+        batch = self.inbox.taken(timeout)
+        self.beat = monotonic()
+        if batch:
+            self.process(batch)
+        self._obey()
+        self._speak()
+        self.keeper.offer(self)
+        return bool(batch) or not self.inbox.closed
+
+    def arranged(self, groups: Iterable[Group]) -> None:
+        """These are all the groups from now on."""
+        self.groups = [group for group in groups if group.seats]
+        self._seats = {seat.name: seat for group in self.groups for seat in group.seats}
+        for seat in self._seats.values():
+            if not seat.number:
+                self.numbered += 1
+                seat.number = self.numbered
+        for group in self.groups:
+            self.counters.put("pmfid_axes", len(group.seats), group=group.kindred.config)
+
+    def seat(self, axis: str) -> Seat | None:
+        """Of an axis by its name."""
+        return self._seats.get(axis)
+
+    def process(self, batch: Sequence[Delivery]) -> None:
+        """Puts deliveries in order, steps what can be stepped, and gives out what that says."""
+        begun, active, found = monotonic(), dict[Seat, None](), list[Found]()
+        self.changes += 1
+        for delivery in batch:
+            for item in delivery.items:
+                self._take(item, delivery, active, found)
+        crash_point("engine.ordered")
+        self._step(active, found)
+        self._count(batch, begun)
+        for delivery in batch:
+            if delivery.mark is not None:
+                self.marks[delivery.source] = delivery.mark
+            if delivery.done is not None:
+                self.keeper.taken(delivery.done)
+
+    def _take(self, item: Item, delivery: Delivery, active: dict[Seat, None], found: list[Found]) -> None:
+        self._turn += 1
+        if isinstance(item, Unusable):
+            self._refuse(delivery.source, item)
+            return
+        seat = self._seats.get(item.axis)
+        if seat is None:
+            problem = f"there is no axis {item.axis!r} in this plant; add it to PLANT.toml, or correct the sender"
+            self._refuse(delivery.source, Unusable("axis", problem, item.axis))
+            return
+        verdict = self._ordered(seat, item, delivery.received)
+        if seat.queue:
+            active[seat] = None
+        if verdict is not None:
+            self._judge(seat, verdict, found)
+
+    def _ordered(self, seat: Seat, item: Block | Lines, received: float) -> Verdict | None:
+        if isinstance(item, Block):
+            return seat.order.take(item, received, self._turn, seat.queue)
+        timed = any(line.time == line.time for line in item.lines)
+        return seat.lines(timed or bool(seat.group.prepared.axis.record.time)).take(
+            item, received, self._turn, seat.queue
+        )
+
+    def _refuse(self, source: str, item: Unusable) -> None:
+        self.counters.add("pmfid_unusable_total", source=source, reason=item.reason)
+        if (source, item.reason) in self._unusable:
+            return
+        self._unusable.add((source, item.reason))
+        self.tell({"event": "unusable", "source": source, "reason": item.reason, "problem": item.problem})
+
+    def _judge(self, seat: Seat, verdict: Verdict, found: list[Found]) -> None:
+        """Counts what came to nothing, and keeps what there is to tell for its turn."""
+        group = seat.group.kindred.config
+        for reason in ("duplicate", "late", "refused"):
+            if number := getattr(verdict, reason):
+                self.counters.add("pmfid_samples_dropped_total", number, reason=reason, group=group)
+        for kind, number in verdict.lines.items():
+            self.counters.add("pmfid_lines_dropped_total", number, reason=kind, group=group)
+        if verdict.late and seat.may_tell("late"):
+            problem = f"{verdict.late} samples came too late, when the samples behind them had been taken"
+            self.tell({"event": "late", "samples": verdict.late, "problem": problem}, seat.name)
+        for what in verdict.told:
+            self.counters.add("pmfid_events_total", event=str(what["event"]), group=group)
+            if what["event"] == "gap":
+                self.counters.add("pmfid_samples_missing_total", float(what["missing"]), group=group)  # type: ignore[arg-type]
+            if seat.may_tell(str(what["event"])):
+                found.append(Found(self._turn, -1, seat, what))
+
+    def _step(self, active: dict[Seat, None], found: list[Found]) -> None:
+        by_group: dict[int, list[Seat]] = {}
+        for seat in active:
+            by_group.setdefault(id(seat.group), []).append(seat)
+        followed = self.followed()
+        for seats in by_group.values():
+            group = seats[0].group
+            done = step(group, seats, followed)
+            self.counters.add("pmfid_samples_total", done.samples, group=group.kindred.config)
+            found += [one for one in done.found if self._wanted(one)]
+            for rows in done.rows:
+                for outlet in self.outlets:
+                    outlet.rows(rows)
+        crash_point("engine.stepped")
+        found.sort(key=lambda one: (one.turn, one.sample))
+        for one in found:
+            self.notices.found(one.seat, one.what)
+        crash_point("engine.told")
+
+    def _wanted(self, one: Found) -> bool:
+        """Counts an event; what lasts is not told again and again."""
+        event = str(one.what["event"])
+        self.counters.add("pmfid_events_total", event=event, group=one.seat.group.kindred.config)
+        return event != "outlier" or one.seat.may_tell(event)
+
+    def _count(self, batch: Sequence[Delivery], begun: float) -> None:
+        now = monotonic()
+        self.counters.add("pmfid_deliveries_total", len(batch))
+        self.counters.add("pmfid_engine_busy_seconds_total", now - begun)
+        self.counters.put("pmfid_inbox_deliveries", len(self.inbox))
+        oldest = min((d.received for d in batch if d.received), default=now)
+        self.counters.put("pmfid_latency_seconds", now - oldest)
+
+    def _obey(self) -> None:
+        while self._asked:
+            self._asked.popleft()()
+            self.changes += 1
+        for command in self.commands.taken():
+            self._command(command)
+            self.changes += 1
+            self.urgent = True
+
+    def _command(self, command: Command) -> None:
+        if isinstance(command, Acknowledge):
+            self._acknowledge(command)
+        elif isinstance(command, Refer):
+            self._refer(command)
+
+    def _acknowledge(self, command: Acknowledge) -> None:
+        alarm = self.notices.alarms.get(command.number)
+        if alarm is None:
+            self.tell({"event": "acknowledged", "alarm": None, "problem": f"there is no alarm {command.number}"})
+            return
+        self.notices.own(alarm.axis, {"event": "acknowledged", "alarm": command.number, "note": command.note})
+
+    def _refer(self, command: Refer) -> None:
+        seat = self._seats.get(command.axis)
+        if seat is None:
+            return
+        group, index = seat.group, seat.index
+        try:
+            events = group.fleet.refer(index)
+        except UsageError as error:
+            self.notices.own(seat.name, {"event": "reference", "problem": str(error)})
+            return
+        self.notices.own(seat.name, {"event": "reference", "samples": int(group.numbers[index])})
+        for event in events:
+            self.notices.found(seat, event_object(event, group.kindred.names))
+
+    def _speak(self) -> None:
+        """What other threads had to say."""
+        while self._said:
+            axis, what = self._said.popleft()
+            self.notices.own(axis, what)

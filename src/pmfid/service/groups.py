@@ -1,0 +1,148 @@
+"""Axes of one configuration: calibrated once, stepped together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.monitor.fleet import MonitorFleet
+from pmfid.service.order import Order, Piece
+from pmfid.service.outcome import Kindred
+from pmfid.service.timed import Timed
+from pmfid.session.config import Axis, load_axis
+from pmfid.session.monitored.setup import Setup, set_up
+from pmfid.session.records import Record
+
+__all__ = ["Group", "Pace", "Prepared", "Seat", "prepare"]
+
+#: Notices of a kind that an axis gets one by one, as those of bad lines and gaps; then each twice as late as the last.
+TOLD = 10
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A configuration that is calibrated. path: of AXIS.toml; digest: of all that decides what its monitors find."""
+
+    path: Path
+    axis: Axis
+    setup: Setup
+    digest: str
+
+    @property
+    def dt(self) -> float:
+        return self.setup.monitor.estimator.dt
+
+
+def prepare(
+    path: Path, record: Record | None = None, progress: Callable[[float], None] | None = None, given: Axis | None = None
+) -> Prepared:
+    """Reads and calibrates a configuration; record: that its only axis is to be watched on; given: what AXIS.toml says
+    where it was read already. Raises UsageError or NotIdentifiableError as `set_up` does."""
+    axis = load_axis(path) if given is None else given
+    setup = set_up(axis, path.parent, record, progress)
+    digest = sha256(f"{axis.model_dump_json()} {setup.path.name} {setup.nominal.tolist()}".encode())
+    return Prepared(path, axis, setup, digest.hexdigest())
+
+
+@dataclass(frozen=True)
+class Pace:
+    """window: how long what comes too early waits [s]; every: time between rows that are given out [s], 0: all."""
+
+    window: float = 0.5
+    every: float = 1.0
+
+
+class Seat:
+    """One axis in its group. index: its place there; order, timed: of its blocks and its lines; queue: pieces that
+    wait for the next step; number: its own in the service, 0 while it has none; notices: how many there were of it;
+    told: how many there were of a kind that is not always told."""
+
+    __slots__ = ("group", "index", "name", "notices", "number", "order", "queue", "timed", "told")
+
+    def __init__(self, group: Group, index: int, name: str) -> None:
+        self.group, self.index, self.name = group, index, name
+        self.order = Order(group.dt, round(group.pace.window / group.dt))
+        self.timed: Timed | None = None
+        self.queue: list[Piece] = []
+        self.number, self.notices = 0, 0
+        self.told: dict[str, int] = {}
+
+    def lines(self, timed: bool) -> Timed:
+        """What makes samples of its lines; timed: the first of them has a time."""
+        if self.timed is None:
+            self.timed = Timed(self.group.dt, self.group.pace.window, timed)
+        return self.timed
+
+    def may_tell(self, kind: str) -> bool:
+        """Whether another notice of a kind is to be told, or only counted; by their number alone, so that it is the
+        same after a restart."""
+        times = self.told[kind] = self.told.get(kind, 0) + 1
+        rounds, rest = divmod(times, TOLD)
+        return times <= TOLD or (rest == 0 and rounds.bit_count() == 1)
+
+
+@dataclass
+class Group:
+    """Axes of one configuration. seats: by number; numbers: (axes,) samples of each so far."""
+
+    prepared: Prepared
+    pace: Pace
+    seats: list[Seat] = field(default_factory=list, init=False)
+    numbers: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64), init=False)
+
+    def __post_init__(self) -> None:
+        self.dt = self.prepared.dt
+        self.fleet = MonitorFleet(self.prepared.setup.monitor, 0)
+        self.stride = max(1, round(self.pace.every / self.dt))
+        self.kindred = self._kindred()
+
+    def add(self, names: Iterable[str]) -> None:
+        """Axes that start anew."""
+        fresh = list(names)
+        if not fresh:
+            return
+        start = len(self.seats)
+        self.fleet.add(len(fresh))
+        self.seats += [Seat(self, start + k, name) for k, name in enumerate(fresh)]
+        self.numbers = np.concatenate([self.numbers, np.zeros(len(fresh), np.int64)])
+        self.kindred = self._kindred()
+
+    def remove(self, gone: Sequence[int]) -> None:
+        """Without these axes; the others go on."""
+        if not len(gone):
+            return
+        self.fleet.remove(np.array(gone, np.int64))
+        left = set(gone)
+        self.seats = [seat for seat in self.seats if seat.index not in left]
+        self.numbers = np.delete(self.numbers, list(gone))
+        for k, seat in enumerate(self.seats):
+            seat.index = k
+        self.kindred = self._kindred()
+
+    def restore(self, names: Sequence[str], state: bytes) -> None:
+        """Goes on with axes from the saved states of their fleet. Raises UsageError for those of others."""
+        self.fleet.set_state(state)
+        self.seats = [Seat(self, k, name) for k, name in enumerate(names)]
+        self.numbers = np.array(self.fleet.samples(), np.int64)
+        self.kindred = self._kindred()
+
+    def _kindred(self) -> Kindred:
+        axis, setup, monitor = self.prepared.axis, self.prepared.setup, self.prepared.setup.monitor
+        rotary = axis.model.axis == "rotary"
+        force = ("N m" if rotary else "N") if axis.model.input_gain == 1 else ""
+        return Kindred(
+            self.prepared.path.name,
+            monitor.names,
+            monitor.units,
+            self.dt,
+            setup.told,
+            tuple(seat.name for seat in self.seats),
+            force,
+            monitor.estimator.encoder.resolution,
+            "rad" if rotary else "m",
+        )

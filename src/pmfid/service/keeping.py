@@ -1,0 +1,151 @@
+"""When checkpoints are made and by whom they are written: the engine only makes the bytes, a thread writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from threading import Condition, Thread
+from time import monotonic
+from typing import Any
+
+from pmfid.service.checkpoint import snapshot
+from pmfid.service.counters import Counters
+from pmfid.service.crash import crash_point
+from pmfid.service.engine import Engine
+from pmfid.service.vault import Vault
+
+__all__ = ["Checkpoints"]
+
+#: Deliveries that wait for a checkpoint at most: brokers have no more than 65535 messages under way.
+MOST = 50_000
+
+Done = Callable[[], None]
+
+
+@dataclass
+class _Job:
+    chunks: list[bytes]
+    done: list[Done]
+
+
+@dataclass
+class Checkpoints:
+    """A `Keeper`. period: time between two checkpoints [s]; tell: what there is to say of the disk.
+
+    While the disk does not take checkpoints, or is too slow for what comes, deliveries are acknowledged all the same,
+    for otherwise their source would stop and the watch with it; that is told, and what a restart would then lack.
+    """
+
+    vault: Vault
+    period: float
+    counters: Counters
+    tell: Callable[[dict[str, Any]], None]
+    _undone: list[Done] = field(default_factory=list, init=False)
+    _job: _Job | None = field(default=None, init=False)
+    _failing: bool = field(default=False, init=False)
+    _behind: bool = field(default=False, init=False)
+    _closing: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        self._changed = Condition()
+        self._next, self._made_at = monotonic() + self.period, -1
+        self._thread = Thread(target=self._run, name="checkpoints", daemon=True)
+        self._thread.start()
+
+    def taken(self, done: Done) -> None:
+        """To be called with the next checkpoint that is durable."""
+        self._undone.append(done)
+        if self._failing or len(self._undone) > MOST:
+            self._let_go()
+
+    def _let_go(self) -> None:
+        if not self._failing and not self._behind:
+            self._behind = True
+            problem = "the disk is too slow: what comes is acknowledged before it is in a checkpoint"
+            self.tell({"event": "checkpoint", "problem": problem})
+        self._call(self._undone)
+        self._undone = []
+
+    def offer(self, engine: Engine, last: bool = False) -> None:
+        """Makes a checkpoint if it is time for one, something has changed, and the last one is written; last: at once,
+        and returns when it is written, or could not be."""
+        if last:
+            self._close(engine)
+        elif (monotonic() >= self._next or engine.urgent) and self._job is None:
+            self._next = monotonic() + self.period
+            if engine.changes != self._made_at:
+                self._make(engine)
+
+    def _make(self, engine: Engine) -> None:
+        begun = monotonic()
+        self._made_at, engine.urgent = engine.changes, False
+        job, self._undone = _Job(snapshot(engine), self._undone), []
+        crash_point("checkpoint.made")
+        self.counters.put("pmfid_checkpoint_bytes", sum(map(len, job.chunks)))
+        self.counters.put("pmfid_checkpoint_made_seconds", monotonic() - begun)
+        with self._changed:
+            self._job = job
+            self._changed.notify_all()
+
+    def _close(self, engine: Engine) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._job is None)
+        self._make(engine)
+        with self._changed:
+            self._changed.wait_for(lambda: self._job is None)
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join()
+        self.vault.close()
+
+    # --- the writer's thread ------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._job is not None or self._closing)
+                job = self._job
+            if job is None:
+                return
+            self._write(job)
+            with self._changed:
+                self._job = None
+                self._changed.notify_all()
+
+    def _write(self, job: _Job) -> None:
+        begun = monotonic()
+        try:
+            self.vault.write(job.chunks)
+        except OSError as error:
+            self._failed(error)
+        else:
+            self._succeeded(monotonic() - begun)
+        self._call(job.done)
+
+    def _failed(self, error: OSError) -> None:
+        self.counters.add("pmfid_checkpoint_errors_total")
+        self.counters.put("pmfid_checkpoint_working", 0)
+        if not self._failing:
+            self._failing = True
+            reason = error.strerror or str(error)
+            problem = (
+                f"no checkpoint can be written: {reason}; the watch goes on, and what comes is acknowledged without: "
+                "a restart would go back to the last checkpoint"
+            )
+            self.tell({"event": "checkpoint", "problem": problem, "last": self.vault.sequence})
+
+    def _succeeded(self, seconds: float) -> None:
+        self.counters.add("pmfid_checkpoints_total")
+        self.counters.put("pmfid_checkpoint_working", 1)
+        self.counters.put("pmfid_checkpoint_seconds", seconds)
+        if self._failing:
+            self._failing = False
+            self.tell({"event": "checkpoint", "works": True, "sequence": self.vault.sequence})
+
+    @staticmethod
+    def _call(waiting: list[Done]) -> None:
+        if waiting:
+            crash_point("ack")
+        for done in waiting:
+            done()
+            crash_point("acked")

@@ -1,0 +1,72 @@
+"""The kinds of sources and sinks by their names in PLANT.toml; each is imported when a plant uses it.
+
+The class of a section is light to import; what `make` needs beyond it is imported there, and where that is an extra
+which is missing, `make` raises UsageError with the command that installs it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pmfid.service.context import SourceSection
+from pmfid.service.sinks.section import SinkSection
+
+__all__ = ["SINKS", "SOURCES"]
+
+
+def _file() -> type[SourceSection]:
+    from pmfid.service.sources.file import FileSource
+
+    return FileSource
+
+
+def _stdin() -> type[SourceSection]:
+    from pmfid.service.sources.file import StdinSource
+
+    return StdinSource
+
+
+def _mqtt() -> type[SourceSection]:
+    from pmfid.service.sources.mqtt import MqttSection
+
+    return MqttSection
+
+
+def _arrow() -> type[SinkSection]:
+    from pmfid.service.sinks.arrow import ArrowSection
+
+    return ArrowSection
+
+
+def _line_protocol() -> type[SinkSection]:
+    from pmfid.service.sinks.line_protocol import LineProtocolSection
+
+    return LineProtocolSection
+
+
+def _plotjuggler() -> type[SinkSection]:
+    from pmfid.service.sinks.plotjuggler import PlotJugglerSection
+
+    return PlotJugglerSection
+
+
+def _sqlite() -> type[SinkSection]:
+    from pmfid.service.sinks.sqlite import SqliteSection
+
+    return SqliteSection
+
+
+def _webhook() -> type[SinkSection]:
+    from pmfid.service.sinks.webhook import WebhookSection
+
+    return WebhookSection
+
+
+SOURCES: dict[str, Callable[[], type[SourceSection]]] = {"file": _file, "stdin": _stdin, "mqtt": _mqtt}
+SINKS: dict[str, Callable[[], type[SinkSection]]] = {
+    "arrow": _arrow,
+    "line_protocol": _line_protocol,
+    "plotjuggler": _plotjuggler,
+    "sqlite": _sqlite,
+    "webhook": _webhook,
+}

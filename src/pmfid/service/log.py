@@ -1,0 +1,40 @@
+"""The log of the service: a line for each notice, never for a sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import IO
+
+from pmfid.service.outcome import Notice, Rows
+from pmfid.service.sinks.plain import as_json, notice_object
+
+__all__ = ["Log", "json_line"]
+
+
+def json_line(notice: Notice) -> str:
+    """A notice as one line of JSON."""
+    return as_json(notice_object(notice))
+
+
+@dataclass
+class Log:
+    """A sink that writes lines to a stream; line: of a notice, "" for one that is not for this log."""
+
+    stream: IO[str]
+    line: Callable[[Notice], str] = json_line
+    name: str = "log"
+
+    def open(self) -> None:
+        """The stream is open."""
+
+    def put(self, outcomes: list[Rows | Notice]) -> None:
+        """Writes them at once."""
+        lines = [self.line(one) for one in outcomes if isinstance(one, Notice)]
+        text = "".join(f"{line}\n" for line in lines if line)
+        if text:
+            self.stream.write(text)
+            self.stream.flush()
+
+    def close(self) -> None:
+        """The stream stays open."""

@@ -1,0 +1,241 @@
+"""Blocks of one axis in the order of their numbers: what comes twice is dropped, what comes too early waits.
+
+What is decided depends on the numbers alone, never on when something came: however the blocks of an axis change places
+within the window, the samples that result are the same. A hole is believed once what waits reaches further than the
+window behind its own begin, for until then a lower number may still come; then it is a gap of known length, and what
+comes for it is late. A higher epoch, and the first block of all, wait as long.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from pmfid.service.delivery import Block
+from pmfid.types import Counts, Floats
+
+__all__ = ["ANEW", "Clock", "Order", "Piece", "Verdict"]
+
+#: In place of a number of missing samples: the sender began anew, nobody knows what lies between.
+ANEW = -1
+#: Between two epochs more is not a gap [s], and between two numbers no drive has more [samples].
+LONGEST_GAP, MOST_MISSING = 3600.0, 2**40
+#: A clock that is off by more was set [s]: stamps may be those of whole seconds.
+SET = 1.5
+#: Rate of the sender's clock against its numbers: over so many samples and so much time [s], by how much it may differ.
+RATE_SAMPLES, RATE_TIME, RATE = 500, 60.0, 0.005
+#: Gaps that are remembered, to tell what is late from what came twice.
+GAPS = 32
+#: The sender's sample period may differ from that of the configuration by such a part.
+PERIOD = 1e-3
+
+
+class Piece(NamedTuple):
+    """Samples to be stepped. lead: samples that are missing before the first, ANEW where nobody knows how many; apart:
+    the sender began anew, its counter with it, so that nothing is known between the samples on both sides; time: of
+    sample `-offset` [s], or NaN; received: `time.monotonic()`; turn: number of its item since the start, by which
+    events are ordered; times: (n,) where the samples have their own."""
+
+    lead: int
+    apart: bool
+    u: Floats
+    counts: Counts
+    time: float
+    offset: int
+    received: float
+    turn: int
+    times: Floats | None = None
+
+
+@dataclass
+class Verdict:
+    """What became of an item, beside pieces. duplicate, late: samples that were dropped; refused: that have another
+    period; lines: that are no samples, by what they are; told: objects for notices."""
+
+    duplicate: int = 0
+    late: int = 0
+    refused: int = 0
+    lines: dict[str, int] = field(default_factory=dict)
+    told: list[dict[str, object]] = field(default_factory=list)
+
+
+@dataclass
+class Clock:
+    """The sender's clock against its numbers. expected: time of sample `number` [s], NaN while unknown; start, first:
+    a time and its number from where the rate is measured; told: that it is another one."""
+
+    dt: float
+    expected: float = math.nan
+    number: int = 0
+    start: float = math.nan
+    first: int = 0
+    told: bool = False
+
+    def look(self, first: int, end: int, time: float) -> dict[str, object] | None:
+        """At a block in its place. What there is to tell: the clock was set, or goes at another rate."""
+        if math.isnan(time):
+            return None
+        off = time - self.expected - (first - self.number) * self.dt
+        self.expected, self.number = time + (end - first) * self.dt, end
+        if abs(off) > SET or math.isnan(off):
+            self.start, self.first = time, first
+            return None if math.isnan(off) else {"event": "clock", "time": time, "jump": off}
+        if first - self.first >= RATE_SAMPLES and time - self.start >= RATE_TIME:
+            return self._rate(first, time)
+        return None
+
+    def _rate(self, first: int, time: float) -> dict[str, object] | None:
+        rate = (time - self.start) / ((first - self.first) * self.dt)
+        self.start, self.first = time, first
+        wrong, known = abs(rate - 1) > RATE, self.told
+        self.told = wrong
+        if not wrong or known:
+            return None
+        period = rate * self.dt
+        problem = f"by the sender's clock a sample takes {period:.6g} s, by its configuration {self.dt:.6g} s"
+        return {"event": "clock", "time": time, "jump": 0.0, "rate": rate, "problem": problem}
+
+
+class Order:
+    """Blocks of one axis. dt: sample period [s]; window: samples that what comes too early waits for.
+
+    epoch, expected: of the next sample, epoch -1 before the first; held: blocks that wait.
+    """
+
+    __slots__ = ("clock", "dt", "epoch", "expected", "gaps", "held", "window", "wrong_period")
+
+    def __init__(self, dt: float, window: int) -> None:
+        self.dt, self.window = dt, window
+        self.epoch, self.expected = -1, 0
+        self.held: list[Block] = []
+        self.gaps: list[tuple[int, int]] = []
+        self.clock = Clock(dt)
+        self.wrong_period = False
+
+    def take(self, block: Block, received: float, turn: int, pieces: list[Piece]) -> Verdict | None:
+        """Appends to `pieces` what can be stepped; None for the block that was expected."""
+        n = block.counts.size
+        if n and block.epoch == self.epoch and block.first == self.expected and not self.held and self._fits(block):
+            self.expected = block.first + n
+            pieces.append(Piece(0, False, block.u, block.counts, block.time, 0, received, turn))
+            told = self.clock.look(block.first, self.expected, block.time)
+            return None if told is None else Verdict(told=[told])
+        return self._sorted(block, received, turn, pieces)
+
+    def _fits(self, block: Block) -> bool:
+        return abs(block.dt - self.dt) <= PERIOD * self.dt
+
+    def _sorted(self, block: Block, received: float, turn: int, pieces: list[Piece]) -> Verdict:
+        verdict = Verdict()
+        n = block.counts.size
+        if not self._fits(block):
+            return self._refuse(block, verdict)
+        if n == 0:
+            return verdict
+        if block.epoch < self.epoch:
+            verdict.late += n
+            return verdict
+        if block.epoch == self.epoch and block.end <= self.expected:
+            self._old(block.first, block.end, verdict)
+            return verdict
+        if self._hold(block, verdict):
+            self._release(received, turn, pieces, verdict)
+        return verdict
+
+    def _refuse(self, block: Block, verdict: Verdict) -> Verdict:
+        verdict.refused += block.counts.size
+        if not self.wrong_period:
+            self.wrong_period = True
+            problem = (
+                f"its samples come every {block.dt:.6g} s, the reference has {self.dt:.6g} s: send with that period, "
+                "or take a reference with this one"
+            )
+            verdict.told.append({"event": "period", "problem": problem})
+        return verdict
+
+    def _old(self, first: int, end: int, verdict: Verdict) -> None:
+        """Counts samples that are of no use any more: those of a gap are late, the others came twice."""
+        late = sum(max(0, min(end, b) - max(first, a)) for a, b in self.gaps)
+        verdict.late += late
+        verdict.duplicate += end - first - late
+
+    def _hold(self, block: Block, verdict: Verdict) -> bool:
+        """Puts a block among those that wait, by epoch and number; False for one that waits there already."""
+        key = (block.epoch, block.first)
+        at = len(self.held)
+        while at and (self.held[at - 1].epoch, self.held[at - 1].first) > key:
+            at -= 1
+        before = self.held[at - 1] if at else None
+        if before is not None and before.epoch == block.epoch and before.end >= block.end:
+            verdict.duplicate += block.counts.size
+            return False
+        self.held.insert(at, block)
+        return True
+
+    def _release(self, received: float, turn: int, pieces: list[Piece], verdict: Verdict) -> None:
+        while self.held:
+            block = self.held[0]
+            lead = self._lead(block)
+            if lead is None:
+                return
+            del self.held[0]
+            self._give(block, lead, received, turn, pieces, verdict)
+
+    def _lead(self, block: Block) -> int | None:
+        """What is missing before the lowest that is held: 0 for nothing, None while it has to wait."""
+        if block.epoch == self.epoch and block.first <= self.expected:
+            return 0
+        if self._waits(block):
+            return None
+        if block.epoch == self.epoch:
+            missing = block.first - self.expected
+            return missing if missing <= MOST_MISSING else ANEW
+        return self._between_epochs(block)
+
+    def _waits(self, block: Block) -> bool:
+        """Whether lower numbers may still come: nothing that waits reaches further than the window behind its begin."""
+        if not self.window:
+            return False
+        start, end, epoch = block.first, block.end, block.epoch
+        for other in self.held:
+            if other.epoch != epoch:
+                start, end, epoch = other.first, other.end, other.epoch
+            end = max(end, other.end)
+            if end - start > self.window:
+                return False
+        return True
+
+    def _between_epochs(self, block: Block) -> int:
+        ahead = block.time - self.clock.expected
+        if self.epoch >= 0 and 0 <= ahead <= LONGEST_GAP:
+            return max(1, round(ahead / self.dt))
+        return ANEW
+
+    def _give(self, block: Block, lead: int, received: float, turn: int, pieces: list[Piece], verdict: Verdict) -> None:
+        fresh, apart = self.epoch < 0, block.epoch != self.epoch
+        if apart:
+            self._begin(block, fresh, verdict)
+        elif lead:
+            self.gaps = [*self.gaps, (self.expected, block.first)][-GAPS:]
+            verdict.told.append({"event": "gap", "time": block.time, "missing": block.first - self.expected})
+        known = min(max(0, self.expected - block.first), block.counts.size)
+        if known:
+            self._old(block.first, block.first + known, verdict)
+        if known == block.counts.size:
+            return
+        if (told := self.clock.look(block.first, block.end, block.time)) and not apart:
+            verdict.told.append(told)
+        self.expected = block.end
+        u, counts = (block.u[known:], block.counts[known:]) if known else (block.u, block.counts)
+        pieces.append(Piece(0 if fresh else lead, apart, u, counts, block.time, known, received, turn))
+
+    def _begin(self, block: Block, fresh: bool, verdict: Verdict) -> None:
+        """A higher epoch, or the first block of all."""
+        if not fresh:
+            ahead = block.time - self.clock.expected
+            jump = ahead if math.isfinite(ahead) else None
+            verdict.told.append({"event": "epoch", "epoch": block.epoch, "time": block.time, "jump": jump})
+        self.epoch, self.expected = block.epoch, block.first
+        self.gaps = [(0, block.first)] if block.first else []
+        self.clock = Clock(self.dt)

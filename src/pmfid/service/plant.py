@@ -1,0 +1,198 @@
+"""PLANT.toml: the axes of a plant, where their data come from and where estimates go, validated once and frozen."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import Field, ValidationError, create_model
+
+from pmfid.errors import UsageError, did_you_mean
+from pmfid.service.context import SourceSection
+from pmfid.service.kinds import SINKS, SOURCES
+from pmfid.service.sinks.section import SinkSection
+from pmfid.session.model_config import Name
+from pmfid.session.toml_file import FileSection, validated
+
+__all__ = ["MOST_AXES", "AxisSection", "FleetSection", "Plant", "ServiceSection", "load_plant", "single_axis"]
+
+#: More axes than one process can serve.
+MOST_AXES = 1_000_000
+#: Names of the service, of axes, sources and sinks: they stand in topics and in names of files.
+Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
+_WORD = "letters, digits, dots, hyphens and underscores, at most 100, a letter or a digit first"
+
+
+class ServiceSection(FileSection):
+    """[service]: its name, what it keeps, and how long it waits."""
+
+    name: Word = Field("pmfid", description=f"the name of the service: {_WORD}")
+    state: Name | None = Field(None, description='the folder of the checkpoints, as "state"; left out: nothing is kept')
+    checkpoint: float = Field(1.0, ge=0.05, le=3600, description="the time between two checkpoints in s")
+    window: float = Field(0.5, ge=0, le=600, description="for how long what comes too early waits for the rest, in s")
+    every: float = Field(1.0, ge=0, description="the time between two estimates that are given out in s; 0: all")
+
+
+class AxisSection(FileSection):
+    """[axes.NAME]."""
+
+    config: Name = Field(description='the AXIS.toml of the axis, as "cart.toml"')
+
+
+class FleetSection(FileSection):
+    """[fleets.NAME]: axes that are alike, named by a pattern."""
+
+    config: Name = Field(description='the AXIS.toml of all of them, as "cell.toml"')
+    names: Name = Field(description='a pattern with one number, as "cell-{:05d}"')
+    count: int = Field(ge=1, le=MOST_AXES, description="how many there are; the first has number 0")
+
+    def expand(self) -> Iterator[str]:
+        """Names of the axes. Raises UsageError for a pattern that does not give different words."""
+        try:
+            names = [self.names.format(k) for k in range(self.count)]
+        except (ValueError, IndexError, KeyError, AttributeError):
+            names = []
+        if len(set(names)) < self.count:
+            raise UsageError(f'names = {self.names!r} is no pattern with one number; give one as "cell-{{:05d}}"')
+        return iter(names)
+
+
+@dataclass(frozen=True)
+class Plant:
+    """folder: that of PLANT.toml; axes: name -> path of AXIS.toml; page: the section [page] as it is written, None
+    where there is none; sources, sinks: name -> section."""
+
+    folder: Path
+    service: ServiceSection
+    axes: Mapping[str, Path]
+    sources: Mapping[str, SourceSection]
+    sinks: Mapping[str, SinkSection] = field(default_factory=dict)
+    page: Mapping[str, Any] | None = None
+
+    def with_page(self, page: Mapping[str, Any] | None) -> Plant:
+        """With these keys of [page] before its own; None: as it is."""
+        return self if page is None else replace(self, page={**(self.page or {}), **page})
+
+    @property
+    def state(self) -> Path | None:
+        """The folder of the checkpoints."""
+        return None if self.service.state is None else self.folder / self.service.state
+
+
+Section = TypeVar("Section", bound=FileSection)
+
+
+def load_plant(path: Path, given: Mapping[str, object] | None = None) -> Plant:
+    """Reads and validates a PLANT.toml; given: keys of [service] that go before its own. Raises UsageError with what is
+    wrong and where."""
+    try:
+        raw = _read(path)
+        _check_tables(raw)
+        return Plant(
+            path.parent,
+            _section("service", ServiceSection, raw.get("service", {}) | (given or {})),
+            _axes(raw, path.parent),
+            {name: _of_kind("sources", name, table, SOURCES) for name, table in raw.get("sources", {}).items()},
+            {name: _of_kind("sinks", name, table, SINKS) for name, table in raw.get("sinks", {}).items()},
+            raw.get("page"),
+        )
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from None
+
+
+def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, object] | None = None) -> Plant:
+    """The plant of one AXIS.toml and a record that is played, or standard input where `source` is "-": with one pipe
+    nothing waits for anything. given: keys of [service]."""
+    name = re.sub(r"[^A-Za-z0-9._-]|^[._-]+", "", config.stem)[:100] or "axis"
+    piped = str(source) == "-"
+    raw: dict[str, object] = {"kind": "stdin", "axis": name}
+    if not piped:
+        raw = {"kind": "file", "axis": name, "path": str(source.absolute()), "speed": speed}
+    sources = {"input" if piped else "record": _of_kind("sources", "input", raw, SOURCES)}
+    service = _section("service", ServiceSection, {"name": name, "window": 0.0, "every": 0.1} | dict(given or {}))
+    return Plant(config.parent, service, {name: config}, sources)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise UsageError(f"cannot read the configuration: {error.strerror}; give a PLANT.toml") from None
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"not valid TOML: {error}; correct that line") from None
+
+
+#: The sections of a PLANT.toml; of the last four each has a table for each name.
+_KNOWN = ("service", "page", "axes", "fleets", "sources", "sinks")
+
+
+def _check_tables(raw: Mapping[str, Any]) -> None:
+    for key, table in raw.items():
+        if key not in _KNOWN:
+            raise UsageError(f"[{key}] is an unknown section; known are {', '.join(_KNOWN)}{did_you_mean(key, _KNOWN)}")
+        if not isinstance(table, dict):
+            raise UsageError(f"[{key}] must be a section of keys")
+        for name, part in table.items() if key in _KNOWN[2:] else ():
+            _check_name(key, name)
+            if not isinstance(part, dict):
+                raise UsageError(f"[{key}] {name} = {part!r} must be a section; write [{key}.{name}] above its keys")
+    if not (raw.get("axes") or raw.get("fleets")):
+        raise UsageError('no axis is named; add a section [axes.NAME] with config = "AXIS.toml"')
+
+
+def _check_name(where: str, name: str) -> None:
+    try:
+        _Named(name=name)
+    except ValidationError:
+        raise UsageError(f"[{where}] {name!r} is no name; use {_WORD}") from None
+
+
+class _Named(FileSection):
+    name: Word
+
+
+def _section(label: str, cls: type[Section], table: Mapping[str, Any]) -> Section:
+    """A table as a section; label: what it stands under, for messages."""
+    try:
+        return cls.model_validate(table)
+    except ValidationError:
+        whole = create_model("Whole", __base__=FileSection, **{label: (cls, ...)})  # type: ignore[call-overload]
+        validated(whole, {label: table})
+        raise
+
+
+def _axes(raw: Mapping[str, Any], folder: Path) -> dict[str, Path]:
+    axes: dict[str, Path] = {}
+    for name, table in raw.get("axes", {}).items():
+        axes[name] = folder / _section(f"axes.{name}", AxisSection, table).config
+    for key, table in raw.get("fleets", {}).items():
+        _add_fleet(axes, key, _section(f"fleets.{key}", FleetSection, table), folder)
+    if len(axes) > MOST_AXES:
+        raise UsageError(f"{len(axes)} axes are too many for one service; share them out among several")
+    return axes
+
+
+def _add_fleet(axes: dict[str, Path], key: str, fleet: FleetSection, folder: Path) -> None:
+    try:
+        names = list(fleet.expand())
+    except UsageError as error:
+        raise UsageError(f"[fleets.{key}] {error}") from None
+    _check_name(f"fleets.{key}", max(names, key=len))
+    doubled = next((name for name in names if name in axes), None)
+    if doubled is not None:
+        raise UsageError(f"[fleets.{key}] names the axis {doubled!r} once more; choose another pattern")
+    axes.update(dict.fromkeys(names, folder / fleet.config))
+
+
+def _of_kind(
+    where: str, name: str, table: Mapping[str, Any], kinds: Mapping[str, Callable[[], type[Section]]]
+) -> Section:
+    """A source or a sink: `kind` says which section it is."""
+    kind = str(table.get("kind"))
+    if kind not in kinds:
+        raise UsageError(f"[{where}.{name}] kind = {kind!r} is none of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
+    return _section(f"{where}.{name}", kinds[kind](), table)

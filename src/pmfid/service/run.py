@@ -1,0 +1,317 @@
+"""A service from its start to its end: what is started in which order, signals, and the same backwards."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from threading import Thread
+from types import FrameType
+from typing import Any
+
+from pmfid.errors import PmfidError, UsageError
+from pmfid.service.arrangement import Configurations, arranged
+from pmfid.service.board import Board
+from pmfid.service.checkpoint import Snapshot, read_snapshot
+from pmfid.service.context import Context
+from pmfid.service.counters import Counters
+from pmfid.service.engine import Engine
+from pmfid.service.groups import Group, Pace, Prepared
+from pmfid.service.keeping import Checkpoints
+from pmfid.service.log import Log
+from pmfid.service.outcome import Notice, Outlet
+from pmfid.service.plant import Plant
+from pmfid.service.running import Sources
+from pmfid.service.sinks.queued import Queued
+from pmfid.service.systemd import notify
+from pmfid.service.vault import Vault
+from pmfid.service.web.config import PageConfig
+from pmfid.service.web.server import Page
+from pmfid.session.config import Axis
+from pmfid.session.records import Record, read_record
+from pmfid.session.toml_file import validated
+
+__all__ = ["Service", "page_config"]
+
+#: How often signals are looked at, and how long sources and sinks have to end [s].
+LOOK, ENDING = 0.1, 10.0
+#: Names that a notice lists at most, and configurations that are remembered.
+MOST_NAMES, MOST_HISTORY = 100, 1000
+#: An engine that has not come by for so long is not called alive any more [s].
+STUCK = 60.0
+
+
+@dataclass
+class _Signals:
+    """What was asked for by a signal."""
+
+    stop: bool = False
+    reload: bool = False
+
+    @contextmanager
+    def handled(self) -> Iterator[_Signals]:
+        """SIGINT and SIGTERM end the service, SIGHUP reads PLANT.toml again."""
+        hangup = getattr(signal, "SIGHUP", None)
+        numbers = [signal.SIGINT, signal.SIGTERM, *([hangup] if hangup is not None else [])]
+        before = {number: signal.signal(number, self._handle) for number in numbers}
+        try:
+            yield self
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if number in (signal.SIGINT, signal.SIGTERM):
+            self.stop = True
+        else:
+            self.reload = True
+
+
+def page_config(plant: Plant) -> PageConfig:
+    """[page], with its defaults. Raises UsageError for what it may not be."""
+    from pydantic import create_model
+
+    from pmfid.session.toml_file import FileSection
+
+    whole = create_model("Whole", __base__=FileSection, page=(PageConfig, ...))
+    return validated(whole, {"page": dict(plant.page or {})}).page  # type: ignore[attr-defined,no-any-return]
+
+
+@dataclass
+class Service:
+    """load: reads the plant, at the start and at SIGHUP; log: where notices are printed; until_end: the service ends
+    with its last source; record: that the only axis is watched on, read already."""
+
+    load: Callable[[], Plant]
+    log: Log
+    until_end: bool = False
+    record: Record | None = None
+    counters: Counters = field(default_factory=Counters, init=False)
+
+    def run(self) -> None:
+        """Until a signal, or the end of all sources. Raises UsageError for a plant that cannot be served at all."""
+        self._plant = plant = self.load()
+        self._page: Page | None = None
+        self._signals = _Signals()
+        self._reloading: Thread | None = None
+        with self._signals.handled():
+            self._prepare(plant)
+            try:
+                self._start(plant)
+                notify("READY=1")
+                self._watch()
+            finally:
+                notify("STOPPING=1")
+                self._end()
+        if (failed := self._sources.failed) is not None:
+            raise failed
+
+    # --- start --------------------------------------------------------------------------------------------------------
+
+    def _prepare(self, plant: Plant) -> None:
+        """All that can fail before anything runs."""
+        self._board = Board([], self.counters, every=max(plant.service.every, 0.1))
+        self._log = Queued(self.log, self.counters, lambda told: None, rows_wanted=False)
+        self._log.start()
+        self._outlets: list[Outlet] = [self._board, self._log]
+        self._engine = Engine(self.counters, self._outlets, self._board.followed)
+        self._sinks: list[Queued] = []
+        self._sources = Sources(self._engine.inbox, self._engine.tell, self._engine.marks)
+        self._pace = Pace(plant.service.window, plant.service.every)
+        self._configurations = Configurations(self._tell_now, self.record)
+        self._axes: dict[str, Prepared] = self._configurations.of(plant.axes)
+        if not self._axes:
+            self._log.close(ENDING)
+            raise UsageError("no axis can be watched; correct what the log says of their configurations")
+        self._restore(plant)
+
+    def _restore(self, plant: Plant) -> None:
+        """Goes on from the last checkpoint, if there is one."""
+        if plant.state is None:
+            self._arrange([])
+            return
+        vault = Vault(plant.state)
+        found = vault.load(self._read, self._tell_now)
+        engine = self._engine
+        engine.keeper = Checkpoints(vault, plant.service.checkpoint, self.counters, engine.tell)
+        if found is None:
+            self._arrange([])
+            self._tell_now({"event": "checkpoint", "restored": 0, "fresh": len(self._axes)})
+            return
+        saved, groups = found
+        saved.restore(engine)
+        for notice in engine.notices.replayed(saved.alarms):
+            self._board.notice(notice)
+        fresh = self._arrange(groups)
+        known = set(saved.axes())
+        changed = [name for name in fresh if name in known]
+        told = {
+            "event": "checkpoint",
+            "restored": len(self._axes) - len(fresh),
+            "fresh": len(fresh),
+            "made": saved.wall,
+        }
+        self._tell_now({**told, "changed": changed[:MOST_NAMES]} if changed else told)
+
+    def _read(self, body: bytes) -> tuple[Snapshot, list[Group]]:
+        """A checkpoint and its groups that are still configured so. Raises ValueError for what is none."""
+        saved = read_snapshot(body)
+        present = {prepared.digest: prepared for prepared in self._axes.values()}
+        groups = [one.restored(present[one.digest], self._pace) for one in saved.groups if one.digest in present]
+        return saved, groups
+
+    def _tell_now(self, what: dict[str, Any]) -> None:
+        self._engine.notices.own("", what)
+
+    def _arrange(self, groups: list[Group]) -> list[str]:
+        """Puts the axes into their groups, those of `groups` among them; names of the axes that start anew."""
+        made, fresh = arranged(groups, self._axes, self._pace)
+        self._engine.arranged(made)
+        self._remember()
+        self._board.arrange([group.kindred for group in self._engine.groups])
+        return fresh
+
+    def _remember(self) -> None:
+        """What configurations there are since when."""
+        history = self._engine.history
+        known = {entry["digest"] for entry in history[-MOST_NAMES:]}
+        for group in self._engine.groups:
+            if group.prepared.digest not in known:
+                entry = {"wall": time.time(), "config": group.kindred.config, "digest": group.prepared.digest}
+                history.append(
+                    {**entry, "nominal": dict(zip(group.kindred.names, group.kindred.nominal.tolist(), strict=True))}
+                )
+        del history[:-MOST_HISTORY]
+
+    def _start(self, plant: Plant) -> None:
+        context = self._context(plant)
+        self._sinks = [section.outlet(name, context) for name, section in plant.sinks.items()]
+        sources = [section.make(name, context) for name, section in plant.sources.items()]
+        self._serve_page(plant)
+        for queued in self._sinks:
+            queued.start()
+            self._outlets.append(queued)
+        self._say_started(plant)
+        self._thread = Thread(target=self._engine_runs, name="engine", daemon=True)
+        self._problem: BaseException | None = None
+        self._thread.start()
+        for source in sources:
+            self._sources.start(source)
+
+    def _context(self, plant: Plant) -> Context:
+        return Context(plant.service.name, plant.folder, plant.state, self.counters, self._engine.tell, self._config_of)
+
+    def _config_of(self, axis: str) -> Axis | None:
+        prepared = self._axes.get(axis)
+        return None if prepared is None else prepared.axis
+
+    def _say_started(self, plant: Plant) -> None:
+        """To all; the address with the token in it to the log alone."""
+        state = None if plant.state is None else str(plant.state)
+        told = {"event": "serving", "name": plant.service.name, "axes": len(self._axes), "state": state}
+        self._outlets.remove(self._log)
+        number = self._engine.notices.own("", told).number
+        self._outlets.append(self._log)
+        page = {} if self._page is None else {"page": self._page.start_url, "notes": list(self._page.notes)}
+        self._log.notice(Notice("", number, time.time(), {**told, **page}))
+
+    def _serve_page(self, plant: Plant) -> None:
+        config = page_config(plant)
+        if not config.enabled:
+            return
+        from pmfid.service.metrics import exposition
+        from pmfid.service.web.server import serve
+
+        self._page = serve(
+            config,
+            plant.service.name,
+            self._board,
+            self.counters,
+            self._engine.commands,
+            folder=plant.folder,
+            reference=self._reference,
+            metrics=lambda: exposition(self.counters),
+        )
+
+    def _reference(self, axis: str) -> Record | None:
+        """The record of normal work of an axis."""
+        prepared = self._axes.get(axis)
+        if prepared is None or prepared.axis.monitor.reference is None:
+            return None
+        return read_record(prepared.path.parent / prepared.axis.monitor.reference, prepared.axis)
+
+    # --- while it runs ------------------------------------------------------------------------------------------------
+
+    def _engine_runs(self) -> None:
+        try:
+            self._engine.run()
+        except BaseException as error:
+            self._problem = error
+            self._engine.inbox.close()
+
+    def _watch(self) -> None:
+        alive = time.monotonic()
+        while not self._signals.stop and self._thread.is_alive():
+            time.sleep(LOOK)
+            if self._signals.reload:
+                self._signals.reload = False
+                self._reload()
+            if self._sources.ended and (self.until_end or self._sources.failed):
+                return
+            if time.monotonic() - alive > 1 and time.monotonic() - self._engine.beat < STUCK:
+                alive = time.monotonic()
+                notify("WATCHDOG=1")
+
+    def _reload(self) -> None:
+        """Reads the plant again in a thread: what is calibrated anew does not delay the others."""
+        if self._reloading is not None and self._reloading.is_alive():
+            self._engine.tell({"event": "reload", "problem": "the last one is still under way; try again later"})
+            return
+        self._reloading = Thread(target=self._read_again, name="reload", daemon=True)
+        self._reloading.start()
+
+    def _read_again(self) -> None:
+        try:
+            plant = self.load()
+            self._configurations.tell = self._engine.tell
+            axes = self._configurations.of(plant.axes)
+        except (PmfidError, OSError) as error:
+            self._engine.tell({"event": "reload", "problem": f"{error}; the service goes on as before"})
+            return
+        self._engine.ask(lambda: self._adopt(plant, axes))
+
+    def _adopt(self, plant: Plant, axes: dict[str, Prepared]) -> None:
+        """By the engine's thread, between two ticks."""
+        before, self._axes = self._axes, axes
+        fresh = self._arrange(self._engine.groups)
+        gone = sum(name not in axes for name in before)
+        changed = sum(name in before for name in fresh)
+        told = {"event": "reload", "added": len(fresh) - changed, "changed": changed, "removed": gone}
+        same = (plant.service, plant.sources, plant.sinks, plant.page) == (
+            self._plant.service,
+            self._plant.sources,
+            self._plant.sinks,
+            self._plant.page,
+        )
+        if not same:
+            told["problem"] = "only axes and fleets are read again; for the other sections start the service again"
+        self._engine.tell(told)
+
+    # --- end ----------------------------------------------------------------------------------------------------------
+
+    def _end(self) -> None:
+        """Sources first, then what they had handed over, then where it goes."""
+        self._sources.stop(ENDING)
+        self._engine.inbox.close()
+        if hasattr(self, "_thread"):
+            self._thread.join()
+            self._tell_now({"event": "ended"})
+        if self._page is not None:
+            self._page.stop()
+        for sink in self._sinks:
+            sink.close(ENDING)
+        self._log.close(ENDING)
+        if getattr(self, "_problem", None) is not None:
+            raise self._problem  # type: ignore[misc]

@@ -1,0 +1,99 @@
+"""Sources and their threads: started, begun again after an error that nobody expected, ended."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from threading import Event, Thread
+from typing import Any
+
+from pmfid.errors import PmfidError
+from pmfid.service.delivery import Mark
+from pmfid.service.inbox import Inbox
+from pmfid.service.sources import Source
+
+__all__ = ["Running", "Sources"]
+
+#: Pauses after an error that nobody expected [s]: the first, and the longest.
+FIRST_PAUSE, LONGEST_PAUSE = 1.0, 60.0
+
+Tell = Callable[[dict[str, Any]], None]
+
+
+@dataclass
+class Running:
+    """A source in its thread. failed: it ended with an error, which is told; ended: it hands over nothing more."""
+
+    source: Source
+    inbox: Inbox
+    tell: Tell
+    marks: Mapping[str, Mark]
+    failed: PmfidError | None = field(default=None, init=False)
+    ended: bool = field(default=False, init=False)
+    _stopped: Event = field(default_factory=Event, init=False)
+
+    def start(self) -> None:
+        """Begins to take in."""
+        self._thread = Thread(target=self._run, name=f"source {self.source.name}", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        pause = FIRST_PAUSE
+        while not self._stopped.is_set():
+            try:
+                self.source.run(self.inbox.put, self.marks.get(self.source.name))
+                break
+            except PmfidError as error:
+                self.failed = error
+                self.tell({"event": "source", "source": self.source.name, "problem": str(error), "ended": True})
+                break
+            except Exception as error:
+                place = traceback.extract_tb(error.__traceback__)[-1]
+                problem = f"{type(error).__name__}: {error} ({place.name}, line {place.lineno}); it begins again"
+                self.tell({"event": "source", "source": self.source.name, "problem": problem})
+                self._stopped.wait(pause)
+                pause = min(2 * pause, LONGEST_PAUSE)
+        self.ended = True
+
+    def stop(self) -> None:
+        """Asks it to end."""
+        self._stopped.set()
+        self.source.stop()
+
+    def join(self, timeout: float) -> None:
+        """Waits for its end, so long at most [s]."""
+        self._thread.join(timeout)
+
+
+@dataclass
+class Sources:
+    """All sources that run, by name."""
+
+    inbox: Inbox
+    tell: Tell
+    marks: Mapping[str, Mark]
+    running: dict[str, Running] = field(default_factory=dict, init=False)
+
+    def start(self, source: Source) -> None:
+        """Starts one more."""
+        self.running[source.name] = Running(source, self.inbox, self.tell, self.marks)
+        self.running[source.name].start()
+
+    @property
+    def ended(self) -> bool:
+        """Whether none of them will hand over anything more."""
+        return all(one.ended for one in self.running.values())
+
+    @property
+    def failed(self) -> PmfidError | None:
+        """The first error, where every one of them ended with one."""
+        errors = [one.failed for one in self.running.values()]
+        return errors[0] if errors and all(errors) else None
+
+    def stop(self, within: float) -> None:
+        """Ends all of them."""
+        for one in self.running.values():
+            one.stop()
+        for one in self.running.values():
+            one.join(within)

@@ -1,0 +1,232 @@
+"""The outlet in front of every sink: a bounded queue and a thread of its own, so that nobody waits for a sink."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from threading import Condition, Event, Thread
+from typing import Any
+
+from pmfid.errors import PmfidError, printable
+from pmfid.service.counters import Counters
+from pmfid.service.outcome import Notice, Rows
+from pmfid.service.sinks import Sink
+from pmfid.service.sinks.waiting import MOST_ENTRIES, Entry, Limits, Lost, Waiting
+
+__all__ = ["Queued", "Tell"]
+
+#: Gets an object with "event": "sink" or "dropped", from the thread of the sink.
+Tell = Callable[[dict[str, Any]], None]
+
+#: Pauses after errors [s]: the first, the longest, and how long a sink must have worked to begin with the first again.
+FIRST_PAUSE, LONGEST_PAUSE, STEADY = 0.5, 60.0, 60.0
+#: A sink that is too slow is told at most once in so many seconds.
+TELL_EVERY = 60.0
+#: s after which `put` is called with nothing, so that a sink sees that its connection has ended, or its file is old.
+IDLE = 5.0
+#: Different problems with outcomes that a sink refuses, which are told.
+MOST_TOLD = 10
+
+
+def problem_of(error: Exception) -> str:
+    """One line; of the errors of a system the words for its number, without addresses that may hold a secret."""
+    if isinstance(error, OSError) and error.strerror:
+        name = f": {error.filename}" if isinstance(error.filename, str) else ""
+        return printable(f"{error.strerror}{name}")
+    text = " ".join(str(error).split()) or type(error).__name__
+    return printable(text if isinstance(error, OSError | PmfidError) else f"{type(error).__name__}: {text}")
+
+
+class Queued:
+    """An outlet that keeps what is offered until the sink has it.
+
+    Offering takes microseconds: the lock that it needs is never held while anything is written or compared. What an
+    OSError of the sink says is told once and tried again with growing pauses, with `open` before it; what ends in
+    another error is tried alone, and dropped where that is its own fault.
+    Levels and totals, each with the label `sink`: pmfid_sink_waiting_rows, pmfid_sink_working, pmfid_sink_rows_total,
+    pmfid_sink_errors_total, pmfid_dropped_rows_total, pmfid_dropped_notices_total, pmfid_refused_total.
+
+    rows_wanted: whether rows are for this sink; events: the notices that are, None for all.
+    """
+
+    def __init__(
+        self,
+        sink: Sink,
+        counters: Counters,
+        tell: Tell,
+        limits: Limits | None = None,
+        rows_wanted: bool = True,
+        events: frozenset[str] | None = None,
+    ) -> None:
+        self.name = sink.name
+        self._sink, self._counters, self._tell = sink, counters, tell
+        self._limits = limits or Limits()
+        self._rows_wanted, self._events = rows_wanted, events
+        self._waiting = Waiting(self._limits)
+        self._changed, self._closing = Condition(), Event()
+        self._deadline = float("inf")  # of `close`
+        self._open = self._failing = False
+        self._pause, self._working_since, self._taken_at = 0.0, 0.0, -IDLE
+        self._alone = 0  # so many of the next outcomes are written one by one
+        self._lost = Lost()  # rows and notices that were dropped and not yet told
+        self._told_at = -TELL_EVERY
+        self._refusals: set[str] = set()
+        self._thread = Thread(target=self._run, name=f"sink {sink.name}", daemon=True)
+        for total in ("pmfid_dropped_rows_total", "pmfid_dropped_notices_total", "pmfid_sink_errors_total"):
+            counters.add(total, 0, sink=self.name)
+        counters.put("pmfid_sink_working", 1, sink=self.name)
+
+    # --- the engine's side --------------------------------------------------------------------------------------------
+
+    def rows(self, rows: Rows) -> None:
+        """Offers rows; never waits."""
+        if self._rows_wanted and rows.axis.size:
+            self._offer(rows)
+
+    def notice(self, notice: Notice) -> None:
+        """Offers a notice; never waits."""
+        if self._events is None or notice.what.get("event") in self._events:
+            self._offer(notice)
+
+    def _offer(self, outcome: Rows | Notice) -> None:
+        with self._changed:
+            first = not self._waiting
+            lost = self._waiting.add(outcome)
+            if first or self._waiting.crowded:
+                self._changed.notify()
+        self._count_lost(lost)
+
+    def start(self) -> None:
+        """Begins to write."""
+        self._thread.start()
+
+    def close(self, within: float) -> bool:
+        """Lets the sink write what waits, for so many seconds at most; False where it had not ended by then: what is
+        left is dropped and counted."""
+        with self._changed:
+            self._deadline = time.monotonic() + within
+            self._closing.set()
+            self._changed.notify()
+        self._thread.join(within)
+        ended = not self._thread.is_alive()
+        with self._changed:
+            lost = Lost(self._waiting.rows, self._waiting.notices)
+            self._waiting = Waiting(self._limits)
+        self._count_lost(lost)
+        return ended
+
+    def _count_lost(self, lost: Lost) -> None:
+        if lost.rows:
+            self._counters.add("pmfid_dropped_rows_total", lost.rows, sink=self.name)
+        if lost.notices:
+            self._counters.add("pmfid_dropped_notices_total", lost.notices, sink=self.name)
+        if any(lost):
+            with self._changed:
+                self._lost = Lost(self._lost.rows + lost.rows, self._lost.notices + lost.notices)
+
+    # --- the sink's thread --------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while (batch := self._next()) is not None:
+            self._write(batch)
+            self._tell_lost()
+            self._counters.put("pmfid_sink_waiting_rows", self._waiting.rows, sink=self.name)
+            if self._failing and self._closing.is_set():
+                break
+            if self._failing:
+                self._closing.wait(self._pause)
+        self._end()
+
+    def _next(self) -> list[Entry] | None:
+        """What is to be written now, which is nothing now and then; waits for it; None at the end."""
+        with self._changed:
+            while not (self._closing.is_set() or self._due()):
+                self._changed.wait(self._until_due())
+            self._taken_at = time.monotonic()
+            if self._taken_at >= self._deadline or (self._closing.is_set() and not self._waiting):
+                return None
+            return self._waiting.take(1 if self._alone else MOST_ENTRIES)
+
+    def _due(self) -> bool:
+        return self._waiting.crowded or self._until_due() == 0
+
+    def _until_due(self) -> float:
+        """Seconds until the pace lets the sink write again, or until it is to be looked after."""
+        pace = self._limits.pace if self._waiting else IDLE
+        return 0.0 if self._alone else max(self._taken_at + pace - time.monotonic(), 0.0)
+
+    def _write(self, batch: Sequence[Entry]) -> None:
+        try:
+            if not self._open:
+                self._sink.open()
+                self._open = True
+        except Exception as error:
+            self._trouble(error, batch)
+            return
+        try:
+            self._sink.put([entry.outcome for entry in batch])
+        except OSError as error:
+            self._trouble(error, batch)
+        except Exception as error:
+            if batch:
+                self._refused(error, batch)
+            else:
+                self._trouble(error, batch)
+        else:
+            self._worked(batch)
+
+    def _worked(self, batch: Sequence[Entry]) -> None:
+        self._alone = max(self._alone - 1, 0)
+        self._counters.add("pmfid_sink_rows_total", sum(entry.rows for entry in batch), sink=self.name)
+        if self._failing:
+            self._failing, self._working_since = False, time.monotonic()
+            self._counters.put("pmfid_sink_working", 1, sink=self.name)
+            with self._changed:
+                lost, self._lost = self._lost, Lost()
+            told = {"event": "sink", "sink": self.name, "works": True}
+            self._tell({**told, "lost_rows": lost.rows, "lost_notices": lost.notices})
+
+    def _trouble(self, error: Exception, batch: Sequence[Entry]) -> None:
+        """What may pass: told once; the outcomes wait in front of all others."""
+        steady = not self._failing and time.monotonic() - self._working_since > STEADY
+        self._pause = FIRST_PAUSE if steady or not self._pause else min(2 * self._pause, LONGEST_PAUSE)
+        self._counters.add("pmfid_sink_errors_total", sink=self.name)
+        if not self._failing:
+            self._counters.put("pmfid_sink_working", 0, sink=self.name)
+            self._tell({"event": "sink", "sink": self.name, "works": False, "problem": problem_of(error)})
+        self._open, self._failing = False, True
+        self._give_back(batch)
+
+    def _give_back(self, batch: Sequence[Entry]) -> None:
+        with self._changed:
+            lost = self._waiting.give_back(batch)
+        self._count_lost(lost)
+
+    def _refused(self, error: Exception, batch: Sequence[Entry]) -> None:
+        """What trying again does not help: each outcome is tried alone, and is dropped where it is the one."""
+        if len(batch) > 1:
+            self._alone = len(batch)
+            self._give_back(batch)
+            return
+        self._alone = max(self._alone - 1, 0)
+        self._counters.add("pmfid_refused_total", max(batch[0].rows, 1), sink=self.name)
+        problem = problem_of(error)
+        if problem not in self._refusals and len(self._refusals) < MOST_TOLD:
+            self._refusals.add(problem)
+            self._tell({"event": "sink", "sink": self.name, "works": True, "problem": f"refused: {problem}"})
+
+    def _tell_lost(self) -> None:
+        """That the sink is too slow, or was; an error tells by itself what was lost when it is over."""
+        if self._failing or not any(self._lost) or time.monotonic() - self._told_at < TELL_EVERY:
+            return
+        self._told_at = time.monotonic()
+        with self._changed:
+            lost, self._lost = self._lost, Lost()
+        self._tell({"event": "dropped", "sink": self.name, "rows": lost.rows, "notices": lost.notices})
+
+    def _end(self) -> None:
+        try:
+            self._sink.close()
+        except Exception as error:
+            self._counters.add("pmfid_sink_errors_total", sink=self.name)
+            self._tell({"event": "sink", "sink": self.name, "works": False, "problem": problem_of(error)})

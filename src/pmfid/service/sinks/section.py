@@ -1,0 +1,66 @@
+"""What the sections of all sinks have in common, and what a sink may use of the service."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar, Protocol
+
+from pydantic import Field
+
+from pmfid.service.counters import Counters
+from pmfid.service.sinks import Sink
+from pmfid.service.sinks.queued import Queued, Tell
+from pmfid.service.sinks.waiting import Limits
+from pmfid.session.toml_file import FileSection
+
+__all__ = ["Host", "SinkSection"]
+
+
+class Host(Protocol):
+    """The service around a sink. name: of the service; folder: that of PLANT.toml, from which names of files count;
+    counters: those of the service; tell: gets what a sink has to say, as an object with "event": "sink", from any
+    thread."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def folder(self) -> Path: ...
+
+    @property
+    def counters(self) -> Counters: ...
+
+    @property
+    def tell(self) -> Tell: ...
+
+
+class SinkSection(FileSection):
+    """Keys that every [sinks.NAME] may have."""
+
+    #: Events that are for this kind of sink, None for all; whether rows are; least time between two writes [s].
+    events_wanted: ClassVar[frozenset[str] | None] = None
+    rows_wanted: ClassVar[bool] = True
+    pace: ClassVar[float] = 0.0
+
+    queue_rows: int = Field(100_000, ge=1, description="the number of rows that may wait; the oldest are dropped first")
+    queue_mb: float = Field(64.0, gt=0, description="the size in MB of the rows that may wait, for example 64.0")
+    queue_notices: int = Field(10_000, ge=1, description="the number of notices that may wait")
+
+    def make(self, name: str, context: Host) -> Sink:
+        """The sink, not yet open. Raises UsageError for what can be known to be wrong before, as a library that is not
+        installed or a secret that is not there."""
+        raise NotImplementedError
+
+    def wants_rows(self) -> bool:
+        """Whether rows are for this sink."""
+        return self.rows_wanted
+
+    def wants_events(self) -> frozenset[str] | None:
+        """Events that are for this sink; None for all."""
+        return self.events_wanted
+
+    def outlet(self, name: str, context: Host) -> Queued:
+        """The sink behind its queue, not yet started. Raises UsageError, as `make`."""
+        limits = Limits(self.queue_rows, int(1e6 * self.queue_mb), self.queue_notices, pace=self.pace)
+        sink = self.make(name, context)
+        return Queued(sink, context.counters, context.tell, limits, self.wants_rows(), self.wants_events())

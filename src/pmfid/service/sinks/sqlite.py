@@ -1,0 +1,209 @@
+"""Alarms, acknowledgements, the history of configurations and all other notices in an SQLite database."""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from pmfid.service.outcome import Notice, Rows
+from pmfid.service.sinks.plain import alarm_of, as_json
+from pmfid.service.sinks.section import Host, SinkSection
+from pmfid.session.model_config import Name
+
+__all__ = ["SqliteSection", "SqliteSink"]
+
+#: Of the layout below, kept in the file; and what marks a file as one of these ("pmfd").
+VERSION, APPLICATION = 1, 0x706D6664
+#: s that another process may hold the file.
+BUSY = 5.0
+
+SCHEMA = """
+CREATE TABLE notices (
+    id INTEGER PRIMARY KEY,
+    number INTEGER NOT NULL,  -- raised by one from notice to notice; begins anew with a service that knows nothing
+    axis TEXT NOT NULL,       -- "" for the service itself
+    event TEXT NOT NULL,
+    wall REAL NOT NULL,       -- seconds since 1970 when it was found
+    what TEXT NOT NULL,       -- JSON, as `pmfid monitor --json` prints it
+    UNIQUE (number, axis, what)
+);
+CREATE INDEX notices_of_axis ON notices (axis, event, id);
+CREATE TABLE alarms (
+    id INTEGER PRIMARY KEY REFERENCES notices (id),
+    number INTEGER NOT NULL,
+    axis TEXT NOT NULL,
+    wall REAL NOT NULL,
+    time REAL,                -- [s] by the clock of the axis
+    changed_at REAL,
+    parameter TEXT,
+    direction TEXT,
+    change REAL,
+    std REAL,
+    unit TEXT,
+    relative REAL,
+    statistic REAL,
+    threshold REAL
+);
+CREATE INDEX alarms_by_number ON alarms (number);
+CREATE TABLE acknowledgements (
+    id INTEGER PRIMARY KEY REFERENCES notices (id),
+    alarm INTEGER REFERENCES alarms (id),  -- NULL where that alarm is not in this file
+    axis TEXT NOT NULL,
+    wall REAL NOT NULL,
+    note TEXT NOT NULL
+);
+CREATE TABLE configurations (
+    id INTEGER PRIMARY KEY REFERENCES notices (id),
+    axis TEXT NOT NULL,
+    wall REAL NOT NULL,
+    config TEXT,
+    digest TEXT,
+    what TEXT NOT NULL
+);
+"""
+
+INSERT = "INSERT OR IGNORE INTO notices (number, axis, event, wall, what) VALUES (?, ?, ?, ?, ?)"
+#: Keys of an alarm that are columns.
+ALARM = (
+    "time",
+    "changed_at",
+    "parameter",
+    "direction",
+    "change",
+    "std",
+    "unit",
+    "relative",
+    "statistic",
+    "threshold",
+)
+
+
+class SqliteSection(SinkSection):
+    """[sinks.NAME] with kind = "sqlite"."""
+
+    rows_wanted: ClassVar[bool] = False
+
+    kind: Literal["sqlite"] = Field("sqlite", description='"sqlite"')
+    path: Name = Field(description='the file of the database, as "alarms.sqlite"')
+
+    def make(self, name: str, context: Host) -> SqliteSink:
+        """The sink, not yet open."""
+        return SqliteSink(name, context.folder / self.path)
+
+
+@contextmanager
+def _as_os_errors(path: Path) -> Iterator[None]:
+    """What SQLite cannot do may pass: a disk that is full, a file that someone else holds or that is damaged."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise OSError(f"{path.name}: {error}") from None
+
+
+class SqliteSink:
+    """Writes all notices that it is given at once, or none of them; those are on the disk when `put` returns.
+
+    A notice that is there already, with its number, its axis and all that it says, is not written again. Number alone
+    would not do: a service that lost its state counts from 1 again, and its alarms must not look like old ones.
+    """
+
+    def __init__(self, name: str, path: Path) -> None:
+        self.name = name
+        self._path = path
+        self._database: sqlite3.Connection | None = None
+
+    def open(self) -> None:
+        """Raises OSError where the file cannot be used, or is not one of this kind."""
+        self.close()
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with _as_os_errors(self._path):
+            database = sqlite3.connect(self._path, timeout=BUSY, isolation_level=None)
+            try:
+                _prepare(database, self._path)
+            except BaseException:
+                database.close()
+                raise
+        self._database = database
+
+    def put(self, outcomes: list[Rows | Notice]) -> None:
+        """Raises OSError where they cannot be written."""
+        if self._database is None:
+            raise OSError(f"{self._path.name} is not open")
+        with _as_os_errors(self._path), closing(self._database.cursor()) as cursor, _transaction(self._database):
+            for one in outcomes:
+                if isinstance(one, Notice):
+                    _insert(cursor, one)
+
+    def close(self) -> None:
+        """What was put is on the disk already."""
+        database, self._database = self._database, None
+        if database is not None:
+            with _as_os_errors(self._path):
+                database.close()
+
+
+def _prepare(database: sqlite3.Connection, path: Path) -> None:
+    """The schema in a new file; a check of one that is there."""
+    (application,), (version,) = (
+        database.execute(f"PRAGMA {key}").fetchone() for key in ("application_id", "user_version")
+    )
+    if application == APPLICATION and version > VERSION:
+        raise OSError(f"{path.name} was written by a newer version of pmfid; give another file")
+    if application != APPLICATION and database.execute("SELECT 1 FROM sqlite_master").fetchone():
+        raise OSError(f"{path.name} is a database of something else; give another file")
+    # readers do not hold up the writer, and a transaction is on the disk when it ends
+    database.execute("PRAGMA journal_mode = WAL")
+    database.execute("PRAGMA synchronous = FULL")
+    if application != APPLICATION:
+        with _transaction(database):
+            for statement in SCHEMA.split(";\n"):
+                database.execute(statement)
+            database.execute(f"PRAGMA application_id = {APPLICATION}")
+            database.execute(f"PRAGMA user_version = {VERSION}")
+
+
+@contextmanager
+def _transaction(database: sqlite3.Connection) -> Iterator[None]:
+    database.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        database.execute("COMMIT")
+    except BaseException:
+        if database.in_transaction:  # SQLite has ended it by itself after some errors
+            database.execute("ROLLBACK")
+        raise
+
+
+def _insert(cursor: sqlite3.Cursor, notice: Notice) -> None:
+    what, event = notice.what, str(notice.what.get("event", ""))
+    written = cursor.execute(INSERT, (notice.number, notice.axis, event, notice.wall, as_json(what)))
+    if written.rowcount == 0:  # it came before
+        return
+    row = cursor.lastrowid
+    if event == "alarm":
+        values = (row, notice.number, notice.axis, notice.wall, *(_cell(what.get(key)) for key in ALARM))
+        cursor.execute(f"INSERT INTO alarms VALUES ({', '.join('?' * len(values))})", values)
+    elif event == "acknowledged":
+        # the newest of that number: a service that lost its state counts from 1 again
+        alarm = "(SELECT max(id) FROM alarms WHERE number = ? AND axis = ?)"
+        values = (row, alarm_of(notice), notice.axis, notice.axis, notice.wall, str(what.get("note", "")))
+        cursor.execute(f"INSERT INTO acknowledgements VALUES (?, {alarm}, ?, ?, ?)", values)
+    elif event == "configuration":
+        config, digest = _cell(what.get("config")), _cell(what.get("digest"))
+        values = (row, notice.axis, notice.wall, config, digest, as_json(what))
+        cursor.execute("INSERT INTO configurations VALUES (?, ?, ?, ?, ?, ?)", values)
+
+
+def _cell(value: object) -> float | str | None:
+    """What a column takes; SQLite has NULL for a number that is not one."""
+    if isinstance(value, str) or value is None:
+        return value
+    if isinstance(value, int | float):
+        return float(value) if math.isfinite(value) else None
+    return as_json(value)

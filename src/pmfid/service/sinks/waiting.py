@@ -1,0 +1,140 @@
+"""What waits for a sink, in bounded memory: the oldest rows go first, alarms last. It knows no threads and no locks."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from pmfid.service.outcome import Notice, Rows
+
+__all__ = ["MOST_ENTRIES", "Entry", "Limits", "Lost", "Waiting"]
+
+#: Events that a person waits for; all others are dropped before them.
+URGENT = frozenset({"alarm", "acknowledged", "settled"})
+#: So many outcomes are taken at once.
+MOST_ENTRIES = 1024
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How much may wait for one sink: rows, bytes of rows, notices, each at least 1; take: rows that are handed to the
+    sink at once; pace: s from one time to the next, where whatever comes within is written together."""
+
+    rows: int = 100_000
+    size: int = 64_000_000
+    notices: int = 10_000
+    take: int = 50_000
+    pace: float = 0.0
+
+
+class Lost(NamedTuple):
+    """What was dropped."""
+
+    rows: int = 0
+    notices: int = 0
+
+
+class Entry(NamedTuple):
+    """An outcome that waits; serial: its place in the order in which they came; rows, size [bytes]: 0 for a notice."""
+
+    serial: int
+    outcome: Rows | Notice
+    rows: int = 0
+    size: int = 0
+
+
+Line = deque[Entry]
+
+
+def size_of(rows: Rows) -> int:
+    """Bytes of the arrays."""
+    arrays = (rows.axis, rows.number, rows.time, rows.u, rows.counts, rows.theta, rows.std)
+    return sum(array.nbytes for array in (*arrays, rows.innovation, rows.status, rows.state))
+
+
+@dataclass
+class Waiting:
+    """Rows, urgent notices and other ones, each in a line of its own, and taken in the order in which they came.
+
+    What is newest always stays: a single block of rows beyond the limits is kept until the next one comes.
+    """
+
+    limits: Limits
+    rows: int = field(default=0, init=False)
+    size: int = field(default=0, init=False)
+    _serial: int = field(default=0, init=False)
+    _rows: Line = field(default_factory=deque, init=False)
+    _urgent: Line = field(default_factory=deque, init=False)
+    _other: Line = field(default_factory=deque, init=False)
+
+    @property
+    def notices(self) -> int:
+        """How many wait."""
+        return len(self._urgent) + len(self._other)
+
+    def __bool__(self) -> bool:
+        return bool(self._rows or self._urgent or self._other)
+
+    @property
+    def crowded(self) -> bool:
+        """Whether one of the limits is half used up."""
+        limits = self.limits
+        return 2 * self.rows > limits.rows or 2 * self.size > limits.size or 2 * self.notices > limits.notices
+
+    def add(self, outcome: Rows | Notice) -> Lost:
+        """Puts it behind all others; what had to go for it."""
+        self._serial += 1
+        if isinstance(outcome, Rows):
+            self._come(Entry(self._serial, outcome, outcome.axis.size, size_of(outcome)))
+        else:
+            self._line_of(outcome).append(Entry(self._serial, outcome))
+        return self._bounded()
+
+    def take(self, most: int = MOST_ENTRIES) -> list[Entry]:
+        """The oldest, in order, as many as the limits let a sink have at once, and no more than `most`."""
+        taken: list[Entry] = []
+        rows = 0
+        lines = (self._rows, self._urgent, self._other)
+        while len(taken) < most and rows < self.limits.take:
+            line = min((line for line in lines if line), key=lambda line: line[0].serial, default=None)
+            if line is None:
+                break
+            taken.append(line.popleft())
+            rows += taken[-1].rows
+        self.rows -= rows
+        self.size -= sum(entry.size for entry in taken)
+        return taken
+
+    def give_back(self, taken: Sequence[Entry]) -> Lost:
+        """Puts what was taken last in front again; what had to go since."""
+        for entry in reversed(taken):
+            if isinstance(entry.outcome, Rows):
+                self._come(entry, front=True)
+            else:
+                self._line_of(entry.outcome).appendleft(entry)
+        return self._bounded()
+
+    def _line_of(self, notice: Notice) -> Line:
+        return self._urgent if notice.what.get("event") in URGENT else self._other
+
+    def _come(self, entry: Entry, front: bool = False) -> None:
+        self.rows += entry.rows
+        self.size += entry.size
+        if front:
+            self._rows.appendleft(entry)
+        else:
+            self._rows.append(entry)
+
+    def _bounded(self) -> Lost:
+        rows = notices = 0
+        while len(self._rows) > 1 and (self.rows > self.limits.rows or self.size > self.limits.size):
+            gone = self._rows.popleft()
+            self.rows -= gone.rows
+            self.size -= gone.size
+            rows += gone.rows
+        while self.notices > max(self.limits.notices, 1):
+            (self._other or self._urgent).popleft()
+            notices += 1
+        return Lost(rows, notices)

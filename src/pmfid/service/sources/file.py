@@ -1,0 +1,256 @@
+"""Files as sources: a record played at a speed, a file that grows, and standard input."""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Event
+from typing import BinaryIO, Literal
+
+from pydantic import Field
+
+from pmfid.errors import UsageError
+from pmfid.service.context import Context, SourceSection
+from pmfid.service.delivery import Block, Delivery, Lines, Mark
+from pmfid.service.sources import Source, Take
+from pmfid.session.config import Axis
+from pmfid.session.model_config import Name
+from pmfid.session.monitored.lines import LineParser
+from pmfid.session.monitored.stream import LONGEST_LINE, Beginning
+from pmfid.session.monitored.timeline import Line
+from pmfid.session.records import Record
+
+__all__ = ["FileSource", "Follower", "Piped", "Player", "StdinSource"]
+
+#: Bytes that are read at once, and how often a file is looked at that does not grow [s].
+CHUNK, LOOK = 65536, 0.1
+#: A played record comes in blocks of so much time [s], and of so many samples at most.
+BLOCK_TIME, BLOCK = 0.05, 1000
+
+
+class FileSource(SourceSection):
+    """[sources.NAME] kind = "file": lines of a file that grows, or a record that is played."""
+
+    kind: Literal["file"]
+    path: Name = Field(description='the file, as "logs/x1.csv"')
+    axis: Name = Field(description="the name of the axis that it is of")
+    speed: float | None = Field(
+        None, ge=0, description="how fast the record is played, 1.0 as it was, 0.0 as fast as it goes; left out: follow"
+    )
+
+    def make(self, name: str, context: Context) -> Source:
+        """The source, not yet running. Raises UsageError for an axis that is not in the plant."""
+        axis, path = _axis(context, self.axis), context.folder / self.path
+        if self.speed is not None:
+            return Player(name, self.axis, path, axis, self.speed)
+        return Follower(name, self.axis, path, axis, context)
+
+
+class StdinSource(SourceSection):
+    """[sources.NAME] kind = "stdin": lines of CSV as `pmfid monitor -` takes them."""
+
+    kind: Literal["stdin"]
+    axis: Name = Field(description="the name of the axis that the lines are of")
+
+    def make(self, name: str, context: Context) -> Source:
+        """The source, not yet running. Raises UsageError for an axis that is not in the plant."""
+        return Piped(name, self.axis, _axis(context, self.axis), sys.stdin.buffer)
+
+
+def _axis(context: Context, name: str) -> Axis:
+    axis = context.axis(name)
+    if axis is None:
+        raise UsageError(f"there is no axis {name!r} in this plant; name one of [axes]")
+    return axis
+
+
+@dataclass
+class Player:
+    """A record in blocks, as if it were measured now; speed: times the speed of the machine, 0: as fast as it goes."""
+
+    name: str
+    axis: str
+    path: Path
+    config: Axis
+    speed: float
+    record: Record | None = None
+    _stop: Event = field(default_factory=Event, init=False)
+
+    def run(self, take: Take, mark: Mark | None) -> None:
+        """Hands over all samples; behind a mark, those that follow."""
+        record = self._read()
+        version, epoch, start = self._version(), 0, 0
+        if mark is not None:
+            same = mark.get("version") == version
+            epoch, start = int(mark["epoch"]) + (not same), int(mark["sample"]) if same else 0
+        size = min(BLOCK, max(1, round(BLOCK_TIME / record.dt)) if self.speed else BLOCK)
+        begun = time.monotonic() - (start * record.dt / self.speed if self.speed else 0.0)
+        for first in range(start, record.u.size, size):
+            end = min(first + size, record.u.size)
+            if self.speed and self._stop.wait(max(0.0, begun + end * record.dt / self.speed - time.monotonic())):
+                return
+            u, counts = record.u[first:end], record.counts[first:end]
+            block = Block(self.axis, epoch, first, math.nan, record.dt, u, counts)
+            behind: Mark = {"version": version, "epoch": epoch, "sample": end}
+            if self._stop.is_set() or not take(Delivery(self.name, (block,), None, behind, time.monotonic())):
+                return
+
+    def _read(self) -> Record:
+        from pmfid.session.records import read_record
+
+        return read_record(self.path, self.config) if self.record is None else self.record
+
+    def _version(self) -> str:
+        """What changes when the file does."""
+        status = os.stat(self.path)
+        return f"{status.st_size} {status.st_mtime_ns}"
+
+    def stop(self) -> None:
+        """Ends `run`."""
+        self._stop.set()
+
+
+@dataclass
+class _Text:
+    """Bytes of a stream as lines of one axis. header: the line that says what the columns are, once it came."""
+
+    source: str
+    axis: str
+    config: Axis
+    header: bytes = b""
+    _rest: bytes = field(default=b"", init=False)
+
+    def __post_init__(self) -> None:
+        self._beginning = Beginning(self.config)
+        self._parse = LineParser(self.header, self.config) if self.header else None
+
+    def take(self, chunk: bytes) -> list[Line]:
+        """What the lines say that end in it; an unfinished one waits. Raises UsageError where no header comes."""
+        text = self._rest + chunk
+        *whole, self._rest = text.split(b"\n")
+        if len(self._rest) > LONGEST_LINE:
+            whole, self._rest = [*whole, self._rest], b""
+        return list(self._lines(whole))
+
+    def end(self) -> list[Line]:
+        """What the last line says though no line feed ends it."""
+        rest, self._rest = self._rest, b""
+        return list(self._lines([rest]))
+
+    @property
+    def unfinished(self) -> int:
+        """Bytes of the line that waits for its end."""
+        return len(self._rest)
+
+    def _lines(self, whole: list[bytes]) -> Iterator[Line]:
+        for line in whole:
+            if self._parse is None:
+                self._parse = self._beginning.take(line)
+                self.header = line if self._parse is not None else b""
+                continue
+            said = self._parse(line) if line.strip() else None
+            if said is not None:
+                yield said
+
+
+@dataclass
+class Piped:
+    """Lines of a stream, until it ends."""
+
+    name: str
+    axis: str
+    config: Axis
+    stream: BinaryIO
+    _stop: Event = field(default_factory=Event, init=False)
+
+    def run(self, take: Take, mark: Mark | None) -> None:
+        """Hands over the lines as they come; what was read is read, so a mark is of no use. Raises UsageError for a
+        stream without a header."""
+        text = _Text(self.name, self.axis, self.config)
+        while not self._stop.is_set():
+            if not select.select([self.stream], [], [], 2 * LOOK)[0]:
+                continue
+            chunk = os.read(self.stream.fileno(), CHUNK)
+            lines = text.take(chunk) if chunk else text.end()
+            if lines and not take(Delivery(self.name, (Lines(self.axis, lines),), received=time.monotonic())):
+                return
+            if not chunk:
+                return
+
+    def stop(self) -> None:
+        """Ends `run`."""
+        self._stop.set()
+
+
+@dataclass
+class Follower:
+    """Lines of a file that grows, as `tail -F` follows it: a file that takes its place is read from its start, and so
+    is one that was cut short."""
+
+    name: str
+    axis: str
+    path: Path
+    config: Axis
+    context: Context
+    _stop: Event = field(default_factory=Event, init=False)
+    _problem: str = field(default="", init=False)
+
+    def run(self, take: Take, mark: Mark | None) -> None:
+        """Hands over the lines as they come, from the mark on where the file is still that one."""
+        while not self._stop.is_set():
+            try:
+                with open(self.path, "rb", buffering=0) as file:
+                    since, mark = mark, None
+                    if not self._follow(file, take, since):
+                        return
+            except (OSError, UsageError) as error:
+                self._complain(error.strerror or str(error) if isinstance(error, OSError) else str(error))
+            self._stop.wait(LOOK)
+
+    def _follow(self, file: BinaryIO, take: Take, mark: Mark | None) -> bool:
+        """False once the service ends, True where another file took the place of this one."""
+        number, offset, header = os.fstat(file.fileno()).st_ino, 0, b""
+        if mark is not None and mark["file"] == number and int(mark["offset"]) <= os.fstat(file.fileno()).st_size:
+            offset, header = int(mark["offset"]), str(mark["header"]).encode("utf-8", "surrogateescape")
+        text = _Text(self.name, self.axis, self.config, header)
+        file.seek(offset)
+        while not self._stop.is_set():
+            chunk = file.read(CHUNK)
+            if not chunk:
+                if self._replaced(number, offset):
+                    return True
+                self._stop.wait(LOOK)
+                continue
+            offset += len(chunk)
+            lines = text.take(chunk)
+            self._problem = ""
+            said = text.header.decode("utf-8", "surrogateescape")
+            behind: Mark = {"file": number, "offset": offset - text.unfinished, "header": said}
+            if lines and not take(
+                Delivery(self.name, (Lines(self.axis, lines),), mark=behind, received=time.monotonic())
+            ):
+                return False
+        return False
+
+    def _replaced(self, number: int, offset: int) -> bool:
+        try:
+            status = os.stat(self.path)
+        except OSError:
+            return False  # between two files: the next one will come
+        return status.st_ino != number or status.st_size < offset
+
+    def _complain(self, problem: str) -> None:
+        """Once for each problem."""
+        if problem != self._problem:
+            self._problem = problem
+            self.context.tell({"event": "source", "source": self.name, "problem": f"{self.path.name}: {problem}"})
+
+    def stop(self) -> None:
+        """Ends `run`."""
+        self._stop.set()

@@ -1,0 +1,58 @@
+"""The page and its interface as one application."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+from starlette.types import ASGIApp
+
+from pmfid.service.web.api import Api
+from pmfid.service.web.files import page_files
+from pmfid.service.web.security import Guard
+from pmfid.service.web.tokens import Tokens
+
+__all__ = ["make_app"]
+
+
+def make_app(api: Api, hosts: frozenset[str], tokens: Tokens) -> ASGIApp:
+    """Everything behind the guard."""
+    files = page_files()
+
+    async def file(request: Request) -> Response:
+        found = files.get(request.url.path)
+        if found is None:
+            raise HTTPException(404, "there is no such file")
+        known = request.headers.get("if-none-match") == found.tag
+        headers = {"etag": found.tag}
+        return Response(None, 304, headers) if known else Response(found.content, 200, headers, found.kind)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        running = asyncio.create_task(api.hub.run())
+        yield
+        running.cancel()
+
+    inner = Starlette(
+        routes=[*api.routes(), Route("/{path:path}", file)],
+        exception_handlers={HTTPException: _problem, Exception: _failure},
+        lifespan=lifespan,
+    )
+    return Guard(inner, hosts, tokens, api.counters)
+
+
+async def _problem(request: Request, error: Exception) -> Response:
+    """A sentence; nothing of the request is in it."""
+    if not isinstance(error, HTTPException):
+        return await _failure(request, error)
+    return JSONResponse({"problem": error.detail}, error.status_code, error.headers)
+
+
+async def _failure(request: Request, error: Exception) -> Response:
+    return JSONResponse({"problem": "the service could not answer; its log says why"}, 500)

@@ -1,0 +1,69 @@
+"""[page] of PLANT.toml: where the page is served, to whom, and what it may keep."""
+
+from __future__ import annotations
+
+import ipaddress
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from pmfid.errors import UsageError
+from pmfid.session.model_config import Name, Positive
+from pmfid.session.toml_file import FileSection
+
+__all__ = ["PageConfig"]
+
+
+class PageConfig(FileSection):
+    """[page]; without it the page is on 127.0.0.1:8127. Tokens are named by `_env` or `_file`, never given here."""
+
+    enabled: bool = Field(True, description="false for no page")
+    address: Name = Field("127.0.0.1", description='the address to listen on, as "127.0.0.1"')
+    port: int = Field(8127, ge=0, le=65535, description="the port, 0 for any that is free")
+    allow_remote: bool = Field(False, description="true to listen on another address than that of this machine alone")
+    hosts: tuple[Name, ...] = Field(
+        (), strict=False, description='the names by which browsers reach it, as ["hall.example:8127"]'
+    )
+    token_env: Name | None = Field(None, description="the environment variable with the token that may write")
+    token_file: Name | None = Field(None, description="the file with the token that may write")
+    read_token_env: Name | None = Field(None, description="the environment variable with the token that only reads")
+    read_token_file: Name | None = Field(None, description="the file with the token that only reads")
+    certificate: Name | None = Field(None, description="a file with the certificate, for TLS")
+    key: Name | None = Field(None, description="a file with the key of the certificate")
+    history_mb: Positive = Field(64.0, description="the memory for the history of the axes in MB, for example 64.0")
+    browsers: int = Field(256, ge=1, le=4096, description="how many streams may be open at once")
+
+    @property
+    def local(self) -> bool:
+        """Can only this machine reach the address?"""
+        try:
+            return ipaddress.ip_address(self.address).is_loopback
+        except ValueError:
+            return self.address == "localhost"
+
+    @model_validator(mode="after")
+    def _guarded(self) -> Self:
+        for scope in ("", "read_"):
+            if getattr(self, f"{scope}token_env") and getattr(self, f"{scope}token_file"):
+                raise UsageError(f"[page] {scope}token_env and {scope}token_file are both given; drop one of them")
+        if bool(self.certificate) != bool(self.key):
+            raise UsageError("[page] certificate and key belong together; give both, or neither")
+        if not self.local:
+            self._check_remote()
+        return self
+
+    def _check_remote(self) -> None:
+        """What others can reach asks for three decisions."""
+        where = f"[page] address = {self.address!r} can be reached from other machines"
+        if not self.allow_remote:
+            raise UsageError(f"{where}; set allow_remote = true if that is meant, or use 127.0.0.1")
+        if not (self.token_env or self.token_file):
+            raise UsageError(
+                f"{where}, which asks for a token that you choose; name the file that holds it, as "
+                'token_file = "page.token", or a variable with token_env'
+            )
+        if self.address in ("0.0.0.0", "::", "") and not self.hosts:
+            raise UsageError(
+                f"{where} by any name; list those that browsers use, as hosts = "
+                f'["hall.example:{self.port}"]: requests for others are refused'
+            )

@@ -1,0 +1,101 @@
+"""Connections that may not be held open by doing nothing: slow requests, browsers that stop reading, too many."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import h11
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from pmfid.service.counters import Counters
+
+__all__ = ["Limits", "guarded"]
+
+#: States of a request that is whole.
+WHOLE = (h11.DONE, h11.MUST_CLOSE, h11.CLOSED, h11.ERROR)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """connections: open at once; request: time for a whole request [s]; stuck: time without a byte read by a browser
+    that something waits for [s]."""
+
+    connections: int
+    request: float = 10.0
+    stuck: float = 10.0
+
+
+class Guarded(H11Protocol):
+    """uvicorn's protocol within limits; what they end is counted."""
+
+    limits: ClassVar[Limits]
+    counters: ClassVar[Counters]
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._deadline: asyncio.TimerHandle | None = None
+        self._stuck: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        if len(self.connections) > self.limits.connections:
+            self._end("connections")
+        else:
+            self._expect()
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        if self.conn.their_state in WHOLE:
+            self._forget_deadline()
+        elif self._deadline is None and not self.transport.is_closing():
+            self._expect()
+
+    def _expect(self) -> None:
+        """The whole request, not its next byte: a byte every few seconds is what holds connections open."""
+        self._deadline = self.loop.call_later(self.limits.request, self._end, "slow")
+
+    def _forget_deadline(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._watch()
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._forget_stuck()
+
+    def _watch(self) -> None:
+        size = self.transport.get_write_buffer_size()
+        self._stuck = self.loop.call_later(self.limits.stuck, self._look, size)
+
+    def _look(self, before: int) -> None:
+        """A slow line is no stuck one: what waits must have become less."""
+        if self.transport.get_write_buffer_size() < before:
+            self._watch()
+        else:
+            self.counters.add("pmfid_page_browsers_dropped_total")
+            self.transport.abort()
+
+    def _forget_stuck(self) -> None:
+        if self._stuck is not None:
+            self._stuck.cancel()
+            self._stuck = None
+
+    def _end(self, reason: str) -> None:
+        self.counters.add("pmfid_page_refused_total", reason=reason)
+        self.transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._forget_deadline()
+        self._forget_stuck()
+        super().connection_lost(exc)
+
+
+def guarded(limits: Limits, counters: Counters) -> type[H11Protocol]:
+    """The protocol as uvicorn is given it: a class, of which it makes an object for each connection."""
+    return type("Guarded", (Guarded,), {"limits": limits, "counters": counters})

@@ -1,0 +1,163 @@
+"""What streams send: written once for all browsers that look at the same, whatever their number.
+
+An overview is a state: who reads slowly gets fewer and larger changes. Rows of an axis are events: the last seconds of
+them wait for who reads slowly, and what is missed is counted and told.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+
+from pmfid.service.board import Board, News, Subscription
+from pmfid.service.counters import Counters
+from pmfid.service.web.packed import json_line, packed_overview, packed_rows
+
+__all__ = ["Hub"]
+
+#: Time between two looks at the board [s]; every so many of them the overview goes out, and of many axes.
+TICK, OVERVIEW, OVERVIEW_OF_MANY = 0.25, 2, 4
+MANY = 2000
+#: Pieces of an axis that wait for slow browsers: 15 s.
+PIECES = 60
+#: Notices that a line has at most.
+NOTICES = 300
+#: Different changes that are kept as they were written: browsers are few ticks apart.
+WRITTEN = 8
+
+
+@dataclass
+class Feed:
+    """The rows of one axis, for all who look at it. rows: that came so far; dropped: that the board could not keep;
+    pieces: (rows before it, line)."""
+
+    subscription: Subscription
+    viewers: int = 0
+    rows: int = 0
+    dropped: int = 0
+    pieces: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=PIECES))
+
+    def take(self) -> None:
+        """What came since the last time."""
+        rows, dropped = self.subscription.take()
+        self.dropped += dropped
+        if rows is not None:
+            line = json_line({"kind": "rows", "dropped": self.dropped, **packed_rows(rows)})
+            self.pieces.append((self.rows, line))
+            self.rows += rows.size
+
+    def after(self, seen: int) -> tuple[int, list[bytes]]:
+        """(rows that are gone, lines of the others) since so many were seen."""
+        waiting = [(before, line) for before, line in self.pieces if before >= seen]
+        missed = waiting[0][0] - seen if waiting else 0
+        return missed, [line for _, line in waiting]
+
+
+class Hub:
+    """One for the page, in its event loop. start: `time.monotonic()` that the page's times count from."""
+
+    def __init__(self, board: Board, counters: Counters) -> None:
+        self._board, self._counters = board, counters
+        self.start = time.monotonic()
+        self._feeds: dict[str, Feed] = {}
+        self._written: dict[tuple[int, int, bool], tuple[int, bytes]] = {}
+        self._tick = asyncio.Condition()
+        self._ticks = 0
+        self.streams = 0
+        self.ended = False
+
+    async def run(self) -> None:
+        """Until it is cancelled."""
+        while True:
+            await asyncio.sleep(TICK)
+            async with self._tick:
+                self._ticks += 1
+                for feed in self._feeds.values():
+                    feed.take()
+                self._tick.notify_all()
+
+    async def stop(self) -> None:
+        """Ends all streams."""
+        async with self._tick:
+            self.ended = True
+            self._tick.notify_all()
+
+    async def _wait(self, ticks: int) -> bool:
+        """Until so many ticks have gone by; False at the end."""
+        until = self._ticks + ticks
+        async with self._tick:
+            await self._tick.wait_for(lambda: self.ended or self._ticks >= until)
+        return not self.ended
+
+    def _changes(self, since: int, groups: bool) -> tuple[int, bytes]:
+        """(version, line) of what changed; the same for all browsers that ask for it in the same tick."""
+        key = since, self._ticks, groups
+        if key not in self._written:
+            while len(self._written) >= WRITTEN:
+                del self._written[next(iter(self._written))]
+            news = self._board.news(since, groups)
+            self._written[key] = news.version, json_line(self._content(news, since == 0))
+        return self._written[key]
+
+    def _content(self, news: News, first: bool) -> dict[str, object]:
+        changed = [(i, group) for i, group in enumerate(news.groups) if group.axis.size]
+        counters = self._counters.values()
+        return {
+            "kind": "news",
+            "first": first,
+            "layout": news.layout,
+            "now": round(10 * (time.monotonic() - self.start)),
+            "groups": [packed_overview(i, group, self.start) for i, group in changed],
+            "notices": [
+                {"axis": n.axis, "number": n.number, "wall": n.wall, **n.what} for n in news.notices[-NOTICES:]
+            ],
+            "alarms": [alarm.to_dict() for alarm in news.alarms],
+            "counters": [[name, dict(labels), value] for (name, labels), value in counters.items()],
+        }
+
+    async def overview(self) -> AsyncIterator[bytes]:
+        """Lines of the stream of all axes; one comes at every turn, so that silence means that the service is gone."""
+        many = sum(len(group.axes) for group in self._board.groups) > MANY
+        version = 0
+        while True:
+            version, line = self._changes(version, True)
+            yield line
+            if not await self._wait(OVERVIEW_OF_MANY if many else OVERVIEW):
+                return
+
+    async def axis(self, name: str) -> AsyncIterator[bytes]:
+        """Lines of the stream of one axis: every row, and news without the other axes."""
+        feed = self._join(name)
+        try:
+            seen, version, turn = feed.rows, 0, 0
+            while True:
+                if turn % OVERVIEW == 0:
+                    version, line = self._changes(version, False)
+                    yield line
+                (missed, lines), seen = feed.after(seen), feed.rows
+                if missed:
+                    self._counters.add("pmfid_page_rows_missed_total", missed)
+                    yield json_line({"kind": "missed", "rows": missed})
+                for line in lines:
+                    yield line
+                turn += 1
+                if not await self._wait(1):
+                    return
+        finally:
+            self._leave(name, feed)
+
+    def _join(self, name: str) -> Feed:
+        feed = self._feeds.get(name)
+        if feed is None:
+            feed = self._feeds[name] = Feed(self._board.follow(name))
+        feed.viewers += 1
+        return feed
+
+    def _leave(self, name: str, feed: Feed) -> None:
+        feed.viewers -= 1
+        if not feed.viewers:
+            feed.subscription.close()
+            self._feeds.pop(name, None)

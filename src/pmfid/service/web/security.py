@@ -1,0 +1,168 @@
+"""Who may ask for what: Host and Origin, tokens and their scopes, sizes; and the headers that go with every answer.
+
+No cookie and nothing else that a browser would send by itself, so that another page in it can ask, but not as anyone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from pmfid.service.counters import Counters
+from pmfid.service.web.tokens import WRITE, Tokens
+
+__all__ = ["LARGEST_BODY", "Guard", "Refusal", "hosts_of", "json_body"]
+
+#: What a request may bring [bytes], and how long it may take [s].
+LARGEST_BODY, SLOWEST_BODY = 4096, 5.0
+
+HEADERS = {
+    "content-security-policy": (
+        "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; object-src 'none'; "
+        "require-trusted-types-for 'script'; trusted-types 'none'"
+    ),
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "permissions-policy": "camera=(), geolocation=(), microphone=()",
+}
+
+
+class Refusal(Exception):  # noqa: N818  it is answered, not raised to anyone
+    """reason: for counters; status: of HTTP; problem: a sentence that repeats nothing of what was sent."""
+
+    def __init__(self, reason: str, status: int, problem: str) -> None:
+        super().__init__(problem)
+        self.reason, self.status, self.problem = reason, status, problem
+
+
+def hosts_of(address: str, port: int, more: Iterable[str]) -> frozenset[str]:
+    """The values of Host that are answered: those of the address, and those that were configured, in small letters."""
+    literal = f"[{address}]" if ":" in address else address
+    names = {literal}
+    if address in ("127.0.0.1", "::1", "localhost"):
+        names |= {"127.0.0.1", "localhost", "[::1]"}
+    found = {f"{name}:{port}" for name in names if name not in ("0.0.0.0", "[::]")}
+    if port in (80, 443):
+        found |= {host.rpartition(":")[0] for host in found}
+    return frozenset(found | {host.lower() for host in more})
+
+
+@dataclass
+class Guard:
+    """Answers what may not be asked, and hands on the rest with `scope["may"]` READ, WRITE or None.
+
+    open_paths: prefixes of what needs a token; everything else is files that say nothing of the plant.
+    """
+
+    app: ASGIApp
+    hosts: frozenset[str]
+    tokens: Tokens
+    counters: Counters
+    closed: tuple[str, ...] = ("/api/", "/metrics")
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        answer = _with_headers(send, scope["path"].startswith(self.closed))
+        try:
+            self._check(scope)
+        except Refusal as refusal:
+            self.counters.add("pmfid_page_refused_total", reason=refusal.reason)
+            await _refused(refusal)(scope, receive, answer)
+            return
+        await self.app(scope, receive, answer)
+
+    def _check(self, scope: Scope) -> None:
+        headers = Headers(scope=scope)
+        self._check_origin(headers)
+        _check_size(headers)
+        if scope["path"].startswith(self.closed):
+            self._check_token(scope, headers)
+
+    def _check_origin(self, headers: Headers) -> None:
+        """A name of someone else that leads here (DNS rebinding) is in Host; a page of someone else is in Origin."""
+        hosts = headers.getlist("host")
+        if len(hosts) != 1 or hosts[0].lower() not in self.hosts:
+            raise Refusal("host", 421, "this page is not served under that name; see hosts in [page] of PLANT.toml")
+        origins = headers.getlist("origin")
+        own = {f"{scheme}://{hosts[0].lower()}" for scheme in ("http", "https")}  # a proxy may speak TLS
+        if len(origins) > 1 or not {origin.lower() for origin in origins} <= own:
+            raise Refusal("origin", 403, "another page may not ask here")
+        if headers.get("sec-fetch-site", "none") == "cross-site" and headers.get("sec-fetch-mode") != "navigate":
+            raise Refusal("origin", 403, "another page may not ask here")
+
+    def _check_token(self, scope: Scope, headers: Headers) -> None:
+        given = headers.getlist("authorization")
+        may = self.tokens.scope(given[0]) if len(given) == 1 else None
+        if may is None:
+            raise Refusal("token", 401, "a token is needed: open the address that pmfid serve printed at its start")
+        if scope["method"] not in ("GET", "HEAD") and may != WRITE:
+            raise Refusal("scope", 403, "this token may look, but not write")
+        scope["may"] = may
+
+
+def _check_size(headers: Headers) -> None:
+    """Before a byte of the body is read."""
+    length = headers.get("content-length", "0")
+    if not length.isdecimal() or int(length[:20]) > LARGEST_BODY:
+        raise Refusal("size", 413, f"a request may have {LARGEST_BODY} bytes")
+
+
+def _refused(refusal: Refusal) -> JSONResponse:
+    """The connection ends with it: what else comes on it is not read."""
+    headers = {"connection": "close"}
+    if refusal.status == 401:
+        headers["www-authenticate"] = "Bearer"
+    return JSONResponse({"problem": refusal.problem}, refusal.status, headers)
+
+
+def _with_headers(send: Send, private: bool) -> Send:
+    async def answer(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            for name, value in HEADERS.items():
+                headers[name] = value
+            headers["cache-control"] = "no-store" if private else "no-cache"
+        await send(message)
+
+    return answer
+
+
+async def json_body(request: Request) -> dict[str, Any]:
+    """The object in a body. Raises HTTPException for what is none, too large or too slow."""
+    if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
+        raise HTTPException(415, "write JSON, with content-type: application/json")
+    try:
+        async with asyncio.timeout(SLOWEST_BODY):
+            body = await _body(request)
+        found = json.loads(body)
+    except (TimeoutError, ClientDisconnect):
+        raise HTTPException(408, "the request took too long") from None
+    except (ValueError, RecursionError):
+        raise HTTPException(400, "the request is no JSON") from None
+    if not isinstance(found, dict):
+        raise HTTPException(400, "the request is no JSON object")
+    return found
+
+
+async def _body(request: Request) -> bytes:
+    """One without a length is counted while it comes."""
+    body = b""
+    async for piece in request.stream():
+        body += piece
+        if len(body) > LARGEST_BODY:
+            raise HTTPException(413, f"a request may have {LARGEST_BODY} bytes", {"connection": "close"})
+    return body

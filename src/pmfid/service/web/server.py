@@ -1,0 +1,185 @@
+"""The page in a thread of its own: `serve` starts it, `Page.stop` ends it."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Thread
+from typing import TYPE_CHECKING
+
+from pmfid.errors import UsageError
+from pmfid.service.board import Board
+from pmfid.service.counters import Counters
+from pmfid.service.web.acts import Acts
+from pmfid.service.web.config import PageConfig
+from pmfid.service.web.tokens import Tokens, load_tokens
+from pmfid.session.records import Record
+
+if TYPE_CHECKING:
+    from uvicorn import Config, Server
+
+    from pmfid.service.web.api import Api
+    from pmfid.service.web.hub import Hub
+
+__all__ = ["Page", "serve"]
+
+#: Connections beside the streams: files, histories, metrics.
+BESIDE = 64
+#: Until the page answers, and until it has ended [s].
+STARTED, ENDED = 10.0, 3.0
+#: What the system may keep for a browser that reads slowly [bytes]; left alone it would keep some megabytes for each.
+WAITING = 262_144
+
+
+@dataclass
+class Page:
+    """A page that is being served. url: without the token; start_url: for the start line, with the token where this
+    start made it; notes: what to know about it, sentences."""
+
+    url: str
+    start_url: str
+    notes: tuple[str, ...]
+    _server: Server
+    _api: Api
+    _thread: Thread
+
+    def stop(self) -> None:
+        """Ends streams and thread, within seconds. May be called twice."""
+        self._server.should_exit = True
+        self._thread.join(ENDED)
+
+
+def serve(
+    config: PageConfig,
+    name: str,
+    board: Board,
+    counters: Counters,
+    acts: Acts,
+    *,
+    folder: Path,
+    reference: Callable[[str], Record | None] = lambda axis: None,
+    metrics: Callable[[], str] | None = None,
+) -> Page:
+    """Starts to serve the page. name: of the service; folder: that of PLANT.toml; reference: record of normal work of
+    an axis, by its name, read when someone asks, in a thread of its own (it may raise UsageError); metrics: text for
+    Prometheus. Raises UsageError where the address cannot be had, a token is missing, or the extra is not
+    installed."""
+    _check_extra()
+    from pmfid.service.web.api import Api
+    from pmfid.service.web.app import make_app
+    from pmfid.service.web.hub import Hub
+    from pmfid.service.web.security import hosts_of
+
+    tokens = load_tokens(config, folder)
+    listener = _listener(config)
+    port = listener.getsockname()[1]
+    hub = Hub(board, counters)
+    api = Api(name, board, counters, hub, acts, reference, metrics, config.browsers)
+    app = make_app(api, hosts_of(config.address, port, config.hosts), tokens)
+    try:
+        server = _server(_uvicorn_config(app, config, counters, folder), hub)
+    except UsageError:
+        listener.close()
+        raise
+    thread = Thread(target=_run, args=(server, listener), name="page", daemon=True)
+    thread.start()
+    _wait(server, thread)
+    url = f"{'https' if config.certificate else 'http'}://{_shown_host(config, port)}/"
+    return Page(url, f"{url}#token={tokens.write}" if tokens.made else url, _notes(config, tokens), server, api, thread)
+
+
+def _check_extra() -> None:
+    try:
+        import starlette  # noqa: F401
+        import uvicorn  # noqa: F401
+    except ImportError:
+        raise UsageError("the page needs an extra: pip install 'pmfid[serve]'; or [page] enabled = false") from None
+
+
+def _listener(config: PageConfig) -> socket.socket:
+    family = socket.AF_INET6 if ":" in config.address else socket.AF_INET
+    try:
+        listener = socket.create_server((config.address, config.port), family=family, backlog=256)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING)
+        return listener
+    except (OSError, OverflowError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise UsageError(
+            f"the page cannot be served on {config.address}:{config.port}: {reason}; choose another port in [page] "
+            "of PLANT.toml, 0 for any that is free"
+        ) from None
+
+
+def _uvicorn_config(app: object, config: PageConfig, counters: Counters, folder: Path) -> Config:
+    """Without a log of requests, and with limits of its own on slow and stuck connections."""
+    from uvicorn import Config
+
+    from pmfid.service.web.connection import Limits, guarded
+
+    certificate, key = ((folder / str(path)) if path else None for path in (config.certificate, config.key))
+    try:
+        made = Config(
+            app,  # type: ignore[arg-type]
+            http=guarded(Limits(config.browsers + BESIDE), counters),
+            loop="asyncio",
+            ws="none",
+            lifespan="on",
+            log_config=None,
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            timeout_keep_alive=20,
+            timeout_graceful_shutdown=1,
+            h11_max_incomplete_event_size=16384,
+            ssl_certfile=certificate,
+            ssl_keyfile=key,
+        )
+        made.load()
+    except OSError as error:  # ssl.SSLError is one
+        raise UsageError(f"[page] certificate and key cannot be used: {error}; give files in PEM format") from None
+    return made
+
+
+def _server(config: Config, hub: Hub) -> Server:
+    """Ends the streams before it waits for them."""
+    from uvicorn import Server
+
+    class Own(Server):
+        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+            await hub.stop()
+            await super().shutdown(sockets)
+
+    return Own(config)
+
+
+def _run(server: Server, listener: socket.socket) -> None:
+    asyncio.run(server.serve([listener]))
+
+
+def _wait(server: Server, thread: Thread) -> None:
+    end = time.monotonic() + STARTED
+    while not server.started and thread.is_alive() and time.monotonic() < end:
+        time.sleep(0.01)
+    if not server.started:
+        raise UsageError("the page did not start; the log says why")
+
+
+def _shown_host(config: PageConfig, port: int) -> str:
+    if config.hosts:
+        return config.hosts[0]
+    return f"[{config.address}]:{port}" if ":" in config.address else f"{config.address}:{port}"
+
+
+def _notes(config: PageConfig, tokens: Tokens) -> tuple[str, ...]:
+    notes = []
+    if not config.local:
+        notes.append(f"the page can be reached from other machines, at {config.address}: who has the token gets in")
+        if not config.certificate:
+            notes.append("it is sent in the clear, the token as well: give [page] certificate and key, or use a proxy")
+    if not tokens.made:
+        notes.append("open the page with #token=... of your token behind the address")
+    return tuple(notes)

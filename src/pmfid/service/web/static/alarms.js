@@ -1,0 +1,87 @@
+// Alarms as cards, and the dialog in which one is acknowledged with a note.
+import { Problem, tell } from "./api.js";
+import { el } from "./dom.js";
+import { age, moment, number, percent, unitOf, wall, words } from "./format.js";
+import { icon } from "./states.js";
+
+export function causeOf(alarm) {
+  const std = Number.isFinite(alarm.std) ? ` ± ${number(alarm.std, 2)}` : "";
+  const size = Number.isFinite(alarm.change) ? ` (${alarm.change > 0 ? "+" : ""}${number(alarm.change, 3)}${std}${unitOf(alarm.unit)})` : "";
+  return `${words(alarm.parameter)} ${percent(alarm.relative)}${size}`;
+}
+
+export const sinceOf = (alarm) => `since ${moment(alarm.changed_at)}, found ${wall(alarm.wall)}`;
+
+function settledOf(alarm) {
+  const found = alarm.settled?.parameters?.[alarm.parameter];
+  return found ? `now ${number(found.value)} ± ${number(found.std, 2)}${unitOf(alarm.unit)}` : null;
+}
+
+export function alarmCard(alarm, mayWrite, withAxis = true) {
+  const known = alarm.acknowledged !== null;
+  const settled = settledOf(alarm);
+  const button = el(
+    "button",
+    { type: "button", class: "strong", onclick: () => acknowledge(alarm), "aria-label": `Acknowledge the alarm of ${alarm.axis}` },
+    "Acknowledge …",
+  );
+  return el(
+    "li",
+    { class: known ? "card known" : "card alarm", "data-alarm": alarm.number },
+    icon(known ? "watching" : "alarm"),
+    el(
+      "div",
+      { class: "card-text" },
+      el(
+        "p",
+        { class: "card-title" },
+        withAxis ? el("a", { href: axisLink(alarm.axis) }, alarm.axis) : null,
+        withAxis ? " " : null,
+        el("strong", {}, causeOf(alarm)),
+      ),
+      el("p", { class: "fine" }, sinceOf(alarm), settled ? `, ${settled}` : ""),
+      el("p", { class: "fine" }, `statistic ${number(alarm.statistic, 3)} of ${number(alarm.threshold, 3)}`),
+      known ? el("p", { class: "fine note-text" }, `acknowledged ${wall(alarm.acknowledged)}`, alarm.note ? `: “${alarm.note}”` : "") : null,
+    ),
+    known || !mayWrite ? null : button,
+  );
+}
+
+export const axisLink = (name) => `#/axis/${encodeURIComponent(name)}`;
+
+export function acknowledge(alarm) {
+  const note = el("textarea", { id: "note", maxlength: "500", rows: "4" });
+  askFirst(
+    "Acknowledge the alarm",
+    [
+      el("p", {}, el("strong", {}, alarm.axis), `: ${causeOf(alarm)}`),
+      el("label", { for: "note" }, "Note for those who come after you"),
+      note,
+    ],
+    "Acknowledge",
+    () => tell(`api/alarms/${alarm.number}/acknowledge`, { note: note.value }),
+  );
+}
+
+// A dialog with one action; what goes wrong is said in it.
+export function askFirst(title, content, action, act) {
+  const problem = el("p", { role: "alert", class: "problem" });
+  const dialog = el("dialog", { "aria-labelledby": "dialog-title" });
+  const submit = async (event) => {
+    event.preventDefault();
+    try {
+      await act();
+      dialog.close();
+    } catch (error) {
+      problem.textContent = error instanceof Problem ? error.message : "the service does not answer; try again";
+    }
+  };
+  const cancel = el("button", { type: "button", onclick: () => dialog.close() }, "Cancel");
+  const buttons = el("div", { class: "buttons" }, cancel, el("button", { class: "strong" }, action));
+  dialog.append(el("form", { onsubmit: submit }, el("h2", { id: "dialog-title" }, title), ...content, problem, buttons));
+  dialog.addEventListener("close", () => dialog.remove());
+  document.body.append(dialog);
+  dialog.showModal();
+}
+
+export const shortCause = (alarm) => `${words(alarm.parameter)} ${percent(alarm.relative)}, ${age(Date.now() / 1000 - alarm.wall)} ago`;

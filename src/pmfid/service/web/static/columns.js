@@ -1,0 +1,122 @@
+// The rows of one axis in arrays that grow to a bound, and what of them fits a chart.
+import { unpacked } from "./packed.js";
+
+const MOST = 120000;
+const SINGLE = ["number", "time", "u", "counts", "innovation", "status", "state"];
+
+export class Columns {
+  constructor(parameters) {
+    this.names = [...SINGLE];
+    for (let j = 0; j < parameters; j++) this.names.push(`theta${j}`, `std${j}`);
+    this.parameters = parameters;
+    this.clear();
+  }
+
+  clear() {
+    this.size = 0;
+    this.room = 4096;
+    this.data = Object.fromEntries(this.names.map((name) => [name, new Float64Array(this.room)]));
+  }
+
+  // Rows of a message behind those that are here; numbers that went back are of a run that began anew.
+  add(message) {
+    const columns = Object.fromEntries(SINGLE.map((name) => [name, unpacked(message[name])]));
+    message.theta.forEach((text, j) => (columns[`theta${j}`] = unpacked(text)));
+    message.std.forEach((text, j) => (columns[`std${j}`] = unpacked(text)));
+    const { number } = columns;
+    if (!number.length) return;
+    if (this.size && number[number.length - 1] < this.data.number[this.size - 1] - 100000) this.clear();
+    const last = this.size ? this.data.number[this.size - 1] : -Infinity;
+    let first = 0;
+    while (first < number.length && number[first] <= last) first++;
+    this.append(columns, first, number.length - first);
+  }
+
+  append(columns, first, n) {
+    if (n <= 0) return;
+    if (this.size + n > MOST) this.forget(Math.max(n, MOST >> 2));
+    while (this.size + n > this.room) this.grow();
+    for (const name of this.names) this.data[name].set(columns[name].subarray(first), this.size);
+    this.size += n;
+  }
+
+  forget(n) {
+    n = Math.min(n, this.size);
+    for (const name of this.names) this.data[name].copyWithin(0, n, this.size);
+    this.size -= n;
+  }
+
+  grow() {
+    this.room *= 2;
+    for (const name of this.names) {
+      const larger = new Float64Array(this.room);
+      larger.set(this.data[name]);
+      this.data[name] = larger;
+    }
+  }
+
+  get end() {
+    return this.size ? this.data.time[this.size - 1] : NaN;
+  }
+
+  get start() {
+    return this.size ? this.data.time[0] : NaN;
+  }
+
+  // First row at or after a time.
+  find(time) {
+    let low = 0, high = this.size;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.data.time[middle] < time) low = middle + 1;
+      else high = middle;
+    }
+    return low;
+  }
+
+  // (first row, row behind the last) of what lies between two times, and one more on either side.
+  between(from, to) {
+    return [Math.max(0, this.find(from) - 1), Math.min(this.size, this.find(to) + 1)];
+  }
+
+  // What charts show between two times, in `most` points at most: estimates as they are at the end of each, the input's
+  // mean, least and largest, the velocity over it, the largest innovation, all bits of the status.
+  thinned(from, to, most, resolution) {
+    const [first, last] = this.between(from, to);
+    const step = Math.max(1, Math.ceil((last - first) / most));
+    const n = Math.ceil((last - first) / step);
+    const made = { rows: last - first, step };
+    for (const name of [...this.names, "low", "high", "velocity"]) made[name] = new Array(n).fill(null);
+    for (let k = 0; k < n; k++) this.bin(made, k, first + k * step, Math.min(first + (k + 1) * step, last), resolution);
+    return made;
+  }
+
+  bin(made, k, start, end, resolution) {
+    const { data } = this;
+    for (const name of this.names) {
+      const value = data[name][end - 1];
+      made[name][k] = Number.isFinite(value) ? value : null;
+    }
+    let sum = 0, count = 0, low = Infinity, high = -Infinity, status = 0, largest = 0;
+    for (let i = start; i < end; i++) {
+      const u = data.u[i];
+      if (Number.isFinite(u)) {
+        sum += u;
+        count++;
+        if (u < low) low = u;
+        if (u > high) high = u;
+      }
+      status |= data.status[i];
+      if (Math.abs(data.innovation[i]) > Math.abs(largest)) largest = data.innovation[i];
+    }
+    made.u[k] = count ? sum / count : null;
+    made.low[k] = count ? low : null;
+    made.high[k] = count ? high : null;
+    made.status[k] = status;
+    made.innovation[k] = largest;
+    const before = start - 1;
+    if (before >= 0 && data.time[end - 1] > data.time[before]) {
+      made.velocity[k] = (resolution * (data.counts[end - 1] - data.counts[before])) / (data.time[end - 1] - data.time[before]);
+    }
+  }
+}

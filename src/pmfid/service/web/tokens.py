@@ -1,0 +1,74 @@
+"""Bearer tokens of two scopes: who may read, who may write as well."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from dataclasses import dataclass, field
+from hashlib import sha256
+from hmac import compare_digest
+from pathlib import Path
+
+from pmfid.errors import UsageError
+from pmfid.service.web.config import PageConfig
+
+__all__ = ["READ", "WRITE", "Tokens", "load_tokens"]
+
+READ, WRITE = "read", "write"
+#: A token that someone chose has at least so many characters.
+SHORTEST = 20
+
+
+@dataclass(frozen=True)
+class Tokens:
+    """write: may do everything; read: may look, None where there is none; made: by this start rather than configured,
+    so that the start line may show it. Neither is part of what is printed of this object."""
+
+    write: str = field(repr=False)
+    read: str | None = field(default=None, repr=False)
+    made: bool = False
+
+    def scope(self, header: str | None) -> str | None:
+        """WRITE, READ, or None for an `Authorization` that opens nothing. The time it takes tells nothing about the
+        tokens: digests of the same length are compared, all of them."""
+        scheme, _, given = (header or "").partition(" ")
+        found = None
+        for scope, token in ((READ, self.read), (WRITE, self.write)):
+            if _equal(given.strip(), token or "") and token:
+                found = scope
+        return found if scheme.lower() == "bearer" else None
+
+
+def _equal(a: str, b: str) -> bool:
+    return compare_digest(sha256(a.encode()).digest(), sha256(b.encode()).digest())
+
+
+def load_tokens(config: PageConfig, folder: Path) -> Tokens:
+    """Those that [page] names, or a new one; folder: that names of files count from. Raises UsageError."""
+    write = _configured("token", config.token_env, config.token_file, folder)
+    read = _configured("read_token", config.read_token_env, config.read_token_file, folder)
+    if read and read == write:
+        raise UsageError("[page] the token that reads is also the one that writes; choose two")
+    return Tokens(write or secrets.token_urlsafe(32), read, made=not write)
+
+
+def _configured(name: str, variable: str | None, file: str | None, folder: Path) -> str | None:
+    if variable is None and file is None:
+        return None
+    where = f"[page] {name}_env = {variable!r}" if variable else f"[page] {name}_file = {file!r}"
+    token = os.environ.get(variable, "") if variable else _content(folder / str(file), where)
+    token = token.strip()
+    if len(token) < SHORTEST or not token.isascii() or not token.isprintable() or " " in token:
+        raise UsageError(
+            f"{where} holds no token of {SHORTEST} or more letters and digits without spaces; make one with: "
+            'python -c "import secrets; print(secrets.token_urlsafe(32))"'
+        )
+    return token
+
+
+def _content(path: Path, where: str) -> str:
+    try:
+        return path.read_text(encoding="ascii")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not plain text"
+        raise UsageError(f"{where} cannot be read: {reason}; check name and rights of {path}") from None

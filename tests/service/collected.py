@@ -1,0 +1,82 @@
+"""What an engine gives out, by axis and number; and what `pmfid monitor` says of the same samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pmfid.monitor.events import STATES
+from pmfid.monitor.fleet import MonitorFleet
+from pmfid.service.groups import Prepared
+from pmfid.service.outcome import Notice, Rows
+from pmfid.session.monitored.run import watch
+from pmfid.session.monitored.timeline import Sample
+
+#: theta, std, innovation, status, state: bit by bit.
+Bits = tuple[Any, ...]
+
+
+@dataclass
+class Collected:
+    """An outlet. rows: (axis, number) -> bits; what comes twice must be the same; notices: by number."""
+
+    rows_of: dict[tuple[str, int], Bits] = field(default_factory=dict)
+    notices: dict[int, tuple[str, dict[str, Any]]] = field(default_factory=dict)
+    twice: int = 0
+
+    def rows(self, rows: Rows) -> None:
+        for k in range(rows.axis.size):
+            key = rows.group.axes[rows.axis[k]], int(rows.number[k])
+            bits = (
+                rows.theta[k].tobytes(),
+                rows.std[k].tobytes(),
+                float(rows.innovation[k]),
+                int(rows.status[k]),
+                STATES[rows.state[k]],
+            )
+            self.twice += key in self.rows_of
+            assert self.rows_of.setdefault(key, bits) == bits, f"{key} is another row than before"
+
+    def notice(self, notice: Notice) -> None:
+        if notice.axis:
+            entry = notice.axis, notice.what
+            assert self.notices.setdefault(notice.number, entry) == entry, f"{notice} is another than before"
+
+    def of(self, axis: str) -> list[tuple[int, Bits]]:
+        """Rows of an axis in their order."""
+        return sorted((number, bits) for (name, number), bits in self.rows_of.items() if name == axis)
+
+    def events(self, axis: str, *kinds: str) -> list[dict[str, Any]]:
+        """What was told of an axis, in order."""
+        found = [what for _, (name, what) in sorted(self.notices.items()) if name == axis]
+        return [what for what in found if what["event"] in kinds]
+
+
+@dataclass
+class _Sink:
+    """Rows of `pmfid monitor`, as bits."""
+
+    names: int
+    rows: list[Bits] = field(default_factory=list)
+    path: Path | None = None
+    lost = 0
+
+    def write(self, row: tuple[float | int | str, ...]) -> None:
+        import numpy as np
+
+        q = self.names
+        theta, std = np.array(row[1 : 1 + q], float), np.array(row[1 + q : 1 + 2 * q], float)
+        self.rows.append((theta.tobytes(), std.tobytes(), *row[1 + 2 * q :]))
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def monitored(prepared: Prepared, samples: Iterable[Sample]) -> tuple[list[Bits], list[dict[str, Any]]]:
+    """Rows and events of `pmfid monitor` over samples."""
+    monitor = MonitorFleet(prepared.setup.monitor, 1).monitor(0)
+    sink, told = _Sink(len(monitor.names)), list[dict[str, Any]]()
+    watch(samples, monitor, sink, told.append)
+    return sink.rows, told

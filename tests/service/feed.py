@@ -1,0 +1,135 @@
+"""Rows and notices as an engine offers them, and a sink that can be made to fail, for the tests of sinks."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pmfid.service.counters import Counters
+from pmfid.service.outcome import Kindred, Notice, Rows
+
+ALARM = {
+    "event": "alarm",
+    "time": 12.5,
+    "parameter": "mass",
+    "direction": "up",
+    "change": 0.21,
+    "std": 0.02,
+    "unit": "kg",
+    "relative": 0.2,
+    "changed_at": 11.0,
+    "statistic": 31.0,
+    "threshold": 20.0,
+}
+
+
+def kindred(axes: int = 3, config: str = "cart.toml", names: tuple[str, ...] = ("mass", "friction")) -> Kindred:
+    """A group of axes x0, x1, ..."""
+    named = tuple(f"x{k}" for k in range(axes))
+    return Kindred(config, names, ("kg",) * len(names), 0.01, np.ones(len(names)), named)
+
+
+def block(group: Kindred, first: int = 1, samples: int = 1) -> Rows:
+    """So many rows of every axis, in the order of time; numbers that tell rows apart."""
+    k, q = len(group.axes), len(group.names)
+    axis = np.tile(np.arange(k), samples)
+    number = first + np.repeat(np.arange(samples), k)
+    theta = number[:, None] + 0.25 * np.arange(q) + 0.001 * axis[:, None]
+    return Rows(
+        group,
+        axis,
+        number,
+        1e9 + 0.01 * number,
+        0.5 * number,
+        number * 7,
+        theta,
+        theta / 100,
+        np.full(axis.size, 0.125),
+        np.full(axis.size, 2, np.uint32),
+        np.ones(axis.size, np.uint8),
+        1.0,
+    )
+
+
+def alarm(number: int, axis: str = "x1", **changed: object) -> Notice:
+    """An alarm on the mass."""
+    return Notice(axis, number, 1.7e9 + number, {**ALARM, **changed})
+
+
+def notice(number: int, event: str, axis: str = "x1", **what: object) -> Notice:
+    """Any other event."""
+    return Notice(axis, number, 1.7e9 + number, {"event": event, **what})
+
+
+def numbers(outcomes: list[Rows | Notice]) -> list[int]:
+    """Of notices, and of the first row of each block."""
+    return [one.number if isinstance(one, Notice) else int(one.number[0]) for one in outcomes]
+
+
+@dataclass
+class Host:
+    """A service to stand in."""
+
+    folder: Path
+    name: str = "hall-3"
+    counters: Counters = field(default_factory=Counters)
+    told: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def tell(self) -> Callable[[dict[str, Any]], None]:
+        """Keeps what is told."""
+        return self.told.append
+
+    def count(self, name: str, **labels: str) -> float:
+        """Of a total or a level."""
+        return self.counters.values().get((name, tuple(sorted(labels.items()))), 0.0)
+
+
+@dataclass
+class Faulty:
+    """A sink that keeps what it gets. error: what it raises while that is set; poison: raises ValueError for this
+    number; hold: waits for it in `put`; open_error: as error, in `open`."""
+
+    name: str = "s"
+    error: Exception | None = None
+    open_error: Exception | None = None
+    poison: int | None = None
+    hold: threading.Event | None = None
+    got: list[Rows | Notice] = field(default_factory=list)
+    opened: int = 0
+    closed: int = 0
+    puts: int = 0
+
+    def open(self) -> None:
+        self.opened += 1
+        if self.open_error:
+            raise self.open_error
+
+    def put(self, outcomes: list[Rows | Notice]) -> None:
+        self.puts += bool(outcomes)
+        if self.hold is not None and outcomes:
+            self.hold.wait(20)
+        if self.error:
+            raise self.error
+        if self.poison in numbers(outcomes):
+            raise ValueError(f"number {self.poison} is poison")
+        self.got += outcomes
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def until(true: Callable[[], object], seconds: float = 20.0) -> bool:
+    """Waits for it."""
+    end = time.monotonic() + seconds
+    while not true():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.002)
+    return True

@@ -1,0 +1,25 @@
+"""Kills a process in the midst of its work, for the tests of what survives."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+def killed_after(program: str, lines: int, *arguments: str) -> list[str]:
+    """Runs Python code, takes so many lines of its output, kills it without notice, and returns all lines that it had
+    written by then."""
+    command = [sys.executable, "-c", program, *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=REPOSITORY, env=environment) as process:
+        assert process.stdout is not None
+        said = [process.stdout.readline().strip() for _ in range(lines)]
+        os.kill(process.pid, signal.SIGKILL)
+        rest = process.stdout.read().split("\n")[:-1]
+    assert process.returncode == -signal.SIGKILL, said
+    return said + rest

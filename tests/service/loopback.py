@@ -1,0 +1,116 @@
+"""A page that is really served on this machine, and requests to it as anyone could write them."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from pmfid.service.web.config import PageConfig
+from pmfid.service.web.server import Page, serve
+from tests.service.fake_engine import FakePlant
+
+
+@dataclass(frozen=True)
+class Served:
+    """A plant with its page; token: the one that may write."""
+
+    plant: FakePlant
+    page: Page
+    token: str
+
+    @property
+    def host(self) -> str:
+        return urlsplit(self.page.url).netloc
+
+    @property
+    def address(self) -> tuple[str, int]:
+        parts = urlsplit(self.page.url)
+        return str(parts.hostname), int(parts.port or 0)
+
+    def ask(
+        self, path: str, *, method: str = "GET", token: str | None = "", body: bytes | None = None, **headers: str
+    ) -> tuple[int, dict[str, str], bytes]:
+        """(status, headers, body); token "": the right one, None: none."""
+        connection = http.client.HTTPConnection(*self.address, timeout=10)
+        given = {name.replace("_", "-"): value for name, value in headers.items()}
+        if token is not None:
+            given["authorization"] = f"Bearer {token or self.token}"
+        try:
+            connection.request(method, path, body, given)
+            answer = connection.getresponse()
+            return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+        finally:
+            connection.close()
+
+    def json(self, path: str) -> Any:
+        status, _, body = self.ask(path)
+        assert status == 200, body
+        return json.loads(body)
+
+    def post(self, path: str, content: object, token: str = "") -> int:
+        body = json.dumps(content).encode()
+        return self.ask(path, method="POST", token=token, body=body, content_type="application/json")[0]
+
+    @contextmanager
+    def stream(self, path: str) -> Iterator[Iterator[dict[str, Any]]]:
+        """The lines of a stream, as they come."""
+        connection = http.client.HTTPConnection(*self.address, timeout=10)
+        try:
+            connection.request("GET", path, headers={"authorization": f"Bearer {self.token}"})
+            answer = connection.getresponse()
+            assert answer.status == 200
+            yield (json.loads(line) for line in answer)
+            answer.close()
+        finally:
+            connection.close()
+
+    def raw(self, request: bytes) -> bytes:
+        """What is answered to these bytes, until the connection ends or nothing more comes for a second."""
+        with socket.create_connection(self.address, timeout=1) as line:
+            line.sendall(request)
+            return received(line)
+
+    def counted(self, name: str, **labels: str) -> float:
+        return self.plant.counters.values().get((f"pmfid_page_{name}_total", tuple(labels.items())), 0)
+
+
+def received(line: socket.socket) -> bytes:
+    """Until the end, or a time out."""
+    found = b""
+    try:
+        while piece := line.recv(65536):
+            found += piece
+    except (TimeoutError, ConnectionResetError):
+        pass
+    return found
+
+
+@contextmanager
+def served(plant: FakePlant, **config: Any) -> Iterator[Served]:
+    """The plant's page, on a port that is free."""
+    page = serve(
+        PageConfig(port=0, **config), "hall-3", plant.board, plant.counters, plant,
+        folder=Path.cwd(), reference=plant.reference, metrics=lambda: "pmfid_up 1\n",
+    )  # fmt: skip
+    try:
+        yield Served(plant, page, page.start_url.partition("token=")[2])
+    finally:
+        page.stop()
+
+
+def until(true: Callable[[], object], seconds: float = 10.0) -> bool:
+    """Whether it comes true in time."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if true():
+            return True
+        time.sleep(0.02)
+    return False

@@ -1,0 +1,74 @@
+"""Blocks of one axis as a sender sends them, and as they arrive: doubled, lost, out of order within a window."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from random import Random
+
+import numpy as np
+
+from pmfid.service.delivery import Block
+from pmfid.service.order import ANEW
+from pmfid.types import Counts, Floats
+
+DT = 0.01
+LONGEST = 40
+
+#: lead, apart, u, counts, time.
+Expected = tuple[int, bool, float, int, float]
+
+
+@dataclass(frozen=True)
+class Sending:
+    """sent: in order, without the lost ones, each with its place on the axis of all samples; arrived: as they come;
+    expected: samples of the sorted, de-duplicated data."""
+
+    sent: tuple[tuple[int, Block], ...]
+    arrived: tuple[Block, ...]
+    expected: tuple[Expected, ...]
+    window: int
+
+    def shuffled(self, random: Random) -> list[Block]:
+        """Another order of the same blocks within the window."""
+        return _shuffled(self.sent, self.window, random)
+
+
+def _shuffled(sent: Sequence[tuple[int, Block]], window: int, random: Random) -> list[Block]:
+    # a block comes before another one only if it ends within the window behind the start of that
+    keyed = [(place + random.uniform(0, window - LONGEST), block) for place, block in sent]
+    keyed += [(key + random.uniform(0, 5 * window), block) for key, block in keyed if random.random() < 0.3]
+    return [block for _, block in sorted(keyed, key=lambda pair: pair[0])]
+
+
+def made(u: Floats, counts: Counts, random: Random, window: int, loss: float = 0.15, restart: float = 0.05) -> Sending:
+    """Samples (n,) cut into blocks, some of them lost; now and then the sender begins anew, with a gap that its clock
+    tells, or with another clock."""
+    sent, expected = list[tuple[int, Block]](), list[Expected]()
+    place, first, epoch, time, lead, apart, fresh = 0, random.randrange(50), 0, 100.0, 0, True, True
+    while place < counts.size:
+        n = min(random.randint(1, LONGEST), counts.size - place)
+        here = slice(place, place + n)
+        block = Block("x", epoch, first, time, DT, u[here], counts[here])
+        if not fresh and random.random() < loss:
+            lead += n
+        else:
+            sent.append((place, block))
+            rows = zip(u[here].tolist(), counts[here].tolist(), strict=True)
+            for k, (a, b) in enumerate(rows):
+                expected.append((lead if k == 0 else 0, apart and k == 0 and lead != 0, a, b, time + k * DT))
+            lead, apart, fresh = 0, False, False
+        place, first, time = place + n, first + n, time + n * DT
+        if not fresh and lead == 0 and random.random() < restart:
+            missing = random.choice([ANEW, random.randint(20, 300)])
+            epoch, first, fresh, apart, lead = epoch + random.randint(1, 3), random.randrange(9), True, True, missing
+            time = random.choice([-50.0, time + 4000.0]) if missing == ANEW else time + missing * DT
+    return Sending(tuple(sent), tuple(_shuffled(sent, window, random)), tuple(expected), window)
+
+
+def sending_of(seed: int, window: int, samples: int = 600) -> Sending:
+    """Numbered samples, so that each is known again."""
+    numbers = np.arange(samples)
+    u = np.where(numbers % 97 == 5, math.inf, numbers + 0.5)
+    return made(u, numbers, Random(seed), window)

@@ -1,0 +1,125 @@
+"""Prometheus's text, read back by a parser that takes nothing else than the format allows."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pmfid.service import metrics
+from pmfid.service.counters import Counters
+
+NAME = r"[a-zA-Z_:][a-zA-Z0-9_:]*"
+LABEL = r'([a-zA-Z_][a-zA-Z0-9_]*)="((?:[^"\\\n]|\\\\|\\"|\\n)*)"'
+SAMPLE = re.compile(rf"({NAME})(?:\{{({LABEL}(?:,{LABEL})*)?\}})? (NaN|[+-]Inf|-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
+ESCAPES = {"\\\\": "\\", '\\"': '"', "\\n": "\n"}
+
+Parsed = dict[tuple[str, tuple[tuple[str, str], ...]], float]
+
+
+def parsed(text: str) -> tuple[Parsed, dict[str, str], dict[str, str]]:
+    """Samples, HELP and TYPE of families. Raises AssertionError for what the format does not allow: lines of a family
+    apart or without TYPE before them, the same sample twice, no line feed at the end."""
+    assert text.endswith("\n")
+    samples: Parsed = {}
+    helps: dict[str, str] = {}
+    types: dict[str, str] = {}
+    family = ""
+    for line in text[:-1].split("\n"):
+        if line.startswith("# HELP "):
+            _, _, family, words = line.split(" ", 3)
+            assert family not in helps, "a family comes once"
+            helps[family] = words
+        elif line.startswith("# TYPE "):
+            _, _, name, kind = line.split(" ")
+            assert name == family, "TYPE stands behind HELP"
+            assert kind in ("counter", "gauge")
+            types[name] = kind
+        else:
+            match = SAMPLE.fullmatch(line)
+            assert match, line
+            assert match[1] == family, "samples stand behind the TYPE of their family"
+            pairs = re.findall(LABEL, match[2] or "")
+            labels = tuple((label, re.sub(r"\\.", lambda m: ESCAPES[m[0]], value)) for label, value in pairs)
+            assert len(dict(labels)) == len(labels)
+            assert (family, labels) not in samples
+            samples[family, labels] = float(match[match.lastindex or 0])
+    return samples, helps, types
+
+
+@given(
+    st.dictionaries(
+        st.tuples(
+            st.sampled_from(["pmfid_samples_total", "pmfid_a_total", "pmfid_level", "pmfid_sink_working"]),
+            st.text(max_size=12),
+        ),
+        st.floats(),
+        max_size=12,
+    )
+)
+def test_what_is_counted_is_read_back(values: dict[tuple[str, str], float]) -> None:
+    counters = Counters()
+    for (name, label), value in values.items():
+        counters.put(name, value, source="a", reason=label)
+    samples, _, types = parsed(metrics.exposition(counters))
+    for (name, label), value in values.items():
+        assert samples[name, (("reason", label), ("source", "a"))] == pytest.approx(value, rel=1e-15, nan_ok=True)
+        assert types[name] == ("counter" if name.endswith("_total") else "gauge")
+
+
+def test_totals_have_help_and_type() -> None:
+    counters = Counters()
+    counters.add("pmfid_samples_total", 3)
+    counters.put("pmfid_no_such_thing", np.float64(0.5))
+    samples, helps, types = parsed(metrics.exposition(counters))
+    assert samples["pmfid_samples_total", ()] == 3
+    assert samples["pmfid_no_such_thing", ()] == 0.5
+    assert helps["pmfid_samples_total"] == "Samples that went through a monitor."
+    assert helps["pmfid_no_such_thing"] == "No such thing."
+    assert types["pmfid_samples_total"] == "counter"
+
+
+def test_names_that_the_format_does_not_know_are_mended() -> None:
+    counters = Counters()
+    counters.put("pmfid-level é", 1, **{"a label": "x", "1": "y"})
+    samples, _, _ = parsed(metrics.exposition(counters))
+    assert samples["pmfid_level__", (("_1", "y"), ("a_label", "x"))] == 1
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="this system has no /proc")
+def test_the_figures_of_the_process(tmp_path: Path) -> None:
+    before = metrics.process_levels()
+    page, size = np.ones(30_000_000 // 8), 30_000_000
+    files = [open(tmp_path / str(k), "w") for k in range(5)]  # noqa: SIM115
+    after = metrics.process_levels()
+    for file in files:
+        file.close()
+    assert after["process_open_fds"] == before["process_open_fds"] + 5
+    assert after["process_resident_memory_bytes"] > before["process_resident_memory_bytes"] + 0.8 * size
+    assert after["process_cpu_seconds_total"] > before["process_cpu_seconds_total"]
+    assert after["process_start_time_seconds"] == pytest.approx(os.stat("/proc/self").st_ctime, abs=5)
+    assert after["process_threads"] >= 1
+    assert after["process_max_fds"] > after["process_open_fds"]
+    assert page.sum() > 0
+    samples, _, types = parsed(metrics.exposition(Counters()))
+    assert samples["process_open_fds", ()] > 3
+    assert types["process_cpu_seconds_total"] == "counter"
+
+
+def test_a_system_without_proc_says_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(own: Path) -> dict[str, float]:
+        raise FileNotFoundError(own)
+
+    monkeypatch.setattr(metrics, "_of_proc", nothing)
+    assert set(metrics.process_levels()) == {"process_cpu_seconds_total", "process_start_time_seconds"}
+
+
+def test_the_parser_is_strict() -> None:
+    for wrong in ("a 1", "# HELP a A.\n# TYPE a gauge\nb 1", '# HELP a A.\n# TYPE a gauge\na{b="\\x"} 1'):
+        with pytest.raises(AssertionError):
+            parsed(wrong + "\n")

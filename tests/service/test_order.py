@@ -1,0 +1,189 @@
+"""Blocks and lines of one axis in any order: what comes out is what was sent, sorted, once, with its gaps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from random import Random
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pmfid.service.delivery import Block, Lines
+from pmfid.service.order import ANEW, Order, Piece, Verdict
+from pmfid.service.timed import Timed
+from pmfid.session.monitored.timeline import Line
+from tests.service.orders import DT, sending_of
+
+WINDOW = 100
+SEEDS = st.integers(0, 2**32)
+SOME = settings(max_examples=30, deadline=None, derandomize=True)
+
+
+def put_in_order(blocks: Sequence[Block], window: int = WINDOW) -> tuple[list[Piece], Verdict]:
+    """Pieces of blocks as they come, and the sum of the verdicts."""
+    order, pieces, total = Order(DT, window), list[Piece](), Verdict()
+    for turn, block in enumerate(blocks):
+        verdict = order.take(block, 0.0, turn, pieces)
+        if verdict is not None:
+            total.duplicate += verdict.duplicate
+            total.late += verdict.late
+            total.refused += verdict.refused
+            total.told += verdict.told
+    return pieces, total
+
+
+@dataclass(frozen=True)
+class Step:
+    """A sample as the monitor gets it."""
+
+    lead: int
+    apart: bool
+    u: float
+    counts: int
+    time: float
+
+
+def steps(pieces: Sequence[Piece]) -> list[Step]:
+    found = []
+    for piece in pieces:
+        for k, (u, counts) in enumerate(zip(piece.u.tolist(), piece.counts.tolist(), strict=True)):
+            lead, apart = (piece.lead, piece.apart) if k == 0 else (0, False)
+            found.append(Step(lead, apart and lead != 0, u, counts, piece.time + (piece.offset + k) * DT))
+    return found
+
+
+def block(first: int, n: int, epoch: int = 0, time: float = math.nan, dt: float = DT) -> Block:
+    numbers = np.arange(first, first + n)
+    return Block("x", epoch, first, time, dt, numbers + 0.5, numbers)
+
+
+@SOME
+@given(SEEDS)
+def test_any_order_within_the_window_gives_the_samples_that_were_sent(seed: int) -> None:
+    sending = sending_of(seed, WINDOW)
+    pieces, verdict = put_in_order(sending.arrived)
+    found, expected = steps(pieces), [Step(*sample) for sample in sending.expected]
+    assert found == expected[: len(found)]
+    waiting = 2 * WINDOW + sum(sample[0] > WINDOW for sample in sending.expected)
+    assert len(found) >= len(expected) - waiting
+    assert verdict.refused == 0
+
+
+@SOME
+@given(SEEDS)
+def test_every_order_within_the_window_gives_the_same(seed: int) -> None:
+    sending = sending_of(seed, WINDOW)
+    first, _ = put_in_order(sending.arrived)
+    second, _ = put_in_order(sending.shuffled(Random(seed)))
+    n = min(len(steps(first)), len(steps(second)))
+    assert steps(first)[:n] == steps(second)[:n]
+
+
+def test_a_hole_is_a_gap_once_more_than_the_window_waits_behind_it_and_then_late() -> None:
+    pieces, verdict = put_in_order([block(0, 50), block(50, 51), block(120, 70), block(190, 40)])
+    assert [(p.lead, p.u.size) for p in pieces] == [(0, 50), (0, 51), (19, 70), (0, 40)]
+    assert [told["event"] for told in verdict.told] == ["gap"]
+    _, verdict = put_in_order([block(0, 101), block(120, 110), block(101, 19), block(0, 10)])
+    assert (verdict.late, verdict.duplicate) == (19, 10)
+
+
+def test_the_same_block_again_is_a_no_op() -> None:
+    pieces, verdict = put_in_order([block(0, 120), block(0, 120), block(110, 20), block(140, 5), block(140, 5)])
+    assert [(p.lead, p.u.size, p.offset) for p in pieces] == [(0, 120, 0), (0, 10, 10)]
+    assert verdict.duplicate == 120 + 10 + 5
+
+
+def test_without_a_window_nothing_waits() -> None:
+    pieces, verdict = put_in_order([block(7, 3), block(12, 3), block(10, 2)], window=0)
+    assert [(p.lead, p.u.size) for p in pieces] == [(0, 3), (2, 3)]
+    assert verdict.late == 2
+
+
+def test_a_new_epoch_is_a_gap_of_known_length_where_the_clock_tells_and_else_unknown() -> None:
+    later = [block(0, 10, time=5.0), block(0, 10, epoch=1, time=5.0 + 60 * DT)]
+    back = [block(0, 10, time=5.0), block(0, 10, epoch=1, time=1.0)]
+    for blocks, lead in ((later, 50), (back, ANEW)):
+        pieces, verdict = put_in_order(blocks, window=0)
+        assert [(p.lead, p.apart) for p in pieces] == [(0, True), (lead, True)]
+        assert [told["event"] for told in verdict.told] == ["epoch"]
+    _, verdict = put_in_order([*later, block(10, 5, time=5.1)], window=0)
+    assert verdict.late == 5
+
+
+def test_another_period_is_refused_and_told_once() -> None:
+    pieces, verdict = put_in_order([block(0, 200), block(200, 10, dt=1.01 * DT), block(210, 10, dt=1.01 * DT)])
+    assert len(pieces) == 1
+    assert verdict.refused == 20
+    assert [told["event"] for told in verdict.told] == ["period"]
+
+
+@pytest.mark.parametrize("jump", [-3600.0, 3600.0])
+def test_a_clock_that_is_set_is_told_and_the_numbers_rule(jump: float) -> None:
+    blocks = [block(10 * k, 10, time=100 + 10 * k * DT + (jump if k > 3 else 0.0)) for k in range(8)]
+    pieces, verdict = put_in_order(blocks, window=0)
+    assert [p.lead for p in pieces] == [0] * 8
+    (told,) = verdict.told
+    assert told["event"] == "clock"
+    assert told["jump"] == pytest.approx(jump)
+
+
+def test_a_clock_at_another_rate_is_told_once() -> None:
+    slow, right = ([block(50 * k, 50, time=rate * 50 * k * DT) for k in range(400)] for rate in (1.03, 1 + 1e-4))
+    assert [told["event"] for told in put_in_order(slow, window=0)[1].told] == ["clock"]
+    assert put_in_order(right, window=0)[1].told == []
+
+
+# --- lines ------------------------------------------------------------------------------------------------------------
+
+
+def lines_in_order(lines: Sequence[Line], window: float) -> tuple[list[Step], Verdict]:
+    timed, pieces, total = Timed(DT, window, timed=True), list[Piece](), Verdict()
+    for turn, line in enumerate(lines):
+        verdict = timed.take(Lines("x", [line]), 0.0, turn, pieces)
+        total.told += verdict.told
+        total.refused += verdict.refused
+        restored = Timed(DT, window, timed=True)
+        restored.restore(timed.saved())
+        timed = restored
+    found = []
+    for piece in pieces:
+        assert piece.times is not None
+        for k, time in enumerate(piece.times.tolist()):
+            found.append(Step(piece.lead if k == 0 else 0, False, float(piece.u[k]), int(piece.counts[k]), time))
+    return found, total
+
+
+@SOME
+@given(SEEDS)
+def test_lines_in_any_order_within_the_window_are_sorted(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sent = [Line(k * DT, float(rng.normal()), k) for k in range(120)]
+    key = [k + rng.uniform(0, 40) for k in range(120)]
+    arrived = [sent[k] for k in np.argsort(key)]
+    found, _ = lines_in_order(arrived, 41 * DT)
+    straight, _ = lines_in_order(sent, 0.0)
+    assert found == straight[: len(found)]
+    assert len(found) >= 120 - 42
+
+
+def test_lines_of_a_clock_that_was_set_back_go_on() -> None:
+    lines = [Line(100 + k * DT, 1.0, k) for k in range(100)]
+    lines += [Line(100 + k * DT - 3600, 1.0, k) for k in range(100, 300)]
+    found, verdict = lines_in_order(lines, 10 * DT)
+    assert [told["event"] for told in verdict.told if told["event"] == "clock"] == ["clock"]
+    assert len(found) > 280
+
+
+def test_lines_with_another_period_are_refused_until_it_fits_again() -> None:
+    lines = [Line(k * DT, 1.0, k) for k in range(200)]
+    lines += [Line(2.0 + 2 * k * DT, 1.0, k) for k in range(400)]
+    wrong, verdict = lines_in_order(lines, 0.0)
+    assert [told["event"] for told in verdict.told].count("period") == 1
+    assert len(wrong) < 330
+    lines += [Line(10.0 + k * DT, 1.0, k) for k in range(300)]
+    found, _ = lines_in_order(lines, 0.0)
+    assert len(found) > len(wrong) + 200

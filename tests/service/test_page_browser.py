@@ -1,0 +1,354 @@
+"""The page in a browser: what it shows, what it must not run, and who cannot read it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pmfid.service.outcome import Kindred
+from tests.service.chromium import chromium, tab, until, violations
+from tests.service.fake_engine import FakePlant, troubled
+from tests.service.loopback import Served, served
+
+HOSTILE = '"><img src=x onerror="window.hacked=1"><script>window.hacked=1</script>'
+FORMULA = "=HYPERLINK(1)"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Served]:
+    with served(troubled(12)) as found:
+        yield found
+
+
+def at_overview(page: Any, served: Served) -> None:
+    page.goto(served.page.start_url)
+    page.wait_for_selector(".rows .row[data-kind]")
+
+
+def at_axis(page: Any, served: Served, axis: str) -> None:
+    at_overview(page, served)
+    page.click(f"a.axis-name:text-is('{axis}')")
+    page.wait_for_selector(".u-over")
+
+
+def names(page: Any) -> list[str]:
+    return [str(text) for text in page.locator(".rows .axis-name").all_inner_texts()]
+
+
+def test_what_needs_someone_stands_first_and_a_new_alarm_comes_by_itself(browser: Any) -> None:
+    plant = troubled(12)
+    with served(plant) as there, tab(browser) as page:
+        at_overview(page, there)
+        plant.run(1.0)
+        assert until(page, "document.querySelector('.tile[data-kind=alarm] .count').textContent === '1'")
+        assert names(page)[:2] == ["gantry-x2", "turntable"]
+        plant.alarm("spindle-b", "inertia", "kg m2")
+        assert until(page, "document.title.includes('2 alarms')", 3)
+        assert "Alarm of spindle-b: inertia +7.8 %" in page.inner_text("#spoken")
+        assert page.inner_text("#alarmed").split()[0] == "2"
+        assert violations(page) == []
+
+
+def test_the_token_leaves_the_address_at_once_and_survives_a_reload(browser: Any, page: Served) -> None:
+    with tab(browser) as there:
+        at_overview(there, page)
+        assert there.url == page.page.url + "#/"
+        there.click("a.axis-name >> nth=0")
+        there.go_back()
+        assert page.token not in there.url
+        there.reload()
+        there.wait_for_selector(".rows .row[data-kind]")
+        assert there.context.cookies() == []
+        there.evaluate("sessionStorage.clear()")
+        there.goto(page.page.url + "#/")
+        there.reload()
+        there.wait_for_selector("form.token")
+        assert violations(there) == []
+        there.fill("#token", "wrong")
+        there.click("form.token button")
+        there.wait_for_selector("form.token")
+        there.fill("#token", page.token)
+        there.click("form.token button")
+        there.wait_for_selector(".rows .row[data-kind]")
+
+
+def test_an_alarm_is_acknowledged_with_a_note_by_keyboard_alone(browser: Any) -> None:
+    plant = troubled(12)
+    with served(plant) as there, tab(browser) as page:
+        at_overview(page, there)
+        page.focus(".card .strong")
+        page.keyboard.press("Enter")
+        page.keyboard.type("gripper was changed")
+        assert violations(page) == []
+        page.keyboard.press("Tab")
+        page.keyboard.press("Tab")
+        page.keyboard.press("Enter")
+        assert until(page, "document.querySelectorAll('.card.alarm').length === 0")
+        (alarm,) = [one for one in plant.board.news().alarms if one.axis == "gantry-x2"]
+        assert alarm.note == "gripper was changed"
+
+
+def test_one_axis_is_live_stands_still_and_gives_what_is_seen(browser: Any, tmp_path: Path) -> None:
+    plant = troubled(12)
+    with served(plant) as there, tab(browser) as page:
+        at_axis(page, there, "gantry-x2")
+        assert until(page, "document.querySelector('.value').textContent.startsWith('2.')")
+        plant.run(2.0)
+        assert until(page, "document.querySelector('.axis .pill').textContent === 'Alarm'")
+        page.click("text=Pause")
+        for _ in range(3):
+            plant.run(1.0)
+        assert until(page, "document.querySelector('.title .fine').textContent.includes('paused')")
+        page.click(".spans button >> nth=1")
+        with page.expect_download() as download:
+            page.click("text=Save as CSV")
+        lines = Path(download.value.path()).read_text().splitlines()
+        assert lines[0].startswith("t [s],u [N],counts,mass [kg],mass_std [kg],")
+        kept = plant.board.history("gantry-x2")
+        assert kept is not None
+        theta = dict(zip(kept["time"].tolist(), kept["theta"][:, 0].tolist(), strict=True))
+        rows = [[float(cell) for cell in line.split(",")[:4]] for line in lines[2:]]
+        assert len(rows) > 50
+        assert all(theta[row[0]] == row[3] for row in rows if row[0] in theta), "to the last bit"
+        page.click("text=Compare with reference")
+        page.wait_for_selector(".compare tbody tr")
+        page.click("summary >> nth=0")
+        page.wait_for_selector(".scrolled tbody tr")
+        assert violations(page) == []
+
+
+def test_the_cursor_goes_by_keyboard_and_zoom_comes_back(browser: Any, page: Served) -> None:
+    with tab(browser) as there:
+        at_axis(there, page, "gantry-y")
+        page.plant.run(2.0)
+        there.focus(".chart")
+        there.keyboard.press("ArrowLeft")
+        assert until(there, "/± .* kg at /.test(document.querySelector('.read').textContent)")
+        there.keyboard.press("+")
+        back = "[...document.querySelectorAll('.tools button')].find((one) => one.textContent === 'Back from zoom')"
+        assert until(there, f"!{back}.disabled")
+        there.keyboard.press("0")
+        assert until(there, f"{back}.disabled")
+
+
+def test_script_in_a_name_a_unit_a_topic_and_a_note_does_not_run(browser: Any) -> None:
+    plant = FakePlant(1)
+    group = Kindred(
+        HOSTILE + "c.toml",
+        (FORMULA, HOSTILE),
+        (HOSTILE, "N"),
+        0.01,
+        np.ones(2),
+        (HOSTILE, "calm"),
+        HOSTILE,
+        1.0,
+        HOSTILE,
+    )
+    plant.groups = [group]
+    plant.board.arrange([group])
+    plant.run(3.0)
+    number = plant.alarm(HOSTILE, HOSTILE, HOSTILE)
+    plant.tell("calm", event="source", source=HOSTILE, topic=HOSTILE, problem=HOSTILE)
+    plant.tell(HOSTILE, event=HOSTILE, note=HOSTILE)
+    with served(plant) as there, tab(browser) as page:
+        at_overview(page, there)
+        page.evaluate("document.querySelectorAll('details').forEach((one) => (one.open = true))")
+        assert page.locator(".rows .axis-name").first.inner_text() == HOSTILE
+        assert HOSTILE in page.inner_text(".log")
+        page.click(".rows .axis-name >> nth=0")
+        page.wait_for_selector(".u-over")
+        plant.run(1.0)
+        plant.acknowledge(number, HOSTILE)
+        assert until(page, "document.querySelectorAll('.card.known').length === 1")
+        assert HOSTILE in page.inner_text(".card.known")
+        with page.expect_download() as download:
+            page.click("text=Save as CSV")
+        assert "/" not in download.value.suggested_filename
+        assert f"\"'{FORMULA}" in Path(download.value.path()).read_text()
+        assert page.evaluate("window.hacked") is None
+        assert page.locator("main img, main script").count() == 0
+
+
+EVIL = """<!doctype html><title>evil</title><script>
+const target = TARGET, token = TOKEN, found = {};
+const reading = async (name, path, options) => {
+  try {
+    const answer = await fetch(target + path, options);
+    found[name] = answer.type + ":" + (await answer.text());
+  } catch (error) { found[name] = "refused"; }
+};
+const frame = document.createElement("iframe");
+frame.src = target;
+document.documentElement.append(frame);
+frame.onload = () => {
+  try { found.frame = frame.contentDocument ? frame.contentDocument.body.innerText : "refused"; }
+  catch { found.frame = "refused"; }
+};
+const script = document.createElement("script");
+script.onload = () => { found.script = "loaded"; };
+script.onerror = () => { found.script = "refused"; };
+script.src = target + "app.js";
+document.documentElement.append(script);
+const opened = window.open(target);
+Promise.all([
+  reading("plain", "api/stream", {}),
+  reading("with token", "api/plant", { headers: { authorization: "Bearer " + token } }),
+  reading("opaque", "api/plant", { mode: "no-cors", credentials: "include" }),
+  reading("write", "api/axis/gantry-y/reference", { method: "POST", mode: "no-cors", body: "{}" }),
+]).then(() => setTimeout(() => {
+  try { found.opened = opened ? String(opened.sessionStorage.length) : "refused"; } catch { found.opened = "refused"; }
+  found.mine = sessionStorage.length;
+  window.found = found;
+}, 700));
+</script>"""
+
+
+class _Evil(BaseHTTPRequestHandler):
+    def __init__(self, content: str, *args: Any) -> None:
+        self.content = content
+        super().__init__(*args)
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("content-type", "text/html")
+        self.end_headers()
+        self.wfile.write(self.content.encode())
+
+    def log_message(self, *args: object) -> None:
+        pass
+
+
+def test_another_page_of_the_same_browser_reads_nothing_even_with_the_token(browser: Any, page: Served) -> None:
+    content = EVIL.replace("TARGET", json.dumps(page.page.url)).replace("TOKEN", json.dumps(page.token))
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Evil, content))
+    Thread(target=server.serve_forever, daemon=True).start()
+    notices = len(page.plant.board.news().notices)
+    try:
+        with tab(browser) as own:
+            at_overview(own, page)
+            evil = own.context.new_page()
+            evil.goto(f"http://127.0.0.1:{server.server_port}/")
+            assert until(evil, "Boolean(window.found)")
+            found = evil.evaluate("window.found")
+            own.wait_for_selector(".rows .row[data-kind]")
+    finally:
+        server.shutdown()
+        server.server_close()
+    assert found.pop("opaque") in ("opaque:", "refused")
+    assert found.pop("write") in ("opaque:", "refused")
+    assert found.pop("mine") == 0
+    assert set(found.values()) == {"refused"}
+    assert set(found) >= {"plain", "with token", "script", "opened"}
+    assert len(page.plant.board.news().notices) == notices, "nothing was written"
+
+
+# --- at length --------------------------------------------------------------------------------------------------------
+
+VIEWS = [(width, theme) for width in (1440, 390) for theme in ("light", "dark")]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("width", "theme"), VIEWS)
+def test_no_view_breaks_a_rule_of_accessibility_or_is_too_wide(
+    browser: Any, page: Served, width: int, theme: str
+) -> None:
+    open_all = "document.querySelectorAll('details').forEach((one) => (one.open = true))"
+    wide = "document.documentElement.scrollWidth"
+    with tab(browser, width, 844, theme) as there:
+        at_overview(there, page)
+        for axis in (None, "feeder-2", "gantry-z", "turntable"):
+            if axis is not None:
+                at_axis(there, page, axis)
+                there.click(".spans button >> nth=3")
+                there.click("text=Compare with reference")
+                there.wait_for_selector(".compare tbody tr")
+            there.evaluate(open_all)
+            there.wait_for_timeout(400)
+            assert violations(there) == [], axis
+            assert there.evaluate(wide) <= width, axis
+
+
+@pytest.mark.long
+def test_what_the_theme_button_chooses_stays(browser: Any, page: Served) -> None:
+    ground = "getComputedStyle(document.body).backgroundColor"
+    with tab(browser) as there:
+        at_axis(there, page, "gantry-y")
+        light = there.evaluate(ground)
+        there.click("#theme")
+        there.click("#theme")
+        assert there.inner_text("#theme") == "Theme: dark"
+        dark = there.evaluate(ground)
+        there.reload()
+        there.wait_for_selector(".u-over")
+        assert there.evaluate(ground) == dark != light
+        assert violations(there) == []
+
+
+@pytest.mark.long
+def test_ten_thousand_axes_stay_usable(browser: Any) -> None:
+    plant = troubled(10_000)
+    with served(plant) as there, tab(browser) as page:
+        at_overview(page, there)
+        rows = page.locator(".rows .row")
+        assert rows.count() < 60
+        assert page.get_attribute(".axes", "aria-rowcount") == "10001"
+        assert names(page)[:2] == ["cell-00042", "cell-04711"]
+        page.fill("#search", "04711")
+        assert until(page, "document.querySelectorAll('.rows .row').length === 1")
+        page.fill("#search", "")
+        page.select_option("#sort", "deviation")
+        assert until(page, "document.querySelectorAll('.rows .row').length > 1")
+        page.evaluate("scrollTo(0, document.documentElement.scrollHeight)")
+        assert until(page, "[...document.querySelectorAll('.rows .row')].some((one) => one.ariaRowIndex === '10001')")
+        page.evaluate("scrollTo(0, 0)")
+        page.select_option("#sort", "name")
+        page.focus(".axis-name")
+        for _ in range(40):
+            page.keyboard.press("ArrowDown")
+        assert page.evaluate("document.activeElement.textContent") == "cell-00040"
+        plant.run(1.0)
+        plant.alarm("cell-07777")
+        assert until(page, "document.title.includes('3 alarms')", 3)
+        assert violations(page) == []
+
+
+@pytest.mark.long
+def test_a_lost_service_is_said_and_found_again(browser: Any) -> None:
+    plant = troubled(12)
+    with served(plant) as first:
+        port, token = first.address[1], first.token
+        with tab(browser) as page:
+            at_axis(page, first, "gantry-y")
+            first.page.stop()
+            page.wait_for_selector("#lost:not([hidden])")
+            assert "What you see is old" in page.inner_text("#lost")
+            assert violations(page) == []
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setenv("PAGE_TOKEN", token)
+                again = _again(plant, port)
+            assert until(page, "document.getElementById('lost').hidden", 20)
+            plant.run(1.0)
+            assert until(page, "document.getElementById('connection').textContent === 'live'")
+            again.stop()
+
+
+def _again(plant: FakePlant, port: int) -> Any:
+    from pmfid.service.web.config import PageConfig
+    from pmfid.service.web.server import serve
+
+    config = PageConfig(port=port, token_env="PAGE_TOKEN")
+    return serve(config, "hall-3", plant.board, plant.counters, plant, folder=Path.cwd())

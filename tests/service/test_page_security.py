@@ -1,0 +1,392 @@
+"""Who gets in, and who does not: requests as an attacker would write them, to a page that is really served."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from pmfid.errors import UsageError
+from pmfid.service.board import Board
+from pmfid.service.counters import Counters
+from pmfid.service.web import connection
+from pmfid.service.web.config import PageConfig
+from pmfid.service.web.security import LARGEST_BODY
+from pmfid.service.web.server import serve
+from pmfid.service.web.tokens import READ, WRITE, Tokens, load_tokens
+from tests.service.fake_engine import FakePlant
+from tests.service.loopback import Served, received, served, until
+
+READER = "a-token-that-only-reads-0123456789"
+SCRIPT = "<script>alert(1)</script>"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    file = tmp_path_factory.mktemp("tokens") / "reader"
+    file.write_text(READER + "\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(connection, "Limits", partial(connection.Limits, request=0.6, stuck=0.3))
+        plant = FakePlant(12)
+        plant.run(5)
+        with served(plant, read_token_file=str(file), browsers=3) as found:
+            yield found
+
+
+# --- under which name, and from which page ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", ["/", "/api/plant", "/metrics", "/healthz", "/no-such-file"])
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "127.0.0.1.evil:{port}"]
+)
+def test_another_host_is_refused_whatever_is_asked_for(page: Served, path: str, host: str) -> None:
+    before = page.counted("refused", reason="host")
+    status, _, _ = page.ask(path, host=host.format(port=page.address[1]))
+    assert status == 421
+    assert page.counted("refused", reason="host") == before + 1
+
+
+@pytest.mark.parametrize("host", ["localhost:{port}", "LOCALHOST:{port}", "[::1]:{port}"])
+def test_the_names_of_this_machine_are_answered(page: Served, host: str) -> None:
+    assert page.ask("/api/plant", host=host.format(port=page.address[1]))[0] == 200
+
+
+def test_two_hosts_or_none_are_refused(page: Served) -> None:
+    host = page.host.encode()
+    two = page.raw(b"GET / HTTP/1.1\r\nHost: %b\r\nHost: evil.example\r\n\r\n" % host)
+    none = page.raw(b"GET / HTTP/1.0\r\n\r\n")
+    assert two.split()[1] in (b"400", b"421")
+    assert none.split()[1] in (b"400", b"421")
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1", "http://localhost", ""])
+def test_another_origin_is_refused_with_the_right_token(page: Served, origin: str) -> None:
+    assert page.ask("/api/plant", origin=origin)[0] == 403
+    assert page.ask("/api/alarms/1/acknowledge", method="POST", body=b"{}", origin=origin)[0] == 403
+
+
+def test_the_pages_own_origin_is_answered(page: Served) -> None:
+    assert page.ask("/api/plant", origin=f"http://{page.host}")[0] == 200
+
+
+def test_what_a_browser_calls_cross_site_is_refused_but_for_following_a_link(page: Served) -> None:
+    assert page.ask("/style.css", sec_fetch_site="cross-site", sec_fetch_mode="no-cors")[0] == 403
+    assert page.ask("/", sec_fetch_site="cross-site", sec_fetch_mode="navigate")[0] == 200
+
+
+# --- tokens -----------------------------------------------------------------------------------------------------------
+
+CLOSED = [
+    "/api/plant",
+    "/api/stream",
+    "/api/axis/gantry-y/history",
+    "/api/trends?group=0&axes=1",
+    "/metrics",
+    "/api/none",
+]
+
+
+@pytest.mark.parametrize("path", CLOSED)
+@pytest.mark.parametrize("token", [None, "wrong", "x" * 43])
+def test_nothing_of_the_plant_without_the_token(page: Served, path: str, token: str | None) -> None:
+    status, headers, body = page.ask(path, token=token)
+    assert status == 401
+    assert headers["www-authenticate"] == "Bearer"
+    assert b"gantry" not in body
+
+
+def test_the_token_counts_in_its_header_alone(page: Served) -> None:
+    assert page.ask(f"/api/plant?token={page.token}", token=None)[0] == 401
+    assert page.ask("/api/plant", token=None, cookie=f"token={page.token}")[0] == 401
+    assert page.ask("/api/plant", token=None, authorization=f"Basic {page.token}")[0] == 401
+    assert page.ask("/api/plant", token=None, authorization=f"bearer {page.token}")[0] == 200
+
+
+def test_who_may_read_may_not_write(page: Served) -> None:
+    number = page.plant.alarm("gantry-y")
+    assert page.ask("/api/plant", token=READER)[0] == 200
+    assert page.post(f"/api/alarms/{number}/acknowledge", {"note": "x"}, token=READER) == 403
+    assert page.post("/api/axis/gantry-y/reference", {}, token=READER) == 403
+    alarm = page.plant.board.alarm(number)
+    assert alarm is not None
+    assert alarm.acknowledged is None
+    assert page.json("/api/plant")["may"] == "write"
+
+
+def test_an_empty_token_opens_nothing_where_none_is_configured() -> None:
+    tokens = Tokens("w" * 30)
+    assert [tokens.scope(header) for header in (None, "", "Bearer", "Bearer ", "Bearer  ")] == [None] * 5
+    assert tokens.scope("Bearer " + "w" * 30) == WRITE
+    assert Tokens("w" * 30, "r" * 30).scope("Bearer " + "r" * 30) == READ
+
+
+def test_files_are_open_and_hold_no_token(page: Served) -> None:
+    for path in ("/", "/app.js", "/vendor/uPlot.js", "/vendor/uPlot-LICENSE.txt"):
+        status, _, body = page.ask(path, token=None)
+        assert status == 200
+        assert page.token.encode() not in body
+
+
+def test_tokens_are_in_no_log_and_in_no_text_of_an_object(page: Served, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG)
+    page.ask("/api/plant")
+    page.ask("/api/plant", host="evil.example")
+    page.raw(b"GET / HTTP/1.1\r\nAuthorization: Bearer " + page.token.encode() + b"\r\nHo\x00st: x\r\n\r\n")
+    assert page.token not in caplog.text
+    assert page.token not in repr(Tokens(page.token, READER))
+
+
+# --- sizes and times --------------------------------------------------------------------------------------------------
+
+
+def _head(page: Served, path: str, *lines: str) -> bytes:
+    head = [f"POST {path} HTTP/1.1", f"Host: {page.host}", f"Authorization: Bearer {page.token}"]
+    return "\r\n".join([*head, "Content-Type: application/json", *lines, "", ""]).encode()
+
+
+def _flood(page: Served, head: bytes, piece: bytes) -> tuple[int, bytes]:
+    """(bytes that were taken of at most 64 MB, answer)."""
+    sent = 0
+    with socket.create_connection(page.address, timeout=2) as line:
+        line.sendall(head)
+        try:
+            while sent < 64e6:
+                line.sendall(piece)
+                sent += len(piece)
+        except OSError:
+            pass
+        return sent, received(line)
+
+
+def test_a_body_of_a_gigabyte_is_refused_before_it_is_read(page: Served) -> None:
+    answer = page.raw(_head(page, "/api/axis/gantry-y/reference", "Content-Length: 1000000000"))
+    assert answer.startswith(b"HTTP/1.1 413 ")
+    assert b"connection: close" in answer.lower()
+    sent, _ = _flood(page, _head(page, "/api/axis/gantry-y/reference", "Content-Length: 1000000000"), b"x" * 65536)
+    assert sent < 16e6, "what the sockets of both sides hold, and no more"
+
+
+def test_a_body_without_a_length_is_counted_while_it_comes(page: Served) -> None:
+    number = page.plant.alarm("gantry-y")
+    head = _head(page, f"/api/alarms/{number}/acknowledge", "Transfer-Encoding: chunked")
+    answer = page.raw(head + b"2000\r\n" + b" " * 0x2000 + b"\r\n")
+    assert answer.startswith(b"HTTP/1.1 413 ")
+    sent, _ = _flood(page, head, b"4000\r\n" + b" " * 0x4000 + b"\r\n")
+    assert sent < 16e6
+
+
+@pytest.mark.parametrize("length", ["-1", "1e3", "99999999999999999999999", "0x10", str(LARGEST_BODY + 1)])
+def test_odd_lengths_are_refused(page: Served, length: str) -> None:
+    answer = page.raw(_head(page, "/api/axis/gantry-y/reference", f"Content-Length: {length}"))
+    assert answer.split()[1] in (b"400", b"413")
+
+
+def test_long_headers_and_paths_are_refused(page: Served) -> None:
+    assert page.raw(b"GET /" + b"a" * 100_000 + b" HTTP/1.1\r\n\r\n").split()[1] == b"400"
+    assert page.raw(b"GET / HTTP/1.1\r\nX: " + b"a" * 100_000 + b"\r\n\r\n").split()[1] == b"400"
+
+
+def _drip(page: Served, line: socket.socket, data: bytes) -> float:
+    """Sends a byte now and then until the connection ends; for how long that went [s]."""
+    begin = time.monotonic()
+    try:
+        for byte in data:
+            line.sendall(bytes([byte]))
+            time.sleep(0.05)
+    except OSError:
+        pass
+    return time.monotonic() - begin
+
+
+def test_slow_requests_end_and_others_are_answered_meanwhile(page: Served) -> None:
+    """slow loris: in the head, in a body, and in the head of a second request."""
+    before = page.counted("refused", reason="slow")
+    head = f"GET /healthz HTTP/1.1\r\nHost: {page.host}\r\n".encode()
+    starts = [b"", _head(page, "/api/axis/gantry-y/reference", "Content-Length: 4000"), head + b"\r\n"]
+    lines = []
+    for start in starts:
+        line = socket.create_connection(page.address, timeout=2)
+        line.sendall(start)
+        lines.append(line)
+    assert page.ask("/healthz")[0] == 200
+    for line in lines:
+        assert _drip(page, line, head + b"X: " + b"y" * 200) < 2.5, "ten seconds were asked for"
+        line.close()
+    assert page.counted("refused", reason="slow") >= before + 3
+
+
+def test_a_connection_that_says_nothing_ends(page: Served) -> None:
+    with socket.create_connection(page.address, timeout=3) as line:
+        assert line.recv(1) == b""
+
+
+def test_a_browser_that_stops_reading_is_dropped_and_counted() -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(connection, "Limits", partial(connection.Limits, stuck=0.2))
+        with served(FakePlant(2)) as page, socket.socket() as line:
+            line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            line.connect(page.address)
+            line.sendall(_head(page, "/api/stream?axis=gantry-x1").replace(b"POST", b"GET"))
+
+            def go_on() -> float:
+                page.plant.run(10.0)
+                return page.counted("browsers_dropped")
+
+            assert until(go_on, 20)
+            assert until(lambda: page.page._api.hub.streams == 0), "nothing of it is left"
+
+
+def test_more_streams_than_configured_are_refused(page: Served) -> None:
+    with page.stream("/api/stream") as a, page.stream("/api/stream") as b, page.stream("/api/stream?axis=lift-1") as c:
+        assert {next(lines)["kind"] for lines in (a, b, c)} == {"news"}
+        assert page.ask("/api/stream")[0] == 503
+        assert page.ask("/api/plant")[0] == 200
+    assert until(lambda: page.page._api.hub.streams == 0)
+    assert page.plant.board.followed() == frozenset()
+
+
+# --- paths and what is reflected --------------------------------------------------------------------------------------
+
+OUT = [
+    "/../server.py",
+    "/../../../../../../../../etc/passwd",
+    "/%2e%2e/server.py",
+    "/..%2fserver.py",
+    "/..%5cserver.py",
+    "/vendor/../../server.py",
+    "/./../server.py",
+    "//etc/passwd",
+    "/%00",
+    "/style.css%00.txt",
+    "/static/style.css",
+    "/vendor",
+    "/api/axis/../../../etc/passwd/reference.csv",
+    "/api/axis/%2fetc%2fpasswd/history",
+]
+
+
+@pytest.mark.parametrize("path", OUT)
+def test_no_path_leads_out(page: Served, path: str) -> None:
+    status, _, body = page.ask(path)
+    assert status == 404
+    assert b"import" not in body
+    assert b"root:" not in body
+
+
+@pytest.mark.parametrize("path", [f"/{SCRIPT}", f"/api/axis/{SCRIPT}/history", f"/api/stream?axis={SCRIPT}"])
+def test_nothing_that_was_sent_comes_back(page: Served, path: str) -> None:
+    answer = page.raw(
+        f"GET {path} HTTP/1.1\r\nHost: {page.host}\r\nAuthorization: Bearer {page.token}\r\n"
+        f"X-Odd: {SCRIPT}\r\nConnection: close\r\n\r\n".encode()
+    )
+    assert answer.startswith(b"HTTP/1.1 404 ")
+    assert b"alert" not in answer
+
+
+@pytest.mark.parametrize("path", ["/", "/app.js", "/api/plant", "/api/none", "/metrics", "/healthz", "/none"])
+@pytest.mark.parametrize("token", ["", None])
+def test_every_answer_has_its_guards(page: Served, path: str, token: str | None) -> None:
+    _, headers, _ = page.ask(path, token=token)
+    assert headers["content-security-policy"].startswith("default-src 'self';")
+    assert "frame-ancestors 'none'" in headers["content-security-policy"]
+    assert "unsafe" not in headers["content-security-policy"]
+    assert headers["x-content-type-options"] == "nosniff"
+    assert headers["x-frame-options"] == "DENY"
+    assert headers["referrer-policy"] == "no-referrer"
+    assert "server" not in headers
+    assert "set-cookie" not in headers
+    assert not {name for name in headers if name.startswith("access-control-")}
+    assert headers["cache-control"] == ("no-store" if path.startswith(("/api", "/metrics")) else "no-cache")
+
+
+def test_what_fails_inside_says_nothing_of_the_inside(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page.plant.board, "referred", lambda: 1 / 0)
+    status, _, body = page.ask("/api/plant")
+    assert status == 500
+    assert b"ZeroDivision" not in body
+    assert b"Traceback" not in body
+
+
+# --- configuration ----------------------------------------------------------------------------------------------------
+
+
+def refused(**config: object) -> str:
+    with pytest.raises(UsageError) as caught:
+        PageConfig.model_validate(config)
+    return str(caught.value)
+
+
+def test_another_address_asks_for_three_decisions() -> None:
+    assert "allow_remote = true" in refused(address="0.0.0.0")
+    assert "token_file" in refused(address="0.0.0.0", allow_remote=True)
+    assert "hosts = " in refused(address="0.0.0.0", allow_remote=True, token_env="T")
+    config = PageConfig(address="0.0.0.0", allow_remote=True, token_env="T", hosts=("hall.example:8127",))
+    assert not config.local
+    assert PageConfig(address="::1").local
+    assert not PageConfig(address="192.0.2.7", allow_remote=True, token_env="T").local
+    assert "certificate and key" in refused(certificate="page.pem")
+    assert "drop one" in refused(token_env="A", token_file="b")
+
+
+def start(config: PageConfig, folder: Path) -> None:
+    serve(config, "hall-3", Board([], Counters()), Counters(), FakePlant(1), folder=folder).stop()
+
+
+def test_a_page_for_others_says_so_and_shows_no_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PAGE_TOKEN", "a-token-of-our-own-0123456789")
+    config = PageConfig(
+        address="0.0.0.0", port=0, allow_remote=True, token_env="PAGE_TOKEN", hosts=("hall.example:8127",)
+    )
+    page = serve(config, "hall-3", Board([], Counters()), Counters(), FakePlant(1), folder=tmp_path)
+    page.stop()
+    page.stop()
+    assert page.start_url == "http://hall.example:8127/"
+    assert any("other machines" in note for note in page.notes)
+    assert any("in the clear" in note for note in page.notes)
+    assert not any("0123456789" in note for note in page.notes)
+
+
+@pytest.mark.parametrize("content", ["", "short", "with spaces in it, and long", "ümläuts-are-no-token-at-all"])
+def test_a_token_that_is_none_is_refused(tmp_path: Path, content: str) -> None:
+    (tmp_path / "page.token").write_text(content, encoding="utf-8")
+    with pytest.raises(UsageError, match=r"token_file = 'page.token'") as caught:
+        load_tokens(PageConfig(token_file="page.token"), tmp_path)
+    assert not content or content not in str(caught.value)
+
+
+def test_a_missing_token_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NO_TOKEN", raising=False)
+    with pytest.raises(UsageError, match="token_env = 'NO_TOKEN'"):
+        load_tokens(PageConfig(token_env="NO_TOKEN"), tmp_path)
+    with pytest.raises(UsageError, match="cannot be read"):
+        load_tokens(PageConfig(read_token_file="none"), tmp_path)
+
+
+def test_one_token_for_both_scopes_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "t").write_text("the-same-token-for-both-scopes")
+    with pytest.raises(UsageError, match="choose two"):
+        load_tokens(PageConfig(token_file="t", read_token_file="t"), tmp_path)
+
+
+def test_a_port_that_is_taken_is_told(page: Served, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="choose another port"):
+        start(PageConfig(port=page.address[1]), tmp_path)
+
+
+def test_a_certificate_that_is_none_is_told(tmp_path: Path) -> None:
+    (tmp_path / "page.pem").write_text("no certificate")
+    with pytest.raises(UsageError, match="PEM"):
+        start(PageConfig(port=0, certificate="page.pem", key="page.pem"), tmp_path)
+
+
+def test_without_the_extra_it_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    with pytest.raises(UsageError, match=r"pip install 'pmfid\[serve\]'"):
+        start(PageConfig(port=0), tmp_path)

@@ -1,0 +1,291 @@
+"""The queue in front of every sink: bounded, never waited for, the oldest rows dropped first, alarms last."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pmfid.service.outcome import Notice, Rows
+from pmfid.service.sinks import queued
+from pmfid.service.sinks.queued import Queued
+from pmfid.service.sinks.waiting import Limits, Waiting, size_of
+from tests.service.feed import Faulty, Host, alarm, block, kindred, notice, numbers, until
+
+GROUP = kindred(10)
+
+
+@pytest.fixture
+def host(tmp_path: Path) -> Host:
+    return Host(tmp_path)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pauses that a test can wait for."""
+    monkeypatch.setattr(queued, "FIRST_PAUSE", 0.005)
+    monkeypatch.setattr(queued, "LONGEST_PAUSE", 0.02)
+
+
+def started(sink: Faulty, host: Host, limits: Limits | None = None) -> Queued:
+    outlet = Queued(sink, host.counters, host.tell, limits)
+    outlet.start()
+    return outlet
+
+
+# --- what waits -------------------------------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.sampled_from(["rows", "rows", "alarm", "gap", "take", "give back"]), max_size=60),
+    st.integers(1, 60),
+    st.integers(1, 5),
+)
+def test_what_waits_is_bounded_in_order_and_all_accounted_for(steps: list[str], rows: int, notices: int) -> None:
+    waiting = Waiting(Limits(rows, 10**9, notices, take=25))
+    offered_rows = offered_notices = lost_rows = lost_notices = 0
+    serials: list[int] = []
+    taken = []
+    for number, step in enumerate(steps, 1):
+        if step == "take":
+            taken = waiting.take()
+            serials += [entry.serial for entry in taken]
+            continue
+        if step == "give back":
+            lost = waiting.give_back(taken)
+            serials = serials[: len(serials) - len(taken)]
+            taken = []
+        else:
+            is_rows = step == "rows"
+            offered_rows += 10 * is_rows
+            offered_notices += not is_rows
+            one = block(GROUP, number) if is_rows else alarm(number) if step == "alarm" else notice(number, "gap")
+            lost = waiting.add(one)
+        lost_rows += lost.rows
+        lost_notices += lost.notices
+        assert waiting.rows <= max(rows, 10)
+        assert waiting.notices <= notices
+    while some := waiting.take():
+        serials += [entry.serial for entry in some]
+    assert serials == sorted(serials)
+    assert waiting.rows == waiting.size == waiting.notices == 0
+    assert len(serials) == (offered_rows - lost_rows) // 10 + offered_notices - lost_notices
+
+
+def test_the_oldest_rows_go_first_and_alarms_stay() -> None:
+    waiting = Waiting(Limits(rows=30, notices=3))
+    for number in range(1, 11):
+        waiting.add(block(GROUP, number))
+        waiting.add(alarm(100 + number) if number in (1, 9) else notice(200 + number, "gap"))
+    assert numbers([entry.outcome for entry in waiting.take()]) == [101, 8, 9, 109, 10, 210]
+
+
+def test_bytes_bound_it_too() -> None:
+    size = size_of(block(GROUP))
+    waiting = Waiting(Limits(size=3 * size))
+    dropped = [waiting.add(block(GROUP, number)).rows for number in range(1, 8)]
+    assert dropped == [0, 0, 0, 10, 10, 10, 10]
+    assert waiting.size == 3 * size
+
+
+# --- the engine's side ------------------------------------------------------------------------------------------------
+
+
+def test_a_sink_that_hangs_costs_the_engine_nothing(host: Host) -> None:
+    sink = Faulty(hold=threading.Event())
+    outlet = started(sink, host, Limits(rows=1000))
+    outlet.rows(block(GROUP, 1))
+    assert until(lambda: sink.puts)
+    offered, slowest = 3000, 0.0
+    rows = block(GROUP, 2)
+    for _ in range(offered):
+        start = time.thread_time()
+        outlet.rows(rows)
+        slowest = max(slowest, time.thread_time() - start)
+    assert sink.puts == 1, "it has been hanging all the time"
+    assert slowest < 0.05
+    assert host.count("pmfid_dropped_rows_total", sink="s") == 10 * offered - 1000
+    sink.hold.set()
+    assert outlet.close(20)
+    assert sum(one.axis.size for one in sink.got) == 1010
+    assert host.count("pmfid_sink_rows_total", sink="s") == 1010
+
+
+def test_a_slow_sink_is_told_once_and_what_is_dropped_is_counted(host: Host) -> None:
+    @dataclass
+    class Slow(Faulty):
+        """1 MB/s."""
+
+        def put(self, outcomes: list[Rows | Notice]) -> None:
+            time.sleep(sum(size_of(one) for one in outcomes if isinstance(one, Rows)) / 1e6)
+            super().put(outcomes)
+
+    sink = Slow()
+    outlet = started(sink, host, Limits(size=200_000, take=200))
+    rows = block(GROUP, 1, samples=10)
+    offered = 400
+    for _ in range(offered):  # some 4 MB
+        outlet.rows(rows)
+        time.sleep(0.0002)
+    outlet.close(20)
+    written = host.count("pmfid_sink_rows_total", sink="s")
+    assert written == sum(one.axis.size for one in sink.got)
+    assert written + host.count("pmfid_dropped_rows_total", sink="s") == 100 * offered
+    assert [told["event"] for told in host.told] == ["dropped"]
+
+
+def test_offers_from_the_engine_go_on_in_order(host: Host) -> None:
+    sink = Faulty()
+    outlet = started(sink, host)
+    for number in range(1, 200):
+        outlet.rows(block(GROUP, number)) if number % 3 else outlet.notice(alarm(number))
+    assert outlet.close(20)
+    assert numbers(sink.got) == list(range(1, 200))
+    assert (sink.opened, sink.closed) == (1, 1)
+
+
+def test_only_what_is_wanted_waits(host: Host) -> None:
+    sink = Faulty()
+    outlet = Queued(sink, host.counters, host.tell, rows_wanted=False, events=frozenset({"alarm"}))
+    outlet.start()
+    outlet.rows(block(GROUP))
+    outlet.notice(notice(1, "gap"))
+    outlet.notice(alarm(2))
+    assert outlet.close(20)
+    assert numbers(sink.got) == [2]
+
+
+def test_a_pace_writes_together_what_comes_within_it(host: Host) -> None:
+    sink = Faulty()
+    outlet = started(sink, host, Limits(pace=0.2))
+    for number in range(1, 101):
+        outlet.rows(block(GROUP, number))
+        time.sleep(0.0005)
+    assert outlet.close(20)
+    assert numbers(sink.got) == list(range(1, 101))
+    assert sink.puts < 20
+
+
+# --- errors -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("quick")
+def test_an_error_is_told_once_and_the_end_of_it_too(host: Host) -> None:
+    sink = Faulty(error=OSError(28, "No space left on device", "out.arrows"))
+    outlet = started(sink, host, Limits(rows=50))
+    for number in range(1, 11):
+        outlet.rows(block(GROUP, number))
+        outlet.notice(alarm(100 + number))
+    assert until(lambda: host.count("pmfid_sink_errors_total", sink="s") >= 4)
+    assert host.count("pmfid_sink_working", sink="s") == 0
+    sink.error = None
+    assert until(lambda: len(host.told) == 2)
+    assert outlet.close(20)
+    assert host.told[0] == {
+        "event": "sink",
+        "sink": "s",
+        "works": False,
+        "problem": "No space left on device: out.arrows",
+    }
+    assert host.told[1] == {"event": "sink", "sink": "s", "works": True, "lost_rows": 50, "lost_notices": 0}
+    assert host.count("pmfid_sink_working", sink="s") == 1
+    assert sink.opened >= 5, "it is opened anew before each attempt"
+    assert [n for n in numbers(sink.got) if n > 100] == list(range(101, 111)), "no alarm is lost"
+    assert [n for n in numbers(sink.got) if n < 100] == [6, 7, 8, 9, 10]
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_sink_that_cannot_be_opened_is_tried_again(host: Host) -> None:
+    sink = Faulty(open_error=ConnectionRefusedError(111, "Connection refused"))
+    outlet = started(sink, host)
+    outlet.notice(alarm(1))
+    assert until(lambda: sink.opened > 2)
+    sink.open_error = None
+    assert until(lambda: sink.got)
+    assert outlet.close(20)
+    assert numbers(sink.got) == [1]
+
+
+def test_pauses_grow_to_a_limit_and_begin_anew_after_a_steady_time(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
+    pauses: list[float] = []
+    clock = itertools.count(1000.0, 0.001)
+    now = [0.0]
+    monkeypatch.setattr(queued.time, "monotonic", lambda: now[0] + next(clock))
+    sink = Faulty()
+    outlet = Queued(sink, host.counters, host.tell)
+
+    def tries(errors: int) -> None:
+        sink.error = OSError(5, "Input/output error")
+        for _ in range(errors):
+            outlet.notice(alarm(1))
+            outlet._write(outlet._next())
+            pauses.append(outlet._pause)
+        sink.error = None
+        outlet._write(outlet._next())
+
+    tries(9)
+    tries(1)  # it had worked for a moment only
+    now[0] += queued.STEADY + 1
+    tries(2)
+    assert pauses == [0.5, 1, 2, 4, 8, 16, 32, 60, 60, 60, 0.5, 1]
+
+
+def test_what_a_sink_can_never_take_is_dropped_alone(host: Host) -> None:
+    sink = Faulty(hold=threading.Event(), poison=4)
+    outlet = started(sink, host)
+    for number in range(1, 9):
+        outlet.notice(alarm(number))
+    sink.hold.set()
+    assert outlet.close(20)
+    assert numbers(sink.got) == [1, 2, 3, 5, 6, 7, 8]
+    assert host.count("pmfid_refused_total", sink="s") == 1
+    assert [told["problem"] for told in host.told] == ["refused: ValueError: number 4 is poison"]
+    assert host.count("pmfid_sink_errors_total", sink="s") == 0
+
+
+# --- the end ----------------------------------------------------------------------------------------------------------
+
+
+def test_closing_ends_in_time_also_where_the_sink_hangs(host: Host) -> None:
+    sink = Faulty(hold=threading.Event())
+    outlet = started(sink, host, Limits(take=10))
+    outlet.rows(block(GROUP, 1))
+    assert until(lambda: sink.puts)
+    for number in range(2, 5):
+        outlet.rows(block(GROUP, number))
+    assert not outlet.close(0.05)
+    assert host.count("pmfid_dropped_rows_total", sink="s") == 30
+    sink.hold.set()
+    assert until(lambda: sink.closed), "and it is closed as soon as it answers"
+
+
+def test_closing_does_not_wait_for_a_pause(host: Host) -> None:
+    sink = Faulty(error=OSError(28, "No space left on device"))
+    outlet = started(sink, host)
+    outlet.rows(block(GROUP))
+    assert until(lambda: host.told)
+    assert outlet.close(20)
+    assert sink.puts in (1, 2), "one more attempt"
+    assert sink.closed == 1
+    assert host.count("pmfid_dropped_rows_total", sink="s") == 10
+
+
+def test_a_sink_is_looked_after_while_nothing_comes(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(queued, "IDLE", 0.01)
+    monkeypatch.setattr(queued, "FIRST_PAUSE", 0.005)
+    sink = Faulty()
+    outlet = started(sink, host)
+    assert until(lambda: sink.opened), "at the start"
+    sink.error = OSError(104, "Connection reset by peer")
+    assert until(lambda: host.told)
+    sink.error = None
+    assert until(lambda: len(host.told) == 2)
+    assert outlet.close(20)
+    assert [told["works"] for told in host.told] == [False, True]
+    assert sink.got == []

@@ -1,0 +1,204 @@
+"""Alarms by POST: each once, bounded in time, to that address alone, and no secret in what is told."""
+
+from __future__ import annotations
+
+import json
+import math
+import ssl
+import subprocess
+from pathlib import Path
+from shutil import which
+
+import pytest
+
+from pmfid.errors import UsageError
+from pmfid.service.sinks import RefusedError
+from pmfid.service.sinks.webhook import WebhookSection, WebhookSink
+from pmfid.session.toml_file import FileSection, validated
+from tests.service.feed import Host, alarm, block, kindred, notice, until
+from tests.service.web_servers import bad_server, web_server
+
+TOKEN = "Bearer s3cret-of-the-hall"
+
+
+def hook(folder: Path, url: str, **keys: object) -> WebhookSink:
+    sink = WebhookSection(url=url, **keys).make("hook", Host(folder))  # type: ignore[arg-type]
+    sink.open()
+    return sink
+
+
+def test_an_alarm_is_posted_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOOK_SECRET", TOKEN)
+    with web_server() as server:
+        sink = hook(tmp_path, f"{server.url}/in?a=1", secret_env="HOOK_SECRET", secret_header="X-Token")
+        sink.put([alarm(7, std=math.inf), notice(1_700_000_000_000_000, "acknowledged", alarm=7, note='"<é>')])
+    (path, headers, body), (_, others, other) = server.got
+    assert path == "/in?a=1"
+    assert headers["X-Token"] == TOKEN
+    assert headers["Content-Type"] == "application/json"
+    assert headers["Idempotency-Key"] != others["Idempotency-Key"]
+    told = json.loads(body)
+    assert told["service"] == "hall-3"
+    assert (told["axis"], told["number"], told["event"], told["parameter"]) == ("x1", 7, "alarm", "mass")
+    assert (told["relative"], told["std"]) == (0.2, None)
+    assert (json.loads(other)["alarm"], json.loads(other)["note"]) == (7, '"<é>')
+
+
+def test_behind_its_queue_only_the_events_that_are_wanted_go_out(tmp_path: Path) -> None:
+    with web_server() as server:
+        outlet = WebhookSection(url=server.url, events=("alarm", "settled")).outlet("hook", Host(tmp_path))
+        outlet.start()
+        outlet.rows(block(kindred()))
+        outlet.notice(notice(1, "gap"))
+        outlet.notice(alarm(2))
+        outlet.notice(notice(3, "settled"))
+        assert outlet.close(20)
+    assert [json.loads(body)["number"] for _, _, body in server.got] == [2, 3]
+
+
+def test_each_alarm_goes_out_once_whatever_fails_between(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pmfid.service.sinks.queued.FIRST_PAUSE", 0.01)
+    host = Host(tmp_path)
+    # the second is tried three times, the third is refused for what it says
+    with web_server(200, 500, 503, 200, 422, 422, 200) as server:
+        outlet = WebhookSection(url=server.url).outlet("hook", host)
+        for number in (1, 2, 3, 4, 5):
+            outlet.notice(alarm(number))
+        outlet.start()
+        assert until(lambda: len(server.got) == 8)
+        assert outlet.close(20)
+    numbers = [json.loads(body)["number"] for _, _, body in server.got]
+    assert numbers == [1, 2, 2, 2, 3, 3, 4, 5]
+    assert host.count("pmfid_refused_total", sink="hook") == 1
+    assert [told.get("problem") for told in host.told] == [
+        "the server answers 500",
+        None,
+        "refused: the server answers 422",
+    ]
+
+
+def test_a_restart_sends_it_again_with_the_same_key(tmp_path: Path) -> None:
+    with web_server() as server:
+        for _ in range(2):
+            hook(tmp_path, server.url).put([alarm(1)])
+    (_, first, _), (_, second, _) = server.got
+    assert first["Idempotency-Key"] == second["Idempotency-Key"]
+
+
+def test_another_address_is_not_followed(tmp_path: Path) -> None:
+    with web_server(302) as server:
+        with pytest.raises(OSError, match="302 and another address"):
+            hook(tmp_path, server.url).put([alarm(1)])
+        assert [path for path, _, _ in server.got] == ["/"]
+
+
+@pytest.mark.parametrize(("status", "error"), [(400, RefusedError), (401, OSError), (404, OSError), (429, OSError)])
+def test_what_is_about_the_alarm_is_refused_and_all_else_may_pass(
+    tmp_path: Path, status: int, error: type[Exception]
+) -> None:
+    with web_server(status) as server, pytest.raises(error, match=f"answers {status}"):
+        hook(tmp_path, server.url).put([alarm(1)])
+
+
+@pytest.mark.parametrize(("says", "every"), [(b"", 0.0), (b"H", 0.02)])
+def test_a_server_that_never_ends_its_answer_costs_bounded_time(tmp_path: Path, says: bytes, every: float) -> None:
+    with bad_server(says, every) as port, pytest.raises(OSError, match=r"no whole answer within 0\.15 s"):
+        hook(tmp_path, f"http://127.0.0.1:{port}", timeout_s=0.15).put([alarm(1)])
+
+
+def test_an_answer_with_an_endless_page_has_said_all_at_its_start(tmp_path: Path) -> None:
+    with bad_server(b"HTTP/1.1 200 OK\r\nContent-Length: 9999999\r\n\r\nxx", 0.02) as port:
+        sink = hook(tmp_path, f"http://127.0.0.1:{port}", timeout_s=0.15)
+        sink.put([alarm(1), alarm(2)])
+        assert len(sink._delivered) == 2
+
+
+def test_a_server_that_never_answers_costs_the_service_nothing(tmp_path: Path) -> None:
+    host = Host(tmp_path)
+    with bad_server(b"") as port:
+        outlet = WebhookSection(url=f"http://127.0.0.1:{port}", timeout_s=60.0, queue_notices=100).outlet("hook", host)
+        outlet.start()
+        for number in range(1, 301):
+            outlet.notice(alarm(number))
+        assert not outlet.close(0.1)
+    assert host.count("pmfid_dropped_notices_total", sink="hook") >= 200
+
+
+@pytest.mark.parametrize("says", [b"garbage\r\n\r\n", b"HTTP/1.1 abc\r\n\r\n"])
+def test_an_answer_that_is_none_is_an_error_that_may_pass(tmp_path: Path, says: bytes) -> None:
+    with bad_server(says, 0.01) as port, pytest.raises(OSError, match="ended without an answer"):
+        hook(tmp_path, f"http://127.0.0.1:{port}").put([alarm(1)])
+
+
+def test_nobody_listens_is_an_error_that_may_pass_and_tells_no_secret(tmp_path: Path) -> None:
+    (tmp_path / "url").write_text("http://127.0.0.1:9/very-secret-path\n")
+    host = Host(tmp_path)
+    outlet = WebhookSection(url_file="url").outlet("hook", host)
+    outlet.start()
+    outlet.notice(alarm(1))
+    assert until(lambda: host.told)
+    outlet.close(20)
+    assert host.told[0]["problem"] == "Connection refused"
+
+
+@pytest.mark.skipif(which("openssl") is None, reason="there is no openssl on this machine to make a certificate")
+def test_certificates_are_verified(tmp_path: Path) -> None:
+    cert, key = tmp_path / "cert.pem", tmp_path / "key.pem"
+    made = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
+    made += ["-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost", "-days", "2"]
+    subprocess.run([*made, "-keyout", key, "-out", cert], check=True, capture_output=True)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(cert, key)
+    with web_server(context=context) as server:
+        with pytest.raises(OSError, match="CERTIFICATE_VERIFY_FAILED"):
+            hook(tmp_path, f"https://localhost:{server.port}").put([alarm(1)])
+        with pytest.raises(OSError, match="CERTIFICATE_VERIFY_FAILED"):  # it is that of another name
+            hook(tmp_path, f"https://127.0.0.1:{server.port}", ca="cert.pem").put([alarm(1)])
+        assert server.got == []
+        hook(tmp_path, f"https://localhost:{server.port}", ca="cert.pem").put([alarm(1)])
+    assert len(server.got) == 1
+
+
+@pytest.mark.parametrize(
+    ("url", "secret", "problem"),
+    [
+        ("ftp://example.org", None, "none of http:// or https://"),
+        ("http://[::1", None, "none of http:// or https://"),
+        ("https://exa mple.org", None, "none of http:// or https://"),
+        ("https://example.org/\r\nX-Bad: 1", None, "none of http:// or https://"),
+        ("https://me:hidden@example.org", None, "holds a user"),
+        ("http://example.org", TOKEN, "not sent to another machine by http"),
+        ("https://example.org", f"{TOKEN}\r\nX-Bad: 1", "no line of plain text"),
+        ("https://example.org", "", "empty"),
+    ],
+)
+def test_addresses_and_secrets_that_cannot_be_are_refused_without_being_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, url: str, secret: str | None, problem: str
+) -> None:
+    keys = {}
+    if secret is not None:
+        monkeypatch.setenv("HOOK_SECRET", secret)
+        keys = {"secret_env": "HOOK_SECRET"}
+    with pytest.raises(UsageError, match=problem) as error:
+        hook(tmp_path, url, **keys)
+    assert "s3cret" not in str(error.value)
+    assert "hidden" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "problem"),
+    [
+        ({}, "one of url, url_env and url_file"),
+        ({"url": "https://a.b", "url_env": "X"}, "one of url, url_env and url_file"),
+        ({"url": "https://a.b", "secret_env": "X", "secret_file": "x"}, "give one of them"),
+        ({"url": "https://a.b", "secret": "in the file"}, "secret is an unknown key"),
+        ({"url": "https://a.b", "secret_header": "A:\r\n"}, "secret_header"),
+        ({"url": "https://a.b", "events": []}, "events"),
+    ],
+)
+def test_a_section_that_cannot_be_is_told(keys: dict[str, object], problem: str) -> None:
+    class Whole(FileSection):
+        hook: WebhookSection
+
+    with pytest.raises(UsageError, match=problem):
+        validated(Whole, {"hook": {"kind": "webhook", **keys}})

@@ -1,0 +1,92 @@
+"""Web servers that answer, or do not, for the tests of sinks."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+
+@dataclass
+class Server:
+    """answers: status of the next answers, the last one for all others; got: headers and body of each request."""
+
+    answers: list[int] = field(default_factory=lambda: [200])
+    got: list[tuple[str, dict[str, str], bytes]] = field(default_factory=list)
+    port: int = 0
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+
+@contextmanager
+def web_server(*answers: int, context: object = None) -> Iterator[Server]:
+    """A server on a port of this machine; context: an SSLContext for https."""
+    told = Server(list(answers) or [200])
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers["Content-Length"]))
+            told.got.append((self.path, dict(self.headers), body))
+            status = told.answers.pop(0) if len(told.answers) > 1 else told.answers[0]
+            self.send_response(status)
+            if 300 <= status < 400:
+                self.send_header("Location", f"http://127.0.0.1:{told.port}/elsewhere")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads = True
+    if context is not None:
+        server.socket = context.wrap_socket(server.socket, server_side=True)  # type: ignore[attr-defined]
+    told.port = server.server_address[1]
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
+    thread.start()
+    try:
+        yield told
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join(20)
+
+
+@contextmanager
+def bad_server(says: bytes, every: float = 0.0) -> Iterator[int]:
+    """The port of a server that takes connections, and says this again and again with a pause, or nothing ever."""
+    listening = socket.create_server(("127.0.0.1", 0))
+    connections: list[socket.socket] = []
+    ended = threading.Event()
+
+    def serve() -> None:
+        while not ended.is_set():
+            try:
+                connections.append(listening.accept()[0])
+            except OSError:
+                return
+            threading.Thread(target=drip, args=(connections[-1],), daemon=True).start()
+
+    def drip(connection: socket.socket) -> None:
+        while says and not ended.is_set():
+            try:
+                connection.sendall(says)
+            except OSError:
+                return
+            time.sleep(every)
+
+    threading.Thread(target=serve, daemon=True).start()
+    try:
+        yield listening.getsockname()[1]
+    finally:
+        ended.set()
+        for one in (listening, *connections):
+            one.close()
