@@ -21,7 +21,6 @@ from pmfid.monitor.lost import Lately
 from pmfid.paper.truth import CartRecord, table
 from pmfid.session.gaps.motion import by_motion, doubt
 from pmfid.session.gaps.standing import ALWAYS, filled, gaps_of, is_held
-from pmfid.session.monitored.run import FEW
 from pmfid.simulation import prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
@@ -150,7 +149,7 @@ def _online(method: IV, run: CartRecord, there: Flags) -> tuple[Floats, NDArray[
     last, places = -1, np.flatnonzero(there).tolist()
     for k, u, counts in zip(places, run.u[there].tolist(), run.counts[there].tolist(), strict=True):
         missing = k - last - 1
-        guess = lately.guess(missing, u, counts) if 0 < missing <= FEW else None
+        guess = lately.guess(missing, u, counts) if 0 < missing <= lately.longest else None
         if guess and guess.doubt:
             riv.doubt(guess.doubt)
         unknown = ((np.nan, int(run.counts[last])),) * min(missing, riv.settle_samples)

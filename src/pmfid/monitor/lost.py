@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 
 from pmfid.estimators.recursive import RecursiveEstimator
@@ -17,6 +18,8 @@ SWITCHED = 6.0
 HELD, ALONE = 0.5, 0.9
 #: A switch matters where not knowing its instant moves the input behind the filters by so much of its size.
 DOUBTFUL = 0.01
+#: So many missing samples are guessed, and in so many of the filters' time constants: over more nothing is known.
+FEW, SHORT = 8, 0.25
 #: The filters forget a blow in so many of their time constants.
 FORGOTTEN = 4.5
 
@@ -35,8 +38,6 @@ class Lately:
 
     estimator: RecursiveEstimator
     _input: float = field(default=math.nan, init=False)
-    _counts: int = field(default=0, init=False)
-    _moved: int = field(default=0, init=False)
     _samples: int = field(default=0, init=False)
     _change: float = field(default=0.0, init=False)
     _same: float = field(default=0.0, init=False)
@@ -44,11 +45,20 @@ class Lately:
     _changed: bool = field(default=False, init=False)
     _power: float = field(default=0.0, init=False)
 
+    def __post_init__(self) -> None:
+        self._recent: deque[int] = deque(maxlen=self.longest + 2)  # counts, the last of all at the end
+
+    @property
+    def longest(self) -> int:
+        """So many lost samples are guessed; over more the filters had better settle anew."""
+        return max(FEW, round(SHORT / (self.estimator.cutoff * self.estimator.dt)))
+
     def note(self, u: float, counts: int) -> None:
         """A sample; u is NaN where it was lost."""
         lost = not math.isfinite(u)
-        self._moved = counts - self._counts if self._samples and not lost else 0
-        self._counts = counts
+        if lost:
+            self._recent.clear()
+        self._recent.append(counts)
         if not lost:
             self._learn(u)
             self._input = u
@@ -71,17 +81,18 @@ class Lately:
 
     def guess(self, missing: int, u: float, counts: int) -> Guess | None:
         """So many samples before one of u and counts, which go on from the last: the input on a straight line, the
-        counts on the parabola that leaves the last as fast as they came to it. None where nothing is known of them: an
+        counts on the parabola that leaves the last as fast as they came to it, as the last tell, and of a long
+        gap as many as are missing. None where nothing is known of them: an
         input that is lost itself, or one that is not held and leaps."""
         if not (self._samples and math.isfinite(u) and math.isfinite(self._input)):
             return None
         n, leap = missing + 1, u - self._input
         if not self._held and abs(leap) > SWITCHED * n * self._change:
             return None
-        bend = (counts - self._counts - self._moved * n) / (n * n + n)
-        between = (
-            (self._input + k / n * leap, self._counts + round(k * (self._moved + bend * (k + 1)))) for k in range(1, n)
-        )
+        start, back = self._recent[-1], min(n if n > FEW + 1 else 1, len(self._recent) - 1)
+        speed = (start - self._recent[-1 - back]) / back if back else 0.0
+        bend = (counts - start - speed * n) / (n * (n + back))
+        between = ((self._input + k / n * leap, start + round(k * (speed + bend * (k + back)))) for k in range(1, n))
         return Guess(tuple(between), self._doubt(missing, leap) if self._held else 0)
 
     def _doubt(self, missing: int, leap: float) -> int:

@@ -191,6 +191,11 @@ class Monitor(Shown):
         self.samples += samples - few
         return events
 
+    @property
+    def longest(self) -> int:
+        """So many lost samples are for `between`, more for `skip`."""
+        return self._lately.longest
+
     def between(self, missing: int, u: float, counts: int) -> list[Event]:
         """A few samples that were lost before one of u and counts: what most likely stood there (`Lately.guess`), and
         nothing is learnt for a while where a held input switched in one of them, nobody knows which. Where nothing is
