@@ -171,6 +171,19 @@ def test_where_a_held_input_switched_nothing_is_learnt_for_a_while(missing: int)
     assert still.samples == tuple((last, 1000 + k) for k in range(missing))
 
 
+def test_a_gap_that_is_short_for_the_filters_is_stepped_through_however_many_samples_it_has() -> None:
+    """At 4 kHz the filters never settled between bursts of 12 ms: the estimate was left to the fallback, and wild."""
+    fast, slow = (Lately(RIV(**{**SETTINGS, "dt": dt})) for dt in (1 / 4000, DT))
+    assert (fast.longest, slow.longest) == (50, 8)
+    for k in range(300):
+        fast.note(1.0, (k * k) // 200)
+    guess = fast.guess(50, 1.0, 350 * 350 // 200)
+    assert guess is not None
+    assert guess.doubt == 0
+    true = np.arange(300, 350) ** 2 // 200
+    assert np.max(np.abs(np.array([counts for _, counts in guess.samples]) - true)) <= 1
+
+
 def test_a_doubt_leaves_out_samples_and_the_filters_go_on() -> None:
     u, counts = held(2000)
     doubted, plain = RLS(**SETTINGS), RLS(**SETTINGS)

@@ -119,6 +119,11 @@ class MonitorFleet:
         """`Monitor.skip` of an axis."""
         return self._with(self._place(axis), lambda monitor: monitor.skip(samples))
 
+    @property
+    def longest(self) -> int:
+        """`Monitor.longest` of all."""
+        return self._source.longest
+
     def between(self, axis: int, missing: int, u: float, counts: int) -> list[Event]:
         """`Monitor.between` of an axis."""
         return self._with(self._place(axis), lambda monitor: monitor.between(missing, u, counts))
