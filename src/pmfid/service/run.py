@@ -122,11 +122,14 @@ class Service:
         self._sources = Sources(self._engine.inbox, self._engine.tell, self._engine.marks)
         self._pace = Pace(plant.service.window, plant.service.every)
         self._configurations = Configurations(self._tell_now, self.record)
-        self._axes: dict[str, Prepared] = self._configurations.of(plant.axes)
-        if not self._axes:
+        try:
+            self._axes: dict[str, Prepared] = self._configurations.of(plant.axes)
+            if not self._axes:
+                raise UsageError("no axis can be watched; correct what the log says of their configurations")
+            self._restore(plant)
+        except BaseException:
             self._log.close(ENDING)
-            raise UsageError("no axis can be watched; correct what the log says of their configurations")
-        self._restore(plant)
+            raise
 
     def _restore(self, plant: Plant) -> None:
         """Goes on from the last checkpoint, if there is one."""
