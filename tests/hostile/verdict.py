@@ -116,9 +116,8 @@ def _said(case: Case, result: Result) -> list[str]:
     if code not in (DONE, USAGE, NOT_IDENTIFIABLE):
         return [*faults, f"exit code {code}"]
     watches = case.arguments[:1] in (("monitor",), ("serve",))
-    rows = (
-        case.arguments[:1] == ("monitor",) and "-" in case.arguments[2:]
-    )  # estimates; the bar of one that is not known yet is infinite
+    # estimates; the bar of one that is not known yet is infinite
+    rows = case.arguments[:1] == ("monitor",) and "-" in case.arguments[2:]
     if "--json" in case.arguments and not {"--help", "-h"} & set(case.arguments) and not rows:
         faults += _json(out, several=watches)
     if code == DONE:

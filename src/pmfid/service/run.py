@@ -317,6 +317,8 @@ class Service:
         if hasattr(self, "_thread"):
             self._thread.join()
             self._tell_now({"event": "ended"})
+        else:
+            self._engine.keeper.offer(self._engine, last=True)
         if self._page is not None:
             self._page.stop()
         for sink in self._sinks:
