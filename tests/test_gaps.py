@@ -143,9 +143,10 @@ def test_several_records_where_the_place_matters_are_refused() -> None:
 # --- on-line ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_gap_leaves_what_was_gathered() -> None:
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_a_gap_leaves_what_was_gathered(precision: str) -> None:
     u, counts = run(4000)
-    riv = RIV(**SETTINGS)
+    riv = RIV(**SETTINGS, precision=precision)
     before = riv.run(u[:3000], counts[:3000])
     riv.gap(int(counts[3400]))
     after = riv.run(u[3400:], counts[3400:])

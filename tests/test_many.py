@@ -418,3 +418,22 @@ def test_lanes_compile_without_a_warning(size, precision):
     source = str(Path(CSRC) / "many" / "pmf_lanes.c")
     run = subprocess.run([str(COMPILER), *flags, source], capture_output=True, text=True, timeout=60)
     assert run.returncode == 0, run.stderr
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_a_gap_of_one_axis_is_that_of_its_runner(precision):
+    """The others do not notice; the counter may have wrapped meanwhile."""
+    u, counts = fleet_record()
+    estimator = make(pmfid.RIV, precision)
+    fleet = pmfid.Fleet(estimator, AXES)
+    fleet.run(u[:, :300], counts[:, :300])
+    fleet.gap(2, int(counts[2, 400]) + 2**32)
+    tracks = fleet.run(u[:, 400:], counts[:, 400:], every=1)
+    for axis in range(AXES):
+        single = estimator.start()
+        single.run(u[axis, :300], counts[axis, :300])
+        if axis == 2:
+            single.gap(int(counts[2, 400]))
+        assert_equal_tracks(tracks.axis(axis), single.run(u[axis, 400:], counts[axis, 400:]))
+    with pytest.raises(pmfid.UsageError, match="there are"):
+        fleet.gap(AXES, 0)

@@ -56,9 +56,8 @@ def test_scores_are_the_information_times_the_deviation() -> None:
     assert found[0] == pytest.approx(-0.002 * CART.mass, rel=0.1)
 
 
-def test_sample_by_sample_gives_the_same_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sample_by_sample_gives_the_same_blocks() -> None:
     u, counts = normal_work(2, INCREMENTS, 0.01)
-    monkeypatch.setattr("pmfid.monitor.scores.CHUNK", 100)
     whole = scores(front(), THETA, u, counts)
     filter_ = ScoreFilter(front(), THETA)
     parts = [filter_.step(a, b) for a, b in zip(u.tolist(), counts.tolist(), strict=True)]

@@ -2,121 +2,382 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from pmfid import UsageError
-from pmfid.monitor import Alarm, Monitor, MonitorFleet, Watch, calibrate
-from pmfid.monitor.events import Event
+from pmfid import BCRLS, IV, RIV, RLS, Drive, Encoder, UsageError
+from pmfid.estimators.configuration import like
+from pmfid.estimators.known import Known
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.monitor import Alarm, Monitor, MonitorFleet, Watch
+from pmfid.monitor.calibration import Calibration, Tail
+from pmfid.monitor.events import CANNOT_TELL, SETTLING, SUSPICIOUS, WATCHING, Event, Settled, StateChange
+from pmfid.monitor.names import DETECTORS
 from pmfid.monitor.rows import STATES
-from pmfid.simulation import CART, Schedule
+from pmfid.monitor.saved import Saved, written
+from pmfid.monitor.scores import make_scale, scores
+from pmfid.monitor.work import Work
+from pmfid.simulation import CART, CART_DT, Schedule, resolution_of
 from pmfid.types import Counts, Floats
-from studies.monitoring.axis import INCREMENTS, changing, make_riv, normal_work
+from studies.monitoring.axis import INCREMENTS, changing, normal_work
 
-THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
-SECONDS = 20.0
+AXES = 4
+SECONDS = 25.0
+THRESHOLDS = {"glr": 12.0, "cusum": 8.0, "page-hinkley": 8.0, "chi-square": 25.0}
+Told = list[tuple[Any, ...]]
+
+
+def estimator(kind: type[RecursiveEstimator], start: bool = False, **options: Any) -> RecursiveEstimator:
+    model = Drive(CART.input_gain, **{name: options.pop(name) for name in ("offset", "dead_time") if name in options})
+    made = kind(model, Encoder(resolution_of(INCREMENTS)), CART_DT, 50.0, forgetting=0.99, **options)
+    initial = dict(zip(made.names, reference(made).tolist(), strict=True))
+    return like(type(made), made, initial=initial) if start else made
+
+
+def reference(of: RecursiveEstimator) -> Floats:
+    known = {"mass": CART.mass, "viscous_friction": CART.viscous_friction, "coulomb_friction": CART.coulomb_friction}
+    return np.array([known.get(name, 0.0) for name in of.names])
 
 
 @pytest.fixture(scope="module")
-def monitor() -> Monitor:
-    u, counts = normal_work(7, INCREMENTS, 0.2)
-    calibration = calibrate(make_riv(INCREMENTS), THETA, u, counts, hours=4.0)
-    return Monitor(make_riv(INCREMENTS, THETA), calibration, Watch())
+def normal() -> tuple[Floats, Counts]:
+    return normal_work(7, INCREMENTS, 0.1)
+
+
+def calibrated(of: RecursiveEstimator, normal: tuple[Floats, Counts]) -> Calibration:
+    """The scale of a record, and thresholds as they come: what is compared here needs none that are right."""
+    theta = reference(of)
+    front = like(IV, of, prefilter_zeros=None)
+    blocks = scores(front, theta, *normal)[20:]
+    tails = {name: Tail(THRESHOLDS[name], 0.0, 1.0, 1.0, ()) for name in DETECTORS}
+    return Calibration(theta, make_scale(blocks), (), tails, np.ones(theta.size), 1.0)
+
+
+def with_work(calibration: Calibration) -> Calibration:
+    work = Work(4.0, 1e-3 * calibration.theta, calibration.scale, np.full(calibration.theta.size, 3.0))
+    return replace(calibration, work=work)
+
+
+CASES: dict[str, tuple[Callable[[], RecursiveEstimator], str, bool]] = {
+    "riv, glr": (lambda: estimator(RIV, True), "glr", False),
+    "rls in float32, cusum": (lambda: estimator(RLS, precision="float32"), "cusum", False),
+    "riv in float32 with an offset, page-hinkley": (
+        lambda: estimator(RIV, precision="float32", offset=True),
+        "page-hinkley",
+        False,
+    ),
+    "bcrls with a window, chi-square": (lambda: estimator(BCRLS, forgetting_scheme="window"), "chi-square", False),
+    "riv with units of work, glr": (lambda: estimator(RIV), "glr", True),
+    "riv that finds a dead time, glr": (lambda: estimator(RIV, dead_time="estimate"), "glr", False),
+}
+
+
+def monitor_of(case: str, normal: tuple[Floats, Counts]) -> Monitor:
+    make, detector, work = CASES[case]
+    calibration = calibrated(make(), normal)
+    return Monitor(make(), with_work(calibration) if work else calibration, Watch(detector))
+
+
+@pytest.fixture(scope="module")
+def monitor(normal: tuple[Floats, Counts]) -> Monitor:
+    return monitor_of("riv, glr", normal)
 
 
 @pytest.fixture(scope="module")
 def records() -> tuple[Floats, Counts]:
-    """(axes, n): an axis whose mass grows, one that stays, one with lost samples, and one whose counter wraps."""
-    heavier = Schedule(((0.0, CART), (8.0, replace(CART, mass=1.3 * CART.mass))))
-    parts = [changing(Schedule(((0.0, CART),)) if k else heavier, k, INCREMENTS, SECONDS) for k in range(4)]
+    """(axes, n): an axis whose mass grows, one that stops, one with lost samples and glitches, one whose counter wraps
+    and whose friction grows."""
+    heavier = Schedule(((0.0, CART), (6.0, replace(CART, mass=1.3 * CART.mass))))
+    rougher = Schedule(((0.0, CART), (9.0, replace(CART, coulomb_friction=1.8 * CART.coulomb_friction))))
+    schedules = (heavier, Schedule(((0.0, CART),)), Schedule(((0.0, CART),)), rougher)
+    parts = [changing(schedule, k, INCREMENTS, SECONDS) for k, schedule in enumerate(schedules)]
     u, counts = (np.array([part[i] for part in parts]) for i in range(2))
-    u[2, np.random.default_rng(1).random(u.shape[1]) < 0.01] = np.nan
+    rng = np.random.default_rng(1)
+    u[1, 800:1400], counts[1, 800:1400] = 0.0, counts[1, 800]
+    counts[1, 1400:] += counts[1, 800] - counts[1, 1400]
+    u[2, rng.random(u.shape[1]) < 0.01] = np.nan
+    u[2, 500:540] = np.inf
+    counts[2, rng.random(u.shape[1]) < 0.003] += 5000
     counts[3] = (counts[3] + 100) % 2**16
     return u, counts
 
 
-def alone(monitor: Monitor, u: Floats, counts: Counts) -> list[tuple[object, ...]]:
-    """What `step` says of each sample."""
-    told = []
-    for one, count in zip(u.tolist(), counts.tolist(), strict=True):
-        estimate, events = monitor.step(one, count)
-        told.append((estimate.theta.tolist(), estimate.theta_std.tolist(), estimate.innovation, estimate.status))
-        told[-1] = (*told[-1], STATES.index(monitor.state), [shown(event) for event in events])
-    return told
+@dataclass
+class Turn:
+    """What happens to one axis: samples from a place on, or something else."""
+
+    name: str
+    values: tuple[Any, ...]
 
 
-def shown(event: Event) -> str:
-    return repr(event)
-
-
-def in_pieces(fleet: MonitorFleet, u: Floats, counts: Counts, seed: int = 0) -> list[list[tuple[object, ...]]]:
-    """The same of a fleet that gets random axes, in any order, with pieces of any length."""
+def turns(u: Floats, counts: Counts, seed: int) -> tuple[list[Any], list[list[Turn]]]:
+    """Calls of a fleet with random axes in any order, with pieces of any length, and something else in between: and the
+    same for each axis."""
     rng, done = np.random.default_rng(seed), np.zeros(len(u), int)
-    told: list[list[tuple[object, ...]]] = [[] for _ in u]
+    calls: list[Any] = []
+    single: list[list[Turn]] = [[] for _ in u]
     while np.any(left := u.shape[1] - done):
         index = rng.permutation(np.flatnonzero(left))[: rng.integers(1, len(u) + 1)]
-        n = int(min(rng.integers(1, 120), left[index].min()))
+        n = int(min(rng.integers(1, 160), left[index].min()))
         pieces = [np.array([part[axis, done[axis] : done[axis] + n] for axis in index]) for part in (u, counts)]
-        rows = fleet.run(index, *pieces)
-        events: dict[tuple[int, int], list[str]] = {}
-        for row, sample, event in rows.events:
-            events.setdefault((row, sample), []).append(shown(event))
+        calls.append(("run", index, *pieces))
         for row, axis in enumerate(index.tolist()):
-            lists = [part[row].tolist() for part in (rows.theta, rows.std, rows.innovation, rows.status, rows.state)]
-            told[axis] += [(*one, events.get((row, k), [])) for k, one in enumerate(zip(*lists, strict=True))]
+            single[axis].append(Turn("run", (pieces[0][row], pieces[1][row])))
         done[index] += n
+        axis = int(rng.integers(len(u)))
+        place = min(int(done[axis]), u.shape[1] - 1)
+        others = {
+            "skip": (int(rng.integers(1, 60)),),
+            "between": (int(rng.integers(1, 5)), float(u[axis, place]), int(counts[axis, place])),
+            "rebase": (int(counts[axis, place - 1]),),
+        }
+        if done[axis] and rng.random() < 0.15:
+            turn = Turn(name := str(rng.choice(list(others))), others[name])
+            calls.append((axis, turn))
+            single[axis].append(turn)
+    return calls, single
+
+
+def alone(monitor: Monitor, history: list[Turn]) -> Told:
+    """What a monitor by itself says, sample by sample."""
+    told: Told = []
+    for turn in history:
+        if turn.name != "run":
+            told.append((turn.name, repr(getattr(monitor, turn.name)(*turn.values))))
+            continue
+        for one, count in zip(*(part.tolist() for part in turn.values), strict=True):
+            estimate, events = monitor.step(one, count)
+            seen = monitor.told(estimate)
+            numbers = seen.theta.tolist(), seen.theta_std.tolist(), seen.innovation, seen.status
+            told.append((*numbers, STATES.index(monitor.state), [repr(event) for event in events]))
     return told
 
 
-def test_every_axis_has_the_bits_of_a_monitor_alone(monitor: Monitor, records: tuple[Floats, Counts]) -> None:
-    u, counts = records
-    fleet = MonitorFleet(monitor, 4)
-    before = monitor.get_state()
-    told = in_pieces(fleet, u, counts)
-    for axis in range(4):
-        single = MonitorFleet(monitor, 1).monitor(0)
-        assert told[axis] == alone(single, u[axis], counts[axis])
-        assert single.get_state() == fleet.monitor(axis).get_state()
-        assert fleet.samples()[axis] == single.samples
-        assert STATES[fleet.states()[axis]] == single.state
-    assert monitor.get_state() == before
-    assert any(row[-1] and "Alarm" in str(row[-1]) for row in told[0])
+def together(fleet: MonitorFleet, calls: list[Any]) -> list[Told]:
+    """The same of a fleet."""
+    told: list[Told] = [[] for _ in range(fleet.axes)]
+    for call in calls:
+        if call[0] != "run":
+            axis, turn = call
+            told[axis].append((turn.name, repr(getattr(fleet, turn.name)(axis, *turn.values))))
+            continue
+        rows = fleet.run(*call[1:])
+        events: dict[tuple[int, int], list[str]] = {}
+        for row, sample, event in rows.events:
+            events.setdefault((row, sample), []).append(repr(event))
+        for row, axis in enumerate(call[1].tolist()):
+            lists = [part[row].tolist() for part in (rows.theta, rows.std, rows.innovation, rows.status, rows.state)]
+            told[axis] += [(*one, events.get((row, k), [])) for k, one in enumerate(zip(*lists, strict=True))]
+    return told
 
 
-def test_a_saved_state_goes_on_with_the_same_bits(monitor: Monitor, records: tuple[Floats, Counts]) -> None:
+@pytest.mark.parametrize("case", CASES)
+def test_every_axis_has_the_bits_of_a_monitor_alone(
+    case: str, normal: tuple[Floats, Counts], records: tuple[Floats, Counts]
+) -> None:
+    source = monitor_of(case, normal)
+    calls, single = turns(*records, seed=list(CASES).index(case))
+    fleet, before = MonitorFleet(source, AXES), source.get_state()
+    told = together(fleet, calls)
+    for axis in range(AXES):
+        monitor = MonitorFleet(source, 1).monitor(0)
+        assert told[axis] == alone(monitor, single[axis])
+        assert monitor.get_state() == fleet.monitor(axis).get_state()
+        assert fleet.samples()[axis] == monitor.samples
+        assert fleet.statistics()[axis] == monitor.statistic
+        assert fleet.references()[axis].tolist() == monitor.reference.tolist()
+        assert STATES[fleet.states()[axis]] == monitor.state
+    assert source.get_state() == before
+    said = str(told)
+    assert all(word in said for word in (WATCHING, SUSPICIOUS, SETTLING, "Alarm", "Settled", "Outlier"))
+
+
+def test_what_is_known_is_told_beside_each_estimate(
+    normal: tuple[Floats, Counts], records: tuple[Floats, Counts]
+) -> None:
+    riv = estimator(RIV, True)
+    source = Monitor(riv, calibrated(riv, normal), Watch(), Known(riv, given={"mass": CART.mass}, find_gain=True))
+    fleet, u, counts = MonitorFleet(source, 1), records[0][:1, :300], records[1][:1, :300]
+    told = together(fleet, [("run", np.array([0]), u, counts)])
+    assert told[0] == alone(MonitorFleet(source, 1).monitor(0), [Turn("run", (u[0], counts[0]))])
+    assert fleet.names[-1] == "input_gain"
+    assert np.isfinite(told[0][-1][1]).all()
+
+
+def test_quiet_axes_are_not_run_one_by_one(
+    monitor: Monitor, records: tuple[Floats, Counts], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Axes that start, stand, move, and lose samples; and one again that has settled on a new reference."""
     u, counts = records
-    first = MonitorFleet(monitor, 4)
-    index = np.arange(4)
-    first.run(index, u[:, :900], counts[:, :900])
-    second = MonitorFleet(monitor, 0)
+    fleet, index = MonitorFleet(monitor, AXES), np.arange(AXES)
+    fleet.run(index, u[:, :400], counts[:, :400])
+    fleet.refer(0)
+    assert not np.array_equal(fleet.references()[0], monitor.reference)
+    monkeypatch.setattr(Monitor, "run", lambda *_, **__: pytest.fail("an axis was run by itself"))
+    rows = fleet.run(index[[0, 2]], u[[0, 2], 400:560], counts[[0, 2], 400:560])
+    assert rows.theta.shape == (2, 160, 3)
+    rows = MonitorFleet(monitor, AXES).run(index[1:3], u[1:3, 800:1000], counts[1:3, 800:1000])
+    assert STATES.index(WATCHING) in rows.state
+
+
+def test_run_of_a_monitor_has_the_bits_of_step(monitor: Monitor, records: tuple[Floats, Counts]) -> None:
+    u, counts = records[0][0], records[1][0]
+    one, other = (MonitorFleet(monitor, 1).monitor(0) for _ in range(2))
+    told = alone(one, [Turn("run", (u, counts))])
+    rows = [other.run(u[k : k + 333], counts[k : k + 333]) for k in range(0, u.size, 333)]
+    assert np.concatenate([part.theta[0] for part in rows]).tolist() == [sample[0] for sample in told]
+    assert np.concatenate([part.state[0] for part in rows]).tolist() == [sample[4] for sample in told]
+    events = [repr(event) for part in rows for _, _, event in part.events]
+    assert events == [event for sample in told for event in sample[5]]
+    assert one.get_state() == other.get_state()
+
+
+# --- saved states -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("place", [0, 613, 690, 900])
+def test_a_saved_state_goes_on_with_the_same_bits(monitor: Monitor, records: tuple[Floats, Counts], place: int) -> None:
+    u, counts = records
+    first, second, index = MonitorFleet(monitor, AXES), MonitorFleet(monitor, 0), np.arange(AXES)
+    first.run(index, u[:, :place], counts[:, :place])
     second.set_state(first.get_state())
-    assert second.axes == 4
-    one, other = (fleet.run(index, u[:, 900:], counts[:, 900:]) for fleet in (first, second))
-    assert np.array_equal(one.theta, other.theta)
-    assert str(one.events) == str(other.events)
+    single = MonitorFleet(monitor, 1).monitor(0)
+    single.set_state(first.monitor(0).get_state())
+    one, other = (fleet.run(index, u[:, place:], counts[:, place:]) for fleet in (first, second))
+    third = single.run(u[0, place:], counts[0, place:])
+    assert one.theta.tolist() == other.theta.tolist()
+    assert one.theta[0].tolist() == third.theta[0].tolist()
+    assert repr(one.events) == repr(other.events)
+    assert [repr(event) for row, _, event in one.events if row == 0] == [repr(event) for *_, event in third.events]
     assert any(isinstance(event, Alarm) for _, _, event in one.events)
-    assert first.get_state() == second.get_state()
+    assert first.get_state() == second.get_state() == b"".join(first.state_pieces())
+    assert first.monitor(0).get_state() == single.get_state()
 
 
-def test_a_damaged_state_changes_nothing(monitor: Monitor) -> None:
+def refused(fleet: MonitorFleet, state: Any, match: str) -> None:
+    before = fleet.get_state()
+    with pytest.raises(UsageError, match=match):
+        fleet.set_state(state)
+    assert fleet.get_state() == before
+
+
+def test_damaged_states_change_nothing(monitor: Monitor) -> None:
     fleet = MonitorFleet(monitor, 2)
     state = fleet.get_state()
-    for bad in (b"", state[:-1], state + b"0", state[:100] + b"x" + state[101:]):
-        with pytest.raises(UsageError):
-            fleet.set_state(bad)
-        assert fleet.get_state() == state
+    refused(fleet, state[:100] + b"x" + state[101:], "checksum is wrong")
+    for bad in (b"", state[:-1], state + b"0", state + state, state[:28]):
+        refused(fleet, bad, "not the state of such a monitor|checksum")
+    refused(fleet, 7, "is the bytes that get_state gave, got int")
+
+
+def test_states_of_another_configuration_are_refused(monitor: Monitor) -> None:
+    fleet = MonitorFleet(monitor, 1)
+    calibration, riv = monitor.calibration, estimator(RIV, True)
+    others = (
+        Monitor(riv, calibration, Watch(tolerance=0.05)),
+        Monitor(riv, replace(calibration, theta=1.01 * calibration.theta), Watch()),
+        Monitor(estimator(RIV), calibration, Watch()),
+        Monitor(riv, with_work(calibration), Watch()),
+        Monitor(riv, calibration, Watch("cusum")),
+    )
+    for other in others:
+        refused(fleet, other.get_state(), "not the state of such a monitor")
+
+
+def test_implausible_numbers_are_refused_whatever_their_checksum(
+    monitor: Monitor, records: tuple[Floats, Counts]
+) -> None:
+    u, counts = records
+    fleet = MonitorFleet(monitor, AXES)
+    fleet.run(np.arange(AXES), u[:, :700], counts[:, :700])
+
+    def spoilt(part: str, name: str, place: Any, value: Any) -> bytes:
+        whole: Saved = fleet._all.taken(np.arange(AXES))
+        getattr(getattr(whole, part), name)[place] = value
+        return written(whole, monitor.configuration_number)
+
+    changes: list[tuple[str, str, Any, Any]] = [
+        ("watched", "theta", (1, 0), np.nan),
+        ("watched", "theta", (1, 0), -1.0),
+        ("watched", "detection", (0, 3, 1), np.inf),
+        ("watched", "state", 2, 5),
+        ("watched", "waiting", 2, 1000),
+        ("watched", "waiting", 2, -1),
+        ("watched", "units", 0, -5),
+        ("sampled", "progress", (0, 0), 10_000),
+        ("sampled", "progress", (0, 1), 10_000),
+        ("sampled", "whole", (3, 3), -1),
+        ("sampled", "whole", (3, 4), 2),
+        ("sampled", "real", (3, 1), -1.0),
+        ("sampled", "sums", (3, 1), np.nan),
+        ("sampled", "estimator", 1, 0xFF),
+        ("sampled", "filter", 1, 0xFF),
+        ("disturbed", "units", (0, 5), np.nan),
+        ("disturbed", "suspected", 0, -1),
+    ]
+    for change in changes:
+        refused(fleet, spoilt(*change), "no state of a monitor")
+    fleet.set_state(spoilt("watched", "statistic", 1, 0.5))
+    assert fleet.statistics()[1] == 0.5
+
+
+# --- what else a fleet is asked ---------------------------------------------------------------------------------------
 
 
 def test_axes_come_and_go(monitor: Monitor, records: tuple[Floats, Counts]) -> None:
     u, counts = records
     fleet = MonitorFleet(monitor, 3)
     fleet.run([2, 1], u[:2, :300], counts[:2, :300])
+    there = fleet.monitor(2).get_state()
     assert fleet.remove([0]).tolist() == [-1, 0, 1]
     assert fleet.add(2) == range(2, 4)
     assert fleet.samples().tolist() == [300, 300, 0, 0]
-    with pytest.raises(UsageError, match="twice"):
-        fleet.run([1, 1], u[:2], counts[:2])
-    with pytest.raises(UsageError, match="there are 4 axes"):
-        fleet.run([4], u[:1], counts[:1])
+    assert fleet.monitor(1).get_state() == there
+    assert fleet.run([], np.empty((0, 5)), np.empty((0, 5), int)).theta.shape == (0, 5, 3)
+
+
+@pytest.mark.parametrize(
+    ("index", "u", "counts", "message"),
+    [
+        ([1, 1], np.zeros((2, 3)), np.zeros((2, 3), int), "twice"),
+        ([4], np.zeros((1, 3)), np.zeros((1, 3), int), "there are 2 axes"),
+        ([-1], np.zeros((1, 3)), np.zeros((1, 3), int), "there are 2 axes"),
+        ([0.5], np.zeros((1, 3)), np.zeros((1, 3), int), "numbers of axes"),
+        ([0], np.zeros((1, 3)), np.zeros((1, 4), int), "a row for each axis"),
+        ([0], np.zeros(3), np.zeros(3, int), "a row for each axis"),
+        ([0], np.zeros((1, 3)), np.full((1, 3), 0.5), "integers"),
+    ],
+)
+def test_what_does_not_fit_is_refused(monitor: Monitor, index: Any, u: Any, counts: Any, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        MonitorFleet(monitor, 2).run(index, u, counts)
+
+
+def test_a_new_reference_on_demand(monitor: Monitor, records: tuple[Floats, Counts]) -> None:
+    """In the middle of a change: what is now is normal, no alarm follows, and the estimates go on."""
+    u, counts = records[0][0], records[1][0]
+    single = MonitorFleet(monitor, 1).monitor(0)
+    with pytest.raises(UsageError, match="no estimate yet"):
+        MonitorFleet(Monitor(estimator(RIV), monitor.calibration), 1).refer(0)
+    rows = single.run(u[:900], counts[:900])
+    theta = rows.theta[0, -1]
+    said = single.refer()
+    assert isinstance(said[0], Settled)
+    assert said[0].theta.tolist() == theta.tolist() == single.reference.tolist()
+    later = single.run(u[900:], counts[900:])
+    untouched = estimator(RIV, True).run(u[:640], counts[:640])
+    assert rows.theta[0, :600].tolist() == untouched.theta[:600].tolist()
+    assert not [event for *_, event in later.events if isinstance(event, Alarm)]
+    with pytest.raises(UsageError, match="no parameters of a machine"):
+        single.refer([-1.0, 12.0, 0.8])
+
+
+def test_an_axis_that_stands_cannot_tell(monitor: Monitor, records: tuple[Floats, Counts]) -> None:
+    u, counts = records
+    rows = MonitorFleet(monitor, 1).run([0], u[1:2], counts[1:2])
+    changes: list[Event] = [event for *_, event in rows.events if isinstance(event, StateChange)]
+    assert CANNOT_TELL in [event.state for event in changes]  # type: ignore[union-attr]

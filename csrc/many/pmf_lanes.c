@@ -145,6 +145,43 @@ static void run(const pmf_config_t *config, const pmf_layout_t *layout, const pm
     store(layout, axes, &state, packed);
 }
 
+/* A table without gaps. */
+static pmf_rows_t table_of(const void *start, uint64_t samples)
+{
+    pmf_rows_t rows = {(const unsigned char *)start, 8 * (int64_t)samples, 8, 8U};
+    return rows;
+}
+
+static void score(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
+                  const pmf_scored_t *many, uint64_t first, uint32_t axes, unsigned char *packed)
+{
+    pmf_rows_t input = table_of(many->input, many->samples), counts = table_of(many->counts, many->samples);
+    uint32_t numbers = 2U * scoring->parameters + 1U, lane, k, i;
+    uint64_t sample, row[PMF_LANES] = {0};
+    scalar_t own[2 * PMF_MAX_PARAMETERS + 1];
+    pmf_state_t state;
+    tile_t tile;
+    pmf_clear(&state, (uint32_t)sizeof state);
+    load(layout, axes, packed, &state);
+    for (sample = 0; sample < many->samples; sample += TILE) {
+        uint32_t samples = many->samples - sample < TILE ? (uint32_t)(many->samples - sample) : TILE;
+        for (lane = 0; lane < PMF_LANES; ++lane) {
+            take_inputs(&input, first + axis_of(lane, axes), sample, samples, (lane_real_t *)tile.input + lane);
+            take_counts(&counts, first + axis_of(lane, axes), sample, samples, (lane_word_t *)tile.count + lane);
+        }
+        for (k = 0; k < samples; ++k) {
+            whole_t status = pmf_filter(config, &state, tile.input[k], tile.count[k]);
+            for (lane = 0; lane < axes; ++lane) {
+                for (i = 0; i < numbers; ++i) {
+                    own[i] = state.network.column[scoring->first + i][lane];
+                }
+                pmf_score_one(scoring, many, first + lane, (uint32_t)status[lane], own, &row[lane]);
+            }
+        }
+    }
+    store(layout, axes, &state, packed);
+}
+
 #if PMF_LANE_BYTES == 64
 #define PMF_LANES_NAME pmf_lanes_64
 #elif PMF_LANE_BYTES == 32
@@ -152,4 +189,4 @@ static void run(const pmf_config_t *config, const pmf_layout_t *layout, const pm
 #else
 #define PMF_LANES_NAME pmf_lanes_16
 #endif
-const pmf_lanes_t PMF_LANES_NAME = {PMF_LANES, sizeof(pmf_state_t) / PMF_LANE_BYTES, run};
+const pmf_lanes_t PMF_LANES_NAME = {PMF_LANES, sizeof(pmf_state_t) / PMF_LANE_BYTES, run, score};

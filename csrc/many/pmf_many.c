@@ -42,6 +42,12 @@ uint32_t pmf_many_way(void)
     return way;
 }
 
+const pmf_lanes_t *pmf_lanes_for(uint32_t way, const pmf_layout_t *layout, uint64_t samples)
+{
+    const pmf_lanes_t *lanes = lanes_of(way);
+    return lanes != 0 && samples >= FEW_SAMPLES && layout->lane_words == lanes->words ? lanes : 0;
+}
+
 static real_t input_at(const pmf_rows_t *rows, uint64_t axis, uint64_t sample)
 {
     const unsigned char *at = rows->start + (int64_t)axis * rows->axis + (int64_t)sample * rows->sample;
@@ -83,15 +89,14 @@ static void run_one(const pmf_config_t *config, const pmf_many_t *many, uint64_t
 void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
                   uint64_t end, unsigned char *packed)
 {
-    const pmf_lanes_t *lanes = lanes_of(many->way);
-    int usable = lanes != 0 && many->samples >= FEW_SAMPLES && layout->lane_words == lanes->words;
+    const pmf_lanes_t *lanes = pmf_lanes_for(many->way, layout, many->samples);
     uint64_t axis = first, left;
     pmf_state_t state;
     pmf_clear(&state, (uint32_t)sizeof state);
     while (axis < end) {
         unsigned char *own = packed + axis * layout->packed_size;
         left = end - axis;
-        if (usable && 4U * left >= lanes->lanes) {
+        if (lanes != 0 && 4U * left >= lanes->lanes) {
             uint32_t axes = left < lanes->lanes ? (uint32_t)left : lanes->lanes;
             lanes->run(config, layout, many, axis, axes, own);
             axis += axes;

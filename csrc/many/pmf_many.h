@@ -46,13 +46,48 @@ typedef struct {
     uint32_t *status; /* axes x kept */
 } pmf_many_t;
 
+/* What blocks of `size` samples say of a deviation from reference parameters, behind the filters alone: with
+ * e = z - phi^T theta the sums of zeta e, zeta phi^T and zeta zeta^T, p + 2 p^2 numbers. first: of the columns phi, z,
+ * zeta; left_out, disturbed: status of the samples that do not count, and of those that a block must not have alone. */
+typedef struct {
+    uint32_t first, parameters, size, left_out, disturbed;
+} pmf_scoring_t;
+
+/* Many axes: tables of a row for each, without gaps. */
+typedef struct {
+    const double *input, *theta;
+    const int64_t *counts;
+    uint32_t way;
+    uint64_t samples;
+    double *sums; /* of the block under way */
+    uint32_t *progress; /* its samples, and how many were disturbed */
+    uint64_t kept; /* room for so many blocks of an axis */
+    double *blocks;
+    unsigned char *lost; /* 1: the block had none but disturbed samples */
+} pmf_scored_t;
+
 /* Axes `first` to `first + axes`, no more than there are lanes, through all samples; packed: their states. */
 typedef void pmf_lanes_run_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many,
                              uint64_t first, uint32_t axes, unsigned char *packed);
+/* The same for block scores, of axes `first` on. */
+typedef void pmf_lanes_score_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
+                               const pmf_scored_t *many, uint64_t first, uint32_t axes, unsigned char *packed);
 typedef struct {
     uint32_t lanes, words; /* vectors in a state */
     pmf_lanes_run_t *run;
+    pmf_lanes_score_t *score;
 } pmf_lanes_t;
+/* Null where this build has no such way, the processor has not, or it does not pay for so few samples. */
+const pmf_lanes_t *pmf_lanes_for(uint32_t way, const pmf_layout_t *layout, uint64_t samples);
+
+/* Adds a sample to a block of an axis, own: phi, z, zeta; 1: the block has all its samples. */
+uint32_t pmf_add_score(const pmf_scoring_t *scoring, uint32_t status, const scalar_t *own, const double *theta,
+                       double *sums, uint32_t *progress);
+/* The block, and the next one begins; 1: all its samples were disturbed. */
+uint32_t pmf_end_block(const pmf_scoring_t *scoring, double *sums, uint32_t *progress, double *block);
+/* Both, for a sample of an axis of many; row: of its next block. */
+void pmf_score_one(const pmf_scoring_t *scoring, const pmf_scored_t *many, uint64_t axis, uint32_t status,
+                   const scalar_t *own, uint64_t *row);
 
 extern const pmf_lanes_t pmf_lanes_16, pmf_lanes_32, pmf_lanes_64;
 
@@ -71,6 +106,12 @@ uint32_t pmf_many_way(void);
 /* Axes `first` to `end` through all samples; packed: the states of all axes. */
 void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
                   uint64_t end, unsigned char *packed);
+/* One sample of a block of an axis; 1: the block has all its samples. */
+uint32_t pmf_score(const pmf_config_t *config, const pmf_scoring_t *scoring, pmf_state_t *state, scalar_t input,
+                   uint32_t count, const double *theta, double *sums, uint32_t *progress);
+/* All samples of all axes; packed: their states. */
+void pmf_many_scores(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
+                     const pmf_scored_t *many, uint64_t axes, unsigned char *packed);
 #endif
 
 #endif

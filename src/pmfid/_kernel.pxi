@@ -96,6 +96,19 @@ cdef extern from "many/pmf_many.h":
         uint32_t *status
     ctypedef struct pmf_layout_t:
         uint32_t packed_size, lane_words
+    ctypedef struct pmf_scoring_t:
+        uint32_t first, parameters, size, left_out, disturbed
+    ctypedef struct pmf_scored_t:
+        const double *input
+        const double *theta
+        const int64_t *counts
+        uint32_t way
+        uint64_t samples
+        double *sums
+        uint32_t *progress
+        uint64_t kept
+        double *blocks
+        unsigned char *lost
     uint32_t pmf_fits(const pmf_config_t *) nogil
     uint32_t pmf_shapes_fit(const pmf_shapes_config_t *) nogil
     uint32_t pmf_layout(const pmf_config_t *, const unsigned char *, pmf_layout_t *) nogil
@@ -104,8 +117,26 @@ cdef extern from "many/pmf_many.h":
     uint32_t pmf_many_way() nogil
     void pmf_many_run(const pmf_config_t *, const pmf_layout_t *, const pmf_many_t *, uint64_t, uint64_t,
                       unsigned char *) nogil
+    uint32_t pmf_score(const pmf_config_t *, const pmf_scoring_t *, pmf_state_t *, real_t, uint32_t, const double *,
+                       double *, uint32_t *) nogil
+    uint32_t pmf_end_block(const pmf_scoring_t *, double *, uint32_t *, double *) nogil
+    void pmf_many_scores(const pmf_config_t *, const pmf_layout_t *, const pmf_scoring_t *, const pmf_scored_t *,
+                         uint64_t, unsigned char *) nogil
 
 
+cdef _set_scoring(pmf_scoring_t *scoring, numbers, uint32_t columns):
+    """Raises ValueError for what would lead beyond the columns."""
+    scoring.first, scoring.parameters, scoring.size, scoring.left_out, scoring.disturbed = numbers
+    if not 1 <= scoring.parameters <= PMF_MAX_PARAMETERS or scoring.size < 1 or \
+            <uint64_t> scoring.first + 2 * scoring.parameters + 1 > columns:
+        raise ValueError(f"there are {columns} columns, got {numbers}")
+
+
+cdef _check_blocks(const pmf_scoring_t *scoring, progress, shapes, expected):
+    if shapes != expected:
+        raise ValueError(f"the arrays must have the shapes {expected}, got {shapes}")
+    if progress.size and progress[..., 0].max() >= scoring.size:
+        raise ValueError(f"a block has {scoring.size} samples, got one with {progress[..., 0].max()} and more to come")
 
 
 cdef class Kernel:
@@ -213,6 +244,25 @@ cdef class Kernel:
                     columns[k, i] = self.state.network.column[i]
         return columns, status
 
+    def score(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None, scoring,
+              cnp.ndarray[double, mode="c"] theta not None, cnp.ndarray[double, mode="c"] sums not None,
+              cnp.ndarray[uint32_t, mode="c"] progress not None):
+        """Encoder and filters alone, in blocks: see `ManyKernel.score`, here of one axis."""
+        cdef pmf_scoring_t numbers
+        _set_scoring(&numbers, scoring, self.config.network.n_columns)
+        cdef Py_ssize_t n = u.shape[0], p = numbers.parameters, width = p + 2 * p * p, k, row = 0
+        _check_blocks(&numbers, progress, (counts.shape[0], theta.shape[0], sums.shape[0], progress.shape[0]), (n, p, width, 2))
+        cdef Py_ssize_t kept = (progress[0] + n) // numbers.size
+        cdef cnp.ndarray[double, ndim=2, mode="c"] blocks = np.empty((kept, width))
+        cdef cnp.ndarray[unsigned char, mode="c"] lost = np.empty(kept, np.uint8)
+        with nogil:
+            for k in range(n):
+                if pmf_score(&self.config, &numbers, &self.state, <real_t> u[k], <uint32_t> counts[k], &theta[0],
+                             &sums[0], &progress[0]):
+                    lost[row] = pmf_end_block(&numbers, &sums[0], &progress[0], &blocks[row, 0])
+                    row += 1
+        return blocks, lost
+
     def many(self, Py_ssize_t axes, bytes is_whole):
         """So many axes from the present state; is_whole: of `pmfid.kernel.structures.whole_words`."""
         return ManyKernel(self, axes, is_whole)
@@ -313,6 +363,67 @@ cdef class ManyKernel:
             if pmf_plausible(&self.config, &state) == 0:
                 raise ValueError(IMPLAUSIBLE)
         self.states[:] = taken
+
+    def hold(self, cnp.ndarray[unsigned char, ndim=2, mode="c"] states not None):
+        """Goes on with these states (axes, bytes) of the same configuration, of any number of axes, in their place:
+        `run` and the like change them. Raises ValueError for another shape."""
+        if states.shape[1] != self.layout.packed_size or not states.flags.aligned:
+            raise ValueError(f"a state has {self.layout.packed_size} bytes, got {states.shape[1]}")
+        self.states = states
+
+    def plausible(self):
+        """Whether samples could have made all the states."""
+        cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] states = self.states
+        cdef Py_ssize_t axis
+        cdef pmf_state_t state
+        cdef uint32_t fine = 1
+        pmf_clear(&state, sizeof(state))
+        for axis in range(states.shape[0]):
+            pmf_unpack(&self.layout, &states[axis, 0], &state)
+            fine &= pmf_plausible(&self.config, &state)
+        return fine != 0
+
+    def store(self, Kernel kernel, Py_ssize_t axis):
+        """Gives an axis the state of a kernel of the same configuration."""
+        cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] states = self.states
+        pmf_pack(&self.layout, &kernel.state, &states[axis, 0])
+
+    def gap(self, Py_ssize_t axis, counts):
+        """Samples of an axis were lost, as in `Kernel.gap`."""
+        cdef uint64_t count = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
+        cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] states = self.states
+        cdef pmf_state_t state
+        pmf_clear(&state, sizeof(state))
+        pmf_unpack(&self.layout, &states[axis, 0], &state)
+        pmf_gap(&self.config, &state, <uint32_t> count)
+        pmf_pack(&self.layout, &state, &states[axis, 0])
+
+    def score(self, cnp.ndarray[double, ndim=2, mode="c"] u not None, cnp.ndarray[int64_t, ndim=2, mode="c"] counts not None,
+              scoring, cnp.ndarray[double, ndim=2, mode="c"] theta not None,
+              cnp.ndarray[double, ndim=2, mode="c"] sums not None,
+              cnp.ndarray[uint32_t, ndim=2, mode="c"] progress not None, way=None):
+        """Encoder and filters alone, in blocks. u, counts: (axes, n); scoring: first column, parameters p, samples of a
+        block, status of samples left out, of disturbed ones; theta: (axes, p); sums: (axes, p + 2 p^2) and progress
+        (axes, 2): of the block under way, to go on with; way: None: the fastest. Returns the blocks that were completed (axes, most, p + 2 p^2),
+        and whether all samples of one were disturbed (axes, most). Releases the interpreter meanwhile. Raises ValueError
+        where an array has another shape than that."""
+        cdef pmf_scoring_t numbers
+        cdef pmf_scored_t many
+        cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] states = self.states
+        _set_scoring(&numbers, scoring, self.config.network.n_columns)
+        cdef Py_ssize_t axes = states.shape[0], n = u.shape[1], p = numbers.parameters, width = p + 2 * p * p
+        shapes = [np.shape(table) for table in (u, counts, theta, sums, progress)]
+        _check_blocks(&numbers, progress, shapes, [(axes, n), (axes, n), (axes, p), (axes, width), (axes, 2)])
+        cdef Py_ssize_t kept = (int(progress[:, 0].max()) + n) // numbers.size if axes else 0
+        cdef cnp.ndarray[double, ndim=3, mode="c"] blocks = np.zeros((axes, kept, width))
+        cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] lost = np.zeros((axes, kept), np.uint8)
+        many.input, many.counts, many.theta = <double *> _numbers(u), <int64_t *> _numbers(counts), <double *> _numbers(theta)
+        many.sums, many.progress, many.samples = <double *> _numbers(sums), <uint32_t *> _numbers(progress), n
+        many.way = self.fastest_way if way is None else way
+        many.kept, many.blocks, many.lost = kept, <double *> _numbers(blocks), <unsigned char *> _numbers(lost)
+        with nogil:
+            pmf_many_scores(&self.config, &self.layout, &numbers, &many, axes, <unsigned char *> cnp.PyArray_DATA(states))
+        return blocks, lost
 
     @property
     def side_by_side(self):

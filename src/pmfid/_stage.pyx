@@ -1,7 +1,14 @@
 # cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
-"""A first-order stage over a whole signal: what a network has, off-line."""
+"""Recursions over whole signals beside the kernel: a first-order stage, and the inputs of a monitored axis."""
 
+from cpython.long cimport PyLong_AsUnsignedLongLongMask
+from cpython.number cimport PyNumber_Index
+from libc.math cimport fabs, isfinite
+from libc.stdint cimport int64_t, uint64_t
+cimport numpy as cnp
 import numpy as np
+
+cnp.import_array()
 
 
 def first_order(signal, double a, double b0, double b1=0.0, double memory=0.0):
@@ -18,3 +25,146 @@ def first_order(signal, double a, double b0, double b1=0.0, double memory=0.0):
         y[k] = memory + b0 * x[k]
         memory = b1 * x[k] + a * y[k]
     return found, memory
+
+
+#: Places in the whole numbers of an axis: the last counts, what is added to what its counter shows, the change of the
+#: counts in the last sample, samples so far, whether the last one was lost.
+cpdef enum:
+    COUNTS = 0
+    ZERO
+    CHANGE
+    SAMPLES
+    LOST
+    WHOLE
+#: And in its real ones: the last input, and what it usually changes by.
+cpdef enum:
+    INPUT = 0
+    USUAL
+    REAL
+#: The part by which a sample counts in what is usual.
+cdef double LATELY = 0.01
+
+
+cdef inline int64_t _sum(int64_t a, int64_t b) noexcept nogil:
+    return <int64_t> (<uint64_t> a + <uint64_t> b)  # modulo 2^64, where C leaves the signed sum open
+
+
+cdef inline int64_t _follow(int64_t *whole, double *real, double u, int64_t counts) noexcept nogil:
+    cdef bint lost = not isfinite(u)
+    cdef double apart
+    if whole[LOST] and not lost:
+        whole[ZERO] = _sum(whole[COUNTS], -<uint64_t> counts)
+    counts = whole[COUNTS] if lost else _sum(counts, whole[ZERO])
+    whole[CHANGE] = 0 if lost or whole[SAMPLES] == 0 else _sum(counts, -<uint64_t> whole[COUNTS])
+    whole[LOST], whole[COUNTS] = lost, counts
+    whole[SAMPLES] += 1
+    if not lost:
+        apart = fabs(u - real[INPUT])
+        if isfinite(apart):
+            real[USUAL] += LATELY * (apart - real[USUAL])
+        real[INPUT] = u
+    return counts
+
+
+cdef class Inputs:
+    """What a monitored axis remembers of its samples, and the counts that its estimator gets.
+
+    After a sample that was lost, u not finite, the counts go on from the last: whatever the counter did meanwhile, no
+    speed explains it.
+    """
+
+    cdef int64_t _whole[WHOLE]
+    cdef double _real[REAL]
+
+    def __init__(self):
+        self.numbers = np.zeros(WHOLE, np.int64), np.zeros(REAL)
+
+    def step(self, double u, counts):
+        """The counts of one sample; those of a lost one are not looked at. Raises TypeError for no integer."""
+        cdef int64_t read = 0
+        if isfinite(u):
+            read = <int64_t> PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
+        return _follow(self._whole, self._real, u, read)
+
+    def run(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None):
+        """The counts (n,) of many samples, u, counts: (n,)."""
+        cdef Py_ssize_t k
+        if u.shape[0] != counts.shape[0]:
+            raise ValueError(f"u and counts must have one length, got {u.shape[0]} and {counts.shape[0]}")
+        cdef cnp.ndarray[int64_t, mode="c"] found = np.empty(u.shape[0], np.int64)
+        for k in range(u.shape[0]):
+            found[k] = _follow(self._whole, self._real, u[k], counts[k])
+        return found
+
+    def rebase(self, counts):
+        """The counter would have shown `counts` at the last sample. Raises TypeError for no integer."""
+        cdef uint64_t read = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
+        self._whole[ZERO] = _sum(self._whole[COUNTS], -read)
+
+    def pass_over(self, int64_t samples):
+        """So many samples more, of which nothing is known."""
+        self._whole[SAMPLES] += samples
+
+    @property
+    def counts(self):
+        """The last, on the axis' own scale."""
+        return self._whole[COUNTS]
+
+    @property
+    def zero(self):
+        """What is added to what the counter shows."""
+        return self._whole[ZERO]
+
+    @property
+    def change(self):
+        """Of the counts in the last sample."""
+        return self._whole[CHANGE]
+
+    @property
+    def samples(self):
+        """So far, the lost ones among them."""
+        return self._whole[SAMPLES]
+
+    @property
+    def lost(self):
+        """Whether the last sample was."""
+        return self._whole[LOST] != 0
+
+    @property
+    def input(self):
+        """The last that was not lost."""
+        return self._real[INPUT]
+
+    @property
+    def usual(self):
+        """What the input changes by from sample to sample, of late."""
+        return self._real[USUAL]
+
+    @property
+    def numbers(self):
+        """All that, as arrays, whole and real."""
+        return np.array([self._whole[i] for i in range(WHOLE)], np.int64), np.array([self._real[i] for i in range(REAL)])
+
+    @numbers.setter
+    def numbers(self, numbers):
+        whole, real = numbers
+        for i in range(WHOLE):
+            self._whole[i] = whole[i]
+        for i in range(REAL):
+            self._real[i] = real[i]
+
+
+def follow_many(cnp.ndarray[int64_t, ndim=2, mode="c"] whole not None, cnp.ndarray[double, ndim=2, mode="c"] real not None,
+                cnp.ndarray[double, ndim=2, mode="c"] u not None, cnp.ndarray[int64_t, ndim=2, mode="c"] counts not None):
+    """The counts (axes, n) that the estimators of many axes get, u, counts: (axes, n); whole (axes, 5) and
+    real (axes, 2): the numbers of their `Inputs`, which go on. Raises ValueError for other shapes."""
+    cdef Py_ssize_t axes = u.shape[0], n = u.shape[1], axis, k
+    shapes = [np.shape(table) for table in (counts, whole, real)]
+    if shapes != [(axes, n), (axes, WHOLE), (axes, REAL)]:
+        raise ValueError(f"the arrays must have the shapes {[(axes, n), (axes, WHOLE), (axes, REAL)]}, got {shapes}")
+    cdef cnp.ndarray[int64_t, ndim=2, mode="c"] found = np.empty((axes, n), np.int64)
+    with nogil:
+        for axis in range(axes):
+            for k in range(n):
+                found[axis, k] = _follow(&whole[axis, 0], &real[axis, 0], u[axis, k], counts[axis, k])
+    return found

@@ -57,12 +57,21 @@ class Fleet:
 
     def axis(self, index: int) -> RecursiveEstimator:
         """A new estimator of the same configuration in the state of one axis."""
+        single, place = self.estimator, self._place(index)
+        self._many.kernel.load(single.runner.kernel, place)
+        return single
+
+    def gap(self, index: int, counts: int) -> None:
+        """Samples of one axis were lost, and its next one has these counts: `Runner.gap` of it alone. Raises TypeError
+        for counts that are no integer, and UsageError for an axis that is not there and for linear processes."""
+        self.estimator.check_gaps()
+        self._many.kernel.gap(self._place(index), counts)
+
+    def _place(self, index: int) -> int:
         index = whole_number("index", index, None, "it is the number of an axis")
         if not -self.axes <= index < self.axes:
             raise UsageError(f"there are {self.axes} axes, from 0 on; got {index}")
-        single = self.estimator
-        self._many.kernel.load(single.runner.kernel, index % self.axes)
-        return single
+        return index % self.axes
 
     def reset(self) -> None:
         """Every axis back to the state in which the fleet was made."""

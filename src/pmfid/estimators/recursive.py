@@ -211,11 +211,14 @@ class RecursiveEstimator(Estimator):
         self.runner.rebase(counts)
 
     def gap(self, counts: int) -> None:
-        """Samples were lost: `Runner.gap` of `runner`. Raises UsageError for a linear process, whose output says how it
-        goes on only where nothing is missing."""
+        """Samples were lost: `Runner.gap` of `runner`. Raises UsageError for a linear process."""
+        self.check_gaps()
+        self.runner.gap(counts)
+
+    def check_gaps(self) -> None:
+        """Raises UsageError for a linear process, whose output says how it goes on only where nothing is missing."""
         if not self.plant.rests:
             raise UsageError(f"{self.method} of a linear process takes no gaps: reset it, or use srivc off-line")
-        self.runner.gap(counts)
 
     def reset(self) -> None:
         """Forgets all samples."""

@@ -35,12 +35,11 @@ class Track(Shown):
     @cached_property
     def theta_std(self) -> NDArray[np.float64]:
         """(n, p) standard deviations, infinite until there is an estimate; scaled by the inflation once it is known."""
-        known = self.innovation_variance > 0
-        scale = np.where(self.inflation[known] > 0, self.inflation[known], 1.0)
-        std = np.full_like(self.theta, np.inf)
-        with np.errstate(over="ignore"):  # infinite is right where nothing is known
-            std[known] = np.sqrt(self.variance_factor[known] * self.innovation_variance[known, None] * scale)
-        return std
+        scale = np.where(self.inflation > 0, self.inflation, 1.0)
+        with np.errstate(over="ignore", invalid="ignore"):  # infinite is right where nothing is known
+            std = np.sqrt(self.variance_factor * self.innovation_variance[..., None] * scale)
+        std[~(self.innovation_variance > 0)] = np.inf
+        return np.asarray(std)
 
     def with_bars(
         self,

@@ -108,7 +108,7 @@ class Calibration:
 
     @property
     def left_out(self) -> int:
-        """Status of the samples that count for nothing, as in `scores.gather`."""
+        """Status of the samples that count for nothing, as in `scores.Scoring`."""
         return UNUSABLE if self.work is None else UNUSABLE_AT_REST
 
     def detectors(self, estimator: Estimator) -> dict[str, Detector]:

@@ -8,6 +8,7 @@ direction; what it may reach by chance is the business of `calibration`. A block
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -92,10 +93,21 @@ class Glr:
         return (np.zeros((self.window, *shape)), np.zeros((self.window, *shape)))
 
     def update(self, state: State, x: Floats, w: Floats, tolerance: Floats) -> tuple[State, Floats]:
-        sums, weights = (np.concatenate([np.zeros_like(part[:1]), part[:-1]]) for part in state)
-        sums, weights = sums + x, weights + w  # row j: the last j + 1 blocks
-        beyond = np.maximum(np.abs(sums) - tolerance * weights, 0.0)
-        return (sums, weights), (beyond**2 / (weights + EDGE)).max(axis=(0, -1)) / 2
+        sums, weights = (_longer(part, new) for part, new in zip(state, (x, w), strict=True))
+        beyond, known = np.abs(sums), weights + EDGE
+        beyond -= tolerance * weights
+        np.maximum(beyond, 0.0, out=beyond)
+        beyond *= beyond
+        beyond /= known
+        return (sums, weights), beyond.max(axis=0).max(axis=-1) / 2
+
+
+def _longer(sums: Floats, new: Floats) -> Floats:
+    """Of the last j + 1 blocks in row j, (window, ..., p), behind one more (..., p)."""
+    found = np.empty(sums.shape)
+    found[0] = 0.0 + new
+    np.add(sums[:-1], new, out=found[1:])
+    return found
 
 
 @dataclass(frozen=True)
@@ -121,8 +133,9 @@ class ChiSquare:
 
     def update(self, state: State, x: Floats, w: Floats, tolerance: Floats) -> tuple[State, Floats]:
         state, d = self.deviation(state, x, w, tolerance)
-        precision = np.array(self.precision) if self.precision else np.eye(x.shape[-1])
-        return state, np.einsum("...i,ij,...j->...", d, precision, d)
+        precision, p = self.precision or np.eye(x.shape[-1]).tolist(), x.shape[-1]
+        terms = [d[..., i] * precision[i][j] * d[..., j] for i in range(p) for j in range(p)]
+        return state, reduce(np.add, terms)  # one after the other, as in `scores.in_order`
 
 
 def make_detectors(keep: float, precision: tuple[tuple[float, ...], ...] = ()) -> dict[str, Detector]:

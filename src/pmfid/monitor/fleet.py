@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from copy import copy
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, whole_number
+from pmfid.estimators.arguments import integer_counts, numbers
 from pmfid.estimators.configuration import configuration_of, made
+from pmfid.monitor.arrays import Places
 from pmfid.monitor.events import Event
 from pmfid.monitor.monitor import Monitor
-from pmfid.monitor.record import configuration_number, load, store
-from pmfid.monitor.rows import STATES, FleetRows
-from pmfid.monitor.saved import States, read, written
-from pmfid.types import Floats
+from pmfid.monitor.quiet import Quiet
+from pmfid.monitor.rows import FleetRows
+from pmfid.monitor.saved import checked, pieces, read, written
+from pmfid.types import Counts, Flags, Floats
+
+T = TypeVar("T")
+#: Axes that are computed at once: their arrays stay in the processor's cache.
+GROUP = 256
+#: Samples of a piece: an axis that becomes suspicious goes through it twice.
+PIECE = 100
 
 
 class MonitorFleet:
@@ -28,41 +38,69 @@ class MonitorFleet:
 
     def __init__(self, monitor: Monitor, axes: int) -> None:
         axes = whole_number("axes", axes, 0, "it is the number of axes")
-        self._source, self._first = monitor, store(monitor)
+        self._source, self._first = monitor, monitor.saved()
         self.dt, self.names, self.units = monitor.estimator.dt, monitor.names, monitor.units
-        self._monitors = [self._new() for _ in range(axes)]
+        self._all = self._first.repeated(axes)
+        self._scratch = _like(monitor)  # for the axes that are not quiet, one after the other
+        self._quiet = Quiet(self._scratch)
 
     @property
     def axes(self) -> int:
         """How many there are now."""
-        return len(self._monitors)
-
-    def _new(self) -> Monitor:
-        return _as(self._source, self._first, 0)
+        return self._all.axes
 
     def run(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> FleetRows:
         """The next n samples of the axes `index` (k,), each at most once; u, counts: (k, n), u not finite: the sample
         is lost, as in `Monitor.step`. Raises UsageError where an axis is not there or comes twice, or the arrays do not
         fit."""
-        index, u, counts = self._checked(index, u, counts)
-        rows = FleetRows.empty(len(u), u.shape[1], len(self.names))
-        for row, axis in enumerate(index.tolist()):
-            rows.take(row, self._monitors[axis].run(u[row], counts[row]))
+        places, inputs, read_counts = self._checked(index, u, counts)
+        rows = FleetRows.empty(len(inputs), inputs.shape[1], len(self.names))
+        for group in _slices(len(inputs), GROUP):
+            for time in _slices(inputs.shape[1], PIECE):
+                self._run(places[group], inputs[group, time], read_counts[group, time], rows, (group, time))
+        rows.events.sort(key=lambda one: one[:2])
         return rows
 
-    def _checked(
-        self, index: ArrayLike, u: ArrayLike, counts: ArrayLike
-    ) -> tuple[NDArray[np.int64], Floats, NDArray[np.int64]]:
+    def _run(self, index: Places, u: Floats, counts: Counts, rows: FleetRows, part: tuple[slice, slice]) -> None:
+        """A piece of a group of axes: the quiet ones at once, the others one after the other."""
+        quiet = self._quiet.may_run(self._all.watched, index)
+        if quiet.any():
+            quiet[quiet] = self._run_quiet(index[quiet], u[quiet], counts[quiet], rows, part, np.flatnonzero(quiet))
+        for k in np.flatnonzero(~quiet).tolist():
+            single = self._with(int(index[k]), partial(Monitor.run, u=u[k], counts=counts[k]))
+            rows.take(single, np.array([part[0].start + k]), part[1])
+
+    def _run_quiet(
+        self, index: Places, u: Floats, counts: Counts, rows: FleetRows, part: tuple[slice, slice], at: Places
+    ) -> Flags:
+        """Whether each stayed so, (k,); of those that did the states and rows are as they should be."""
+        every, (group, time) = self._all, part
+        piece = self._quiet.run(every.sampled.taken(index), every.watched.taken(index), u, counts)
+        kept = ~piece.crossed
+        piece.push(every.disturbed, kept, index)
+        staying = np.flatnonzero(kept)
+        every.sampled.put(index[staying], piece.sampled.selected(staying))
+        every.watched.put(index[staying], piece.watched.selected(staying))
+        rows.take(piece.rows, group.start + at, time, kept)
+        return kept
+
+    def _with(self, axis: int, action: Callable[[Monitor], T]) -> T:
+        """What an axis' monitor does, and its state behind that."""
+        self._scratch.go_on(self._all, axis)
+        found = action(self._scratch)
+        self._all.put(slice(axis, axis + 1), self._scratch.saved())
+        return found
+
+    def _checked(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> tuple[Places, Floats, Counts]:
         places = self._places(index)
-        inputs, read_counts = np.asarray(u, np.float64), np.asarray(counts)
-        if read_counts.dtype.kind not in "iu" and read_counts.size:
-            raise UsageError(f"counts must be integers, got {read_counts.dtype}")
+        inputs = np.ascontiguousarray(numbers("u", u), np.float64)
+        read_counts = np.ascontiguousarray(integer_counts(counts), np.int64)
         if inputs.ndim != 2 or inputs.shape != read_counts.shape or len(inputs) != places.size:
             raise UsageError(
                 f"u and counts must be ({places.size}, n), a row for each axis; got {inputs.shape} and "
                 f"{read_counts.shape}"
             )
-        return places, inputs, read_counts.astype(np.int64)
+        return places, inputs, read_counts
 
     def _places(self, index: ArrayLike) -> NDArray[np.int64]:
         places = np.asarray(index)
@@ -74,85 +112,83 @@ class MonitorFleet:
             raise UsageError("an axis comes twice in index: its samples follow one another, in two calls")
         return places.astype(np.int64)
 
-    def _one(self, axis: int) -> Monitor:
-        return self._monitors[int(self._places([axis])[0])]
+    def _place(self, axis: int) -> int:
+        return int(self._places([axis])[0])
 
     def skip(self, axis: int, samples: int) -> list[Event]:
         """`Monitor.skip` of an axis."""
-        return self._one(axis).skip(samples)
+        return self._with(self._place(axis), lambda monitor: monitor.skip(samples))
 
     def between(self, axis: int, missing: int, u: float, counts: int) -> list[Event]:
         """`Monitor.between` of an axis."""
-        return self._one(axis).between(missing, u, counts)
+        return self._with(self._place(axis), lambda monitor: monitor.between(missing, u, counts))
 
     def rebase(self, axis: int, counts: int) -> None:
         """`Monitor.rebase` of an axis."""
-        self._one(axis).rebase(counts)
+        self._with(self._place(axis), lambda monitor: monitor.rebase(counts))
 
     def refer(self, axis: int, theta: ArrayLike | None = None) -> list[Event]:
         """`Monitor.refer` of an axis."""
-        return self._one(axis).refer(theta)
+        return self._with(self._place(axis), lambda monitor: monitor.refer(theta))
 
     def monitor(self, axis: int) -> Monitor:
         """A monitor of its own in the state of an axis."""
-        return _as(self._source, store(self._one(axis)), 0)
+        single = _like(self._source)
+        single.go_on(self._all, self._place(axis))
+        return single
 
     def samples(self) -> NDArray[np.int64]:
         """(axes,) `Monitor.samples` of each."""
-        return np.array([monitor.samples for monitor in self._monitors], np.int64)
+        return self._all.sampled.samples.copy()
 
     def states(self) -> NDArray[np.uint8]:
         """(axes,) numbers of `STATES`."""
-        return np.array([STATES.index(monitor.state) for monitor in self._monitors], np.uint8)
+        return self._all.watched.state.copy()
 
     def statistics(self) -> Floats:
         """(axes,) `Monitor.statistic` of each."""
-        return np.array([monitor.statistic for monitor in self._monitors], np.float64)
+        return self._all.watched.statistic.copy()
 
     def references(self) -> Floats:
         """(axes, p) `Monitor.reference` of each."""
-        p = self._source.reference.size
-        return np.array([monitor.reference for monitor in self._monitors], np.float64).reshape(-1, p)
+        return self._all.watched.theta.copy()
 
     def add(self, count: int = 1) -> range:
         """So many axes more, in the state that all began with; their numbers."""
         before = self.axes
-        self._monitors += [self._new() for _ in range(whole_number("count", count, 0, "it is a number of axes"))]
+        more = whole_number("count", count, 0, "it is a number of axes")
+        self._all = self._all.joined(self._first.repeated(more))
         return range(before, self.axes)
 
     def remove(self, index: ArrayLike) -> NDArray[np.int64]:
         """Without these axes; the others move up in their order. Returns (axes before,) their new numbers, -1 of those
         that are gone. Raises UsageError for one that is not there or comes twice."""
-        gone, moved = self._places(index), np.full(self.axes, -1, np.int64)
-        kept = np.setdiff1d(np.arange(self.axes), gone)
-        moved[kept] = np.arange(kept.size)
-        self._monitors = [self._monitors[axis] for axis in kept.tolist()]
+        kept, moved = np.ones(self.axes, np.bool_), np.full(self.axes, -1, np.int64)
+        kept[self._places(index)] = False
+        moved[kept] = np.arange(kept.sum())
+        self._all = self._all.taken(np.flatnonzero(kept))
         return moved
 
     def get_state(self) -> bytes:
         """The states of all axes, with a version and checksums; `set_state` of a fleet with the same configuration goes
         on from them."""
-        return written(self._states(), configuration_number(self._source))
+        return written(self._all, self._source.configuration_number)
 
-    def _states(self) -> States:
-        parts = [store(monitor) for monitor in self._monitors]
-        return {name: np.concatenate([part[:0], *(one[name] for one in parts)]) for name, part in self._first.items()}
+    def state_pieces(self) -> list[memoryview]:
+        """The same one after the other and without a copy, to be written before the next sample or change."""
+        return pieces(self._all, self._source.configuration_number)
 
     def set_state(self, state: bytes) -> None:
         """Goes on from saved states, of as many axes as they are of. Raises UsageError, and stays as it was, for those
         of another configuration, damaged ones, and numbers that no sample could have made."""
-        found = read(state, self._first, configuration_number(self._source))
-        self._monitors = list(_each(self._source, found))
+        self._all = checked(self._scratch, read(state, self._first, self._source.configuration_number))
 
 
-def _each(source: Monitor, states: States) -> Iterator[Monitor]:
-    for axis in range(len(states["state"])):
-        yield _as(source, states, axis)
-
-
-def _as(source: Monitor, states: States, axis: int) -> Monitor:
-    """A monitor of its own with the configuration of another one, in the state of an axis."""
+def _like(source: Monitor) -> Monitor:
+    """A monitor of its own with the configuration of another one."""
     estimator = made(type(source.estimator), configuration_of(source.estimator))
-    single = Monitor(estimator, source.calibration, copy(source.watch), source.known)
-    load(single, states, axis)
-    return single
+    return Monitor(estimator, source.calibration, copy(source.watch), source.known)
+
+
+def _slices(size: int, most: int) -> Iterator[slice]:
+    return (slice(start, min(start + most, size)) for start in range(0, size, most))

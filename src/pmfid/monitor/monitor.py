@@ -3,66 +3,42 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from dataclasses import dataclass, field, replace
-from operator import index
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pmfid._estimate import Estimate
 from pmfid.errors import UsageError
 from pmfid.estimators.arguments import check_arrays
-from pmfid.estimators.configuration import like
-from pmfid.estimators.facts import INPUT_GAIN, forces_of
-from pmfid.estimators.iv import IV
-from pmfid.estimators.known import Known, Posterior, Seen, told_by
-from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.monitor.calibration import Calibration
-from pmfid.monitor.cause import TRANSITION, Cause, explain, sized
-from pmfid.monitor.events import (
-    CANNOT_TELL,
-    SETTLING,
-    STARTING,
-    SUSPICIOUS,
-    WATCHING,
-    Alarm,
-    Event,
-    Outlier,
-    Settled,
-    StateChange,
-    Watch,
-)
-from pmfid.monitor.record import LOOK_BACK, configuration_number, load, store
-from pmfid.monitor.rows import STATES, FleetRows
-from pmfid.monitor.saved import read, written
-from pmfid.monitor.scores import Blocks, Scale, ScoreFilter
+from pmfid.estimators.known import Seen, told_by
+from pmfid.estimators.track import Track
+from pmfid.kernel.structures import whole_words
+from pmfid.monitor.arrays import Sampled
+from pmfid.monitor.axis import FIRST, Axis
+from pmfid.monitor.events import SETTLING, SUSPICIOUS, WATCHING, Event, Outlier, Settled
+from pmfid.monitor.rows import FleetRows
+from pmfid.monitor.saved import Saved, checked, read, written
+from pmfid.monitor.scores import ScoreFilter, reference_kernel
 from pmfid.shown import Parameters, Shown, Summary, plain, remarks_of
 from pmfid.status import Status
-from pmfid.types import Floats
 
-#: A block with less of the average information tells nothing.
-INFORMATIVE = 0.05
-#: Time without such a block after which nothing can be told [s], at least so many blocks.
-SILENT_TIME, SILENT_BLOCKS = 2.0, 6
-#: Information, in average blocks, until the estimate after an alarm serves as a model, and then as a reference.
-MODEL_INFORMATION, REFERENCE_INFORMATION = 15.0, 60.0
-#: Information after which a cause that explains so much of what is to explain is named, and after which the best is.
-CAUSE_INFORMATION, CAUSE_SHARE, CAUSE_LATEST = 4.0, 0.95, 8.0
-#: A single block counts for no more: where the model is wrong, it errs in every block in another way.
-MOST_INFORMATION = 1.5
-#: What is kept at the first suspicion of what was gathered before.
-KEEP = 0.003
+if TYPE_CHECKING:
+    from pmfid._kernel64 import Kernel, ManyKernel
+
 #: What a flagged sample is told as.
-OUTLIERS = {Status.COUNT_JUMP: "counts", Status.INVALID_INPUT: "input"}
+OUTLIERS = {int(Status.COUNT_JUMP): "counts", int(Status.INVALID_INPUT): "input"}
+ANY_OUTLIER = sum(OUTLIERS)
 #: An input that changed over lost samples by so many times what it usually does in as many has switched in one of them,
-#: nobody knows which; and the part by which a sample counts in what is usual.
-SWITCHED, LATELY = 6.0, 0.01
-NO_ALARM = Status.STARTING | Status.POOR_EXCITATION
+#: nobody knows which.
+SWITCHED = 6.0
 
 
 @dataclass(repr=False)
-class Monitor(Shown):
+class Monitor(Axis, Shown):
     """Watches one axis.
 
     estimator: recursive, at its start; calibration: of its configuration and the reference parameters. `step` takes one
@@ -74,33 +50,6 @@ class Monitor(Shown):
     where the gain of the input is to be found, the estimator has that of the reference, and what is told is of the
     machine with the gain that it has now.
     """
-
-    estimator: RecursiveEstimator
-    calibration: Calibration
-    watch: Watch = field(default_factory=Watch)
-    known: Known | None = None
-    state: str = field(default=STARTING, init=False)
-    samples: int = field(default=0, init=False)
-    statistic: float = field(default=0.0, init=False)
-
-    def __post_init__(self) -> None:
-        self.threshold = self.calibration.tails[self.watch.detector].threshold(self.watch.mtbf_hours)
-        p = self.calibration.theta.size
-        self._detector = self.calibration.detectors(self.estimator)[self.watch.detector]
-        self._front = like(IV, self.estimator, prefilter_zeros=None)
-        self._noise = self._front.noise()
-        self._filter = ScoreFilter(self._front, self.calibration.theta, left_out=self.calibration.left_out)
-        self._refer(self.calibration.theta)
-        self._sum = Blocks(np.zeros((1, p)), np.zeros((1, p, p)), np.zeros((1, p, p)))
-        self._gain = 1.0  # of the input, over that of the estimator
-        self._counts, self._zero, self._lost, self._flagged = 0, 0, False, Status(0)
-        self._input, self._usual, self._change = 0.0, 0.0, 0
-        self._silent_blocks = max(SILENT_BLOCKS, round(SILENT_TIME / self._block_time))
-
-    @property
-    def reference(self) -> Floats:
-        """(p,) parameters that deviations are measured from."""
-        return self._filter.theta
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -114,7 +63,7 @@ class Monitor(Shown):
     @property
     def _parameters(self) -> Parameters:
         """What deviations are measured from, with the standard deviations of one block."""
-        return Parameters(self.estimator.names, self.estimator.units, self.reference, self._seen.sigma)
+        return Parameters(self.estimator.names, self.estimator.units, self.reference, self._own.sigma[0].copy())
 
     def summary(self) -> Summary:
         watch = self.watch
@@ -150,97 +99,63 @@ class Monitor(Shown):
         """An estimate with what is known beside it."""
         return estimate if self.known is None else Seen(self.known, estimate)
 
-    def _beside(self, theta: Floats, std: Floats) -> tuple[Floats, Floats]:
-        """A reference (p,) and its standard deviations with what is known, each (q,)."""
-        if self.known is None:
-            return theta, std
-        found = self.known.of(Posterior(self._front.names, self._front.units, theta, np.diag(std**2)))
-        return found.theta, found.theta_std
-
-    @property
-    def _block_time(self) -> float:
-        return self._front.settle_samples * self._front.dt
-
     def step(self, u: float, counts: int) -> tuple[Estimate, list[Event]]:
         """One sample as in `RecursiveEstimator.step`: the estimate, and what there is to tell.
 
         After a sample that was lost, u not finite, the counts go on from the last: whatever the counter did meanwhile,
         no speed explains it.
         """
-        lost = not math.isfinite(u)
-        if self._lost and not lost:
-            self._zero = self._counts - counts
-        counts = self._counts if lost else counts + self._zero
-        self._change = 0 if lost or not self.samples else counts - self._counts
-        self._lost, self._counts = lost, counts
-        if not lost and math.isfinite(self._input):
-            self._usual += LATELY * (abs(u - self._input) - self._usual)
-            self._input = u
-        estimate = self.estimator.step(u, counts)
-        self.samples += 1
-        block = self._filter.step(u, counts)
-        events = [] if lost else self._outliers(Status(estimate.status))
-        return estimate, events if block is None else events + self._on_block(block, estimate)
+        own = self._inputs.step(u, counts)
+        estimate = self.estimator.step(u, own)
+        rows, disturbed = self._filter.sample(u, own)
+        events = [] if self._inputs.lost else self._outliers(estimate.status)
+        return estimate, events if rows is None else events + self._on_block(rows, disturbed, estimate)
 
-    def rebase(self, counts: int) -> None:
-        """The counter was set anew: it would have read `counts` at the last sample. Raises TypeError for no integer."""
-        self._zero = self._counts - index(counts)
+    def _outliers(self, status: int) -> list[Event]:
+        """Once for what lasts over several samples."""
+        signals, self._flagged = new_outliers(status, self._flagged) if status & ANY_OUTLIER else [], status
+        return [Outlier(self._time, signal) for signal in signals]
 
     def run(self, u: ArrayLike, counts: ArrayLike) -> FleetRows:
         """Many samples at once, u, counts: (n,), with the bits of `step` in a loop: the rows of a fleet of one. Raises
         UsageError where the arrays do not fit."""
-        inputs, places = check_arrays(u, counts)
+        inputs, read_counts = check_arrays(u, counts)
         rows = FleetRows.empty(1, inputs.size, len(self.names))
-        for k, (one, count) in enumerate(zip(inputs.tolist(), places.tolist(), strict=True)):
-            estimate, events = self.step(one, count)
-            told = self.told(estimate)
-            rows.theta[0, k], rows.std[0, k], rows.innovation[0, k] = told.theta, told.theta_std, told.innovation
-            rows.status[0, k], rows.state[0, k] = estimate.status, STATES.index(self.state)
-            rows.events.extend((0, k, event) for event in events)
+        start = 0
+        while start < inputs.size:
+            end = min(inputs.size, start + (1 if self.known is not None else self._filter.missing))
+            self._run(inputs[start:end], read_counts[start:end], rows, start)
+            start = end
         return rows
 
-    def refer(self, theta: ArrayLike | None = None) -> list[Event]:
-        """What is now is normal: theta (p,) becomes the reference, None: the present estimate. What there is to tell:
-        the new reference, and that the watch begins. Raises UsageError, and changes nothing, while there is no estimate
-        and for numbers that no machine has."""
-        estimate = self.estimator.estimate
-        if theta is None and estimate.status & (Status.STARTING | Status.FALLBACK):
-            raise UsageError("there is no estimate yet that could be the reference: let the axis move first")
-        wanted = np.array(estimate.theta if theta is None else theta, np.float64)
-        if wanted.shape != self.reference.shape or not self._plausible(wanted):
-            raise UsageError(f"these are no parameters of a machine: {wanted.tolist()}; give {list(self._front.names)}")
-        before, std = self.reference, np.array(estimate.theta_std) if theta is None else np.zeros(wanted.size)
-        self._refer(wanted)
-        events: list[Event] = [Settled(self._time, *self._beside(wanted, std), self._beside(before, std)[0])]
-        busy = self.state in (SUSPICIOUS, SETTLING)
-        return [*events, *(self._enter(WATCHING, "a new reference was given") if busy else [])]
+    def _run(self, u: NDArray[np.float64], counts: NDArray[np.int64], rows: FleetRows, start: int) -> None:
+        """Samples of one block; the last may complete it. With what is known beside the samples, one alone."""
+        before, lost = self.samples, ~np.isfinite(u)
+        own, part = self._inputs.run(u, counts), slice(start, start + u.size)
+        track = Track(self.estimator.names, self.estimator.units, *self.estimator.runner.kernel.run(u, own))
+        blocks, disturbed = self._filter.rows(u, own)
+        told = track if self.known is None else self.told(self.estimator.estimate)
+        rows.theta[0, part], rows.std[0, part] = told.theta, told.theta_std
+        rows.innovation[0, part], rows.status[0, part] = track.innovation, track.status
+        rows.state[0, part] = self._own.state[0]
+        found, self._flagged = outliers(track.status, lost, self._flagged)
+        dt = self.estimator.dt
+        rows.events.extend((0, start + k, Outlier((before + k) * dt, signal)) for k, signal in found)
+        if len(blocks):
+            events = self._on_block(blocks, disturbed, self.estimator.estimate)
+            rows.events.extend((0, part.stop - 1, event) for event in events)
+            rows.state[0, part.stop - 1] = self._own.state[0]
 
-    def get_state(self) -> bytes:
-        """All that changes, with a version and checksums; `set_state` of a monitor with the same configuration goes on
-        from it."""
-        return written(store(self), configuration_number(self))
-
-    def set_state(self, state: bytes) -> None:
-        """Goes on from a saved state. Raises UsageError, and stays as it was, for one of another configuration, a
-        damaged one, and numbers that no sample could have made."""
-        own = store(self)
-        found = read(state, own, configuration_number(self))
-        if len(found["state"]) != 1:
-            raise UsageError("these bytes are the states of several axes; a monitor is of one")
-        load(self, found, 0)
-
-    def _outliers(self, status: Status) -> list[Event]:
-        """Once for what lasts over several samples."""
-        found = [signal for bit, signal in OUTLIERS.items() if bit in status and bit not in self._flagged]
-        self._flagged = status
-        return [Outlier(self._time, signal) for signal in found]
+    def rebase(self, counts: int) -> None:
+        """The counter was set anew: it would have read `counts` at the last sample. Raises TypeError for no integer."""
+        self._inputs.rebase(counts)
 
     def skip(self, samples: int) -> list[Event]:
         """Samples that were lost: the filters settle anew, and time goes on. What there is to tell."""
         few, events = min(samples, self._front.settle_samples), []
         for _ in range(few):
-            events += self.step(float("nan"), self._counts)[1]
-        self.samples += samples - few
+            events += self.step(float("nan"), 0)[1]
+        self._inputs.pass_over(samples - few)
         return events
 
     def between(self, missing: int, u: float, counts: int) -> list[Event]:
@@ -248,181 +163,117 @@ class Monitor(Shown):
         the counts on the parabola that leaves the last as fast as they came to it.
         Where nothing is known of that, the input has switched in one of them, or it is lost itself, as `skip`. What
         there is to tell."""
-        if self._lost or not (self.samples and math.isfinite(u)):
+        last = self._inputs
+        if last.lost or not (self.samples and math.isfinite(u)):
             return self.skip(missing)
-        if abs(u - self._input) > SWITCHED * (missing + 1) * self._usual:
+        if abs(u - last.input) > SWITCHED * (missing + 1) * last.usual:
             return self.skip(missing)
-        first, start = self._input, self._counts - self._zero
-        events, n, change = list[Event](), missing + 1, self._change
+        first, start = last.input, last.counts - last.zero
+        events, n, change = list[Event](), missing + 1, last.change
         bend = (counts - start - change * n) / (n * n + n)
         for k in range(1, n):
             moved = round(k * (change + bend * (k + 1)))
             events += self.step(first + k / n * (u - first), start + moved)[1]
         return events
 
-    def _refer(self, theta: Floats) -> None:
-        """Starts to watch for deviations from theta (p,)."""
-        first = self.calibration.theta
-        size = np.sqrt(float(theta @ self._noise @ theta) / max(float(first @ self._noise @ first), 1e-300))
-        self._scale, self._work = _rescaled(self.calibration.scale, size), self.calibration.work
-        if self._work is not None:
-            self._work = replace(self._work, scale=_rescaled(self._work.scale, size))
-        self._seen = self._scale if self._work is None else self._work.scale
-        self._filter = ScoreFilter(self._front, theta, self._filter, self.calibration.left_out)
-        self._tolerance = self.watch.tolerance * np.abs(theta) / self._seen.sigma
-        self._detection = self._detector.start(theta.shape)
-        self._recent: deque[Blocks] = deque(maxlen=LOOK_BACK)
-        self._begun: deque[float] = deque(maxlen=LOOK_BACK)
-        self._open: list[Blocks] = []
-        self._opened = 0.0
-        self._silence, self._gathered, self._refined, self._crossed, self._suspected = 0, 0.0, False, 0.0, 0
-        self.statistic = 0.0
+    def refer(self, theta: ArrayLike | None = None) -> list[Event]:
+        """What is now is normal: theta (p,) becomes the reference, None: the present estimate. What there is to tell:
+        the new reference, and that the watch begins. Raises UsageError, and changes nothing, while there is no estimate
+        and for numbers that no machine has."""
+        estimate = self.estimator.estimate
+        unknown = estimate.status & (Status.STARTING | Status.FALLBACK) or not np.all(np.isfinite(estimate.theta_std))
+        if theta is None and unknown:
+            raise UsageError("there is no estimate yet that could be the reference: let the axis move first")
+        wanted = np.array(estimate.theta if theta is None else theta, np.float64)
+        if wanted.shape != self.reference.shape or not self.plausible(wanted):
+            raise UsageError(f"these are no parameters of a machine: {wanted.tolist()}; give {list(self._front.names)}")
+        before, std = self.reference, np.array(estimate.theta_std) if theta is None else np.zeros(wanted.size)
+        self._refer(wanted)
+        events: list[Event] = [Settled(self._time, *self._beside(wanted, std), self._beside(before, std)[0])]
+        busy = self.state in (SUSPICIOUS, SETTLING)
+        return [*events, *(self._enter(WATCHING, "a new reference was given") if busy else [])]
 
-    def _on_block(self, block: Blocks, estimate: Estimate) -> list[Event]:
-        information = float(self._scale.information(block)[0])
-        self._silence = 0 if information > INFORMATIVE else self._silence + 1
-        block = block if self._work is None else self._work.centred(block)
-        if self.state == SETTLING:
-            return self._settle(block, information, estimate)
-        unit = self._unit(block, information)
-        events = [] if self.state == SUSPICIOUS else self._look_around(estimate)
-        return events if unit is None else events + self._on_unit(unit, estimate)
+    @cached_property
+    def configuration_number(self) -> int:
+        """A checksum of all that does not change."""
+        calibration, estimator = self.calibration, self.estimator
+        reference, _ = reference_kernel(self._front, calibration.theta.tolist())
+        number = zlib.crc32(reference.raw_config(), zlib.crc32(estimator.runner.kernel.raw_config()))
+        known = self.known and (dict(self.known.given), dict(self.known.prior), self.known.find_gain)
+        texts = estimator.names, self.watch, self.threshold, known, calibration.chi_square, calibration.left_out
+        number = zlib.crc32(repr(texts).encode(), number)
+        work = calibration.work
+        scales = [calibration.scale, *([] if work is None else [work.scale])]
+        arrays = [calibration.theta, *(part for one in scales for part in (one.inverse, one.energy, one.sigma))]
+        arrays += [] if work is None else [work.offset, work.limit, np.array([work.size])]
+        return zlib.crc32(b"".join(part.tobytes() for part in arrays), number)
 
-    def _unit(self, block: Blocks, information: float) -> Blocks | None:
-        """The unit that a block completes; without units of work each block is one."""
-        if not self._open:
-            self._begun.append(self._time - self._block_time)
-        self._open.append(block)
-        self._opened += information
-        if self._work is not None and self._opened < self._work.size:
-            return None
-        whole, self._open, self._opened = Blocks.joined(self._open).total(), [], 0.0
-        return whole
+    @cached_property
+    def packers(self) -> tuple[ManyKernel, ManyKernel]:
+        """What packs the states of the estimator's kernel and of the filter's, and runs many of them."""
+        words = whole_words(self.estimator.precision)
+        return self.estimator.runner.kernel.many(1, words), self._filter.kernel.many(1, words)
 
-    def _on_unit(self, unit: Blocks, estimate: Estimate) -> list[Event]:
-        counted = unit if self._work is None else self._work.weighed(unit)
-        x, w = (part[0] for part in self._seen.standardise(counted))
-        information = float(self._seen.information(unit)[0])
-        self._recent.append(unit)
-        self._detection, statistic = self._detector.update(self._detection, x, w, self._tolerance)
-        self.statistic = float(statistic)
-        if self.state == SUSPICIOUS:
-            self._gathered += min(information, MOST_INFORMATION)
-            self._suspected += 1
-            return self._alarm(estimate)
-        crossed = self.statistic > self.threshold and information > INFORMATIVE
-        if not crossed or estimate.status & NO_ALARM:
-            return []
-        self._gathered = min(information, MOST_INFORMATION)
-        self._crossed, self._suspected = self.statistic, 1
-        self.estimator.open_memory(KEEP)
-        return [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm(estimate)]
+    def saved(self) -> Saved:
+        """All that changes, as arrays of one row."""
+        kernels = self.estimator.runner.kernel, self._filter.kernel
+        estimator, filtered = (_packed(many, kernel) for many, kernel in zip(self.packers, kernels, strict=True))
+        whole, real = self._inputs.numbers
+        flagged, now = np.array([self._flagged], np.uint32), self._filter
+        block = now.sums.copy(), now.progress.copy()
+        sampled = Sampled(whole[None], real[None], flagged, estimator, filtered, *block)
+        return Saved(sampled, self._own.taken(FIRST), self._rest.taken(FIRST))
 
-    def _look_around(self, estimate: Estimate) -> list[Event]:
-        """Whether there is anything to tell from."""
-        if estimate.status & Status.STARTING:
-            return self._enter(STARTING, "the estimate has not started")
-        if estimate.status & Status.POOR_EXCITATION:
-            return self._enter(CANNOT_TELL, "poor excitation")
-        if self._silence >= self._silent_blocks:
-            standing = estimate.status & Status.STANDSTILL
-            return self._enter(CANNOT_TELL, "standstill" if standing else "the motion tells nothing")
-        if self._silence == 0:
-            return self._enter(WATCHING, "")
-        return []
+    def go_on(self, saved: Saved, axis: int) -> None:
+        """From the state of an axis, whose numbers are not looked at."""
+        row, sampled = slice(axis, axis + 1), saved.sampled
+        self._own.put(slice(0, 1), saved.watched.taken(row))
+        self._rest.put(slice(0, 1), saved.disturbed.taken(row))
+        if not np.array_equal(self._filter.theta, self._own.theta[0]):
+            self._filter = ScoreFilter(self._front, self.reference, left_out=self.calibration.left_out)
+        self._inputs.numbers, self._flagged = (sampled.whole[axis], sampled.real[axis]), int(sampled.flagged[axis])
+        self._filter.sums[:], self._filter.progress[:] = sampled.sums[row], sampled.progress[row]
+        kernels = self.estimator.runner.kernel, self._filter.kernel
+        for many, kernel, states in zip(self.packers, kernels, (sampled.estimator, sampled.filter), strict=True):
+            many.hold(states[row])
+            many.load(kernel, 0)
 
-    def _enter(self, state: str, reason: str) -> list[Event]:
-        if state == self.state:
-            return []
-        self.state = state
-        return [StateChange(self._time, state, reason)]
+    def get_state(self) -> bytes:
+        """All that changes, with a version and checksums; `set_state` of a monitor with the same configuration goes on
+        from it."""
+        return written(self.saved(), self.configuration_number)
 
-    @property
-    def _time(self) -> float:
-        return (self.samples - 1) * self.estimator.dt
-
-    def _alarm(self, estimate: Estimate) -> list[Event]:
-        cause = self._cause(estimate)
-        clear = self._gathered >= CAUSE_INFORMATION and cause.share >= CAUSE_SHARE
-        if not clear and self._gathered < CAUSE_LATEST:
-            return []
-        if abs(cause.relative) <= self.watch.tolerance:
-            self._detection = self._detector.start(self.reference.shape)
-            return self._enter(WATCHING, "the deviation is within the tolerance")
-        begun = self._begun[cause.start]
-        units = dict(zip(self._front.names, self._front.units, strict=True))
-        scale = self._gain if cause.name in (INPUT_GAIN, *forces_of(self._front.equation)) else 1.0
-        alarm = Alarm(
-            self._time,
-            max(0.0, begun),
-            cause.name,
-            units.get(cause.name, ""),
-            scale * cause.change,
-            scale * cause.std,
-            cause.relative,
-            self._crossed,
-            self.threshold,
-        )
-        self._gathered, self._refined = 0.0, False
-        return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
-
-    def _cause(self, estimate: Estimate) -> Cause:
-        latest = max(0, len(self._recent) - self._suspected) + TRANSITION
-        names, gain = self._front.names, self.estimator.equation.input_gain
-        fixed = () if self.known is None else tuple(self.known.given)
-        friction = self._friction()
-        recent = Blocks.joined(self._recent)
-        cause = explain(recent, self._seen, self.reference, names, gain, latest, fixed, friction)
-        if not self._usable(estimate):
-            return cause
-        found = np.array(estimate.theta), np.array(estimate.theta_cov)
-        return sized(cause, *found, self.reference, names, gain, friction)
-
-    def _friction(self) -> Floats | None:
-        """(p,) the frictions of the reference; None where there is but one, and where a cause is named within blocks,
-        too few to tell all frictions from one of them."""
-        equation = self.estimator.equation
-        kinds = np.array(equation.positive) & (np.arange(self.reference.size) != equation.leading)
-        return np.where(kinds, self.reference, 0.0) if self._work is not None and kinds.sum() > 1 else None
-
-    def _settle(self, block: Blocks, information: float, estimate: Estimate) -> list[Event]:
-        """First the estimate becomes the model, then what the blocks say beside it the reference."""
-        self._gathered += information
-        if self._refined:
-            self._sum = self._sum + block
-        if not self._refined and self._gathered >= MODEL_INFORMATION and self._usable(estimate):
-            self._before = self.reference
-            self.estimator.open_memory(1.0)  # the error bars need not remember the change
-            self._refer(np.array(estimate.theta))
-            self._sum = block - block
-            self._refined = True
-        elif self._refined and self._gathered >= REFERENCE_INFORMATION:
-            return self._settled()
-        return []
-
-    def _settled(self) -> list[Event]:
-        p = self.reference.size
-        theta = self.reference + np.linalg.solve(self._sum.cross[0] + 1e-12 * np.eye(p), self._sum.score[0])
-        std = self._scale.sigma / np.sqrt(self._gathered)
-        if not self._plausible(theta):
-            theta = self.reference
-        self._refer(theta)
-        now, bars = self._beside(theta, std)
-        before, _ = self._beside(self._before, std)
-        if self.known is not None and self.known.find_gain:
-            self._gain = float(now[-1]) / self.estimator.equation.input_gain
-        return [Settled(self._time, now, bars, before), *self._enter(WATCHING, "")]
-
-    def _usable(self, estimate: Estimate) -> bool:
-        unusable = Status.STARTING | Status.POOR_EXCITATION | Status.FALLBACK | Status.SETTLING
-        return not estimate.status & unusable and self._plausible(np.array(estimate.theta))
-
-    def _plausible(self, theta: Floats) -> bool:
-        """Mass positive, frictions not negative."""
-        equation = self.estimator.equation
-        never_negative = np.array(equation.positive)
-        return bool(np.all(np.isfinite(theta)) and theta[equation.leading] > 0 and np.all(theta[never_negative] >= 0))
+    def set_state(self, state: bytes) -> None:
+        """Goes on from a saved state. Raises UsageError, and stays as it was, for one of another configuration, a
+        damaged one, and numbers that no sample could have made."""
+        found = checked(self, read(state, self.saved(), self.configuration_number))
+        if found.axes != 1:
+            raise UsageError(f"these bytes are the states of {found.axes} axes; a monitor is of one")
+        self.go_on(found, 0)
 
 
-def _rescaled(scale: Scale, size: float) -> Scale:
-    return replace(scale, sigma=size * scale.sigma)
+def _packed(many: ManyKernel, kernel: Kernel) -> NDArray[np.uint8]:
+    """(1, bytes): a kernel's state."""
+    many.hold(np.zeros((1, many.states.shape[1]), np.uint8))
+    many.store(kernel, 0)
+    return many.states
+
+
+def new_outliers(status: int, before: int) -> list[str]:
+    """The signals that are flagged in a status and were not in the one before."""
+    return [signal for bit, signal in OUTLIERS.items() if status & bit and not before & bit]
+
+
+def outliers(status: NDArray[np.uint32], lost: NDArray[np.bool_], flagged: int) -> tuple[list[tuple[int, str]], int]:
+    """The samples of status (n,) at which a signal is newly flagged, with that signal, and the last status; of lost
+    ones (n,) nothing is said. flagged: the status before."""
+    kept, found = np.flatnonzero(~lost), list[tuple[int, str]]()
+    if not kept.size:
+        return found, flagged
+    last = int(status[kept[-1]])
+    if np.any(status[kept] & ANY_OUTLIER):
+        for k in kept.tolist():
+            now = int(status[k])
+            found += [(k, signal) for signal in new_outliers(now, flagged)]
+            flagged = now
+    return found, last

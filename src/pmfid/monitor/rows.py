@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, STARTING, SUSPICIOUS, WATCHING, Event
-from pmfid.types import Floats
+from pmfid.types import Flags, Floats
 
 #: Names of the states, by their numbers.
 STATES = (STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING)
@@ -34,8 +34,13 @@ class FleetRows:
         theta, std = np.empty((*shape, parameters)), np.empty((*shape, parameters))
         return cls(theta, std, np.empty(shape), np.empty(shape, np.uint32), np.empty(shape, np.uint8), [])
 
-    def take(self, row: int, single: FleetRows) -> None:
-        """The rows of one axis become those of a row."""
+    def take(self, part: FleetRows, rows: NDArray[np.int64], time: slice, kept: Flags | None = None) -> None:
+        """A part becomes that of these rows (k,), which rise, and of a time; kept: (k,) which of them, None: all."""
+        taken = np.ones(rows.size, np.bool_) if kept is None else kept
+        whole = taken.all() and rows[-1] - rows[0] == rows.size - 1  # rows rise: they follow one another
+        place, source = (slice(rows[0], rows[-1] + 1), slice(None)) if whole else (rows[taken], taken)
         for name in ("theta", "std", "innovation", "status", "state"):
-            getattr(self, name)[row] = getattr(single, name)[0]
-        self.events.extend((row, sample, event) for _, sample, event in single.events)
+            getattr(self, name)[place, time] = getattr(part, name)[source]
+        for row, sample, event in part.events:
+            if taken[row]:
+                self.events.append((int(rows[row]), time.start + sample, event))

@@ -1,28 +1,36 @@
 """The states of monitored axes as bytes: one array for each part of a state, a row for each axis.
 
 Bytes of a file are hostile until they are checked: whole numbers against what they may be, real ones against being no
-number, the kernel's states by the kernel.
+number, the kernels' states by the kernels.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid._kernel64 import ManyKernel
 from pmfid.errors import UsageError
 from pmfid.kernel.structures import layout_number
+from pmfid.monitor.arrays import Disturbed, Places, Rows, Sampled, Watched
+from pmfid.monitor.events import SETTLING, SUSPICIOUS
+from pmfid.monitor.rows import STATES
+from pmfid.monitor.scores import Scoring
+from pmfid.monitor.watching import Watching
+from pmfid.types import Floats
 
 #: What stands before the states; layout: of a row; config: of whom it is; checksum: CRC-32 of all else.
 HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
 MAGIC, VERSION = 0x4D464D50, 1  # "PMFM"
 #: No fleet has more axes: what a head says is not believed beyond that.
 MOST_AXES = 2**24
-
-#: Part of a state -> (axes, ...) of all axes.
-States = dict[str, NDArray[np.generic]]
+#: Samples and blocks beyond any that have been.
+MOST = 2**60
 
 FOREIGN = (
     "these bytes are not the state of such a monitor; take them from one with the same estimator, calibration, watch "
@@ -34,29 +42,75 @@ IMPLAUSIBLE = (
 )
 
 
-def row_type(states: Mapping[str, NDArray[np.generic]]) -> np.dtype[np.void]:
-    """The type of one row of all parts."""
-    return np.dtype([(name, part.dtype, part.shape[1:]) for name, part in states.items()])
+@dataclass
+class Saved:
+    """All that changes in some axes."""
+
+    sampled: Sampled
+    watched: Watched
+    disturbed: Disturbed
+
+    @property
+    def axes(self) -> int:
+        return len(self.watched.state)
+
+    @property
+    def _parts(self) -> tuple[Rows, Rows, Rows]:
+        return self.sampled, self.watched, self.disturbed
+
+    def arrays(self) -> Iterator[NDArray[np.generic]]:
+        """All that is saved."""
+        for part in self._parts:
+            yield from (array for _, array in part.parts(saved_only=True))
+
+    def row_type(self) -> np.dtype[np.void]:
+        """The type of one axis."""
+        named = [one for part in self._parts for one in part.parts(saved_only=True)]
+        return np.dtype([(f"{k} {name}", array.dtype, array.shape[1:]) for k, (name, array) in enumerate(named)])
+
+    def taken(self, index: Places | slice) -> Saved:
+        """Some axes: copies by their numbers, the axes themselves as a slice."""
+        return Saved(self.sampled.taken(index), self.watched.taken(index), self.disturbed.taken(index))
+
+    def put(self, index: Places | slice, other: Saved) -> None:
+        """Other states for some axes."""
+        for part, rows in zip(self._parts, (other.sampled, other.watched, other.disturbed), strict=True):
+            part.put(index, rows)
+
+    def repeated(self, times: int) -> Saved:
+        """All axes, so many times."""
+        again = self.sampled.repeated(times), self.watched.repeated(times)
+        return Saved(*again, self.disturbed.repeated(times))
+
+    def joined(self, other: Saved) -> Saved:
+        """The axes of another one behind these."""
+        parts = self.sampled.joined(other.sampled), self.watched.joined(other.watched)
+        return Saved(*parts, self.disturbed.joined(other.disturbed))
 
 
-def written(states: States, config: int) -> bytes:
+def written(saved: Saved, config: int) -> bytes:
     """The bytes of all axes; config: a checksum of whose they are."""
-    head = _head(states, config, axes_of(states))
-    parts = [np.ascontiguousarray(part).reshape(-1).view(np.uint8).data for part in states.values()]
+    return b"".join(pieces(saved, config))
+
+
+def pieces(saved: Saved, config: int) -> list[memoryview]:
+    """The same one after the other; all but the first are the arrays themselves."""
+    head = _head(saved, config, saved.axes)
+    parts = [np.ascontiguousarray(array).reshape(-1).view(np.uint8).data for array in saved.arrays()]
     checksum = zlib.crc32(head.tobytes()[:-4])
     for part in parts:
         checksum = zlib.crc32(part, checksum)
     head["checksum"] = checksum
-    return b"".join([head.tobytes(), *parts])
+    return [memoryview(head.tobytes()), *parts]
 
 
-def read(data: bytes, like: States, config: int) -> States:
+def read(data: bytes, like: Saved, config: int) -> Saved:
     """What `written` wrote of states such as `like`, of any number of axes. Raises UsageError for anything else; what
-    the numbers may be is for others to say."""
+    the numbers may be is for `checked` to say."""
     if not isinstance(data, bytes | bytearray | memoryview):
         raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
     data = bytes(data)
-    row, place = row_type(like).itemsize, HEAD.itemsize
+    row, place = like.row_type().itemsize, HEAD.itemsize
     if len(data) < place or (len(data) - place) % row or len(data) > place + row * MOST_AXES:
         raise UsageError(FOREIGN)
     head, axes = np.frombuffer(data[:place], HEAD)[0], (len(data) - place) // row
@@ -64,23 +118,65 @@ def read(data: bytes, like: States, config: int) -> States:
         raise UsageError(DAMAGED)
     if head.tobytes()[:-4] != _head(like, config, axes).tobytes()[:-4]:
         raise UsageError(FOREIGN)
-    found: States = {}
-    for name, part in like.items():
-        shape = (axes, *part.shape[1:])
-        size = part.dtype.itemsize * int(np.prod(shape))
-        found[name] = np.frombuffer(data[place : place + size], part.dtype).reshape(shape).copy()
-        place += size
+    found = like.taken(slice(0, 1)).repeated(axes)
+    for array in found.arrays():
+        array[:] = np.frombuffer(data, array.dtype, array.size, place).reshape(array.shape)
+        place += array.nbytes
     return found
 
 
-def axes_of(states: States) -> int:
-    """The number of axes that states are of."""
-    return len(next(iter(states.values())))
-
-
-def _head(states: States, config: int, axes: int) -> NDArray[np.void]:
+def _head(saved: Saved, config: int, axes: int) -> NDArray[np.void]:
     head = np.zeros((), HEAD)
-    row = row_type(states)
+    row = saved.row_type()
     head["magic"], head["version"], head["config"] = MAGIC, VERSION, config
     head["layout"], head["axes"], head["size"] = layout_number(row), axes, row.itemsize
     return head
+
+
+class Judge(Protocol):
+    """What a `Monitor` knows of states that are possible."""
+
+    watching: Watching
+
+    @property
+    def packers(self) -> tuple[ManyKernel, ManyKernel]: ...
+    @property
+    def scoring(self) -> Scoring: ...
+    def plausible(self, theta: Floats) -> bool: ...
+
+
+def checked(judge: Judge, saved: Saved) -> Saved:
+    """The same with what follows from it. Raises UsageError for numbers that no sample could have made."""
+    sampled, watched = saved.sampled, saved.watched
+    references = np.unique(watched.theta, axis=0)
+    fine = all(np.all(np.isfinite(array)) for array in saved.arrays() if array.dtype.kind == "f")
+    fine = fine and _counts_fit(judge, saved) and all(judge.plausible(theta) for theta in references)
+    for many, states in zip(judge.packers, (sampled.estimator, sampled.filter), strict=True):
+        many.hold(states)
+        fine = fine and many.plausible()
+    if not fine:
+        raise UsageError(IMPLAUSIBLE)
+    judge.watching.derive(watched)
+    if np.any(watched.waiting > watched.wait):
+        raise UsageError(IMPLAUSIBLE)
+    return saved
+
+
+def _counts_fit(judge: Judge, saved: Saved) -> bool:
+    """Whether whole numbers, and real ones that have a sign, are what they may be."""
+    sampled, watched, rest = saved.sampled, saved.watched, saved.disturbed
+    samples, lost = sampled.samples, sampled.lost
+    uneasy = np.isin(watched.state, [STATES.index(SUSPICIOUS), STATES.index(SETTLING)])
+    counted = (samples, watched.waiting, watched.silence, watched.members, watched.units, rest.suspected)
+    conditions = [
+        *((number >= 0) & (number <= MOST) for number in counted),
+        (lost == 0) | (lost == 1),
+        sampled.usual >= 0,
+        sampled.progress[:, 0] < judge.scoring.size,
+        sampled.progress[:, 1] <= sampled.progress[:, 0],
+        watched.state < len(STATES),
+        rest.refined <= 1,
+        ~uneasy | (watched.units > 0) | (rest.refined == 1),
+        (watched.opened >= 0) & (rest.gathered >= 0),
+    ]
+    return all(np.all(condition) for condition in conditions)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +24,7 @@ from pmfid.estimators.auxiliary import make_auxiliary_kernel
 from pmfid.estimators.base import Estimator
 from pmfid.kernel.saved import take_guard
 from pmfid.status import Status
-from pmfid.types import Flags, Floats
+from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
@@ -36,8 +37,6 @@ UNUSABLE_AT_REST = UNUSABLE | int(Status.STANDSTILL)
 
 #: After so many of its time constants the model's velocity is the plant's; at most so many blocks are waited.
 START_TIME_CONSTANTS, MOST_START_BLOCKS = 4.0, 60
-#: Samples whose columns are in memory at once.
-CHUNK = 50_000
 
 
 @dataclass(frozen=True)
@@ -67,6 +66,18 @@ class Blocks:
         score, cross, square = zip(*((part.score, part.cross, part.square) for part in parts), strict=True)
         return cls(np.concatenate(score), np.concatenate(cross), np.concatenate(square))
 
+    @classmethod
+    def of(cls, rows: Floats, p: int) -> Blocks:
+        """Of rows (n, p + 2 p^2) of all their numbers, which they share."""
+        ends = p, p + p * p
+        cross, square = (part.reshape(len(rows), p, p) for part in (rows[:, ends[0] : ends[1]], rows[:, ends[1] :]))
+        return cls(rows[:, :p], cross, square)
+
+    @property
+    def rows(self) -> Floats:
+        """(n, p + 2 p^2) all their numbers."""
+        return np.concatenate([part.reshape(len(part), -1) for part in (self.score, self.cross, self.square)], axis=1)
+
 
 def block_samples(estimator: Estimator) -> int:
     """Samples of a block: the filters have forgotten what was before the one before it."""
@@ -86,81 +97,94 @@ def start_blocks(estimator: Estimator, theta: Floats) -> int:
     return 1 + min(MOST_START_BLOCKS, math.ceil(time / (block_samples(estimator) * estimator.dt)))
 
 
-def silenced(blocks: Blocks, disturbed: Flags, waiting: int, wait: int) -> tuple[Blocks, int]:
-    """The blocks without what they say within `wait` blocks after a disturbed one, and how many more are to wait.
+@dataclass(frozen=True)
+class Scoring:
+    """What the kernel needs to know to make blocks. first: column of phi, z, zeta; parameters: p; size: samples of a
+    block; left_out: status of samples that count for nothing, UNUSABLE among it."""
 
-    disturbed: (n,); waiting: of blocks before these.
-    """
-    used = np.empty(disturbed.size)
-    for k, bad in enumerate(disturbed):
-        waiting = wait if bad else max(0, waiting - 1)
-        used[k] = float(waiting == 0)
-    return Blocks(
-        blocks.score * used[:, None], blocks.cross * used[:, None, None], blocks.square * used[:, None, None]
-    ), waiting
+    first: int
+    parameters: int
+    size: int
+    left_out: int = UNUSABLE
+
+    @property
+    def numbers(self) -> tuple[int, int, int, int, int]:
+        return self.first, self.parameters, self.size, self.left_out, UNUSABLE
+
+    @property
+    def width(self) -> int:
+        """Numbers of a block."""
+        return width_of(self.parameters)
+
+    def start(self, axes: int = 1) -> tuple[Floats, NDArray[np.uint32]]:
+        """The sums (axes, width) of the blocks under way, and (axes, 2) their samples and how many were disturbed."""
+        return np.zeros((axes, self.width)), np.zeros((axes, 2), np.uint32)
 
 
-def gather(
-    columns: Floats, status: NDArray[np.uint32], theta: Floats, size: int, left_out: int = UNUSABLE
-) -> tuple[Blocks, Flags]:
-    """Whole blocks of `size` samples from phi, z, zeta in columns (n, 2 p + 1), and (n,) where one has none but
-    unusable samples: there the filters settle, and the simulated motion has lost the plant. left_out: status of samples
-    that count for nothing, UNUSABLE among it."""
-    p, n = theta.size, columns.shape[0] // size
-    rows = columns[: n * size].reshape(n, size, columns.shape[1])
-    zeta = np.where((status[: n * size].reshape(n, size, 1) & left_out) == 0, rows[..., p + 1 : 2 * p + 1], 0.0)
-    error = rows[..., p] - rows[..., :p] @ theta
-    turned = zeta.transpose(0, 2, 1)
-    disturbed = np.all((status[: n * size].reshape(n, size) & UNUSABLE) != 0, axis=1)
-    return Blocks((turned @ error[..., None])[..., 0], turned @ rows[..., :p], turned @ zeta), disturbed
+def width_of(p: int) -> int:
+    """Numbers of a block of p parameters."""
+    return p + 2 * p * p
+
+
+def waiting_after(lost: NDArray[np.generic], waiting: NDArray[np.int64], wait: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Blocks that are still to wait, behind one in which the filters settled all the time (lost) or not: there the
+    simulated motion has lost the plant. While there are any, blocks count for nothing."""
+    return np.where(lost != 0, wait, np.maximum(0, waiting - 1))
 
 
 def scores(
     estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.int64], left_out: int = UNUSABLE
 ) -> Blocks:
-    """All whole blocks of u, counts: (n,) at reference theta (p,); left_out: as in `gather`."""
-    kernel, first = reference_kernel(estimator, list(theta))
-    size, wait, parts = block_samples(estimator), start_blocks(estimator, theta), []
-    waiting = wait
-    chunk = size * max(1, CHUNK // size)
-    for start in range(0, u.size, chunk):
-        columns, status = kernel.filter(u[start : start + chunk], counts[start : start + chunk])
-        found = gather(columns[:, first : first + 2 * theta.size + 1], status, theta, size, left_out)
-        blocks, waiting = silenced(*found, waiting, wait)
-        parts.append(blocks)
-    return Blocks.joined(parts)
+    """All whole blocks of u, counts: (n,) at reference theta (p,); left_out: as in `Scoring`."""
+    return ScoreFilter(estimator, theta, left_out=left_out).run(u, counts)
 
 
 class ScoreFilter:
-    """The same blocks, sample by sample."""
+    """The blocks of one axis, in pieces of any number of samples."""
 
     def __init__(
         self, estimator: Estimator, theta: Floats, before: ScoreFilter | None = None, left_out: int = UNUSABLE
     ) -> None:
-        """before: of the same axis with another reference, whose guard knows the motion; left_out: as in `gather`."""
-        self.theta, self._left_out = theta, left_out
-        self._kernel, self._first = reference_kernel(estimator, list(theta))
+        """before: of the same axis with another reference, whose guard knows the motion; left_out: as in `Scoring`."""
+        self.theta = np.array(theta, np.float64)
+        self.kernel, first = reference_kernel(estimator, self.theta.tolist())
         if before is not None:
-            take_guard(self._kernel, before._kernel, estimator.precision)
-        size = block_samples(estimator)
-        self._rows = np.empty((size, 2 * theta.size + 1))
-        self._status = np.empty(size, np.uint32)
-        self._wait = self._waiting = start_blocks(estimator, theta)
-        self._u, self._count, self._filled = np.empty(1), np.empty(1, np.int64), 0
+            take_guard(self.kernel, before.kernel, estimator.precision)
+        self.scoring = Scoring(first, self.theta.size, block_samples(estimator), left_out)
+        self.sums, self.progress = self.scoring.start()
+        self.wait = np.array([start_blocks(estimator, self.theta)])
+        self.waiting = self.wait.copy()
+        self._u, self._count = np.empty(1), np.empty(1, np.int64)
+
+    @property
+    def missing(self) -> int:
+        """Samples until the block under way is whole."""
+        return self.scoring.size - int(self.progress[0, 0])
+
+    def rows(self, u: Floats, counts: NDArray[np.int64]) -> tuple[Floats, NDArray[np.uint8]]:
+        """The blocks (m, width) that samples u, counts: (n,) complete, and (m,) whether all of one were disturbed."""
+        return self.kernel.score(u, counts, self.scoring.numbers, self.theta, self.sums[0], self.progress[0])
+
+    def sample(self, u: float, count: int) -> tuple[Floats | None, NDArray[np.uint8]]:
+        """The same of one sample; None: the block is not whole yet."""
+        self._u[0], self._count[0] = u, count
+        rows, lost = self.rows(self._u, self._count)
+        return (rows if len(rows) else None), lost
+
+    def run(self, u: Floats, counts: NDArray[np.int64]) -> Blocks:
+        """The same, without what is said while it waits."""
+        rows, lost = self.rows(np.ascontiguousarray(u), np.ascontiguousarray(counts))
+        used = np.empty(len(rows))
+        for k in range(len(rows)):
+            self.waiting = waiting_after(lost[k : k + 1], self.waiting, self.wait)
+            used[k] = self.waiting[0] == 0
+        return Blocks.of(rows * used[:, None], self.theta.size)
 
     def step(self, u: float, count: int) -> Blocks | None:
         """One sample; the block that it completes, or None."""
         self._u[0], self._count[0] = u, count
-        columns, status = self._kernel.filter(self._u, self._count)
-        row = self._filled
-        self._rows[row] = columns[0, self._first : self._first + self._rows.shape[1]]
-        self._status[row] = status[0]
-        self._filled = (row + 1) % self._status.size
-        if self._filled:
-            return None
-        found = gather(self._rows, self._status, self.theta, self._status.size, self._left_out)
-        block, self._waiting = silenced(*found, self._waiting, self._wait)
-        return block
+        found = self.run(self._u, self._count)
+        return found if len(found.score) else None
 
 
 @dataclass(frozen=True)
@@ -168,24 +192,45 @@ class Scale:
     """What makes scores comparable: x = R^-1 S / sigma is, for each parameter, a deviation in standard deviations.
 
     inverse: (p, p), R^-1, R the mean W_b of normal work; energy: (p,) mean of diag(R^-1 Z_b R^-T); sigma: (p,)
-    standard deviation of a block's deviation [unit of theta] in normal work.
+    standard deviation of a block's deviation [unit of theta] in normal work, or (n, p) that of each block.
     """
 
     inverse: Floats
     energy: Floats
     sigma: Floats
 
+    @cached_property
+    def _products(self) -> Floats:
+        """(p p, p): [j p + k] are the products of the entries j and k of each row of the inverse."""
+        turned = self.inverse.T
+        return (turned[:, None] * turned[None]).reshape(-1, len(turned))
+
     def standardise(self, blocks: Blocks) -> tuple[Floats, Floats]:
         """x (n, p): deviations; w (n, p): the information in them, 1 on average, 0 at standstill.
 
         A parameter that deviates by d standard deviations has E x = d w, variance of x about w.
         """
-        energy = np.einsum("ij,njk,ik->ni", self.inverse, blocks.square, self.inverse)
-        return blocks.score @ self.inverse.T / self.sigma, energy / self.energy
+        return in_order(blocks.score[:, :, None] * self.inverse.T) / self.sigma, self._told(blocks)
+
+    def _told(self, blocks: Blocks) -> Floats:
+        """The w of `standardise`."""
+        square = blocks.square.reshape(len(blocks.square), -1, 1)
+        return np.asarray(in_order(square * self._products) / self.energy)
 
     def information(self, blocks: Blocks) -> Floats:
         """(n,) that blocks tell of all parameters, in average blocks."""
-        return np.asarray(self.standardise(blocks)[1].mean(axis=1))
+        return mean_of(self._told(blocks))
+
+
+def in_order(terms: Floats) -> Floats:
+    """(n, p) sums of terms (n, m, p), one after the other: a sum has the same bits alone and among others, which those
+    of `sum`, `einsum` and matrix products need not have."""
+    return np.asarray(np.add.accumulate(terms, axis=1)[:, -1])
+
+
+def mean_of(w: Floats) -> Floats:
+    """(n,) means of the rows of w (n, p)."""
+    return np.asarray(in_order(w[:, :, None])[:, 0] / w.shape[1])
 
 
 def make_scale(blocks: Blocks) -> Scale:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmfid.monitor.scores import Blocks, Scale, make_scale
+from pmfid.monitor.scores import Blocks, Scale, in_order, make_scale
 from pmfid.types import Floats
 
 #: Information of a unit [average blocks]: the first in which units hardly go with their neighbours.
@@ -44,7 +44,7 @@ class Work:
 
     def centred(self, blocks: Blocks) -> Blocks:
         """Blocks, or sums of them, without what is off all the time."""
-        return replace(blocks, score=blocks.score - blocks.cross @ self.offset)
+        return replace(blocks, score=blocks.score - in_order(blocks.cross.transpose(0, 2, 1) * self.offset[:, None]))
 
     def weighed(self, units: Blocks) -> Blocks:
         """Centred units, each as far as it counts."""

@@ -20,7 +20,7 @@ from pmfid.monitor.work import Work
 from pmfid.types import Floats
 
 #: To be raised with every change of what a calibration computes, or of its file.
-VERSION = 5
+VERSION = 6
 
 
 def cache_dir() -> Path:

@@ -1,0 +1,175 @@
+"""All that changes in monitored axes, as arrays with a row for each axis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid._stage import LOST, SAMPLES, USUAL
+from pmfid.monitor.scores import width_of
+from pmfid.types import Floats
+
+#: Units that an alarm looks back on.
+LOOK_BACK = 64
+Places = NDArray[np.int64]
+#: What follows from other arrays, and is not saved.
+DERIVED = {"saved": False}
+
+
+class Rows:
+    """Arrays of as many rows each, to be taken, put, left out and joined together."""
+
+    __dataclass_fields__: dict[str, object]
+
+    def parts(self, saved_only: bool = False) -> Iterator[tuple[str, NDArray[np.generic]]]:
+        """The arrays by name."""
+        for one in fields(self):  # type: ignore[arg-type]
+            if one.metadata.get("saved", True) or not saved_only:
+                yield one.name, getattr(self, one.name)
+
+    def taken(self, index: Places | slice) -> Self:
+        """Some rows: copies by their numbers, the rows themselves as a slice."""
+        return type(self)(**{name: part[index] for name, part in self.parts()})
+
+    def put(self, index: Places | slice, rows: Self) -> None:
+        """Other numbers for some rows."""
+        for name, part in self.parts():
+            part[index] = getattr(rows, name)
+
+    def selected(self, index: Places) -> Self:
+        """Some rows in their order; all of them are the rows themselves."""
+        return self if index.size == len(next(self.parts())[1]) else self.taken(index)
+
+    def put_selected(self, index: Places, rows: Self) -> None:
+        """What became of `selected`."""
+        if rows is not self:
+            self.put(index, rows)
+
+    def repeated(self, times: int) -> Self:
+        """All rows, so many times."""
+        return type(self)(**{name: np.repeat(part, times, axis=0) for name, part in self.parts()})
+
+    def joined(self, other: Self) -> Self:
+        """The rows of another one behind these."""
+        return type(self)(**{name: np.concatenate([part, getattr(other, name)]) for name, part in self.parts()})
+
+
+@dataclass
+class Sampled(Rows):
+    """What the samples of an axis change. whole, real: of its `Inputs`; flagged: status of the last sample that was not
+    lost; estimator, filter: states of the kernels, packed; sums, progress: of the block under way, see `Scoring`."""
+
+    whole: NDArray[np.int64]
+    real: Floats
+    flagged: NDArray[np.uint32]
+    estimator: NDArray[np.uint8]
+    filter: NDArray[np.uint8]
+    sums: Floats
+    progress: NDArray[np.uint32]
+
+    @property
+    def samples(self) -> NDArray[np.int64]:
+        """(n,) so far, the lost ones among them."""
+        return self.whole[:, SAMPLES]
+
+    @property
+    def lost(self) -> NDArray[np.int64]:
+        """(n,) 1 where the last sample was, else 0."""
+        return self.whole[:, LOST]
+
+    @property
+    def usual(self) -> Floats:
+        """(n,) what the input changes by from sample to sample."""
+        return self.real[:, USUAL]
+
+
+@dataclass
+class Watched(Rows):
+    """What the blocks of an axis change. theta: (n, p) reference; state: number of `STATES`; waiting: blocks that count
+    for nothing; silence: blocks since one that told anything; opened: information of the unit under way, opening: its
+    sum (n, width), members: its blocks, begun: its time; detection: of the detector; units: so far with this reference.
+    wait, sigma, tolerance: of the reference."""
+
+    theta: Floats
+    state: NDArray[np.uint8]
+    waiting: NDArray[np.int64]
+    silence: NDArray[np.int64]
+    opened: Floats
+    opening: Floats
+    members: NDArray[np.int64]
+    begun: Floats
+    detection: Floats
+    statistic: Floats
+    units: NDArray[np.int64]
+    wait: NDArray[np.int64] = field(metadata=DERIVED)
+    sigma: Floats = field(metadata=DERIVED)
+    tolerance: Floats = field(metadata=DERIVED)
+
+    @classmethod
+    def empty(cls, axes: int, p: int, detection: int) -> Watched:
+        """So many axes, still without a reference."""
+        none, nowhere, vector = np.zeros(axes), np.zeros(axes, np.int64), np.zeros((axes, p))
+        return cls(
+            theta=vector,
+            state=np.zeros(axes, np.uint8),
+            waiting=nowhere,
+            silence=nowhere.copy(),
+            opened=none,
+            opening=np.zeros((axes, width_of(p))),
+            members=nowhere.copy(),
+            begun=none.copy(),
+            detection=np.zeros((axes, detection, p)),
+            statistic=none.copy(),
+            units=nowhere.copy(),
+            wait=nowhere.copy(),
+            sigma=vector.copy(),
+            tolerance=vector.copy(),
+        )
+
+
+@dataclass
+class Disturbed(Rows):
+    """What an alarm needs and changes. units: (n, LOOK_BACK, width) the last, in a ring; begun: (n, LOOK_BACK) their
+    times; gathered: information since the suspicion, or since the alarm; suspected: units since the suspicion; crossed:
+    the statistic at it; refined: whether the estimate is the model already; before: (n, p) the reference until then;
+    settled: (n, width) sum of the blocks beside that model; gain: of the input, over that of the estimator."""
+
+    units: Floats
+    begun: Floats
+    gathered: Floats
+    suspected: NDArray[np.int64]
+    crossed: Floats
+    refined: NDArray[np.uint8]
+    before: Floats
+    settled: Floats
+    gain: Floats
+
+    @classmethod
+    def empty(cls, axes: int, p: int) -> Disturbed:
+        """So many axes without any."""
+        width = width_of(p)
+        return cls(
+            np.zeros((axes, LOOK_BACK, width)),
+            np.zeros((axes, LOOK_BACK)),
+            np.zeros(axes),
+            np.zeros(axes, np.int64),
+            np.zeros(axes),
+            np.zeros(axes, np.uint8),
+            np.zeros((axes, p)),
+            np.zeros((axes, width)),
+            np.ones(axes),
+        )
+
+    def push(self, axes: Places, units_before: Places, units: Floats, begun: Floats) -> None:
+        """One more unit of each of some axes."""
+        place = units_before % LOOK_BACK
+        self.units[axes, place], self.begun[axes, place] = units, begun
+
+    def recent(self, axis: int, units: int) -> tuple[Floats, Floats]:
+        """The last units (m, width) of an axis that has had so many, and their times (m,), in order."""
+        order = np.arange(max(0, units - LOOK_BACK), units) % LOOK_BACK
+        return self.units[axis, order], self.begun[axis, order]

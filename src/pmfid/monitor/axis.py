@@ -1,0 +1,237 @@
+"""One axis between its blocks and what is told of it: suspicions, alarms, new references."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid._estimate import Estimate
+from pmfid._stage import Inputs
+from pmfid.estimators.configuration import like
+from pmfid.estimators.facts import INPUT_GAIN, forces_of
+from pmfid.estimators.iv import IV
+from pmfid.estimators.known import Known, Posterior
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.monitor.arrays import Disturbed, Watched
+from pmfid.monitor.calibration import Calibration
+from pmfid.monitor.cause import TRANSITION, Cause, explain, sized
+from pmfid.monitor.events import SETTLING, SUSPICIOUS, WATCHING, Alarm, Event, Settled, StateChange, Watch
+from pmfid.monitor.rows import STATES
+from pmfid.monitor.scores import Blocks, ScoreFilter, Scoring, start_blocks
+from pmfid.monitor.watching import REASONS, Watching
+from pmfid.status import Status
+from pmfid.types import Floats
+
+#: Time without a block that tells anything after which nothing can be told [s], at least so many blocks.
+SILENT_TIME, SILENT_BLOCKS = 2.0, 6
+#: Information, in average blocks, until the estimate after an alarm serves as a model, and then as a reference.
+MODEL_INFORMATION, REFERENCE_INFORMATION = 15.0, 60.0
+#: Information after which a cause that explains so much of what is to explain is named, and after which the best is.
+CAUSE_INFORMATION, CAUSE_SHARE, CAUSE_LATEST = 4.0, 0.95, 8.0
+#: A single block counts for no more: where the model is wrong, it errs in every block in another way.
+MOST_INFORMATION = 1.5
+#: What is kept at the first suspicion of what was gathered before.
+KEEP = 0.003
+FIRST = np.zeros(1, np.int64)
+
+
+@dataclass(repr=False)
+class Axis:
+    """What a `Monitor` knows of its axis, and what it makes of a block."""
+
+    estimator: RecursiveEstimator
+    calibration: Calibration
+    watch: Watch = field(default_factory=Watch)
+    known: Known | None = None
+
+    def __post_init__(self) -> None:
+        self.threshold = self.calibration.tails[self.watch.detector].threshold(self.watch.mtbf_hours)
+        self._front = like(IV, self.estimator, prefilter_zeros=None)
+        self._block_time = self._front.settle_samples * self._front.dt
+        self.watching = self._watching()
+        self._filter = ScoreFilter(self._front, self.calibration.theta, left_out=self.calibration.left_out)
+        p = self.calibration.theta.size
+        self._own, self._rest = Watched.empty(1, p, self.watching.detection_rows(p)), Disturbed.empty(1, p)
+        self.watching.refer(self._own, self.calibration.theta[None])
+        self._inputs, self._flagged = Inputs(), 0
+
+    def _watching(self) -> Watching:
+        return Watching(
+            self.calibration,
+            self.calibration.detectors(self.estimator)[self.watch.detector],
+            self.threshold,
+            self.watch.tolerance,
+            self._front.noise(),
+            lambda theta: start_blocks(self._front, theta),
+            max(SILENT_BLOCKS, round(SILENT_TIME / self._block_time)),
+            self._block_time,
+        )
+
+    @property
+    def scoring(self) -> Scoring:
+        """How blocks are made."""
+        return self._filter.scoring
+
+    @property
+    def state(self) -> str:
+        """STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS or SETTLING."""
+        return STATES[self._own.state[0]]
+
+    @property
+    def samples(self) -> int:
+        """So far, the lost ones among them."""
+        return self._inputs.samples
+
+    @property
+    def statistic(self) -> float:
+        """Of the detector, behind the last block."""
+        return float(self._own.statistic[0])
+
+    @property
+    def reference(self) -> Floats:
+        """(p,) parameters that deviations are measured from."""
+        return np.array(self._own.theta[0])
+
+    @property
+    def _time(self) -> float:
+        return (self.samples - 1) * self.estimator.dt
+
+    def _beside(self, theta: Floats, std: Floats) -> tuple[Floats, Floats]:
+        """A reference (p,) and its standard deviations with what is known, each (q,)."""
+        if self.known is None:
+            return theta, std
+        found = self.known.of(Posterior(self._front.names, self._front.units, theta, np.diag(std**2)))
+        return found.theta, found.theta_std
+
+    def _refer(self, theta: Floats) -> None:
+        """Starts to watch for deviations from theta (p,)."""
+        self._filter = ScoreFilter(self._front, theta, self._filter, self.calibration.left_out)
+        self.watching.refer(self._own, self._filter.theta[None])
+        rest = self._rest
+        rest.gathered[0], rest.refined[0], rest.crossed[0], rest.suspected[0] = 0.0, 0, 0.0, 0
+
+    def _on_block(self, rows: Floats, lost: NDArray[np.uint8], estimate: Estimate) -> list[Event]:
+        """What a block (1, width) leads to, and whether all its samples were disturbed (1,)."""
+        rows, information = self.watching.informed(self._own, rows, lost)
+        if self.state == SETTLING:
+            return self._settle(rows, float(information[0]), estimate)
+        whole, units = self.watching.whole(self._own, rows, information, np.array([self._time]))
+        events = [] if self.state == SUSPICIOUS else self._look_around(estimate)
+        return [*events, *self._on_unit(units, estimate)] if whole[0] else events
+
+    def _on_unit(self, unit: Floats, estimate: Estimate) -> list[Event]:
+        own, rest = self._own, self._rest
+        rest.push(FIRST, own.units, unit, own.begun)
+        information = self.watching.counted(own, unit)
+        if self.state == SUSPICIOUS:
+            rest.gathered[0] += min(float(information[0]), MOST_INFORMATION)
+            rest.suspected[0] += 1
+            return self._alarm(estimate)
+        if not self.watching.crossed(own, information, np.array([estimate.status], np.uint32))[0]:
+            return []
+        rest.gathered[0] = min(float(information[0]), MOST_INFORMATION)
+        rest.crossed[0], rest.suspected[0] = own.statistic[0], 1
+        self.estimator.open_memory(KEEP)
+        return [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm(estimate)]
+
+    def _look_around(self, estimate: Estimate) -> list[Event]:
+        """Whether there is anything to tell from."""
+        wanted, reason = self.watching.looked(self._own, np.array([estimate.status], np.uint32))
+        return self._enter(STATES[wanted[0]], REASONS[reason[0]])
+
+    def _enter(self, state: str, reason: str) -> list[Event]:
+        if state == self.state:
+            return []
+        self._own.state[0] = STATES.index(state)
+        return [StateChange(self._time, state, reason)]
+
+    def _alarm(self, estimate: Estimate) -> list[Event]:
+        units, begun = self._rest.recent(0, int(self._own.units[0]))
+        cause, gathered = self._cause(units, estimate), float(self._rest.gathered[0])
+        clear = gathered >= CAUSE_INFORMATION and cause.share >= CAUSE_SHARE
+        if not clear and gathered < CAUSE_LATEST:
+            return []
+        if abs(cause.relative) <= self.watch.tolerance:
+            self.watching.restart(self._own)
+            return self._enter(WATCHING, "the deviation is within the tolerance")
+        alarm = self._told(cause, float(begun[cause.start]))
+        self._rest.gathered[0], self._rest.refined[0] = 0.0, 0
+        return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
+
+    def _told(self, cause: Cause, begun: float) -> Alarm:
+        units = dict(zip(self._front.names, self._front.units, strict=True))
+        moves = cause.name in (INPUT_GAIN, *forces_of(self._front.equation))
+        scale = float(self._rest.gain[0]) if moves else 1.0
+        return Alarm(
+            self._time,
+            max(0.0, begun),
+            cause.name,
+            units.get(cause.name, ""),
+            scale * cause.change,
+            scale * cause.std,
+            cause.relative,
+            float(self._rest.crossed[0]),
+            self.threshold,
+        )
+
+    def _cause(self, units: Floats, estimate: Estimate) -> Cause:
+        reference, seen = self.reference, self.watching.seen(self._own.sigma[0])
+        latest = max(0, len(units) - int(self._rest.suspected[0])) + TRANSITION
+        names, gain = self._front.names, self.estimator.equation.input_gain
+        fixed = () if self.known is None else tuple(self.known.given)
+        friction = self._friction()
+        recent = Blocks.of(units, reference.size)
+        cause = explain(recent, seen, reference, names, gain, latest, fixed, friction)
+        if not self._usable(estimate):
+            return cause
+        found = np.array(estimate.theta), np.array(estimate.theta_cov)
+        return sized(cause, *found, reference, names, gain, friction)
+
+    def _friction(self) -> Floats | None:
+        """(p,) the frictions of the reference; None where there is but one, and where a cause is named within blocks,
+        too few to tell all frictions from one of them."""
+        equation, reference = self.estimator.equation, self.reference
+        kinds = np.array(equation.positive) & (np.arange(reference.size) != equation.leading)
+        return np.where(kinds, reference, 0.0) if self.calibration.work is not None and kinds.sum() > 1 else None
+
+    def _settle(self, rows: Floats, information: float, estimate: Estimate) -> list[Event]:
+        """First the estimate becomes the model, then what the blocks say beside it the reference."""
+        rest = self._rest
+        rest.gathered[0] += information
+        if rest.refined[0]:
+            rest.settled += rows
+        if not rest.refined[0] and rest.gathered[0] >= MODEL_INFORMATION and self._usable(estimate):
+            rest.before[0] = self.reference
+            self.estimator.open_memory(1.0)  # the error bars need not remember the change
+            self._refer(np.array(estimate.theta))
+            rest.settled[:], rest.refined[0] = 0.0, 1
+        elif rest.refined[0] and rest.gathered[0] >= REFERENCE_INFORMATION:
+            return self._settled()
+        return []
+
+    def _settled(self) -> list[Event]:
+        reference, gathered = self.reference, float(self._rest.gathered[0])
+        p, found = reference.size, Blocks.of(self._rest.settled, reference.size)
+        theta = reference + np.linalg.solve(found.cross[0] + 1e-12 * np.eye(p), found.score[0])
+        size = float(self.watching.sizes(reference[None])[0])
+        std = size * self.calibration.scale.sigma / np.sqrt(gathered)
+        if not self.plausible(theta):
+            theta = reference
+        self._refer(theta)
+        now, bars = self._beside(theta, std)
+        before, _ = self._beside(self._rest.before[0].copy(), std)
+        if self.known is not None and self.known.find_gain:
+            self._rest.gain[0] = float(now[-1]) / self.estimator.equation.input_gain
+        return [Settled(self._time, now, bars, before), *self._enter(WATCHING, "")]
+
+    def _usable(self, estimate: Estimate) -> bool:
+        unusable = Status.STARTING | Status.POOR_EXCITATION | Status.FALLBACK | Status.SETTLING
+        return not estimate.status & unusable and self.plausible(np.array(estimate.theta))
+
+    def plausible(self, theta: Floats) -> bool:
+        """Whether a machine may have the parameters (p,): mass positive, frictions not negative."""
+        equation = self.estimator.equation
+        never_negative = np.array(equation.positive)
+        return bool(np.all(np.isfinite(theta)) and theta[equation.leading] > 0 and np.all(theta[never_negative] >= 0))
