@@ -4,7 +4,8 @@ FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppch
 SERVICE_TOOLS = mosquitto chromium
 BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
-SOURCES = $(shell find src csrc -name '*.py' -o -name '*.py[ix]' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.j2')
+SOURCES = $(shell find src csrc -name '*.py' -o -name '*.py[ix]' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.j2' \
+    -o -path '*/static/*')
 
 .PHONY: demo test test-long kills check format bench study hostile firmware firmware-tools service-tools \
     images clean
@@ -86,7 +87,9 @@ bench: .venv/peers
 	mkdir -p .benchmarks
 	.venv/bin/python -m pytest benchmarks --benchmark-only --benchmark-sort=name --benchmark-json=.benchmarks/latest.json
 	.venv/bin/python -m benchmarks.instructions .benchmarks/instructions.json
-	.venv/bin/python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json docs/benchmarks.md
+	.venv/bin/python -m benchmarks.reading .benchmarks/reading.json
+	.venv/bin/python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json .benchmarks/reading.json \
+		docs/benchmarks.md
 
 firmware: .venv/tools
 	.venv/bin/python -m tests.firmware.study --out docs/footprint.md

@@ -1,7 +1,7 @@
-"""Writes the page of benchmarks: `python -m benchmarks.table RESULTS.json INSTRUCTIONS.json PAGE.md`.
+"""Writes the page of benchmarks: `python -m benchmarks.table RESULTS.json INSTRUCTIONS.json READING.json PAGE.md`.
 
-The first two are those of pytest-benchmark and of `benchmarks.instructions`. Beside the page, with the same name but
-.json, it keeps the figures in a form that results of years can be compared in.
+The first three are those of pytest-benchmark, `benchmarks.instructions` and `benchmarks.reading`. Beside the page, with
+the same name but .json, it keeps the figures in a form that results of years can be compared in.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.instructions import PARTS, STEPS
+from benchmarks.reading import section
 
 REFERENCE = "test_pmfid_bcrls_run[float64]"
 PEER = "test_padasip_rls"
@@ -61,7 +62,9 @@ Written by `make bench`, which runs
 
     python -m pytest benchmarks --benchmark-only --benchmark-sort=name --benchmark-json=.benchmarks/latest.json
     python -m benchmarks.instructions .benchmarks/instructions.json
-    python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json docs/benchmarks.md
+    python -m benchmarks.reading .benchmarks/reading.json
+    python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json .benchmarks/reading.json \\
+        docs/benchmarks.md
 
 and keeps the figures in [benchmarks.json](benchmarks.json).
 
@@ -120,6 +123,7 @@ Of one step of the scalar kernel, counted by callgrind over the first {steps} sa
 |---|---:|---:|---:|---:|---:|
 {instructions}
 
+{reading}
 ## Goals
 
 | goal | measured | |
@@ -255,9 +259,15 @@ def goals(results: Mapping[str, Result]) -> list[str]:
     return [f"| {goal} | {measured} | {'met' if met else '**not met**'} |" for goal, measured, met in lines]
 
 
-def page(machine: Mapping[str, Any], results: Mapping[str, Result], counted: Mapping[str, Mapping[str, float]]) -> str:
+def page(
+    machine: Mapping[str, Any],
+    results: Mapping[str, Result],
+    counted: Mapping[str, Mapping[str, float]],
+    read_in: Mapping[str, float],
+) -> str:
     """The whole page; the same results give the same bytes."""
     return PAGE.format(
+        reading=section(read_in),
         machine=machine_text(machine),
         rows="\n".join(rows(results)),
         goals="\n".join(goals(results)),
@@ -271,27 +281,38 @@ def page(machine: Mapping[str, Any], results: Mapping[str, Result], counted: Map
     )
 
 
-def kept(machine: Mapping[str, Any], results: Mapping[str, Result], counted: Mapping[str, Mapping[str, float]]) -> str:
+def kept(
+    machine: Mapping[str, Any],
+    results: Mapping[str, Result],
+    counted: Mapping[str, Mapping[str, float]],
+    read_in: Mapping[str, float],
+) -> str:
     """The figures under their permanent names, and what machine they are of; nothing that names the host."""
     figures = {
         name: {key: value for key, value in vars(one).items() if key != "output_error" or value is not None}
         for name, one in results.items()
     }
-    content = {"machine": machine_text(machine), "benchmarks": figures, "instructions": counted}
+    content = {
+        "machine": machine_text(machine),
+        "benchmarks": figures,
+        "instructions": counted,
+        "reading": read_in,
+    }
     return json.dumps(content, indent=1, sort_keys=True) + "\n"
 
 
 def main(arguments: list[str]) -> None:
-    """Reads the first two paths, writes the third and its twin in JSON."""
-    if len(arguments) != 3:
-        usage = "python -m benchmarks.table RESULTS.json INSTRUCTIONS.json PAGE.md"
-        sys.exit(f"three paths are needed, got {len(arguments)}: {usage}")
-    source, instructions, target = (Path(argument) for argument in arguments)
+    """Reads the first three paths, writes the fourth and its twin in JSON."""
+    if len(arguments) != 4:
+        usage = "python -m benchmarks.table RESULTS.json INSTRUCTIONS.json READING.json PAGE.md"
+        sys.exit(f"four paths are needed, got {len(arguments)}: {usage}")
+    source, *others, target = (Path(argument) for argument in arguments)
     machine, results = read(source)
-    counted = json.loads(instructions.read_text(encoding="utf-8"))
+    counted, read_in = (json.loads(path.read_text(encoding="utf-8")) for path in others)
     try:
-        target.write_text(page(machine, results, counted), encoding="utf-8", newline="\n")
-        target.with_suffix(".json").write_text(kept(machine, results, counted), encoding="utf-8", newline="\n")
+        target.write_text(page(machine, results, counted, read_in), encoding="utf-8", newline="\n")
+        figures = kept(machine, results, counted, read_in)
+        target.with_suffix(".json").write_text(figures, encoding="utf-8", newline="\n")
     except OSError as error:
         sys.exit(f"cannot write {target}: {error.strerror}; name a file in a folder that exists")
 

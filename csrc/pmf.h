@@ -541,6 +541,9 @@ void pmf_rebase(pmf_state_t *state, uint32_t count);
 /* Samples were lost, and the next one, for pmf_step() after this, reads `count`. Filters and model begin anew with its
  * motion; all that was gathered stays. Of a few samples it is better to step through: along straight lines. */
 void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count);
+/* The last sample was a guess: nothing is learnt from so many (slow motion: some more), at most those in
+ * which the filters settle. They go on. */
+void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples);
 /* One sample: `input` is applied from now on, `count` is read now. Returns the status bits. */
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
 /* P of the estimate, with theta_cov = innovation variance times P; n x n, row by row; its diagonal alone where the

@@ -47,3 +47,15 @@ void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count)
     pmf_clear(&state->linear, (uint32_t)sizeof state->linear);
 #endif
 }
+
+void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples)
+{
+    samples = samples < config->settle_samples ? samples : config->settle_samples;
+#if PMF_WITH_GUARD
+    samples += config->encoder.guard_hold; /* a fast motion ends the wait so many samples early, as behind a glitch */
+    samples = samples < config->settle_samples ? samples : config->settle_samples;
+    state->hold = samples > state->hold ? samples : state->hold;
+#else
+    state->settle = samples > state->settle ? samples : state->settle;
+#endif
+}

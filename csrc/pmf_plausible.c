@@ -199,7 +199,7 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
 #endif
     fine = at_most(state->status, PMF_STATUS_BITS) & at_most(state->settle, settle) &
 #if PMF_WITH_GUARD
-           at_most(state->hold, config->encoder.guard_hold) &
+           at_most(state->hold, settle) &
 #endif
            check_encoder(&config->encoder, &state->encoder) &
            finite((const real_t *)(const void *)&state->network, REALS(state->network)) &

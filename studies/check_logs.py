@@ -82,9 +82,12 @@ def run_of(seed: int, axes: Mapping[str, Axis], motions: tuple[str, ...] = MOTIO
     return moved(axis, machine, motion, coarser, seed, f"{name}, {motion}, {friction}, 1/{coarser}")
 
 
-def moved(axis: Axis, machine: Machine, motion: str, coarser: int, seed: int, label: str = "") -> Run:
-    free = MappingProxyType({**axis.control, "u_max": 4 * axis.control["u_max"]})  # a limit is a fault of the list
-    axis = replace(axis, samples=min(axis.samples, MOST), control=free)
+def moved(
+    axis: Axis, machine: Machine, motion: str, coarser: int, seed: int, label: str = "", limit: float | None = None
+) -> Run:
+    """A run of a machine; limit: of the drive, else one that most controllers do not come to."""
+    largest = 4 * axis.control["u_max"] if limit is None else limit
+    axis = replace(axis, samples=min(axis.samples, MOST), control=MappingProxyType({**axis.control, "u_max": largest}))
     if motion != "ramps":
         record = machines.record_of(axis, machine, motion, 4096 // coarser, seed)
     else:
@@ -122,6 +125,20 @@ def clean(seed: int, axes: Mapping[str, Axis] = ALL) -> Logged:
     run = run_of(seed, axes)
     if seed % 2:
         return logged(run, run.u, run.counts * run.resolution, "position")
+    return logged(run, run.u, run.counts)
+
+
+def limited(seed: int, axes: Mapping[str, Axis] = ALL) -> Logged:
+    """A log with nothing wrong in it, of a drive that is at its limit for as much of it as one of `_saturated`, whose
+    log cuts off what the drive gave."""
+    drawn, part = np.random.default_rng([seed, 11]), np.random.default_rng([seed, 17]).uniform(0.8, 0.95)
+    name, motion = str(drawn.choice(list(axes))), str(drawn.choice(("stop-and-go", "multisine")))
+    axis, coarser = axes[name], int(drawn.choice(COARSER[:2]))
+    friction, machine = machine_of(axis, drawn)
+    free = moved(axis, machine, motion, coarser, seed)
+    limit = float(np.quantile(np.abs(free.u), part))
+    label = f"{name}, {motion}, {friction}, 1/{coarser}"
+    run = moved(axis, machine, motion, coarser, seed, label, limit)
     return logged(run, run.u, run.counts)
 
 

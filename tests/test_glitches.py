@@ -339,3 +339,18 @@ def test_samples_lost_while_the_input_switches_are_not_drawn_as_lines(calibratio
         monitor.between(2, u[1502] + jump * np.ptp(u), int(counts[1502]))
         estimate, _ = monitor.step(u[1502], int(counts[1502]))
         assert (Status.SETTLING in Status(estimate.status)) == settles
+
+
+def test_a_held_input_that_switched_in_lost_samples_is_not_drawn_as_a_line_either(calibration: Calibration) -> None:
+    """Over four samples it changes by no more than usual in as many; the line was learnt from."""
+    rng = np.random.default_rng(5)
+    u = prbs(1700, clock=10, amplitude=3.0, rng=rng)
+    counts = quantize(simulate_drive(CART, u, CART_DT).x, resolution_of(1024)).tolist()
+    for switched in (False, True):
+        first = next(k for k in range(1500, 1690) if (u[k - 1] != u[k + 4]) == switched and u[k - 1] == u[k])
+        monitor = Monitor(make_riv(1024, TRUTH), calibration, Watch())
+        for k in range(first):
+            monitor.step(float(u[k]), counts[k])
+        monitor.between(4, float(u[first + 4]), counts[first + 4])
+        estimate, _ = monitor.step(float(u[first + 4]), counts[first + 4])
+        assert (Status.SETTLING in Status(estimate.status)) == switched

@@ -12,6 +12,7 @@ import pytest
 
 from pmfid.errors import UsageError
 from pmfid.session.config import load_axis
+from pmfid.session.formats.csv_file import parse_csv
 from pmfid.session.formats.layout import layout_of
 from pmfid.session.formats.reading import read_table
 from pmfid.session.records import Record, read_record
@@ -276,3 +277,8 @@ def test_a_line_of_missing_numbers_is_no_header(tmp_path: Path) -> None:
     head = "%Motor data\n\n%timestep,voltage,position,speed\n%[#],[V],[turns],[turns/s]\nnan,nan,nan,nan;\n"
     (tmp_path / "log.csv").write_text(head + "".join(f"{k},{k % 3}.5,{k / 8},0.0;\n" for k in range(40)))
     assert list(read_table(tmp_path / "log.csv"))[:3] == ["timestep [#]", "voltage [V]", "position [turns]"]
+
+
+def test_columns_of_numbers_are_read_as_numbers_from_the_first_on() -> None:
+    table = parse_csv(b"t,u,y\n0.0,1,2.5\n0.1,2,3.5\n0.2,1,4\n")
+    assert [str(column.dtype) for column in table.values()] == ["Float64"] * 3

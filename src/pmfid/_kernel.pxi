@@ -67,6 +67,7 @@ cdef extern from "pmf_internal.h":
     void pmf_open(const pmf_config_t *, pmf_state_t *, uint32_t, real_t) nogil
     void pmf_rebase(pmf_state_t *, uint32_t) nogil
     void pmf_gap(const pmf_config_t *, pmf_state_t *, uint32_t) nogil
+    void pmf_doubt(const pmf_config_t *, pmf_state_t *, uint32_t) nogil
     const pmf_estimate_t *pmf_estimate(const pmf_config_t *, const pmf_state_t *) nogil
     void pmf_clear(void *, uint32_t) nogil
     void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *, pmf_auxiliary_state_t *, const pmf_late_state_t *,
@@ -182,6 +183,10 @@ cdef class Kernel:
         """Samples were lost, and the next one reads `counts`, an integer of any size; anything else raises TypeError."""
         cdef uint64_t count = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
         pmf_gap(&self.config, &self.state, <uint32_t> count)
+
+    def doubt(self, uint32_t samples):
+        """The last sample was a guess: nothing is learnt from so many samples, at most those in which filters settle."""
+        pmf_doubt(&self.config, &self.state, samples)
 
     cdef Estimate _snapshot(self):
         cdef Estimate estimate = Estimate.__new__(Estimate)

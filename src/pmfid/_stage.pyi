@@ -3,7 +3,12 @@ from numpy.typing import ArrayLike, NDArray
 
 SAMPLES: int
 LOST: int
+KNOWN: int
+CHANGED: int
 USUAL: int
+SAME: int
+ALONE: int
+POWER: int
 
 def first_order(
     signal: ArrayLike, a: float, b0: float, b1: float = 0.0, memory: float = 0.0
@@ -17,6 +22,10 @@ class Inputs:
     lost: bool
     input: float
     usual: float
+    known: bool
+    same: float
+    alone: float
+    power: float
     numbers: tuple[NDArray[np.int64], NDArray[np.float64]]
     def step(self, u: float, counts: int) -> int: ...
     def run(self, u: NDArray[np.float64], counts: NDArray[np.int64]) -> NDArray[np.int64]: ...

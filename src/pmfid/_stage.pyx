@@ -28,30 +28,54 @@ def first_order(signal, double a, double b0, double b1=0.0, double memory=0.0):
 
 
 #: Places in the whole numbers of an axis: the last counts, what is added to what its counter shows, the change of the
-#: counts in the last sample, samples so far, whether the last one was lost.
+#: counts in the last sample, samples so far, whether the last one was lost, whether any was not, whether the input
+#: changed in the last one that was not.
 cpdef enum:
     COUNTS = 0
     ZERO
     CHANGE
     SAMPLES
     LOST
+    KNOWN
+    CHANGED
     WHOLE
-#: And in its real ones: the last input, and what it usually changes by.
+#: And in its real ones: the last input, what it usually changes by, in which part of the samples it stays the same, which
+#: part of its changes come alone, and its mean square.
 cpdef enum:
     INPUT = 0
     USUAL
+    SAME
+    ALONE
+    POWER
     REAL
-#: The part by which a sample counts in what is usual.
-cdef double LATELY = 0.01
+#: The part by which a sample counts in what is usual, and a change in how changes come.
+cdef double LATELY = 0.01, SELDOM = 0.05
+#: An input beyond it has no square.
+cdef double MOST_INPUT = 1e150
 
 
 cdef inline int64_t _sum(int64_t a, int64_t b) noexcept nogil:
     return <int64_t> (<uint64_t> a + <uint64_t> b)  # modulo 2^64, where C leaves the signed sum open
 
 
+cdef inline void _learn(int64_t *whole, double *real, double u) noexcept nogil:
+    """What an input that was not lost adds to what is usual; of the first samples each counts the same."""
+    cdef double share = 1.0 / whole[SAMPLES], apart = fabs(u - real[INPUT])
+    cdef bint changed = u != real[INPUT]
+    share = share if share > LATELY else LATELY
+    if fabs(u) < MOST_INPUT:
+        real[POWER] += share * (u * u - real[POWER])
+    if whole[KNOWN] and isfinite(apart):
+        real[USUAL] += share * (apart - real[USUAL])
+        real[SAME] += share * ((0.0 if changed else 1.0) - real[SAME])
+        if changed:
+            real[ALONE] += SELDOM * ((0.0 if whole[CHANGED] else 1.0) - real[ALONE])
+        whole[CHANGED] = changed
+    whole[KNOWN], real[INPUT] = 1, u
+
+
 cdef inline int64_t _follow(int64_t *whole, double *real, double u, int64_t counts) noexcept nogil:
     cdef bint lost = not isfinite(u)
-    cdef double apart
     if whole[LOST] and not lost:
         whole[ZERO] = _sum(whole[COUNTS], -<uint64_t> counts)
     counts = whole[COUNTS] if lost else _sum(counts, whole[ZERO])
@@ -59,10 +83,7 @@ cdef inline int64_t _follow(int64_t *whole, double *real, double u, int64_t coun
     whole[LOST], whole[COUNTS] = lost, counts
     whole[SAMPLES] += 1
     if not lost:
-        apart = fabs(u - real[INPUT])
-        if isfinite(apart):
-            real[USUAL] += LATELY * (apart - real[USUAL])
-        real[INPUT] = u
+        _learn(whole, real, u)
     return counts
 
 
@@ -78,6 +99,7 @@ cdef class Inputs:
 
     def __init__(self):
         self.numbers = np.zeros(WHOLE, np.int64), np.zeros(REAL)
+        self._real[ALONE] = 1.0
 
     def step(self, double u, counts):
         """The counts of one sample; those of a lost one are not looked at. Raises TypeError for no integer."""
@@ -141,6 +163,26 @@ cdef class Inputs:
         return self._real[USUAL]
 
     @property
+    def known(self):
+        """Whether any sample was not lost."""
+        return self._whole[KNOWN] != 0
+
+    @property
+    def same(self):
+        """The part of the samples in which the input stays the same, of late."""
+        return self._real[SAME]
+
+    @property
+    def alone(self):
+        """The part of the input's changes before which it stayed the same, of late."""
+        return self._real[ALONE]
+
+    @property
+    def power(self):
+        """The mean square of the input, of late."""
+        return self._real[POWER]
+
+    @property
     def numbers(self):
         """All that, as arrays, whole and real."""
         return np.array([self._whole[i] for i in range(WHOLE)], np.int64), np.array([self._real[i] for i in range(REAL)])
@@ -156,8 +198,8 @@ cdef class Inputs:
 
 def follow_many(cnp.ndarray[int64_t, ndim=2, mode="c"] whole not None, cnp.ndarray[double, ndim=2, mode="c"] real not None,
                 cnp.ndarray[double, ndim=2, mode="c"] u not None, cnp.ndarray[int64_t, ndim=2, mode="c"] counts not None):
-    """The counts (axes, n) that the estimators of many axes get, u, counts: (axes, n); whole (axes, 5) and
-    real (axes, 2): the numbers of their `Inputs`, which go on. Raises ValueError for other shapes."""
+    """The counts (axes, n) that the estimators of many axes get, u, counts: (axes, n); whole (axes, WHOLE) and
+    real (axes, REAL): the numbers of their `Inputs`, which go on. Raises ValueError for other shapes."""
     cdef Py_ssize_t axes = u.shape[0], n = u.shape[1], axis, k
     shapes = [np.shape(table) for table in (counts, whole, real)]
     if shapes != [(axes, n), (axes, WHOLE), (axes, REAL)]:

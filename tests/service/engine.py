@@ -14,19 +14,24 @@ from pmfid.service.sources import Source
 
 @dataclass
 class FakeEngine:
-    """deliveries: all that came; told: what sources told; checkpoint: makes all that came durable; ends: takes no
-    more."""
+    """deliveries: all that came; told: what sources told; reached: end of the latest block of each axis; ends: takes no
+    more; slow: time that a delivery takes [s]."""
 
     deliveries: list[Delivery] = field(default_factory=list)
     told: list[dict[str, Any]] = field(default_factory=list)
+    reached: dict[str, int] = field(default_factory=dict)
     ends: bool = False
     slow: float = 0.0
     _durable: int = 0
 
     def take(self, delivery: Delivery) -> bool:
-        time.sleep(self.slow)
+        if self.slow:
+            time.sleep(self.slow)
         if not self.ends:
             self.deliveries.append(delivery)
+            for item in delivery.items:
+                if isinstance(item, Block):
+                    self.reached[item.axis] = max(item.end, self.reached.get(item.axis, 0))
         return not self.ends
 
     def checkpoint(self) -> None:

@@ -78,6 +78,7 @@ class Host:
 
     folder: Path
     name: str = "hall-3"
+    state: Path | None = None
     counters: Counters = field(default_factory=Counters)
     told: list[dict[str, Any]] = field(default_factory=list)
 

@@ -188,6 +188,17 @@ def test_a_stream_that_cannot_be_cut_back_ends_there(tmp_path: Path, monkeypatch
     assert parquet(folder)["number"].to_list() == [1, 1, 1, 2, 2, 2]
 
 
+def test_a_stream_that_someone_removed_is_told_and_begun_anew(tmp_path: Path) -> None:
+    folder, host = tmp_path / "rows", Host(tmp_path)
+    sink = opened(folder, host)
+    sink.put([block(GROUP, 1)])
+    next(folder.iterdir()).unlink()
+    sink.put([block(GROUP, 2)])
+    sink.close()
+    assert parquet(folder)["number"].to_list() == [2, 2, 2]
+    assert ["was removed" in told["problem"] for told in host.told] == [True]
+
+
 def test_parquet_that_cannot_be_made_holds_up_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, host = tmp_path / "rows", Host(tmp_path)
 

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import pmfid
+from pmfid.cli.main import main
 from pmfid.errors import UsageError
 from pmfid.service.delivery import Block, Unusable
 from pmfid.service.wire.blocks import MAGIC, MOST_BYTES, MOST_SAMPLES, BlockStream, decode, encode
@@ -288,10 +289,10 @@ def test_the_drive_writes_the_bytes_of_python(tmp_path: Path) -> None:
 
 
 def test_the_encoder_goes_out_with_firmware_on_request_alone(tmp_path: Path) -> None:
-    estimator = pmfid.BCRLS(pmfid.Drive(2.0), pmfid.Encoder(1e-5), 0.001, 50.0)
     without, with_it = tmp_path / "without", tmp_path / "with"
-    pmfid.export_firmware(estimator, without)
-    pmfid.export_firmware(estimator, with_it, blocks=True)
+    for folder, option in ((without, []), (with_it, ["--blocks"])):
+        arguments = ["export", str(ROOT / "examples" / "cart.toml"), "--dt", "0.01", "--out", str(folder), *option]
+        assert CliRunner().invoke(main, arguments).exit_code == 0
     files = {path.name: path.read_bytes() for path in with_it.iterdir()}
     added = {name for name in files if not (without / name).exists()}
     other = {path.name for path in without.iterdir() if path.read_bytes() != files[path.name]}

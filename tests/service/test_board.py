@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pmfid.service.board import Board
-from pmfid.service.board.panel import COARSEST, MOST, POINTS, Panel
+from pmfid.service.board.panel import COARSEST, MOST, POINTS, Panel, row_bytes
 from pmfid.service.counters import Counters
 from pmfid.service.outcome import Kindred, Notice, Rows
 from tests.service.fake_engine import FakePlant
@@ -60,7 +60,7 @@ def test_news_tell_each_change_once() -> None:
 
 def test_history_keeps_a_row_in_every_seconds_and_forgets_the_oldest() -> None:
     group = kindred("a", "b")
-    board = board_of(group, budget=1.0, every=1.0)  # the least that is kept: 32 rows of each
+    board = board_of(group, budget=2 * 32 * row_bytes(group), every=1.0)
     for k in range(200):
         board.rows(rows_of(group, [0], [k], time=[0.25 * k]))
     history = board.history("a")
@@ -85,6 +85,15 @@ def test_memory_is_what_the_budget_says() -> None:
     assert large.depth == MOST
     kept = board_of(group, budget=8e6)._panels[0]._kept
     assert 7e6 < kept.nbytes <= 8e6
+
+
+def test_what_is_kept_can_be_changed_before_the_start() -> None:
+    group = kindred("a")
+    board = board_of(group)
+    board.rows(rows_of(group, [0], [1]))
+    board.keep(50 * row_bytes(group))
+    assert board._panels[0].depth == 50
+    assert board.history("a").size == 1  # type: ignore[union-attr]
 
 
 def test_a_trend_grows_to_a_day_and_then_moves_on() -> None:

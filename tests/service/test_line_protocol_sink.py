@@ -142,6 +142,19 @@ def test_a_line_that_a_kill_cut_off_spoils_no_other(tmp_path: Path) -> None:
     assert path.read_bytes().startswith(b"pmfid,axis=x0 mass=1.0 17\npmfid,axis=x0 ma\npmfid,axis=x0")
 
 
+def test_a_file_that_is_renamed_or_removed_is_made_anew(tmp_path: Path) -> None:
+    path = tmp_path / "rows.lp"
+    sink = sink_to("rows.lp", tmp_path)
+    sink.put([block(GROUP, 1)])
+    path.rename(tmp_path / "rows.lp.1")
+    sink.put([block(GROUP, 2)])
+    path.rename(tmp_path / "rows.lp.2")
+    sink.put([block(GROUP, 3)])
+    sink.close()
+    names = ("rows.lp.1", "rows.lp.2", "rows.lp")
+    assert [parsed((tmp_path / name).read_bytes())[0].fields["number"] for name in names] == [1, 2, 3]
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
 def test_a_device_that_is_full_is_an_error_that_may_pass(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="No space left on device") as error:
@@ -199,6 +212,21 @@ def test_udp_has_whole_lines_in_bounded_datagrams(tmp_path: Path) -> None:
     sink.put([block(GROUP, 1)])
     sink.close()
     assert [point.fields["number"] for point in points] == [n for n in range(1, 11) for _ in range(2)]
+
+
+def test_a_line_too_long_for_any_datagram_holds_up_no_other(tmp_path: Path) -> None:
+    host = Host(tmp_path)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(20)
+        outlet = LineProtocolSection(to=f"udp://127.0.0.1:{listener.getsockname()[1]}").outlet("lines", host)
+        outlet.notice(notice(1, "source", problem="x" * 100_000))
+        outlet.notice(alarm(2))
+        outlet.start()
+        assert parsed(listener.recv(65536))[0].fields["number"] == 2
+        assert outlet.close(20)
+    assert host.count("pmfid_refused_total", sink="lines") == 1
+    assert "too long for a datagram" in host.told[0]["problem"]
 
 
 def test_http_with_the_token_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -222,6 +222,7 @@ def slashed(text: str) -> str:
 
 @settings(max_examples=80, deadline=None)
 @given(texts, st.dictionaries(texts, texts, max_size=3), st.dictionaries(texts, fields, max_size=4), st.integers(-5, 5))
+@example("\\=", {}, {"=": 0.0}, 0)
 @example("a\\", {"b\\": "c\\", "d": "\\,"}, {"e\\=": 1.0, "f": "\\"}, 5)
 def test_what_is_written_is_read_again(
     measurement: str, tags: dict[str, str], values: dict[str, float | int | bool | str], time_ns: int

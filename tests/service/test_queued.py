@@ -289,3 +289,18 @@ def test_a_sink_is_looked_after_while_nothing_comes(host: Host, monkeypatch: pyt
     assert outlet.close(20)
     assert [told["works"] for told in host.told] == [False, True]
     assert sink.got == []
+
+
+def test_what_is_kept_for_a_sink_is_what_it_may_still_get(host: Host) -> None:
+    sink = Faulty(error=OSError(28, "No space left on device"))
+    outlet = started(sink, host, Limits(notices=5))
+    for number in range(1, 21):
+        outlet.notice(alarm(number))
+    assert until(lambda: host.told)
+    assert outlet.close(20)
+    assert sorted(one.number for one in outlet.unwritten()) == [16, 17, 18, 19, 20], "also after its end"
+    assert host.count("pmfid_dropped_notices_total", sink="s") == 20
+    written = started(Faulty(), host)
+    written.notice(alarm(1))
+    assert written.close(20)
+    assert written.unwritten() == []

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.service.sinks.kinds import SINKS
+from pmfid.service.kinds import SINKS
 from pmfid.session.toml_file import FileSection, validated
 from tests.service.feed import Host, alarm, block, kindred, until
 
@@ -44,7 +44,7 @@ def test_a_section_makes_a_sink_and_names_what_is_wrong(kind: str, tmp_path: Pat
 
 def test_no_sink_brings_a_heavy_library_before_it_is_used() -> None:
     program = (
-        "from pmfid.service.sinks.kinds import SINKS\n"
+        "from pmfid.service.kinds import SINKS\n"
         "for section in SINKS.values(): section()\n"
         "import json, sys; print(json.dumps(sorted(sys.modules)))"
     )

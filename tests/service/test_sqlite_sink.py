@@ -89,6 +89,21 @@ def test_a_service_that_counts_from_one_again_loses_no_alarm(tmp_path: Path) -> 
     ]
 
 
+def test_the_history_of_configurations_has_what_changed(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    digests = ["aa", "aa", "bb", "bb", "aa"]
+    for number, digest in enumerate(digests):
+        written(path, notice(number, "configuration", axis="", config="cart.toml", digest=digest, wall=number))
+        written(path, notice(100 + number, "configuration", axis="", config="cell.toml", digest="cc"))
+        written(path, notice(200 + number, "configuration", axis="", config="cart.toml", problem="it cannot be read"))
+    assert of(path, "SELECT config, digest FROM configurations ORDER BY id") == [
+        ("cart.toml", "aa"),
+        ("cell.toml", "cc"),
+        ("cart.toml", "bb"),
+        ("cart.toml", "aa"),
+    ]
+
+
 def test_numbers_that_are_none_and_alarms_that_are_not_there(tmp_path: Path) -> None:
     path = tmp_path / "a.sqlite"
     written(
@@ -137,6 +152,16 @@ def test_a_sink_that_cannot_write_tells_and_goes_on_by_itself(tmp_path: Path, mo
 def test_a_folder_that_is_read_only_is_an_error_that_may_pass() -> None:
     with pytest.raises(OSError, match="unable to open"):
         SqliteSink("a", Path("/proc/a.sqlite")).open()
+
+
+def test_without_a_path_it_lies_where_the_state_is_kept(tmp_path: Path) -> None:
+    for host in (Host(tmp_path), Host(tmp_path, state=tmp_path / "state")):
+        sink = SqliteSection().make("alarms", host)
+        sink.open()
+        sink.put([alarm(1)])
+        sink.close()
+    assert of(tmp_path / "alarms.sqlite", "SELECT number FROM alarms") == [(1,)]
+    assert of(tmp_path / "state" / "alarms.sqlite", "SELECT number FROM alarms") == [(1,)]
 
 
 def test_files_of_others_are_left_alone(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import ssl
 import subprocess
 from pathlib import Path
@@ -11,9 +12,10 @@ from shutil import which
 
 import pytest
 
+import pmfid.service
 from pmfid.errors import UsageError
 from pmfid.service.sinks import RefusedError
-from pmfid.service.sinks.webhook import WebhookSection, WebhookSink
+from pmfid.service.sinks.webhook import EVENTS, WebhookSection, WebhookSink
 from pmfid.session.toml_file import FileSection, validated
 from tests.service.feed import Host, alarm, block, kindred, notice, until
 from tests.service.web_servers import bad_server, web_server
@@ -194,6 +196,7 @@ def test_addresses_and_secrets_that_cannot_be_are_refused_without_being_told(
         ({"url": "https://a.b", "secret": "in the file"}, "secret is an unknown key"),
         ({"url": "https://a.b", "secret_header": "A:\r\n"}, "secret_header"),
         ({"url": "https://a.b", "events": []}, "events"),
+        ({"url": "https://a.b", "events": ["alarms"]}, "no event 'alarms'; there are alarm, .*; did you mean 'alarm'"),
     ],
 )
 def test_a_section_that_cannot_be_is_told(keys: dict[str, object], problem: str) -> None:
@@ -202,3 +205,12 @@ def test_a_section_that_cannot_be_is_told(keys: dict[str, object], problem: str)
 
     with pytest.raises(UsageError, match=problem):
         validated(Whole, {"hook": {"kind": "webhook", **keys}})
+
+
+def test_all_events_of_the_service_are_known() -> None:
+    source = Path(pmfid.service.__file__).parent
+    texts = [path.read_text(encoding="utf-8") for path in source.rglob("*.py")]
+    texts.append((source.parent / "session" / "monitored" / "run.py").read_text(encoding="utf-8"))
+    told = {event for text in texts for event in re.findall(r'"event": "([a-z ]+)"', text)}
+    assert len(told) > 10
+    assert told - set(EVENTS) == set()

@@ -9,6 +9,7 @@ import click
 from pmfid.cli.options import JSON, RECORDS, config_option
 from pmfid.cli.output import print_json
 from pmfid.errors import printable
+from pmfid.findings import codes
 
 EXIT_FOUND, EXIT_WRONG = 1, 3
 
@@ -23,8 +24,8 @@ def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: 
     that wraps, ends or sticks, an input that is cut off, held or of another clock, a sample rate or a motion that tells
     nothing, an input that acts late. Each with its remedy. `pmfid identify` says the same.
 
-    Exit code 0: nothing is found; 1: something that moves the estimate; 2: wrong usage or unreadable input; 3: nothing
-    can be identified from this record as it is read.
+    Exit code 0: nothing is found but notes, which cost nothing; 1: something that moves the estimate; 2: wrong usage or
+    unreadable input; 3: nothing can be identified from this record as it is read.
     """
     from pmfid.session.config import load_axis
     from pmfid.session.identify import check as run
@@ -35,11 +36,13 @@ def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: 
     data = kind.read(records, axis)
     name, samples = kind.name_and_samples(data)
     found = run(data, axis)
+    faults = codes(found)
     if as_json:
         print_json({"record": name, "samples": samples, "findings": [finding.to_json() for finding in found]})
     else:
-        click.echo(printable(f"{name}: {samples} samples, " + ("" if found else "nothing found")).rstrip(", "))
+        said = "" if faults else ", nothing wrong found" if found else ", nothing found"
+        click.echo(printable(f"{name}: {samples} samples{said}"))
         for finding in found:
             click.echo(printable(finding.line))
     wrong = any(finding.severity == "wrong" for finding in found)
-    ctx.exit(EXIT_WRONG if wrong else EXIT_FOUND if found else 0)
+    ctx.exit(EXIT_WRONG if wrong else EXIT_FOUND if faults else 0)

@@ -220,6 +220,10 @@ class RecursiveEstimator(Estimator):
         if not self.plant.rests:
             raise UsageError(f"{self.method} of a linear process takes no gaps: reset it, or use srivc off-line")
 
+    def doubt(self, samples: int) -> None:
+        """The next samples are guesses: `Runner.doubt` of `runner`."""
+        self.runner.doubt(samples)
+
     def reset(self) -> None:
         """Forgets all samples."""
         self.runner.reset()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import Field
-from numbers import Real
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from numpy.typing import ArrayLike
@@ -126,8 +126,17 @@ class Runner(Generic[E]):
     def gap(self, counts: int) -> None:
         """Samples were lost, and the next one has these counts: filters and auxiliary model begin anew with its motion,
         and what was gathered stays. A gap of a few samples is better stepped through, input and counts on the straight
-        lines between its neighbours. Raises TypeError for counts that are no integer."""
+        lines between its neighbours, behind `doubt` where the input may have leapt in it. Raises TypeError for counts
+        that are no integer."""
         self.kernel.gap(counts)
+
+    def doubt(self, samples: int) -> None:
+        """The next samples are guesses, as those of a gap in which the input switched: nothing is learnt from so many,
+        in slow motion some more, at most from as many as the filters take to settle, and the status says `SETTLING`.
+        Filters and auxiliary model go on. Raises UsageError for a number that is negative or no integer."""
+        if isinstance(samples, bool) or not isinstance(samples, Integral) or not samples >= 0:
+            raise UsageError(f"samples must be a whole number from 0 on, got {samples!r}")
+        self.kernel.doubt(min(int(samples), 2**31))
 
     def reset(self) -> None:
         """Forgets all samples."""

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid._stage import LOST, SAMPLES, USUAL
+from pmfid._stage import ALONE, CHANGED, KNOWN, LOST, POWER, SAME, SAMPLES, USUAL
 from pmfid.monitor.scores import width_of
 from pmfid.types import Floats
 
@@ -77,14 +77,19 @@ class Sampled(Rows):
         return self.whole[:, SAMPLES]
 
     @property
-    def lost(self) -> NDArray[np.int64]:
-        """(n,) 1 where the last sample was, else 0."""
-        return self.whole[:, LOST]
+    def yes_or_no(self) -> NDArray[np.int64]:
+        """(n, 3) 1 or 0: whether the last sample was lost, any was not, the input changed in the last that was not."""
+        return self.whole[:, [LOST, KNOWN, CHANGED]]
 
     @property
-    def usual(self) -> Floats:
-        """(n,) what the input changes by from sample to sample."""
-        return self.real[:, USUAL]
+    def sizes(self) -> Floats:
+        """(n, 2), not negative: what the input changes by from sample to sample, and its mean square."""
+        return self.real[:, [USUAL, POWER]]
+
+    @property
+    def shares(self) -> Floats:
+        """(n, 2) from 0 to 1: samples in which the input stays the same, and its changes that come alone."""
+        return self.real[:, [SAME, ALONE]]
 
 
 @dataclass

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import zlib
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +19,7 @@ from pmfid.kernel.structures import whole_words
 from pmfid.monitor.arrays import Sampled
 from pmfid.monitor.axis import FIRST, Axis
 from pmfid.monitor.events import SETTLING, SUSPICIOUS, WATCHING, Event, Outlier, Settled
+from pmfid.monitor.lost import guess
 from pmfid.monitor.rows import FleetRows
 from pmfid.monitor.saved import Saved, checked, read, written
 from pmfid.monitor.scores import ScoreFilter, reference_kernel
@@ -32,9 +32,6 @@ if TYPE_CHECKING:
 #: What a flagged sample is told as.
 OUTLIERS = {int(Status.COUNT_JUMP): "counts", int(Status.INVALID_INPUT): "input"}
 ANY_OUTLIER = sum(OUTLIERS)
-#: An input that changed over lost samples by so many times what it usually does in as many has switched in one of them,
-#: nobody knows which.
-SWITCHED = 6.0
 
 
 @dataclass(repr=False)
@@ -159,21 +156,19 @@ class Monitor(Axis, Shown):
         return events
 
     def between(self, missing: int, u: float, counts: int) -> list[Event]:
-        """A few samples that were lost before one of u and counts: the input is on a straight line to it from the last,
-        the counts on the parabola that leaves the last as fast as they came to it.
-        Where nothing is known of that, the input has switched in one of them, or it is lost itself, as `skip`. What
-        there is to tell."""
-        last = self._inputs
-        if last.lost or not (self.samples and math.isfinite(u)):
+        """A few samples that were lost before one of u and counts: what most likely stood there (`guess`), and nothing
+        is learnt for a while where a held input switched in one of them, nobody knows which. Where nothing is known of
+        them, as `skip`. What there is to tell."""
+        last, rate = self._inputs, self.estimator.cutoff * self.estimator.dt
+        found = guess(last, rate, missing, u, counts + last.zero)
+        if found is None:
             return self.skip(missing)
-        if abs(u - last.input) > SWITCHED * (missing + 1) * last.usual:
-            return self.skip(missing)
-        first, start = last.input, last.counts - last.zero
-        events, n, change = list[Event](), missing + 1, last.change
-        bend = (counts - start - change * n) / (n * n + n)
-        for k in range(1, n):
-            moved = round(k * (change + bend * (k + 1)))
-            events += self.step(first + k / n * (u - first), start + moved)[1]
+        if found.doubt:
+            self.estimator.doubt(found.doubt)
+            self._filter.doubt(found.doubt)
+        events = list[Event]()
+        for moment in found.samples:
+            events += self.step(moment[0], moment[1] - last.zero)[1]
         return events
 
     def refer(self, theta: ArrayLike | None = None) -> list[Event]:

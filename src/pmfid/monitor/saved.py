@@ -165,13 +165,14 @@ def checked(judge: Judge, saved: Saved) -> Saved:
 def _counts_fit(judge: Judge, saved: Saved) -> bool:
     """Whether whole numbers, and real ones that have a sign, are what they may be."""
     sampled, watched, rest = saved.sampled, saved.watched, saved.disturbed
-    samples, lost = sampled.samples, sampled.lost
+    samples = sampled.samples
     uneasy = np.isin(watched.state, [STATES.index(SUSPICIOUS), STATES.index(SETTLING)])
     counted = (samples, watched.waiting, watched.silence, watched.members, watched.units, rest.suspected)
     conditions = [
         *((number >= 0) & (number <= MOST) for number in counted),
-        (lost == 0) | (lost == 1),
-        sampled.usual >= 0,
+        (sampled.yes_or_no == 0) | (sampled.yes_or_no == 1),
+        sampled.sizes >= 0,
+        (sampled.shares >= 0) & (sampled.shares <= 1),
         sampled.progress[:, 0] < judge.scoring.size,
         sampled.progress[:, 1] <= sampled.progress[:, 0],
         watched.state < len(STATES),

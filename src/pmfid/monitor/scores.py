@@ -180,6 +180,10 @@ class ScoreFilter:
             used[k] = self.waiting[0] == 0
         return Blocks.of(rows * used[:, None], self.theta.size)
 
+    def doubt(self, samples: int) -> None:
+        """So many samples from now on count for nothing."""
+        self.kernel.doubt(samples)
+
     def step(self, u: float, count: int) -> Blocks | None:
         """One sample; the block that it completes, or None."""
         self._u[0], self._count[0] = u, count

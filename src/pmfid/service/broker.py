@@ -102,7 +102,7 @@ def _context(section: BrokerSection, folder: Path) -> ssl.SSLContext:
     return context
 
 
-def pauses(first: float = 0.5, longest: float = 30.0) -> Iterator[float]:
+def pauses(first: float = 0.5, longest: float = 10.0) -> Iterator[float]:
     """Seconds to wait before each attempt after a failure: each twice the last one."""
     while True:
         yield first

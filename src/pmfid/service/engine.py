@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any, Protocol
 
+import numpy as np
+
 from pmfid.errors import UsageError
 from pmfid.service.commands import Acknowledge, Command, Commands, Refer
 from pmfid.service.counters import Counters
@@ -25,6 +27,8 @@ __all__ = ["Engine", "Keeper"]
 
 #: The engine looks at its commands so often where nothing comes in [s].
 IDLE = 0.1
+#: Deliveries are counted whose estimates took longer than these [s].
+SLOW = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
 
 class Keeper(Protocol):
@@ -231,8 +235,10 @@ class Engine:
         self.counters.add("pmfid_deliveries_total", len(batch))
         self.counters.add("pmfid_engine_busy_seconds_total", now - begun)
         self.counters.put("pmfid_inbox_deliveries", len(self.inbox))
-        oldest = min((d.received for d in batch if d.received), default=now)
-        self.counters.put("pmfid_latency_seconds", now - oldest)
+        ages = np.array([now - delivery.received for delivery in batch if delivery.received])
+        self.counters.put("pmfid_latency_seconds", float(ages.max(initial=0.0)))
+        for limit in SLOW:
+            self.counters.add("pmfid_deliveries_slower_total", int(np.sum(ages > limit)), than=f"{limit:g}")
 
     def _obey(self) -> None:
         while self._asked:

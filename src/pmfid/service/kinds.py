@@ -32,6 +32,24 @@ def _mqtt() -> type[SourceSection]:
     return MqttSection
 
 
+def _execd() -> type[SourceSection]:
+    from pmfid.service.sources.execd import ExecdSection
+
+    return ExecdSection
+
+
+def _serial() -> type[SourceSection]:
+    from pmfid.service.sources.serial import SerialSection
+
+    return SerialSection
+
+
+def _opcua() -> type[SourceSection]:
+    from pmfid.service.sources.opcua import OpcuaSection
+
+    return OpcuaSection
+
+
 def _arrow() -> type[SinkSection]:
     from pmfid.service.sinks.arrow import ArrowSection
 
@@ -42,6 +60,12 @@ def _line_protocol() -> type[SinkSection]:
     from pmfid.service.sinks.line_protocol import LineProtocolSection
 
     return LineProtocolSection
+
+
+def _mqtt_sink() -> type[SinkSection]:
+    from pmfid.service.sinks.mqtt import MqttSection
+
+    return MqttSection
 
 
 def _plotjuggler() -> type[SinkSection]:
@@ -62,10 +86,18 @@ def _webhook() -> type[SinkSection]:
     return WebhookSection
 
 
-SOURCES: dict[str, Callable[[], type[SourceSection]]] = {"file": _file, "stdin": _stdin, "mqtt": _mqtt}
+SOURCES: dict[str, Callable[[], type[SourceSection]]] = {
+    "execd": _execd,
+    "file": _file,
+    "mqtt": _mqtt,
+    "opcua": _opcua,
+    "serial": _serial,
+    "stdin": _stdin,
+}
 SINKS: dict[str, Callable[[], type[SinkSection]]] = {
     "arrow": _arrow,
     "line_protocol": _line_protocol,
+    "mqtt": _mqtt_sink,
     "plotjuggler": _plotjuggler,
     "sqlite": _sqlite,
     "webhook": _webhook,

@@ -68,18 +68,16 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
         if config.dt is None:
             raise UsageError("[record] neither time nor dt is there; give one of them")
         return config.dt, ()
-    steps = np.diff(time)
-    median = float(np.median(steps))
+    median, jitter = _steps_of(time)
     mean, grid = even_grid(time)
     if not grid:
-        _check_steps(time, steps, median)
+        _check_steps(time, np.diff(time), median)
         mean = float((time[-1] - time[0]) / (len(time) - 1))
     if config.dt is not None and _counts_samples(time, config):
         return config.dt, (f"the time column {config.time!r} counts samples of {config.dt:g} s",)
     epoch = _epoch(float(time[0]), mean, config)
     factor = UNITS[epoch] if epoch else time_factor(config)
     _check_unit(mean, factor, config, epoch, _counts_samples(time, config))
-    jitter = float(np.max(np.abs(steps - median)) / median)
     notes = [f"time steps vary by up to {jitter:.1%} of their median"] if jitter > 1e-3 else []
     if grid and jitter > EVEN:
         notes.append(f"the stamps scatter around an even grid of {mean * factor:g} s, which is taken")
@@ -87,6 +85,13 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
         unit = next(unit for unit, length in UNITS.items() if length == factor)
         notes.append(f"the time column {config.time!r} is taken as {unit}: the sample period is {mean * factor:g} s")
     return mean * factor, tuple(notes)
+
+
+def _steps_of(time: Floats) -> tuple[float, float]:
+    """The median of the steps of stamps (n,), and by how much they differ from it at most, in parts of it."""
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    return median, _furthest(steps, median) / median if median else 0.0
 
 
 def even_grid(time: Floats) -> tuple[float, bool]:
@@ -97,26 +102,36 @@ def even_grid(time: Floats) -> tuple[float, bool]:
     stamps do, which chance that adds up never does, and where no group of stamps is off by a quarter of a period, as
     from a missing sample on.
     """
-    n, k = time.size, np.arange(time.size)
+    n = time.size
     if n < GROUP or not np.all(np.isfinite(time)):
         return 0.0, False
-    middle, since = (n - 1) / 2, time - time[0]
-    period = float(np.dot(k - middle, since) * 12 / (n * (n * n - 1.0)))
+    k, since = np.arange(n, dtype=np.float64), time - time[0]
+    k -= (n - 1) / 2
+    period = float(np.dot(k, since) * 12 / (n * (n * n - 1.0)))
     if not period > 0:
         return 0.0, False
-    if np.max(np.abs(np.diff(time) - period)) < PLAIN * period:
+    if _furthest(np.diff(time), period) < PLAIN * period:
         return period, True
-    late = (since - np.mean(since)) / period - (k - middle)
-    together = np.abs(np.convolve(late, np.full(GROUP, 1 / GROUP), mode="valid"))
+    since -= np.mean(since)
+    since /= period
+    late = np.subtract(since, k, out=k)
+    del since
+    together = np.convolve(late, np.full(GROUP, 1 / GROUP), mode="valid")
+    furthest, of_group = (_furthest(values, 0.0) for values in (late, together))
     chance = MOST_BY_CHANCE * np.std(late) / np.sqrt(GROUP)
-    even = np.max(np.abs(late)) < FURTHEST and np.std(late) < np.std(np.diff(late)) and np.max(together) < 0.25 + chance
+    even = furthest < FURTHEST and np.std(late) < np.std(np.diff(late)) and of_group < 0.25 + chance
     return float(period), bool(even)
+
+
+def _furthest(values: Floats, middle: float) -> float:
+    """How far the values (n,) are from a middle at most; without a copy of them, as a long record is large."""
+    return max(float(np.max(values)) - middle, middle - float(np.min(values)))
 
 
 def _counts_samples(time: Floats, config: RecordConfig) -> bool:
     """Is the time column nothing but the numbers of the samples?"""
     unit = config.time_unit or named_unit(config.time or "")
-    return unit is None and bool(np.all(np.diff(time) == 1.0) and time[0] == np.rint(time[0]))
+    return unit is None and bool(time[0] == np.rint(time[0]) and np.all(np.diff(time) == 1.0))
 
 
 def _epoch(first: float, step: float, config: RecordConfig) -> str | None:

@@ -48,7 +48,9 @@ def _check_position(output: Floats, axis: Axis) -> None:
 
 def _whole(output: Floats) -> Counts:
     rounded = np.rint(output)
-    bad = np.flatnonzero((np.abs(output - rounded) > 1e-6) | (np.abs(output) >= _MAX_COUNT))
+    off = np.subtract(output, rounded)
+    bad = np.flatnonzero((np.abs(off, out=off) > 1e-6) | (output >= _MAX_COUNT) | (output <= -_MAX_COUNT))
+    del off  # of a long record it is a good part of the memory
     if len(bad):
         raise UsageError(
             f"counts must be integers below 2**53, got {output[bad[0]]:.9g} in row {bad[0] + 1}; "

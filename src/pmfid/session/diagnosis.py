@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from pmfid.encoder import Encoder, fine_counts
+from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.iv import IV
 from pmfid.estimators.ls import LS
 from pmfid.models.drive import EquationModel
 from pmfid.models.equation import Equation
 from pmfid.session.checks.log import liveliest
-from pmfid.session.checks.readings import INTEGRATE, integrated
+from pmfid.session.checks.readings import INTEGRATE, as_velocity
 from pmfid.session.config import Axis
 from pmfid.session.records import Record
 
@@ -34,7 +34,7 @@ def check_direction(record: Record, axis: Axis) -> str:
     part = liveliest(record.counts)
     u, counts = record.u[part], record.counts[part]
     encoder = Encoder(record.resolution, standstill_time=axis.encoder.standstill_time)
-    finer, position = fine_counts(integrated(encoder.position(counts), record.dt))
+    finer, position = as_velocity(counts, record.resolution, record.dt)
     try:
         plain = LS(model, encoder, record.dt, config.pole, order=config.order).fit(u, counts).relative_error
         risen = IV(EquationModel(above), finer, record.dt, config.pole, order=config.order).fit(u, position)

@@ -42,6 +42,7 @@ from pmfid.session.diagnosis import check_direction
 from pmfid.session.gaps.joining import one_of
 from pmfid.session.gaps.longest import unbroken
 from pmfid.session.gaps.motion import by_motion, doubt
+from pmfid.session.gaps.standing import missing_said
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.session.known import at_gain, at_some_gain, finds_gain, known_of, of_either_sign, put_together
 from pmfid.session.outliers import believed_of
@@ -97,7 +98,10 @@ class Drives(Kind[Record]):
             found = by_motion(method, known.u, known.counts, data.there)
             if found is not None:
                 u, counts = (np.where(data.there, *pair) for pair in zip((data.u, data.counts), found, strict=True))
-                return replace(data, u=u, counts=counts, doubt=doubt(method, u, counts, data.there))
+                said = {missing_said(data.u, data.there): missing_said(u, data.there)}
+                notes = tuple(said.get(note, note) for note in data.notes)
+                more = doubt(method, u, counts, data.there)
+                return replace(data, u=u, counts=counts, notes=notes, doubt=more)
         return data
 
     def check(self, data: Record, axis: Axis) -> None:

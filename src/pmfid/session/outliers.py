@@ -110,11 +110,21 @@ def _runs(counts: Counts) -> list[_Run]:
     """Changes of the counts (n,) in a row that are no motion."""
     change = np.diff(counts).astype(np.float64)
     usual, limit = _expected(change)
-    wild = np.flatnonzero(np.abs(change - usual) > limit)
+    wild = np.flatnonzero((np.abs(change - usual) > limit) & ~_goes_on(change, limit))
     if not 0 < wild.size <= max(2, MOST_CHANGES * change.size):
         return []
     near = np.split(wild, np.flatnonzero(np.diff(wild) > AROUND // 2) + 1)
     return [run for part in near for run in _apart(counts, part, usual, limit)]
+
+
+def _goes_on(change: Floats, limit: Floats) -> NDArray[np.bool_]:
+    """(n,): changes near either end of the record that lie on the line through the next two; those around, as in a
+    mirror, do not show how a motion starts."""
+    half, found = min(AROUND // 2, change.size - 2), np.zeros(change.size, dtype=bool)
+    for own, near, next_one in ((slice(0, half), 1, 2), (slice(change.size - half, None), -1, -2)):
+        line = 2 * np.roll(change, -near) - np.roll(change, -next_one)
+        found[own] = np.abs(change - line)[own] <= limit[own]
+    return found
 
 
 def _apart(counts: Counts, wild: NDArray[np.intp], usual: Floats, limit: Floats) -> list[_Run]:

@@ -235,6 +235,8 @@ def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ..
 
 
 def _scaled(column: Floats, scale: float, key: str = "[record] input_scale") -> Floats:
+    if scale == 1:  # no copy of a long record
+        return column
     with np.errstate(over="ignore"):  # looked at
         scaled = scale * column
     if np.any(np.isinf(scaled) & np.isfinite(column)):

@@ -70,6 +70,11 @@ class Board:
             self._by_group = {id(panel.group): panel for panel in panels}
             self._by_axis = {name: panel for panel in panels for name in panel.place}
 
+    def keep(self, budget: float) -> None:
+        """Bytes for the history from now on. To be called before the engine's thread starts."""
+        self._budget = budget
+        self.arrange(self.groups)
+
     def rows(self, rows: Rows) -> None:
         """Takes rows of one group."""
         if rows.axis.size == 0:

@@ -16,7 +16,7 @@ __all__ = ["Overview", "Panel", "Records", "row_bytes", "row_type"]
 #: fall on a point, for with about one, some would be empty.
 POINTS, FINEST, COARSEST, ROWS = 90, 2.0, 1024.0, 2.0
 #: Rows of an axis that are kept at least and at most.
-FEWEST, MOST = 32, 20_000
+FEWEST, MOST = 4, 20_000
 
 #: Rows as an array of `row_type`.
 Records = NDArray[np.void]

@@ -35,7 +35,7 @@ class ArrowSection(SinkSection):
 
     kind: Literal["arrow"] = Field("arrow", description='"arrow"')
     folder: Name = Field(description='the folder of the tables, as "rows"')
-    rotate_mb: Positive = Field(64.0, description="the size in MB at which a stream becomes Parquet")
+    rotate_mb: Positive = Field(32.0, description="the size in MB at which a stream becomes Parquet")
     rotate_s: Positive = Field(3600.0, description="the age in s at which a stream becomes Parquet")
     sync_s: float = Field(5.0, ge=0, description="the time in s between two syncs to the disk")
 
@@ -67,6 +67,7 @@ class ArrowSink:
 
     def put(self, outcomes: list[Rows | Notice]) -> None:
         """Raises OSError where the rows cannot be written: then none of them are."""
+        self._look_for_files()
         before = {key: stream.size for key, stream in self._streams.items()}
         try:
             for blocks in _by_group(outcomes):
@@ -77,6 +78,14 @@ class ArrowSink:
             raise
         self._rotate()
         self._make_parquet()
+
+    def _look_for_files(self) -> None:
+        """A stream that someone removed is told, and another one begun, so that no more rows go the same way."""
+        for key, stream in list(self._streams.items()):
+            if not stream.path.exists():
+                self._streams.pop(key).close()
+                problem = f"{stream.path.name} was removed, with its rows"
+                self._tell({"event": "sink", "sink": self.name, "works": True, "problem": problem})
 
     def _stream_of(self, group: Kindred) -> StreamFile:
         key = group.config, group.names

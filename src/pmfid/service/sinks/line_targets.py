@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import stat
@@ -9,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 
+from pmfid.service.sinks import RefusedError
 from pmfid.service.sinks.durable import write_all
 from pmfid.service.sinks.posting import Poster
 
@@ -33,7 +35,8 @@ class Target(ABC):
 
 
 class FileTarget(Target):
-    """A file that grows; None: standard output. All lines are written, or none of them where it is a file."""
+    """A file that grows; None: standard output. All lines are written, or none of them where it is a file. One that was
+    renamed or removed, as by who rotates logs, is made anew."""
 
     def __init__(self, path: Path | None) -> None:
         self._path, self._file = path, -1
@@ -60,7 +63,17 @@ class FileTarget(Target):
                 if file.read(1) != b"\n":
                     write_all(self._file, b"\n")
 
+    def _is_there(self) -> bool:
+        """Whether the file that is open is still the one of that name."""
+        try:
+            return self._path is None or os.path.samestat(os.stat(self._path), os.fstat(self._file))
+        except FileNotFoundError:
+            return False
+
     def send(self, lines: list[bytes]) -> None:
+        if not self._is_there():
+            self.close()
+            self.open()
         state = os.fstat(self._file)
         try:
             write_all(self._file, b"".join(lines))
@@ -105,7 +118,7 @@ class TcpTarget(Target):
 
 class UdpTarget(TcpTarget):
     """Datagrams with as many whole lines as fit; whether anyone listens makes no difference. A line that is too large
-    for one goes alone, and the system says whether that is possible."""
+    for one goes alone; RefusedError where that is more than the system takes."""
 
     def __init__(self, address: tuple[str, int], timeout: float, largest: int) -> None:
         super().__init__(address, timeout, largest)
@@ -123,6 +136,10 @@ class UdpTarget(TcpTarget):
                 opened.send(datagram)
             except ConnectionRefusedError:  # of the datagram before
                 continue
+            except OSError as error:
+                if error.errno == errno.EMSGSIZE:
+                    raise RefusedError(f"a line of {len(datagram)} bytes is too long for a datagram") from None
+                raise
 
 
 class HttpTarget(Target):

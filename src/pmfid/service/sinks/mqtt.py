@@ -57,8 +57,8 @@ class MqttSection(SinkSection, BrokerSection):
 
 
 class MqttSink:
-    """Topics, below prefix and service: `status` (retained; `offline` is the last will), `axis/NAME/estimate`,
-    `axis/NAME/alarm` (retained, empty when it is taken back), `estimates/CONFIG` for batches, `event`.
+    """Topics, below prefix and service: `status` (retained; `offline` is the last will), `estimates/AXIS`,
+    `alarms/AXIS` (retained, empty when it is taken back), `batches/CONFIG` for rows of many axes, `events`.
 
     Messages may come twice after an error or a restart; numbers tell.
     """
@@ -66,14 +66,15 @@ class MqttSink:
     def __init__(self, name: str, base: str, link: BrokerLink, section: MqttSection) -> None:
         self.name = name
         self._base, self._link, self._section = base, link, section
-        self._standing: dict[str, tuple[int, bytes]] = {}  # axis -> number of its alarm, and the message
+        self._standing: dict[str, tuple[int, bytes]] = {}  # axis -> what is retained: number, message
 
     def open(self) -> None:
-        """Connects, and publishes what the broker is to know from now on: it may have lost what it retained."""
+        """Connects, and publishes what the broker is to know from now on: one that was killed may have lost what it
+        retained, or retain again what was taken back."""
         self._link.open()
         self._link.publish(f"{self._base}/status", ONLINE, 1, retain=True)
         for axis, (_, payload) in self._standing.items():
-            self._link.publish(self._topic(axis, "alarm"), payload, 1, retain=True)
+            self._link.publish(self._topic("alarms", axis), payload, 1, retain=True)
         self._link.flush()
 
     def put(self, outcomes: list[Rows | Notice]) -> None:
@@ -88,17 +89,18 @@ class MqttSink:
                 self._rows(one)
         self._link.flush()
 
-    def _topic(self, axis: str, what: str) -> str:
-        return f"{self._base}/axis/{quote(axis, safe='')}/{what}"
+    def _topic(self, what: str, of: str) -> str:
+        """One level for a name, whatever is in it."""
+        return f"{self._base}/{what}/{quote(of, safe='')}"
 
     def _rows(self, rows: Rows) -> None:
         section = self._section
         for row in single_rows(rows):
             payload = as_json(row_object(row, rows.group.names)).encode()
-            self._link.publish(self._topic(row.axis, "estimate"), payload, section.qos, section.retain)
+            self._link.publish(self._topic("estimates", row.axis), payload, section.qos, section.retain)
 
     def _batches(self, rows: Rows) -> None:
-        topic = f"{self._base}/estimates/{quote(rows.group.config, safe='')}"
+        topic = self._topic("batches", rows.group.config)
         for batch in batches_of(rows):
             self._link.publish(topic, as_json(batch).encode(), self._section.qos)
 
@@ -106,19 +108,19 @@ class MqttSink:
         payload, event = as_json(notice_object(notice)).encode(), notice.what.get("event")
         if event == "alarm":
             self._standing[notice.axis] = notice.number, payload
-            self._link.publish(self._topic(notice.axis, "alarm"), payload, 1, retain=True)
+            self._link.publish(self._topic("alarms", notice.axis), payload, 1, retain=True)
         elif self._takes_back(notice):
-            self._standing.pop(notice.axis, None)
-            self._link.publish(self._topic(notice.axis, "alarm"), b"", 1, retain=True)
+            self._standing[notice.axis] = notice.number, b""
+            self._link.publish(self._topic("alarms", notice.axis), b"", 1, retain=True)
         if self._section.events:
-            self._link.publish(f"{self._base}/event", payload, 1)
+            self._link.publish(f"{self._base}/events", payload, 1)
 
     def _takes_back(self, notice: Notice) -> bool:
         """Whether the alarm of the axis is over. One that was raised before this start is not known here."""
         event, clear = notice.what.get("event"), self._section.clear
         if event == "acknowledged" and clear in ("acknowledged", "either"):
             standing = self._standing.get(notice.axis)
-            return bool(notice.axis) and (standing is None or standing[0] == alarm_of(notice))
+            return bool(notice.axis) and (standing is None or not standing[1] or standing[0] == alarm_of(notice))
         return event == "settled" and clear in ("settled", "either")
 
     def close(self) -> None:

@@ -92,7 +92,7 @@ class Queued:
     def _offer(self, outcome: Rows | Notice) -> None:
         with self._changed:
             first = not self._waiting
-            if isinstance(outcome, Notice) and is_urgent(outcome) and len(self._unwritten) < self._limits.notices:
+            if isinstance(outcome, Notice) and is_urgent(outcome):
                 self._unwritten[outcome.number] = outcome
             lost = self._waiting.add(outcome)
             waiting = self._waiting.rows
@@ -141,6 +141,8 @@ class Queued:
         if any(lost):
             with self._changed:
                 self._lost = Lost(self._lost.rows + lost.rows, self._lost.notices + lost.notices)
+                for number in lost.urgent:
+                    self._unwritten.pop(number, None)
 
     # --- the sink's thread --------------------------------------------------------------------------------------------
 

@@ -18,14 +18,17 @@ __all__ = ["Host", "SinkSection"]
 
 class Host(Protocol):
     """The service around a sink. name: of the service; folder: that of PLANT.toml, from which names of files count;
-    counters: those of the service; tell: gets what a sink has to say, as an object with "event": "sink", from any
-    thread."""
+    state: where the service keeps what must survive, None where it keeps nothing; counters: those of the service;
+    tell: gets what a sink has to say, as an object with "event": "sink", from any thread."""
 
     @property
     def name(self) -> str: ...
 
     @property
     def folder(self) -> Path: ...
+
+    @property
+    def state(self) -> Path | None: ...
 
     @property
     def counters(self) -> Counters: ...

@@ -69,6 +69,10 @@ CREATE TABLE configurations (
 """
 
 INSERT = "INSERT OR IGNORE INTO notices (number, axis, event, wall, what) VALUES (?, ?, ?, ?, ?)"
+INSERT_CONFIGURATION = """
+INSERT INTO configurations SELECT ?, ?, ?, ?, ?, ?
+WHERE (SELECT digest FROM configurations WHERE config IS ? AND axis = ? ORDER BY id DESC LIMIT 1) IS NOT ?
+"""
 #: Keys of an alarm that are columns.
 ALARM = (
     "time",
@@ -90,11 +94,14 @@ class SqliteSection(SinkSection):
     rows_wanted: ClassVar[bool] = False
 
     kind: Literal["sqlite"] = Field("sqlite", description='"sqlite"')
-    path: Name = Field(description='the file of the database, as "alarms.sqlite"')
+    path: Name | None = Field(
+        None, description='the file of the database, as "alarms.sqlite"; left out: NAME.sqlite where the state is kept'
+    )
 
     def make(self, name: str, context: Host) -> SqliteSink:
         """The sink, not yet open."""
-        return SqliteSink(name, context.folder / self.path)
+        kept = context.state or context.folder
+        return SqliteSink(name, kept / f"{name}.sqlite" if self.path is None else context.folder / self.path)
 
 
 @contextmanager
@@ -194,10 +201,11 @@ def _insert(cursor: sqlite3.Cursor, notice: Notice) -> None:
         alarm = "(SELECT max(id) FROM alarms WHERE number = ? AND axis = ?)"
         values = (row, alarm_of(notice), notice.axis, notice.axis, notice.wall, str(what.get("note", "")))
         cursor.execute(f"INSERT INTO acknowledgements VALUES (?, {alarm}, ?, ?, ?)", values)
-    elif event == "configuration":
-        config, digest = _cell(what.get("config")), _cell(what.get("digest"))
-        values = (row, notice.axis, notice.wall, config, digest, as_json(what))
-        cursor.execute("INSERT INTO configurations VALUES (?, ?, ?, ?, ?, ?)", values)
+    elif event == "configuration" and what.get("digest") is not None:
+        # the service tells what it has at every start; history is what differs from the time before
+        config, digest = _cell(what.get("config")), _cell(what["digest"])
+        values = (row, notice.axis, notice.wall, config, digest, as_json(what), config, notice.axis, digest)
+        cursor.execute(INSERT_CONFIGURATION, values)
 
 
 def _cell(value: object) -> float | str | None:

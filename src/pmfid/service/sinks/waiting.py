@@ -25,15 +25,16 @@ class Limits:
     rows: int = 100_000
     size: int = 64_000_000
     notices: int = 10_000
-    take: int = 50_000
+    take: int = 20_000
     pace: float = 0.0
 
 
 class Lost(NamedTuple):
-    """What was dropped."""
+    """What was dropped: how many rows and notices; urgent: the numbers of those among these."""
 
     rows: int = 0
     notices: int = 0
+    urgent: tuple[int, ...] = ()
 
 
 class Entry(NamedTuple):
@@ -134,12 +135,15 @@ class Waiting:
 
     def _bounded(self) -> Lost:
         rows = notices = 0
+        urgent: list[int] = []
         while len(self._rows) > 1 and (self.rows > self.limits.rows or self.size > self.limits.size):
             gone = self._rows.popleft()
             self.rows -= gone.rows
             self.size -= gone.size
             rows += gone.rows
         while self.notices > max(self.limits.notices, 1):
-            (self._other or self._urgent).popleft()
+            outcome = (self._other or self._urgent).popleft().outcome
             notices += 1
-        return Lost(rows, notices)
+            if isinstance(outcome, Notice) and is_urgent(outcome):
+                urgent.append(outcome.number)
+        return Lost(rows, notices, tuple(urgent))

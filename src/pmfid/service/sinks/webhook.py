@@ -6,9 +6,9 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from pmfid.errors import UsageError
+from pmfid.errors import UsageError, did_you_mean
 from pmfid.service.broker import secret
 from pmfid.service.outcome import Notice, Rows
 from pmfid.service.sinks.plain import as_json, notice_object
@@ -18,8 +18,21 @@ from pmfid.session.model_config import Name, Positive
 
 __all__ = ["WebhookSection", "WebhookSink"]
 
+#: All events that a service tells: one that is misspelt would never be sent.
+EVENTS = (
+    *("alarm", "acknowledged", "settled", "state", "outlier", "gap", "clock", "epoch", "period", "late", "duplicate"),
+    *("unusable", "bad line", "repeated line", "reference", "source", "sink", "dropped", "checkpoint"),
+    *("configuration", "calibration", "reload", "serving", "ended"),
+)
 #: Notices that are remembered as delivered, while others of the same time are tried again.
 REMEMBERED = 2048
+
+
+def _known(events: tuple[str, ...]) -> tuple[str, ...]:
+    for event in events:
+        if event not in EVENTS:
+            raise ValueError(f"there is no event {event!r}; there are {', '.join(EVENTS)}{did_you_mean(event, EVENTS)}")
+    return events
 
 
 class WebhookSection(SinkSection):
@@ -30,7 +43,7 @@ class WebhookSection(SinkSection):
     url_env: Name | None = Field(None, description="the environment variable with the address, where that is a secret")
     url_file: Name | None = Field(None, description="the file with the address, where that is a secret")
     # not strict, because TOML has lists and a frozen object wants a tuple
-    events: Annotated[tuple[Name, ...], Field(strict=False, min_length=1)] = Field(
+    events: Annotated[tuple[Name, ...], Field(strict=False, min_length=1), AfterValidator(_known)] = Field(
         ("alarm",), description='the events that are sent, as ["alarm", "settled", "acknowledged"]'
     )
     secret_header: Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,100}$")] = Field(

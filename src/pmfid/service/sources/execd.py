@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import select
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from threading import Event
 from typing import Any, Literal
@@ -16,14 +16,13 @@ from typing import Any, Literal
 from pydantic import Field
 
 from pmfid.service.broker import Text
+from pmfid.service.context import Axes, Context, SourceSection
 from pmfid.service.delivery import Delivery, Mark
 from pmfid.service.sources import Take
 from pmfid.service.wire.line_protocol import Precision
 from pmfid.service.wire.messages import Messages
 from pmfid.service.wire.points import Readers
 from pmfid.service.wire.splitter import LineSplitter
-from pmfid.session.config import Axis
-from pmfid.session.toml_file import FileSection
 
 __all__ = ["ExecdSection", "ExecdSource"]
 
@@ -31,13 +30,17 @@ __all__ = ["ExecdSection", "ExecdSource"]
 _LOOK, _MOST_BYTES = 0.2, 65_536
 
 
-class ExecdSection(FileSection):
+class ExecdSection(SourceSection):
     """[sources.NAME] of kind "execd"."""
 
     kind: Literal["execd"] = Field(description='"execd"')
     pass_on: bool = Field(False, description="true where it is a processor: every line goes to standard output, too")
     axis_tag: Text = Field("axis", description="the tag that names the axis; without it the measurement does")
     precision: Precision = Field("ns", description='the unit of timestamps, which Telegraf has in "ns"')
+
+    def make(self, name: str, context: Context) -> ExecdSource:
+        """The source, not yet running."""
+        return ExecdSource(name, self, context.axes, context.tell)
 
 
 @dataclass
@@ -47,7 +50,7 @@ class ExecdSource:
 
     name: str
     section: ExecdSection
-    axes: Mapping[str, Axis]
+    axes: Axes
     tell: Callable[[dict[str, Any]], None]
     stdin: int = 0
     stdout: int = 1

@@ -6,6 +6,7 @@ are not acknowledged, so that is also what may be under way between two checkpoi
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -33,8 +34,9 @@ __all__ = ["MqttSection", "MqttSource"]
 
 #: A level of a topic that names the axis.
 AXIS_LEVEL = "{axis}"
-#: A connection that lasted so long was a good one: the next failure is told at once and tried again soon [s].
-_LASTING = 60.0
+#: Two services under one name end each other's connections, which Mosquitto does not say: so many in a row that last
+#: no longer than that [s] are taken for it, and tried more and more slowly.
+_TAKEN_OVER, _BRIEF = 3, 1.0
 
 
 def _topics(texts: tuple[str, ...]) -> tuple[str, ...]:
@@ -93,6 +95,7 @@ class MqttSource:
     _told: str = field(default="", init=False)
     _problem: str = field(default="", init=False)
     _failure: BaseException | None = field(default=None, init=False)
+    _since: float = field(default=math.inf, init=False)
     _had_session: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
@@ -103,17 +106,19 @@ class MqttSource:
 
     def run(self, take: Take, mark: Mark | None) -> None:
         """Takes messages until `stop`. Raises UsageError for a section that cannot work."""
-        waiting = pauses()
+        waiting, brief = pauses(), 0
         while not self._stopped.is_set():
-            began = time.monotonic()
+            self._since = math.inf
             self._connected(take)
             if self._failure is not None:
                 raise self._failure
             if self._stopped.is_set():
                 return
-            if time.monotonic() - began > _LASTING:
+            lasted = time.monotonic() - self._since  # minus infinity where there was no subscription
+            brief = brief + (0 < lasted < _BRIEF) if lasted < _BRIEF else 0
+            if lasted > 0 and brief < _TAKEN_OVER:
                 waiting = pauses()
-            self._say(self._problem)
+            self._say(self._problem + (self._hint() if brief >= _TAKEN_OVER else ""))
             self._stopped.wait(next(waiting))
 
     def stop(self) -> None:
@@ -177,7 +182,7 @@ class MqttSource:
         if refused:
             self._end(f"the broker refuses the topic {refused[0]}")
         else:
-            self.subscribed = True
+            self.subscribed, self._since = True, time.monotonic()
             self._say("")
 
     def _on_disconnect(
@@ -203,6 +208,10 @@ class MqttSource:
             if AXIS_LEVEL in parts and _matches(parts, levels):
                 return levels[parts.index(AXIS_LEVEL)]
         return ""
+
+    def _hint(self) -> str:
+        name = self.section.client or self.client
+        return f"; if another service has the session {name!r}, too, give each its own client"
 
     def _end(self, problem: str) -> None:
         """Ends the connection; the first problem is what is told."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC
 from pathlib import Path
@@ -22,11 +22,11 @@ from pydantic import Field, model_validator
 
 from pmfid.errors import UsageError
 from pmfid.service.broker import Text, pauses, secret
+from pmfid.service.context import Axes, Context, SourceSection
 from pmfid.service.delivery import Block, Delivery, Item, Mark, Unusable
 from pmfid.service.sources import Take
 from pmfid.service.wire.blocks import MOST_SAMPLES, problem_of
 from pmfid.service.wire.points import Point, Readers
-from pmfid.session.config import Axis
 from pmfid.session.toml_file import FileSection
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class OpcuaAxis(FileSection):
         return self
 
 
-class OpcuaSection(FileSection):
+class OpcuaSection(SourceSection):
     """[sources.NAME] of kind "opcua"."""
 
     kind: Literal["opcua"] = Field(description='"opcua"')
@@ -70,6 +70,10 @@ class OpcuaSection(FileSection):
         None, description='policy, mode, certificate and key: "Basic256Sha256,SignAndEncrypt,cert.pem,key.pem"'
     )
 
+    def make(self, name: str, context: Context) -> OpcuaSource:
+        """The source, not yet running."""
+        return OpcuaSource(name, self, context.axes, context.tell, context.folder)
+
 
 @dataclass
 class OpcuaSource:
@@ -78,7 +82,7 @@ class OpcuaSource:
 
     name: str
     section: OpcuaSection
-    axes: Mapping[str, Axis]
+    axes: Axes
     tell: Callable[[dict[str, Any]], None]
     folder: Path = Path()
     _stopped: Event = field(default_factory=Event, init=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from threading import Event
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from pmfid.errors import UsageError
 from pmfid.service.broker import Text, pauses
+from pmfid.service.context import Axes, Context, SourceSection
 from pmfid.service.delivery import Delivery, Item, Lines, Mark, Unusable
 from pmfid.service.sources import Take
 from pmfid.service.wire.blocks import BlockStream
@@ -19,7 +20,6 @@ from pmfid.service.wire.splitter import LineSplitter
 from pmfid.session.config import Axis
 from pmfid.session.monitored.lines import LineParser, is_comment
 from pmfid.session.monitored.stream import FIRST_LINES
-from pmfid.session.toml_file import FileSection
 
 if TYPE_CHECKING:
     from serial import Serial
@@ -30,7 +30,7 @@ __all__ = ["SerialSection", "SerialSource"]
 _SILENCE, _MOST_BYTES = 0.1, 65_536
 
 
-class SerialSection(FileSection):
+class SerialSection(SourceSection):
     """[sources.NAME] of kind "serial"."""
 
     kind: Literal["serial"] = Field(description='"serial"')
@@ -49,6 +49,10 @@ class SerialSection(FileSection):
         if self.header is not None and self.format != "csv":
             raise ValueError('header is for format = "csv"; drop it')
         return self
+
+    def make(self, name: str, context: Context) -> SerialSource:
+        """The source, not yet running."""
+        return SerialSource(name, self, context.axes, context.tell)
 
 
 class _Reader(Protocol):
@@ -109,7 +113,7 @@ class SerialSource:
 
     name: str
     section: SerialSection
-    axes: Mapping[str, Axis]
+    axes: Axes
     tell: Callable[[dict[str, Any]], None]
     opened: bool = field(default=False, init=False)
     _stopped: Event = field(default_factory=Event, init=False)
@@ -139,9 +143,10 @@ class SerialSource:
         section = self.section
         if section.axis is None:
             return _Blocks()
-        if section.axis not in self.axes:
+        axis = self.axes.get(section.axis)
+        if axis is None:
             raise UsageError(f"[sources.{self.name}] axis = {section.axis!r}: there is no such axis; correct the name")
-        return _Csv(section.axis, self.axes[section.axis], section.header)
+        return _Csv(section.axis, axis, section.header)
 
     def _opened(self) -> Serial:
         try:

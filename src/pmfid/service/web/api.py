@@ -44,6 +44,7 @@ class Api:
     acts: Acts
     reference: Callable[[str], Record | None]
     metrics: Callable[[], str] | None
+    alive: Callable[[], bool]
     streams: int
 
     def routes(self) -> list[Route]:
@@ -143,7 +144,8 @@ class Api:
         return PlainTextResponse(text, media_type="text/plain; version=0.0.4")
 
     async def health(self, request: Request) -> Response:
-        return PlainTextResponse("ok\n")
+        alive = self.alive()
+        return PlainTextResponse("ok\n" if alive else "the engine stands still\n", 200 if alive else 503)
 
 
 def _group(group: Kindred) -> dict[str, object]:

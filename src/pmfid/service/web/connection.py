@@ -35,6 +35,7 @@ class Guarded(H11Protocol):
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
+        self.access_log = False  # uvicorn's own switch gives way to any handler of the process
         self._deadline: asyncio.TimerHandle | None = None
         self._stuck: asyncio.TimerHandle | None = None
 
@@ -85,6 +86,10 @@ class Guarded(H11Protocol):
         if self._stuck is not None:
             self._stuck.cancel()
             self._stuck = None
+
+    def send_400_response(self, msg: str) -> None:
+        self.counters.add("pmfid_page_refused_total", reason="invalid")
+        super().send_400_response(msg)
 
     def _end(self, reason: str) -> None:
         self.counters.add("pmfid_page_refused_total", reason=reason)

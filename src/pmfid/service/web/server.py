@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import socket
 import time
 from collections.abc import Callable
@@ -63,11 +64,12 @@ def serve(
     folder: Path,
     reference: Callable[[str], Record | None] = lambda axis: None,
     metrics: Callable[[], str] | None = None,
+    alive: Callable[[], bool] = lambda: True,
 ) -> Page:
-    """Starts to serve the page. name: of the service; folder: that of PLANT.toml; reference: record of normal work of
-    an axis, by its name, read when someone asks, in a thread of its own (it may raise UsageError); metrics: text for
-    Prometheus. Raises UsageError where the address cannot be had, a token is missing, or the extra is not
-    installed."""
+    """Starts to serve the page, before the engine's thread is started. name: of the service; folder: that of
+    PLANT.toml; reference: record of normal work of an axis, by its name, read when someone asks, in a thread of its own
+    (it may raise UsageError); metrics: text for Prometheus; alive: whether the engine is, for health checks. Raises
+    UsageError where the address cannot be had, a token is missing, or the extra is not installed."""
     _check_extra()
     from pmfid.service.web.api import Api
     from pmfid.service.web.app import make_app
@@ -75,10 +77,11 @@ def serve(
     from pmfid.service.web.security import hosts_of
 
     tokens = load_tokens(config, folder)
+    board.keep(1e6 * config.history_mb)
     listener = _listener(config)
     port = listener.getsockname()[1]
     hub = Hub(board, counters)
-    api = Api(name, board, counters, hub, acts, reference, metrics, config.browsers)
+    api = Api(name, board, counters, hub, acts, reference, metrics, alive, config.browsers)
     app = make_app(api, hosts_of(config.address, port, config.hosts), tokens)
     try:
         server = _server(_uvicorn_config(app, config, counters, folder), hub)
@@ -144,9 +147,16 @@ def _uvicorn_config(app: object, config: PageConfig, counters: Counters, folder:
     return made
 
 
+def _only_failures(record: logging.LogRecord) -> bool:
+    """Who sends nonsense is counted, and must not be able to fill a log; what fails inside is told with its trace."""
+    return record.exc_info is not None
+
+
 def _server(config: Config, hub: Hub) -> Server:
     """Ends the streams before it waits for them."""
     from uvicorn import Server
+
+    logging.getLogger("uvicorn.error").addFilter(_only_failures)
 
     class Own(Server):
         async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:

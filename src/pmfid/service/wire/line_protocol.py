@@ -79,7 +79,7 @@ def parse_line(line: str, precision: Precision = "ns") -> Measured:
     if stamp is None and line[place:].strip():
         raise ValueError(f"{line[place : place + 40]!r} is no timestamp: it must be a whole number")
     time_ns = int(stamp[1]) * PRECISIONS[precision] if stamp else None
-    return Measured(_plain(measurement[0]), tags, fields, time_ns)
+    return Measured(_plain(measurement[0], ", "), tags, fields, time_ns)
 
 
 def _tags(line: str, place: int) -> tuple[dict[str, str], int]:
@@ -126,9 +126,9 @@ def _value(line: str, place: int) -> tuple[Field, int]:
     raise ValueError(f"{word[:40]!r} is no value: a number, 12i, true, false, or a text in quotes")
 
 
-def _plain(name: str) -> str:
+def _plain(name: str, special: str = ",= ") -> str:
     """A name without its escapes; a backslash before anything else is one."""
-    return re.sub(r"\\([,= ])", r"\1", name) if "\\" in name else name
+    return re.sub(rf"\\([{special}])", r"\1", name) if "\\" in name else name
 
 
 def format_line(

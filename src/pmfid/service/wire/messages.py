@@ -30,7 +30,7 @@ class Messages:
     def items(self, data: bytes, axis: str = "") -> Sequence[Item]:
         """What a message says. axis: the only one that it may be of, "": any. Never raises."""
         if len(data) > self.largest:
-            return [Unusable("oversized", f"a message of {len(data)} bytes, more than {self.largest}", axis)]
+            return [Unusable("oversized", f"a message of {len(data)} bytes, more than {self.largest}", axis[:64])]
         form = self._form(data) if self.form == "auto" else self.form
         if form == "block":
             return [_of(item, axis) for item in blocks.decode(data)]
@@ -47,5 +47,5 @@ class Messages:
 def _of(item: Block | Unusable, axis: str) -> Block | Unusable:
     """A block by the topic of one axis must not be another's: who may write to the first might not to the second."""
     if axis and isinstance(item, Block) and item.axis != axis:
-        return Unusable("name", f"a block of {item.axis!r} that came as one of {axis!r}", axis)
+        return Unusable("name", f"a block of {item.axis!r} that came as one of {axis[:64]!r}", axis[:64])
     return item

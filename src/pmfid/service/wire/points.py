@@ -51,7 +51,7 @@ class Readers:
     def _lines(self, axis: str, points: list[Point]) -> Lines | Unusable:
         config = self.axes.get(axis)
         if config is None:
-            return Unusable("axis", f"there is no axis {axis[:64]!r}", axis)
+            return Unusable("axis", f"there is no axis {axis[:64]!r}", axis[:64])
         try:
             reader = self._reader(config)
         except UsageError as error:

@@ -8,21 +8,18 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
 from pmfid.service.broker import BrokerSection, new_client, pauses
-from pmfid.service.delivery import Block
-from pmfid.service.wire.blocks import MOST_SAMPLES, encode, problem_of
+from pmfid.service.wire.numbering import Numbering
+from pmfid.service.wire.outbox import Outbox
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags
@@ -35,26 +32,8 @@ __all__ = ["Sender"]
 _UNDER_WAY = 100
 #: What the broker answers where nobody has subscribed, so that the message is gone.
 _NOBODY = 0x10
-
-
-@dataclass
-class _Axis:
-    """Samples that wait for their block. first: number of the first; time: of the first [s]."""
-
-    first: int = 0
-    time: float = math.nan
-    u: list[float] = field(default_factory=list)
-    counts: list[int] = field(default_factory=list)
-
-
-@dataclass
-class _Message:
-    """payload: blocks; acknowledged: when the broker last said that it has it [s], by `time.monotonic`, infinite
-    before; open: not acknowledged on this connection."""
-
-    payload: bytes
-    acknowledged: float = math.inf
-    open: bool = True
+#: Pause between two attempts to connect, at most [s].
+_LONGEST_PAUSE = 5.0
 
 
 class Sender:
@@ -83,25 +62,25 @@ class Sender:
         keep: float = 60.0,
         most: int = 2**28,
     ) -> None:
-        if not 1 <= samples <= MOST_SAMPLES:
-            raise UsageError(f"a block has 1 to {MOST_SAMPLES} samples, got {samples}; give another number")
-        self.topic, self.dt, self.dropped, self.problem = topic, dt, 0, ""
-        self.epoch = int(time.time()) if epoch is None else epoch
+        self.topic, self.problem = topic, ""
         self._broker, self._folder, self._name = broker or BrokerSection(), folder or Path(), client
-        self._samples, self._size, self._delay, self._keep, self._most = samples, size, delay, keep, most
-        self._lock = Lock()
-        self._axes: dict[str, _Axis] = {}
+        self._size, self._delay = size, delay
+        self._numbering = Numbering(dt, int(time.time()) if epoch is None else epoch, samples)
+        self._outbox = Outbox(keep, most)
+        self._lock = Lock()  # of what waits for its message
         self._blocks: list[bytes] = []
-        self._since = math.inf
+        self._bytes, self._since = 0, math.inf
         self._events: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        self._log: deque[_Message] = deque()
-        self._bytes = self._next = self._open = 0
-        self._sent: dict[int, _Message] = {}
         self._client: Client | None = None
         self._idle, self._closed = Event(), False
         self._make_client()  # what cannot work is refused here
         self._thread = Thread(target=self._run, name="pmfid-sender", daemon=True)
         self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Messages that went without an acknowledgement, for want of room."""
+        return self._outbox.dropped
 
     def __enter__(self) -> Sender:
         return self
@@ -112,30 +91,13 @@ class Sender:
     def add(self, axis: str, u: ArrayLike, counts: ArrayLike, time: float = math.nan) -> None:
         """Takes samples of an axis that follow its last ones: u, counts (n,) or one of each; time: of the first [s],
         NaN where there is none. Raises UsageError for what no block takes."""
-        u, counts = np.atleast_1d(np.asarray(u, np.float64)), np.atleast_1d(np.asarray(counts, np.int64))
-        problem = problem_of(Block(axis, self.epoch, 0, time, self.dt, u, counts), u, counts) if u.size else None
-        if problem is not None or u.shape != counts.shape or u.ndim != 1:
-            raise UsageError(
-                problem.problem if problem else f"u and counts are not of one length: {u.shape}, {counts.shape}"
-            )
         with self._lock:
-            waiting = self._axes.setdefault(axis, _Axis())
-            if not waiting.u:
-                waiting.time = time
-            waiting.u += u.tolist()
-            waiting.counts += counts.tolist()
-            while len(waiting.u) >= self._samples:
-                self._block(axis, waiting, self._samples)
-            if waiting.u:
-                self._since = min(self._since, _now())
+            self._wait(self._numbering.add(axis, u, counts, time))
 
     def skip(self, axis: str, samples: int) -> None:
         """So many samples of an axis were lost before they came here: their numbers are left out."""
         with self._lock:
-            waiting = self._axes.setdefault(axis, _Axis())
-            if waiting.u:
-                self._block(axis, waiting, len(waiting.u))
-            waiting.first += samples
+            self._wait(self._numbering.skip(axis, samples))
 
     def flush(self, timeout: float = 10.0) -> bool:
         """Sends what waits, and waits itself until the broker has acknowledged all of it; False if it has not within
@@ -154,60 +116,66 @@ class Sender:
         self._thread.join()
         return done
 
-    def _block(self, axis: str, waiting: _Axis, n: int) -> None:
-        """Makes a block of the first n samples that wait; with the lock."""
-        u, counts = np.array(waiting.u[:n]), np.array(waiting.counts[:n], np.int64)
-        block = Block(axis, self.epoch, waiting.first, waiting.time, self.dt, u, counts)
-        del waiting.u[:n], waiting.counts[:n]
-        waiting.first += n
-        waiting.time += n * self.dt
-        self._blocks.append(encode(block))
-        self._since = min(self._since, _now())
-        if sum(map(len, self._blocks)) >= self._size:
-            self._message()
+    def _wait(self, blocks: list[bytes]) -> None:
+        """Blocks that wait until there are enough for a message; with the lock."""
+        for block in blocks:
+            self._blocks.append(block)
+            self._bytes += len(block)
+            if self._bytes >= self._size:
+                self._message()
+        if self._blocks or self._numbering.waits:
+            self._since = min(self._since, time.monotonic())
 
     def _complete(self) -> None:
-        """Makes blocks and a message of all that waits; with the lock."""
-        for axis, waiting in self._axes.items():
-            if waiting.u:
-                self._block(axis, waiting, len(waiting.u))
+        """Makes a message of all that waits; with the lock."""
+        self._wait(self._numbering.rest())
         if self._blocks:
             self._message()
         self._since = math.inf
 
     def _message(self) -> None:
-        payload, self._blocks = b"".join(self._blocks), []
-        self._events.put(lambda: self._take(payload))
+        payload, self._blocks, self._bytes = b"".join(self._blocks), [], 0
+        self._events.put(lambda: self._outbox.take(payload))
 
     # what follows runs in the sender's own thread; paho's thread and the callers only leave events
 
     def _run(self) -> None:
-        waiting, retry = pauses(longest=5.0), 0.0
+        waiting, retry = pauses(longest=_LONGEST_PAUSE), 0.0
         while not self._closed:
-            if self._client is None and _now() >= retry:
-                retry = _now() + next(waiting)
+            if self._client is None and time.monotonic() >= retry:
+                retry = time.monotonic() + next(waiting)
                 self._connect()
-            try:
-                self._events.get(timeout=self._delay / 2)()
-                while True:
-                    self._events.get_nowait()()
-            except Empty:
-                pass
-            if self._since + self._delay < _now():
+            self._handle_events()
+            if self._since + self._delay < time.monotonic():
                 with self._lock:
                     self._complete()
-            if self._next:
-                waiting = pauses(longest=5.0)
-            self._pump()
+            if self._client is not None and self._outbox.pump(self._publisher(self._client)):
+                waiting = pauses(longest=_LONGEST_PAUSE)
         if self._client is not None:
             self._disconnect(self._client)
+
+    def _handle_events(self) -> None:
+        """Those that are there, or the next one if it comes soon."""
+        try:
+            self._events.get(timeout=max(self._delay / 2, 0.01))()
+            while True:
+                self._events.get_nowait()()
+        except Empty:
+            pass
+
+    def _publisher(self, client: Client) -> Callable[[bytes], int]:
+        return lambda payload: client.publish(self.topic, payload, qos=1).mid
 
     def _make_client(self) -> Client:
         return new_client(self._broker, self._folder, self._name)
 
     def _connect(self) -> None:
         """A new client each time: one of paho's own would send again what it has, without regard to the order."""
-        client = self._make_client()
+        try:
+            client = self._make_client()
+        except UsageError as error:  # a file of the password that was there before
+            self.problem = str(error)
+            return
         client.max_inflight_messages_set(0)
         client.on_connect, client.on_publish, client.on_disconnect = self._on_connect, self._on_publish, self._on_lost
         try:
@@ -215,7 +183,7 @@ class Sender:
         except (OSError, ValueError) as error:
             self.problem = f"no connection to {self._broker.host}: {error}"
             return
-        self._client, self._room = client, 0
+        self._client = client
         client.loop_start()
 
     def _on_connect(
@@ -234,71 +202,30 @@ class Sender:
         self._events.put(lambda: self._lost(client, f"the connection ended: {reason}"))
 
     def _begin(self, client: Client, room: int) -> None:
-        """All that is kept goes out again, from the oldest on."""
-        if client is not self._client:
-            return
-        self._room, self._next, self._sent, self.problem = room, 0, {}, ""
-        for message in self._log:
-            message.open = True
-        self._open = len(self._log)
-
-    def _pump(self) -> None:
-        """Publishes as many messages as may be under way."""
-        if self._client is None:
-            return
-        while self._next < len(self._log) and len(self._sent) < self._room:
-            message = self._log[self._next]
-            info = self._client.publish(self.topic, message.payload, qos=1)
-            self._sent[info.mid] = message
-            self._next += 1
-
-    def _take(self, payload: bytes) -> None:
-        self._log.append(_Message(payload))
-        self._bytes += len(payload)
-        self._open += 1
-        self._forget()
+        if client is self._client:
+            self._outbox.begin(room)
+            self.problem = ""
 
     def _acknowledged(self, client: Client, mid: int, reason: ReasonCode) -> None:
-        message = self._sent.get(mid)
-        if client is not self._client or message is None:
+        if client is not self._client:
             return
         if reason.is_failure or reason.value == _NOBODY:
             self._lost(client, f"the broker does not take messages: {reason}")
             return
-        del self._sent[mid]
-        self._open -= message.open
-        message.open = False
-        message.acknowledged = _now()
+        self._outbox.acknowledged(mid)
         self._settle()
 
     def _settle(self) -> None:
         """Whether all is acknowledged, for `flush`."""
-        if not self._open:
+        if self._outbox.settled:
             self._idle.set()
-        self._forget()
 
     def _lost(self, client: Client, problem: str) -> None:
         if client is self._client:
             self._client, self.problem = None, problem
+            self._outbox.end()
             self._disconnect(client)
 
     def _disconnect(self, client: Client) -> None:
         client.disconnect()
         client.loop_stop()
-
-    def _forget(self) -> None:
-        """What has been acknowledged for long enough, on this connection: while it is down, the broker saves nothing.
-        And the oldest messages where there is no more room."""
-        while self._log and (self._is_safe(self._log[0]) or self._bytes > self._most):
-            message = self._log.popleft()
-            self._bytes -= len(message.payload)
-            self._open -= message.open
-            self._next = max(0, self._next - 1)
-            self.dropped += math.isinf(message.acknowledged)
-
-    def _is_safe(self, message: _Message) -> bool:
-        return self._client is not None and not message.open and message.acknowledged + self._keep < _now()
-
-
-def _now() -> float:
-    return time.monotonic()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from pmfid.findings import Finding, ordered
+from pmfid.findings import Finding, codes, ordered
 from pmfid.session.checks.counter import forgotten_bits, frozen, held_output, jump
 from pmfid.session.checks.inputs import held_input, saturated
 from pmfid.session.checks.log import Log
@@ -45,9 +45,9 @@ def checked(record: Record, axis: Axis, judged: bool = False) -> tuple[Finding, 
 
 
 def _found(log: Log, families: tuple[tuple[Check, ...], ...]) -> Iterator[Finding]:
-    """What the families find, up to the first that finds something."""
+    """What the families find, up to the first that finds more than a note."""
     for family in families:
         found = [finding for check in family for finding in check(log)]
         yield from found
-        if found:
+        if codes(found):
             return

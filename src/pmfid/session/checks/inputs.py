@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pmfid.findings import Finding
 from pmfid.session.checks.log import Log
 from pmfid.session.checks.repeats import period_of
-from pmfid.session.checks.view import View, view
+from pmfid.session.checks.view import View, view, with_friction
 from pmfid.types import Floats
 
 __all__ = ["held_input", "saturated"]
@@ -19,11 +19,12 @@ __all__ = ["held_input", "saturated"]
 LEVELS = 20
 #: Part of the record at a limit that is worth a word; it is so many times what is at each of so many values beside it.
 AT_LIMIT, PILED, BESIDE = 0.005, 5.0, 20
-#: The force that is missing there: in standard deviations, and in parts of the largest.
-CERTAIN, SHORT = 4.0, 0.02
+#: The force that is missing there: in standard deviations; in parts of the largest, times the part of the unexplained
+#: that it takes away; and what it must leave of the input at the most, or the view shows nothing.
+CERTAIN, SHORT, SEEN = 4.0, 0.008, 0.2
 LARGER = "log the force or current that the drive gave with a larger range, or record with a smaller motion"
 #: Filters through which that is looked for [samples].
-TIMES = (10.0, 30.0, 100.0)
+TIMES = (3.0, 10.0, 30.0, 100.0)
 
 
 def held_input(log: Log) -> Iterator[Finding]:
@@ -76,16 +77,30 @@ def _falls_short(log: Log, there: NDArray[np.bool_]) -> bool:
     """Does the motion ask for more force where the input is cut off?"""
     if log.view is None or not log.is_machine:
         return False
-    side = np.where(there, np.sign(log.force), 0.0)[log.part]
-    return any(_lacks(log, side, time) for time in TIMES if time <= log.view.time)
+    side = np.where(there, np.sign(log.force), 0.0)
+    return any(_lacks(log, shape, time) for time in TIMES for shape in (side, side * _arcs(there)))
 
 
-def _lacks(log: Log, side: Floats, time: float) -> bool:
-    """The same through filters of one time constant; side (n,): where the input is cut off, and at which end."""
+def _arcs(there: NDArray[np.bool_]) -> Floats:
+    """(n,): an arc over each stretch of rows, as a smooth signal has it beyond a limit, with the same curvature."""
+    edges = np.flatnonzero(np.diff(np.r_[False, there, False].astype(np.int8)))
+    first, last = (np.repeat(edges[side::2], edges[1::2] - edges[::2]) for side in (0, 1))
+    rows = np.flatnonzero(there) + 0.5
+    arcs = np.zeros(there.size)
+    arcs[there] = (rows - first) * (last - rows)
+    return arcs
+
+
+def _lacks(log: Log, shape: Floats, time: float) -> bool:
+    """Is a force of this shape (n,) missing, as filters of one time constant show it? Friction of forms that are not
+    viscous and dry would be taken for it, and has columns of its own."""
     counts, encoder, dt = log.known.counts[log.part], log.encoder, log.record.dt
-    seen, cut = (view(u, counts, encoder, dt, time) for u in (log.force[log.part], side))
+    seen, cut = (view(u[log.part], counts, encoder, dt, time) for u in (log.force, shape))
     if seen is None or cut is None or not np.any(cut.z):
         return False
-    wider = View(time, np.column_stack([seen.phi, cut.z]), seen.z)
-    last = np.eye(wider.theta.size)[-1]
-    return wider.sure(last) < -CERTAIN and -wider.theta[-1] > SHORT * float(np.max(np.abs(log.force)))
+    plain = View(time, with_friction(seen), seen.z)
+    wider = View(time, np.column_stack([plain.phi, cut.z]), seen.z)
+    missing = -float(wider.theta[-1]) * float(np.mean(np.abs(shape[shape != 0]))) / float(np.max(np.abs(log.force)))
+    less = 1 - wider.unexplained / max(plain.unexplained, 1e-300)
+    sure = wider.sure(np.eye(wider.theta.size)[-1]) < -CERTAIN
+    return sure and missing * less > SHORT and wider.unexplained < SEEN

@@ -18,7 +18,7 @@ from pmfid.session.checks.timing import drifts, too_slow
 from pmfid.session.checks.view import MASS, VISCOUS, View, best_view
 from pmfid.types import Counts, Floats
 
-__all__ = ["INTEGRATE", "integrated", "is_exchanged", "read_as", "turned"]
+__all__ = ["INTEGRATE", "as_velocity", "integrated", "is_exchanged", "read_as", "turned"]
 
 #: Part of the input that a reading may leave unexplained, of all of it, and of what the record as it stands leaves.
 FOLLOWS, BETTER = 0.15, 0.3
@@ -29,6 +29,8 @@ LOOSELY = 0.3
 CLEARLY = 0.001
 #: Standard deviations from which on a sign is certain, and from which on it is likely.
 CERTAIN, LIKELY = 4.5, 3.0
+#: Part beyond which what a record as it stands leaves says nothing of a sign.
+UNSEEN = 0.5
 #: A body comes to speed within more samples than this; where there is no body, a velocity may leave so many times as
 #: much.
 SAMPLES, ALIKE = 1.5, 2.0
@@ -69,7 +71,8 @@ def _other_reading(log: Log) -> Finding | None:
     if log.sudden_stops or log.view is None or log.view.one_way or log.axis.record.output_kind == "velocity":
         return None
     bound = left * (BETTER if heavy else 1.0 if _is_one_body(log.view) else ALIKE)
-    if velocity < min(FOLLOWS, bound) or (velocity < min(LOOSELY, bound) and _is_in_time(log)):
+    loosely = velocity < LOOSELY and (velocity < bound or (velocity < FOLLOWS and _is_no_body(log.view)))
+    if velocity < min(FOLLOWS, bound, left) or (loosely and _is_in_time(log)):
         mistake = f"the output column {log.axis.record.output!r} is a velocity and no position"
         return _said("velocity", mistake, RATE, velocity)
     return None
@@ -91,9 +94,10 @@ def _said(code: str, mistake: str, remedy: str, left: float) -> Finding:
 
 
 def is_turned(view: View) -> bool:
-    """Is the mass negative, or does friction drive, and neither is as it should be?"""
+    """Is the mass negative, or does friction drive, and neither is as it should be, in a record that says much of
+    them?"""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
-    return min(mass, work) < -CERTAIN and max(mass, work) < LIKELY
+    return view.unexplained < UNSEEN and min(mass, work) < -CERTAIN and max(mass, work) < LIKELY
 
 
 def _has_inertia(view: View, dt: float) -> bool:
@@ -106,6 +110,12 @@ def _is_one_body(view: View) -> bool:
     """Does friction take power from the motion where the mass is positive, and drive where all is turned?"""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
     return mass * work > 0 or abs(work) < LIKELY
+
+
+def _is_no_body(view: View) -> bool:
+    """Does friction certainly drive what has a mass, or take power from what has a negative one?"""
+    mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
+    return mass * work < 0 and min(abs(mass), abs(work)) > LIKELY
 
 
 def _left(view: View | None) -> float:
@@ -122,18 +132,15 @@ def _exchanged(log: Log) -> View | None:
 
 
 def _velocity(log: Log) -> View | None:
-    encoder, counts = fine_counts(integrated(log.encoder.position(log.known.counts), log.record.dt))
+    encoder, counts = as_velocity(log.record.counts, log.record.resolution, log.record.dt)
     return _seen(log.force, counts, encoder, log.record.dt)
 
 
 def _seen(force: Floats, counts: Counts, encoder: Encoder, dt: float) -> View | None:
     """A reading of the record, if it makes a machine of it."""
     part = liveliest(counts)
-    view = best_view(force[part], counts[part], encoder, dt)
-    if view is None:
-        return None
-    lasts = view.moving > LASTING * view.time
-    return view if lasts and _has_inertia(view, dt) and _is_one_body(view) else None
+    view = best_view(force[part], counts[part], encoder, dt, lasting=LASTING)
+    return view if view is not None and _has_inertia(view, dt) and _is_one_body(view) else None
 
 
 def _exchange(log: Log) -> str:
@@ -144,6 +151,14 @@ def _exchange(log: Log) -> str:
 def integrated(velocity: Floats, dt: float) -> Floats:
     """The position (n,) from 0 on of a velocity (n,) that runs along a line between samples."""
     return np.asarray(np.r_[0.0, np.cumsum(velocity[1:] + velocity[:-1])] * (dt / 2))
+
+
+def as_velocity(counts: Counts, resolution: float, dt: float) -> tuple[Encoder, Counts]:
+    """A fine encoder and its counts (n,) of the position of a velocity of counts (n,) times a resolution.
+
+    Count 0 is none, not the middle of its step: an axis at rest would creep on, and its friction have a direction.
+    """
+    return fine_counts(integrated(np.float64(resolution) * counts.astype(np.float64), dt))
 
 
 def turned(log: Log) -> str:

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pmfid.session.checks.view import COULOMB, VISCOUS, View
+from pmfid.session.checks.view import View, with_friction
 from pmfid.types import Floats
 
 __all__ = ["Drift", "drift_of"]
@@ -23,8 +23,6 @@ MOST, PIECES = 30, 16
 LEAST = 2
 #: Drift over the whole record that is tried, to either side, and in what steps [samples].
 FURTHEST, STEP = 30.0, 0.5
-#: Speed over which friction at rest falls, in parts of the usual speed.
-SLOW = 0.1
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,7 @@ def _best(sums: _Sums) -> tuple[float, float, float]:
 
 
 def _sums(view: View, n: int) -> _Sums:
-    B = _columns(view)[MOST : MOST + n]
+    B = with_friction(view)[MOST : MOST + n]
     size = np.linalg.norm(B, axis=0)
     B = B[:, size > 0] / size[size > 0]
     shifted = np.lib.stride_tricks.sliding_window_view(view.z, n)[::-1]  # row s: later by s - MOST samples
@@ -102,11 +100,3 @@ def _sums(view: View, n: int) -> _Sums:
     cross = np.array([shifted[:, a:b] @ B[a:b] for a, b in pairs])
     power = np.array([np.sum(shifted[:, a:b] ** 2, axis=1) for a, b in pairs])
     return _Sums(gram, cross, power)
-
-
-def _columns(view: View) -> Floats:
-    """(n, p): those of the view, and friction that falls with speed, grows with its square, or differs by direction."""
-    velocity, direction = view.phi[:, VISCOUS], view.phi[:, COULOMB]
-    usual = float(np.sqrt(np.mean(velocity**2))) or 1.0
-    slow = direction * np.exp(-((velocity / (SLOW * usual)) ** 2))
-    return np.column_stack([view.phi, slow, velocity * np.abs(velocity), np.abs(direction)])

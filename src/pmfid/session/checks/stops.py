@@ -22,6 +22,10 @@ Stop = tuple[int, int]
 SPANS, COUNTS = (1, 2, 4, 8, 16, 32), 6
 #: It is no stop of the axis where that moves on to it so many times as far as it can be slowed down elsewhere.
 ABRUPT = 2.5
+#: The same of a stop that the axis leaves slowly or not at all: so many times as much, and so many times what is usual
+#: where the axis comes to rest.
+#: With fewer stops none is usual.
+DEAD, SEVERAL = 2.0, 3
 #: Part of the record that must be apart from stops, to tell that.
 APART = 0.2
 #: Samples of a stop, at the least, and counts that would have come in it at the usual speed.
@@ -36,12 +40,12 @@ MOST = 1000
 
 
 def long_stops(counts: Counts) -> list[Stop]:
-    """Every stretch of equal counts inside the record that is long against the time between two counts."""
+    """Every stretch of equal counts behind the first that is long against the time between two counts."""
     moving: NDArray[np.intp] = np.flatnonzero(np.diff(counts))
     if moving.size < 2:
         return []
     least = max(float(SHORTEST), MISSED / max(counts_per_sample(counts), 1e-9))
-    pairs = zip((moving[:-1] + 1).tolist(), moving[1:].tolist(), strict=True)
+    pairs = zip((moving + 1).tolist(), [*moving[1:].tolist(), counts.size - 1], strict=True)
     stops = [(first, last) for first, last in pairs if last - first >= least]
     resting = sum(last - first for first, last in stops)
     if resting > (1 - MOVING) * counts.size:
@@ -50,7 +54,7 @@ def long_stops(counts: Counts) -> list[Stop]:
 
 
 def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
-    """Those of the stops that begin and end in full motion."""
+    """Those of the stops that begin in full motion, and end in it or are too sudden to be the axis's own."""
     edges = (counts == counts.min()) | (counts == counts.max())
     edges[[edge for stop in stops for edge in stop]] = True
     found = set[Stop]()
@@ -62,13 +66,20 @@ def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
         apart = ~_near(edges, span)
         if np.mean(apart) < APART:
             break
-        limit = ABRUPT * (float(np.max(turn[apart])) + 1)
-        found |= {
-            (first, last)
-            for first, last in stops
-            if last - first >= span and min(turn[first], turn[last]) >= max(limit, COUNTS)
-        }
+        long_ones = [stop for stop in stops if stop[1] - stop[0] >= span]
+        found |= _abrupt(turn, long_ones, float(np.max(turn[apart])))
     return found
+
+
+def _abrupt(turn: Floats, stops: list[Stop], elsewhere: float) -> set[Stop]:
+    """Those of the stops at whose ends the motion turns (n,) by far more than it does elsewhere."""
+    limit = max(ABRUPT * (elsewhere + 1), COUNTS)
+    begins, ends = (np.array([turn[stop[side]] for stop in stops]) for side in (0, 1))
+    # a counter that catches up jumps to where it should be: the larger edge then says more than the smaller one
+    both = (np.sqrt(begins * ends) >= limit) & (np.minimum(begins, ends) > elsewhere + 1)
+    usual = float(np.median(begins)) if begins.size else 0.0
+    dead = (begins >= DEAD * limit) & (begins >= ABRUPT * (usual + 1) if begins.size >= SEVERAL else True)
+    return {stop for stop, yes in zip(stops, both | dead, strict=True) if yes}
 
 
 def held_back(force: Floats, stops: list[Stop], view: View, offset: int, dt: float, resolution: float) -> set[Stop]:

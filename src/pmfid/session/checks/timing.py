@@ -29,6 +29,9 @@ __all__ = ["acts_late", "drifts", "too_fast", "too_slow"]
 #: Change of the velocity from sample to sample, in parts of the velocity, beyond which samples miss the motion; counts
 #: per sample from which on that is not the encoder's.
 HASTY, FINE = 0.42, 3.0
+#: The same in records too short for filters, where the input at the rows leaves so much of the change unexplained,
+#: which is so many counts, in so many rows.
+RATHER, ASTRAY, COUNTS, ROWS = 0.25, 0.5, 10.0, 12
 #: Counts per sample below which most samples say nothing, and those that are plenty.
 IDLE, PLENTY = 0.02, 0.2
 #: Filters through which a drift is looked for [samples]; of a drift: samples, standard deviations, and what may be left
@@ -36,15 +39,18 @@ IDLE, PLENTY = 0.02, 0.2
 DRIFT_TIMES, DRIFTED, SURE, LESS = (10.0, 30.0, 100.0), 1.5, 4.5, 0.95
 #: Looks behind a correction, and how far these may move a drift, in parts of the first.
 CORRECTIONS, MOST = 3, 1.5
-#: Samples in which it is looked for.
-MOST_SAMPLES = 40_000
+#: Samples in which it is looked for, and a late input, which is fitted again and again.
+MOST_SAMPLES, FITTED = 40_000, 6000
 
 
 def too_slow(log: Log) -> Iterator[Finding]:
     """A sample period in which the velocity becomes another one."""
     change = np.diff(log.known.counts)
     moving = np.abs(change[change != 0])
-    if moving.size < 2 or float(np.median(moving)) < FINE or not (jumps := hasty(change)) > HASTY:
+    if moving.size < 2 or float(np.median(moving)) < FINE:
+        return
+    jumps = hasty(change)
+    if not (jumps > HASTY or (jumps > RATHER and _misses_input(log))):
         return
     yield Finding(
         "rate_low",
@@ -52,6 +58,17 @@ def too_slow(log: Log) -> Iterator[Finding]:
         f"{log.record.dt:g} s the record misses most of the motion",
         f"record anew, at a sample period of at most {log.record.dt / 10 / min(jumps, 2):.1g} s",
     )
+
+
+def _misses_input(log: Log) -> bool:
+    """Does the velocity of a short record change by what the input at the rows does not say?"""
+    change, u = np.diff(log.known.counts).astype(np.float64), log.known.u
+    turn, velocity = np.diff(change), (change[1:] + change[:-1]) / 2
+    if log.view is not None or not log.is_machine or turn.size < ROWS or np.std(turn) < COUNTS:
+        return False
+    causes = np.column_stack([u[:-2], u[1:-1], velocity, np.sign(velocity), np.ones(turn.size)])
+    left = turn - causes @ np.linalg.lstsq(causes, turn, rcond=None)[0]
+    return bool(np.linalg.norm(left) > ASTRAY * np.linalg.norm(turn - turn.mean()))
 
 
 def too_fast(log: Log) -> Iterator[Finding]:
@@ -121,15 +138,16 @@ def acts_late(log: Log) -> Iterator[Finding]:
     model = axis.model.make()
     if model.equation.further:
         return
-    encoder = axis.encoder.made(record.resolution)
+    part, encoder = liveliest(record.counts, FITTED), axis.encoder.made(record.resolution)
+    u, counts = record.u[part], record.counts[part]
     with suppress(NotIdentifiableError, UsageError):
-        cutoff = axis.estimator.cutoff or choose_cutoff([model], encoder, record.dt, record.u, record.counts)
+        cutoff = axis.estimator.cutoff or choose_cutoff([model], encoder, record.dt, u, counts)
         method = IntervalML(model, encoder, record.dt, cutoff, order=axis.estimator.order)
-        found = examined(method, record.u, record.counts, np.zeros(len(method.equation.names)))
+        found = examined(method, u, counts, np.zeros(len(method.equation.names)))
         if found is None or found.adequate:
             return
         told = list(late(found))
-        if told and any(_is_enough(method, key, record.u, record.counts) for key in ("dead_time", "lag")):
+        if told and any(_is_enough(method, key, u, counts) for key in ("dead_time", "lag")):
             yield from told
 
 

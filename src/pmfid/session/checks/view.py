@@ -6,7 +6,6 @@ pole is that behind which most of the input is explained: a coarse encoder asks 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -18,7 +17,7 @@ from pmfid.estimators.ls import LS
 from pmfid.models.drive import Drive
 from pmfid.types import Counts, Floats
 
-__all__ = ["PARTS", "View", "best_view"]
+__all__ = ["PARTS", "View", "best_view", "view", "with_friction"]
 
 #: Time constants of the filters to look through [samples].
 TIMES = (3.0, 10.0, 30.0, 100.0)
@@ -28,6 +27,8 @@ PARTS, SHORTEST = 8, 20
 ENOUGH = 60.0
 #: Part of the travel that goes back, of a motion in both directions.
 ONE_WAY = 0.05
+#: Speed over which friction at rest falls, in parts of the usual speed.
+SLOW = 0.1
 MASS, VISCOUS, COULOMB, LOAD = range(4)
 
 
@@ -111,8 +112,19 @@ def view(u: Floats, counts: Counts, encoder: Encoder, dt: float, time: float) ->
     return View(time, columns.phi, columns.z)
 
 
-def best_view(u: Floats, counts: Counts, encoder: Encoder, dt: float, times: Iterable[float] = TIMES) -> View | None:
-    """The view in which most of the input is explained; None where the record is too short, or nothing moves."""
-    views = [view(u, counts, encoder, dt, time) for time in times]
-    seen = [one for one in views if one is not None and np.any(one.z) and np.any(one.phi[:, VISCOUS])]
+def best_view(u: Floats, counts: Counts, encoder: Encoder, dt: float, lasting: float = 0.0) -> View | None:
+    """The view in which most of the input is explained, of those whose motion lasts for more than so many time
+    constants; None where the record is too short, or nothing moves."""
+    views = [view(u, counts, encoder, dt, time) for time in TIMES]
+    moved = [one for one in views if one is not None and np.any(one.z) and np.any(one.phi[:, VISCOUS])]
+    seen = [one for one in moved if one.moving > lasting * one.time]
     return min(seen, key=lambda one: one.unexplained) if seen else None
+
+
+def with_friction(view: View) -> Floats:
+    """(n, 7): the columns of a view, and friction that falls with speed, grows with its square, or differs by
+    direction."""
+    velocity, direction = view.phi[:, VISCOUS], view.phi[:, COULOMB]
+    usual = float(np.sqrt(np.mean(velocity**2))) or 1.0
+    slow = direction * np.exp(-((velocity / (SLOW * usual)) ** 2))
+    return np.column_stack([view.phi, slow, velocity * np.abs(velocity), np.abs(direction)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
@@ -92,21 +92,20 @@ def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
     further down is none, for a column is complained about only if it is used."""
     import polars as pl
 
-    def read(kinds: Mapping[str, type[pl.DataType]]) -> pl.DataFrame:
+    def read(numbers: Sequence[int]) -> pl.DataFrame:
+        kinds = {str(k): pl.Float64 if k in numbers else pl.String for k in range(len(layout.names))}
         return pl.read_csv(
             body,
             separator=layout.separator,
             has_header=False,
-            infer_schema=False,
+            schema=kinds,  # with names of its own: those of polars begin with column_0 or column_1
             null_values=_MISSING,
-            schema_overrides=kinds,
-            decimal_comma=layout.decimal == "," and bool(kinds),
+            decimal_comma=layout.decimal == "," and bool(numbers),
         )
 
-    numbers = {f"column_{k + 1}": pl.Float64 for k in layout.numbers}
-    for kinds in ({**numbers}, {}) if numbers else ({},):
+    for numbers in (layout.numbers, ()) if layout.numbers else ((),):
         try:
-            return read(kinds)
+            return read(numbers)
         except pl.exceptions.ComputeError:
             continue
     raise UsageError(

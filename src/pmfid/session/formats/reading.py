@@ -96,7 +96,19 @@ def read_table(path: Path, stated: Stated = NOTHING) -> Table:
         raise UsageError("the file is empty; export the record again")
     with readable(suffix if kind == named else kind), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what damage does to a library is told by its error
-        return parse_csv(data, stated) if kind == ".csv" else READERS[kind](data)
+        table = parse_csv(data, stated) if kind == ".csv" else READERS[kind](data)
+    del data  # of the size of the columns, which are copied next
+    return _in_one_piece(table)
+
+
+def _in_one_piece(table: Table) -> Table:
+    """The table with each polars series in one piece, of which an array is no copy; one after the other, for the
+    pieces need as much memory as the series."""
+    if isinstance(table, dict):
+        for name, column in table.items():
+            if hasattr(column, "rechunk"):
+                table[name] = column.rechunk()
+    return table
 
 
 def format_of(data: bytes) -> str | None:

@@ -3,7 +3,9 @@
 A held input that differs on the two sides of a gap has changed at one of its instants, and the motion behind it tells
 at which: the wrong one would leave a step in the velocity that the model simulates. The counts are then those of the
 simulated motion, less the smoothed deviation of the measured one from it. The model has to be right for that only as
-far as one sample of the input moves the axis.
+far as one sample of the input moves the axis. An input that is not held is in a long gap what the samples near by say
+(`local`), or not known, where the counts on both sides tell what it did there better than they: behind such a gap the
+motion begins anew.
 """
 
 from __future__ import annotations
@@ -16,8 +18,9 @@ from pmfid.estimators.bridges import Body
 from pmfid.estimators.difference import rms
 from pmfid.estimators.iv import IV
 from pmfid.models.equation import MASS
+from pmfid.session.gaps.local import best_of
 from pmfid.session.gaps.smoother import Steps, smoothed
-from pmfid.session.gaps.standing import Gap, filled, gaps_of, is_held
+from pmfid.session.gaps.standing import ALWAYS, Gap, filled, gaps_of, is_held
 from pmfid.types import Counts, Flags, Floats
 
 #: Turns of estimate and filling; what stands in a gap hardly changes the estimate.
@@ -59,9 +62,10 @@ class Machine(Body):
 
 
 def by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts] | None:
-    """Input and counts (n,) with those that are not there as the motion says; an input that is NaN stays so. What
-    stands there now is the line between the neighbours. None where the record identifies no motion."""
-    line, own = (u, counts), np.flatnonzero(np.isfinite(u))
+    """Input and counts (n,) with those that are not there as the motion says; an input that is NaN stays so, and
+    becomes so where the motion tells more. What stands there now is what `filled` says. None where the record
+    identifies no motion."""
+    line, own, held = (u, counts), np.flatnonzero(np.isfinite(u)), is_held(u, there)
     parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
     try:
         theta = method.settled(u, counts)[1]
@@ -70,7 +74,7 @@ def by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floa
             u, counts = line[0].copy(), line[1].copy()
             for part in parts:
                 if not np.all(there[part]):
-                    u[part], counts[part] = _filled(machine, line[0][part], line[1][part], there[part])
+                    u[part], counts[part] = _filled(machine, line[0][part], line[1][part], there[part], held)
             before, theta = theta, method.settled(u, counts)[1]
             if np.max(np.abs(theta - before) / np.maximum(np.abs(theta), np.finfo(float).tiny)) < SETTLED:
                 break
@@ -97,41 +101,65 @@ def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
     return np.abs(moved) / np.maximum(np.abs(theta), np.finfo(float).tiny)
 
 
-def _filled(machine: Machine, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts]:
-    """Of one part (n,), which is there at its ends."""
-    gap, place, speed = gaps_of(there), counts - counts[0] + 0.5, 0.0
-    unknown = np.flatnonzero(u[gap.before] != u[gap.after]) if is_held(u, there) else np.zeros(0, np.intp)
-    gap = Gap(gap.before[unknown], gap.after[unknown])
+def _filled(machine: Machine, u: Floats, counts: Counts, there: Flags, held: bool) -> tuple[Floats, Counts]:
+    """Of one part (n,), which is there at its ends; held: is the input?"""
+    place, speed = counts - counts[0] + 0.5, 0.0
+    gap = _doubtful(u, there, held)
+    missed, none = _missed(gap, u, there, held), np.zeros(0, np.intp)
     u = u.copy()
     for wrong in WRONG:
         position, velocity = machine.motion(u, speed)
-        found, events = _deviation(machine, gap, u, place - position, velocity, there, wrong)
+        found, events = _deviation(machine, gap, missed, place - position, velocity, there, wrong)
         speed += found.start
         at = np.searchsorted(events, gap.after)
-        _decide(machine, gap, u, found.size[at], found.variance[at])
+        if held:
+            _decide(machine, gap, u, found.size[at], found.variance[at])
+    told = found.variance[at] < (machine.push * missed) ** 2 / 2  # as much by the counts as by the samples near by
+    if held:
+        gap, missed = Gap(none, none), missed[:0]
     position, velocity = machine.motion(u, speed)
-    none = Gap(gap.before[:0], gap.after[:0])
     deviation = place - position
-    smooth = _deviation(machine, none, u, deviation, velocity, there, WRONG[-1])[0].deviation
+    smooth = _deviation(machine, gap, missed, deviation, velocity, there, WRONG[-1])[0].deviation
     where = np.flatnonzero(there)
     line = np.interp(np.arange(u.size), where, deviation[where])
     filled = np.floor(position + np.clip(smooth, line - WITHIN, line + WITHIN)).astype(np.int64) + counts[0]
+    for k in none if held else np.flatnonzero(told):
+        u[gap.before[k] + 1 : gap.after[k]] = np.nan
     return u, np.where(there, counts, filled)
 
 
+def _doubtful(u: Floats, there: Flags, held: bool) -> Gap:
+    """The gaps of which the motion tells what the input (n,) did: where a held one changed, and of others the long."""
+    gap = gaps_of(there)
+    found = np.flatnonzero(u[gap.before] != u[gap.after] if held else gap.missing > ALWAYS)
+    return Gap(gap.before[found], gap.after[found])
+
+
+def _missed(gap: Gap, u: Floats, there: Flags, held: bool) -> Floats:
+    """(g,) standard deviations of the sum of the input (n,) over each gap."""
+    if held:
+        return np.asarray(np.abs(u[gap.after] - u[gap.before]) * gap.missing / np.sqrt(12))
+    if not gap.before.size:
+        return np.zeros(0)
+    places = np.flatnonzero(there)
+    local = best_of(u[places], places)
+    sizes = {length: local.missed(u[places], places, length) for length in np.unique(gap.missing).tolist()}
+    return np.array([sizes[length] for length in gap.missing.tolist()])
+
+
 def _deviation(
-    machine: Machine, gap: Gap, u: Floats, deviation: Floats, velocity: Floats, there: Flags, wrong: float
+    machine: Machine, gap: Gap, missed: Floats, deviation: Floats, velocity: Floats, there: Flags, wrong: float
 ) -> tuple[Steps, NDArray[np.intp]]:
     """The smoothed deviation (n,) [counts] of the measured motion from the simulated one, and the events: gaps,
-    reversals, and ever so often, for wrong parameters. wrong: what the model may have wrong at each, as a part of the
-    velocity."""
+    reversals, and ever so often, for wrong parameters. missed: (g,) what of the sum of the input is not known in each
+    gap; wrong: what the model may have wrong at each event, as a part of the velocity."""
     turns = np.flatnonzero(np.diff(np.sign(velocity))) + 1
-    often = np.arange(0, u.size, machine.often)
+    often = np.arange(0, deviation.size, machine.often)
     events = np.unique(np.concatenate([often, gap.after, turns]))
-    at, change = np.searchsorted(events, gap.after), u[gap.after] - u[gap.before]
+    at = np.searchsorted(events, gap.after)
     steps = np.full(events.size, max((wrong * rms(velocity)) ** 2, np.finfo(float).tiny))
     moves = np.full(events.size, SHIFT**2)
-    steps[at] += (machine.push * change * gap.missing) ** 2 / 12
+    steps[at] += (machine.push * missed) ** 2
     moves[at] += steps[at] * (gap.missing * machine.dt) ** 2 / 4
     return smoothed(deviation, there, events, steps, moves, machine.decay, machine.dt), events
 

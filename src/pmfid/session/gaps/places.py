@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from pmfid.types import Flags, Floats
 if TYPE_CHECKING:
     from pmfid.session.record_config import RecordConfig
 
+Number = TypeVar("Number", bound=np.generic)
 #: A longer step, in medians, leaves samples out.
 MISSING = 1.5
 #: A step that is no whole number of periods, by more than this part of one, is none of an even grid.
@@ -58,7 +59,7 @@ def laid(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig
         return Laid(rows, _shortened(rows), *sample_period(None, config))
     rows, repeats = _without_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
     rows, early = _without_early(time, rows)
-    stamps, places = time[rows], np.arange(rows.size)
+    stamps, places = _at(time, rows), None
     if not (_steady(stamps) or even_grid(stamps)[1]):
         found = _places(stamps)
         if found is not None:
@@ -66,7 +67,13 @@ def laid(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig
             stamps = stamps[0] + period * np.arange(places[-1] + 1)
     dt, notes = sample_period(stamps, config)  # which refuses what is on no grid
     counts = kept[rows]
-    return Laid(rows[counts], _shortened(places[counts]), dt, (*repeats, *early, *notes))
+    places = np.flatnonzero(counts) if places is None else places[counts]
+    return Laid(_at(rows, np.flatnonzero(counts)), _shortened(places), dt, (*repeats, *early, *notes))
+
+
+def _at(values: NDArray[Number], rows: NDArray[np.intp]) -> NDArray[Number]:
+    """The values (N,) at rows (n,), rising ones; no copy where these are all."""
+    return values if rows.size == values.size else values[rows]
 
 
 def left_out(
@@ -95,7 +102,7 @@ def _steady(time: Floats) -> bool:
 
 def _without_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     """Rows without those that are the same as the row before, time and all."""
-    again = np.r_[False, np.diff(time[rows]) == 0] & repeated[rows]
+    again = np.r_[False, np.diff(_at(time, rows)) == 0] & _at(repeated, rows)
     count = int(np.count_nonzero(again))
     if not count:
         return rows, ()
@@ -105,7 +112,7 @@ def _without_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> t
 
 def _without_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     """Rows without the few that come right behind another, as where a logger starts: no grid has a place for them."""
-    steps = np.diff(time[rows])
+    steps = np.diff(_at(time, rows))
     early = np.r_[False, (steps > 0) & (steps < EARLY * np.median(steps))] if steps.size else np.zeros(rows.size, bool)
     count = int(np.count_nonzero(early))
     if not 0 < count <= max(1, RARE * rows.size):
@@ -153,4 +160,5 @@ def _along_a_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.in
 
 def _shortened(places: NDArray[np.intp]) -> NDArray[np.intp]:
     """Places with gaps of at most LONGEST samples."""
-    return np.asarray(np.r_[0, np.cumsum(np.minimum(np.diff(places), LONGEST + 1))][: places.size], np.intp)
+    steps = np.diff(places, prepend=places[:1])
+    return np.cumsum(np.minimum(steps, LONGEST + 1, out=steps), out=steps)

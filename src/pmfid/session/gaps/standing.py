@@ -1,8 +1,9 @@
 """What stands in the place of samples that are missing, as far as the samples around them tell it.
 
 A held input that differs on the two sides of a gap has changed somewhere in it: the straight line is its mean over all
-instants at which it may have done so (`motion` finds the instant). A smooth one is continued by a cubic. In a gap that
-hides more than that the input is not known: it is NaN there, and what comes behind begins anew.
+instants at which it may have done so (`motion` finds the instant). Any other is continued by the samples near by
+(`local`). In a gap that hides more than that the input is not known: it is NaN there, and what comes behind begins
+anew.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.session.gaps.local import Polynomial, best_of
 from pmfid.types import Counts, Flags, Floats
 
 #: An input that is the same as before in more than this part of the samples is held for several of them.
@@ -22,8 +24,6 @@ SHORTEST = 0.02
 LENGTHS = (1, 2, 3, 5, 8, 12, 20, 30, 50, 100)
 #: What interpolation misses of the mean input over a gap, as a part of the root mean square input, is little.
 FAITHFUL = 0.1
-#: A cubic is better than a line where it misses less than this part of what the line does.
-BETTER = 0.7
 #: Gaps of up to so many samples are filled however little is known of the input: with this part of the samples gone at
 #: random there is nothing between them that could begin anew.
 ALWAYS, SCATTERED = 8, 0.02
@@ -52,9 +52,10 @@ def gaps_of(there: Flags) -> Gap:
 
 
 def is_held(u: Floats, there: Flags) -> bool:
-    """Does the input (n,) keep its value for several samples?"""
+    """Does the input (n,) keep its value for several samples? One that rests now and then, and else changes in every
+    sample, does not."""
     beside = there[1:] & there[:-1]
-    return bool(np.any(beside) and np.mean((np.diff(u) == 0)[beside]) > HELD)
+    return bool(np.any(beside) and np.mean((np.diff(u) == 0)[beside]) > HELD and _longest_held(u, there) > 0)
 
 
 def filled(
@@ -68,15 +69,12 @@ def filled(
     there[places] = True
     whole = np.rint(np.interp(grid, places, (counts - counts[0]).astype(np.float64))).astype(np.int64) + counts[0]
     whole[places] = counts
-    line = np.interp(grid, places, u)
-    held = is_held(line, there)
-    if not held and _cubic_is_better(u, places):
-        from scipy.interpolate import CubicSpline  # slow to import, and only this needs it
-
-        line = np.asarray(CubicSpline(places, u)(grid))
-        line[places] = u
-    gap = gaps_of(there)
-    longest = _longest_held(line, there) if held else _longest_bridged(line, there)
+    line, gap = np.interp(grid, places, u), gaps_of(there)
+    if is_held(line, there) or not gap.before.size:
+        longest = _longest_held(line, there)
+    else:
+        local = best_of(u, places)
+        line, longest = local.on_grid(u, places), _longest_bridged(local, u, places, int(np.max(gap.missing)))
     if np.mean(~there & ~np.isnan(line)) > SCATTERED:
         longest = max(longest, min(ALWAYS, int(np.quantile(gap.missing, 0.99)) if gap.missing.size else 0))
     longest = longest if bridged else 0
@@ -109,27 +107,14 @@ def _longest_held(u: Floats, there: Flags) -> int:
     return int(min(LENGTHS[-1], np.quantile(np.diff(changes), SHORTEST) - 1))
 
 
-def _longest_bridged(u: Floats, there: Flags) -> int:
-    """Missing samples over which a line misses little of the mean of the input (n,), by what is there."""
-    size, longest = float(np.sqrt(np.mean(u[there] ** 2))), 0
+def _longest_bridged(local: Polynomial, u: Floats, places: NDArray[np.intp], most: int) -> int:
+    """Missing samples of whose mean little is missed, by the samples u (m,) at their places (m,); of no more than the
+    gaps have."""
+    size, longest = float(np.sqrt(np.mean(u**2))), 0
     for length in LENGTHS:
-        window = length + 2
-        if u.size < 10 * window:
-            break
-        total = np.r_[0.0, np.cumsum(u)]
-        inside = total[window - 1 : -1] - total[1 : -window + 1]
-        missed = inside / length - (u[: -window + 1] + u[window - 1 :]) / 2
-        if float(np.sqrt(np.mean(missed**2))) > FAITHFUL * size:
+        if u.size < 10 * (length + 2) or local.missed(u, places, length) > FAITHFUL * size * length:
             break
         longest = length
+        if length >= most:
+            break
     return longest
-
-
-def _cubic_is_better(u: Floats, places: NDArray[np.intp]) -> bool:
-    """At samples whose two neighbours on either side are there."""
-    whole = np.flatnonzero((places[4:] - places[:-4]) == 4) + 2
-    if whole.size < LENGTHS[-1]:
-        return False
-    near, far = u[whole - 1] + u[whole + 1], u[whole - 2] + u[whole + 2]
-    cubic, line = (9 * near - far) / 16 - u[whole], near / 2 - u[whole]
-    return bool(np.sum(cubic**2) < BETTER**2 * np.sum(line**2))

@@ -1,7 +1,7 @@
 // Alarms as cards, and the dialog in which one is acknowledged with a note.
 import { Problem, tell } from "./api.js";
 import { el } from "./dom.js";
-import { age, moment, number, percent, unitOf, wall, words } from "./format.js";
+import { moment, number, percent, unitOf, wall, withError, words } from "./format.js";
 import { icon } from "./states.js";
 
 export function causeOf(alarm) {
@@ -14,7 +14,7 @@ export const sinceOf = (alarm) => `since ${moment(alarm.changed_at)}, found ${wa
 
 function settledOf(alarm) {
   const found = alarm.settled?.parameters?.[alarm.parameter];
-  return found ? `now ${number(found.value)} ± ${number(found.std, 2)}${unitOf(alarm.unit)}` : null;
+  return found ? `now ${withError(found.value, found.std)}${unitOf(alarm.unit)}` : null;
 }
 
 export function alarmCard(alarm, mayWrite, withAxis = true) {
@@ -83,5 +83,3 @@ export function askFirst(title, content, action, act) {
   document.body.append(dialog);
   dialog.showModal();
 }
-
-export const shortCause = (alarm) => `${words(alarm.parameter)} ${percent(alarm.relative)}, ${age(Date.now() / 1000 - alarm.wall)} ago`;

@@ -53,11 +53,13 @@ function take(message) {
   announce(plant.take(message));
   const open = plant.openAlarms().length;
   showCount(open);
-  document.title = `${open ? `▲ ${open} alarm${open > 1 ? "s" : ""} · ` : ""}${plant.name}`;
+  const where = [open ? `▲ ${open} alarm${open > 1 ? "s" : ""}` : null, view?.axis, plant.name];
+  document.title = where.filter(Boolean).join(" · ");
   view?.update();
 }
 
-function show() {
+// arrived: by a link, so that the keyboard and a screen reader go on at the top of what is new.
+function show(arrived = false) {
   if (!plant) return;
   stream?.stop();
   view?.stop();
@@ -68,6 +70,7 @@ function show() {
   main.replaceChildren(...gone, view.element);
   view.entered?.();
   scrollTo(0, 0);
+  if (arrived) main.focus({ preventScroll: true });
   stream = new Stream(known ? `api/stream?axis=${encodeURIComponent(axis)}` : "api/stream", take, showConnection);
 }
 
@@ -130,6 +133,6 @@ addEventListener("hashchange", () => {
   if (location.hash.includes("token=")) {
     takeToken();
     start();
-  } else show();
+  } else show(true);
 });
 start();

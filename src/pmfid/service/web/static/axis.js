@@ -217,7 +217,7 @@ export class AxisView {
     this.compare?.stop();
     this.compare = open ? new Compare(this.axis, this.group) : null;
     this.comparison.replaceChildren(...(open ? [this.compare.element] : []));
-    this.compare?.tellSeen(this.seen);
+    this.draw();
   }
 
   refer() {
@@ -249,7 +249,7 @@ export class AxisView {
     for (const chart of this.all) chart.draw(this.seen, from, to);
     this.strip.draw(this.seen, from, to);
     this.cursor(this.cursorAt < this.seen.time.length ? this.cursorAt : null);
-    this.compare?.tellSeen(this.seen);
+    this.compare?.tellSeen(this.columns.motion(from, to, this.group));
     if (this.asTable.open) this.rows.replaceChildren(tableOf(this.seen, this.group, this.plant.states));
     this.values();
   }

@@ -36,7 +36,7 @@ export class Chart {
       height: HEIGHT,
       legend: { show: false },
       cursor: { drag: { x: true, y: false, setScale: false }, sync: { key: "axis", setSeries: false }, points: { show: false } },
-      scales: { x: { time: this.wall }, y: { range: (_, low, high) => this.range(low, high) } },
+      scales: { x: { time: this.wall }, y: { range: () => this.limits } },
       axes: [{ ...axis, size: 30 }, { ...axis, size: LABELS, values: (_, ticks) => ticks.map((tick) => number(tick, 5).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "")) }],
       series,
       bands: [{ series: [2, 1], fill: colour("band") }],
@@ -50,13 +50,19 @@ export class Chart {
     return Math.max(160, Math.floor(this.place.clientWidth) || 320);
   }
 
-  // Room for what is there, and for the level where it is not far; never so narrow that rounding looks like motion.
-  range(low, high) {
-    if (low == null || high == null) return [0, 1];
-    const middle = (low + high) / 2;
-    const least = this.spec.level ? 0.02 * Math.abs(this.spec.level) : 0;
-    const half = Math.max((high - low) / 2, least) * 1.08 || 0.02 * Math.abs(middle) || 1;
-    return [middle - half, middle + half];
+  // Room for the line, the level and the band as wide as it usually is, for at a start it is as good as endless; never
+  // so narrow that rounding looks like motion.
+  range(line, low, high) {
+    if (this.spec.steps) [line, low, high] = [[...line, ...low, ...high], [], []];
+    const widths = line.flatMap((value, k) => (value == null || low[k] == null ? [] : [Math.max(value - low[k], high[k] - value)]));
+    const band = widths.sort((a, b) => a - b)[widths.length >> 1] ?? 0;
+    const values = line.filter((value) => value != null);
+    if (this.spec.level != null) values.push(this.spec.level);
+    if (!values.length) return [0, 1];
+    const least = values.reduce((a, b) => Math.min(a, b)), most = values.reduce((a, b) => Math.max(a, b));
+    const middle = (least + most) / 2;
+    const half = Math.max((most - least) / 2 + 1.5 * band, 0.02 * Math.abs(this.spec.level ?? 0)) * 1.08;
+    return [middle - (half || 0.02 * Math.abs(middle) || 1), middle + (half || 0.02 * Math.abs(middle) || 1)];
   }
 
   selected(plot) {
@@ -69,14 +75,17 @@ export class Chart {
     const wall = isWall(to);
     if (this.plot && this.wall !== wall) this.drop();
     this.wall = wall;
+    this.limits ??= [0, 1];
     if (!this.plot) this.make();
     const { line, low, high, level } = this.spec;
     const none = seen.time.map(() => null);
     const flat = level == null ? none : seen.time.map(() => level);
     const data = [seen.time, low ? low(seen) : none, high ? high(seen) : none, line(seen), flat];
+    this.limits = this.range(data[3], data[1], data[2]);
     this.plot.batch(() => {
       this.plot.setData(data, false);
       this.plot.setScale("x", { min: from, max: to });
+      this.plot.setScale("y", { min: this.limits[0], max: this.limits[1] });
     });
   }
 

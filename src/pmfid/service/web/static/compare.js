@@ -1,6 +1,7 @@
 // The reference record beside what is seen: is the work the same? Same scales, and the same numbers of both.
 import { Problem, ask } from "./api.js";
 import { Chart } from "./charts.js";
+import { Amount } from "./columns.js";
 import { el } from "./dom.js";
 import { number, unitOf } from "./format.js";
 
@@ -49,18 +50,17 @@ export class Compare {
     this.charts?.forEach((chart) => chart.resize());
   }
 
-  // seen: what the charts above show.
+  // seen: how much there is of input and velocity in what is seen, as `Columns.motion` tells it.
   tellSeen(seen) {
     this.seen = seen;
     if (!this.table || !seen) return;
     const { group, record } = this;
-    const speed = ` ${group.position_unit}/s`;
-    const rows = [
-      ["input, root mean square", rms(record.u), rms(seen.u), unitOf(group.input_unit)],
-      ["input, largest", most(record.u), Math.max(most(seen.low), most(seen.high)), unitOf(group.input_unit)],
-      ["velocity, root mean square", rms(record.velocity), rms(seen.velocity), speed],
-      ["velocity, largest", most(record.velocity), most(seen.velocity), speed],
-    ];
+    const units = { input: unitOf(group.input_unit), velocity: ` ${group.position_unit}/s` };
+    const told = { input: new Amount(record.u), velocity: new Amount(record.velocity) };
+    const rows = ["input", "velocity"].flatMap((name) => [
+      [`${name}, root mean square`, told[name].rms, seen[name].rms, units[name]],
+      [`${name}, largest`, told[name].most, seen[name].most, units[name]],
+    ]);
     this.table.replaceChildren(
       ...rows.map(([name, a, b, unit]) => el("tr", {}, el("th", { scope: "row" }, name), el("td", {}, number(a) + unit), el("td", {}, number(b) + unit))),
     );
@@ -70,10 +70,6 @@ export class Compare {
     this.charts?.forEach((chart) => chart.drop());
   }
 }
-
-const finite = (values) => values.filter((value) => value !== null && Number.isFinite(value));
-const rms = (values) => Math.sqrt(finite(values).reduce((sum, value) => sum + value * value, 0) / finite(values).length);
-const most = (values) => finite(values).reduce((largest, value) => Math.max(largest, Math.abs(value)), 0);
 
 function parsed(text, resolution) {
   const rows = text.trim().split("\n").slice(1).map((line) => line.split(",").map(Number));

@@ -98,7 +98,8 @@ export class Overview {
     if (this.rows.focused && !asked) this.rows.draw(true);
     else this.rows.show(this.ordered(kinds));
     const n = this.rows.order.length;
-    say(this.shown, `${n} of ${this.plant.names.length} axes`);
+    const all = this.plant.names.length;
+    say(this.shown, `${n} of ${all} ${all === 1 ? "axis" : "axes"}`);
   }
 
   count(kinds) {

@@ -1,0 +1,125 @@
+"""The broker is killed, away, or has another service under the same name: nothing is lost, and it is told."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
+from tests.service.engine import FakeEngine, wait_for
+from tests.service.test_mqtt import connected, sender, source, stop
+
+pytestmark = [needs_broker, pytest.mark.usefixtures("stopped_brokers")]
+
+
+def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[FakeEngine, dict[str, int]]:
+    """Deliveries of a sender whose broker is killed so many times, `seconds` apart, and samples sent of each axis."""
+    engine, broker, rng = FakeEngine(), Broker(folder, more).start(), np.random.default_rng(kills)
+    hall = source(engine, broker, "killed")
+    thread = engine.running(hall)
+    assert connected(hall)
+    ended, sent = threading.Event(), {"x1": 0, "x2": 0}
+    gateway = sender(broker, "killed/a", samples=5, size=400, delay=0.02, keep=2.5)
+
+    def feed() -> None:
+        while not ended.wait(0.02):
+            for name in sent:
+                n = int(rng.integers(1, 9))
+                gateway.add(name, np.arange(sent[name], sent[name] + n), np.arange(sent[name], sent[name] + n))
+                sent[name] += n
+
+    feeder = threading.Thread(target=feed)
+    feeder.start()
+    for k in range(kills):
+        for _ in range(4):
+            ended.wait(seconds / 4)
+            engine.checkpoint()
+        broker.kill()
+        ended.wait(0.3 * (k % 3))
+        broker.start()
+    ended.wait(seconds / 2)
+    ended.set()
+    feeder.join()
+    assert gateway.close(30), gateway.problem
+    assert gateway.dropped == 0
+
+    def complete() -> bool:
+        engine.checkpoint()
+        return engine.reached == sent
+
+    wait_for(complete, 30)
+    stop(hall, thread)
+    broker.stop()
+    return engine, sent
+
+
+def check_nothing_lost(engine: FakeEngine, sent: dict[str, int]) -> None:
+    """In the order of delivery, with what is known already left out, each axis goes on without a hole."""
+    for name, n in sent.items():
+        expected = 0
+        for block in engine.blocks:
+            if block.axis == name and block.end > expected:
+                assert block.first <= expected, f"a hole before {block.first} of {name}, expected {expected}"
+                assert block.counts.tolist() == list(range(block.first, block.end))
+                expected = block.end
+        assert expected == n
+
+
+PERSISTENT = "max_queued_messages 100000\n"
+
+
+def test_a_killed_broker_costs_nothing(tmp_path: Path) -> None:
+    engine, sent = through_kills(tmp_path, 2, 0.5, PERSISTENT)
+    check_nothing_lost(engine, sent)
+    assert sum(block.end - block.first for block in engine.blocks) > sum(sent.values()), "nothing was sent again"
+    assert any("ended" in problem for problem in engine.problems())
+    assert engine.problems()[-1] == ""
+
+
+def test_a_broker_that_keeps_nothing_costs_nothing_either(tmp_path: Path) -> None:
+    engine, sent = through_kills(tmp_path, 1, 0.5, "max_queued_messages 100000\nautosave_interval 0\n")
+    check_nothing_lost(engine, sent)
+    assert any("forgotten the session" in problem for problem in engine.problems())
+
+
+@pytest.mark.long
+def test_fifty_kills_of_the_broker_cost_nothing(tmp_path: Path) -> None:
+    engine, sent = through_kills(tmp_path, 50, 3.0, PERSISTENT)
+    check_nothing_lost(engine, sent)
+
+
+def test_a_source_waits_for_a_broker_that_is_not_there_yet(tmp_path: Path) -> None:
+    engine, late = FakeEngine(), Broker(tmp_path)
+    hall = source(engine, late, "late")
+    thread = engine.running(hall)
+    assert wait_for(lambda: engine.told)
+    assert engine.told[0]["event"] == "source"
+    assert engine.told[0]["source"] == "hall"
+    assert f"no connection to 127.0.0.1 port {late.port}" in engine.problems()[0]
+    late.start()
+    assert connected(hall)
+    assert wait_for(lambda: engine.problems()[-1] == "")
+    stop(hall, thread)
+    late.stop()
+
+
+def test_two_services_under_one_name_are_told(tmp_path: Path) -> None:
+    engine, broker = FakeEngine(), Broker(tmp_path).start()
+    first, second = source(engine, broker, "same"), source(FakeEngine(), broker, "same")
+    threads = [engine.running(first)]
+    assert connected(first)
+    threads.append(engine.running(second))
+    assert wait_for(lambda: "another service has the session 'same'" in str(engine.problems()))
+    stop(first, threads[0])
+    stop(second, threads[1])
+
+
+def test_what_is_kept_while_the_broker_is_away_is_bounded(tmp_path: Path) -> None:
+    gateway = sender(Broker(tmp_path), "a", most=600)
+    gateway.add("x1", np.zeros(20), np.zeros(20, int))
+    assert not gateway.close(0.3)
+    assert "no connection" in gateway.problem
+    assert gateway.dropped == 20 - 600 // 60

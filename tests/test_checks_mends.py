@@ -1,0 +1,138 @@
+"""Faults that the checks once missed, and clean logs in which they once saw one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from pmfid.cli.main import main
+from pmfid.findings import Finding, codes
+from pmfid.session.checks import checked
+from pmfid.session.checks.log import Log
+from pmfid.session.checks.readings import as_velocity
+from pmfid.session.checks.stops import long_stops, sudden
+from pmfid.session.checks.timing import FITTED, acts_late
+from pmfid.session.outliers import believed
+from studies.check_logs import ALL, Logged, clean, faulty, limited
+from tests.test_checks import written
+
+
+def found_in(log: Logged) -> tuple[str, ...]:
+    return codes(checked(log.record(), log.configuration, judged=True))
+
+
+@pytest.mark.parametrize("seed", [3006, 3019])
+def test_a_velocity_is_read_as_it_stands(seed: int) -> None:
+    # at 3006 the axis rests between moves, and what mends positions set its steps right; at 3019 two levels drive it
+    assert found_in(faulty("velocity as position", seed)) == ("velocity",)
+
+
+def test_an_axis_at_rest_stays_where_it_is() -> None:
+    encoder, counts = as_velocity(np.array([0, 0, 5, 5, 0, 0, 0]), 1e-3, 0.1)
+    assert np.ptp(counts[:2]) == np.ptp(counts[5:]) == 0
+    assert encoder.position(counts)[-1] - encoder.position(counts)[0] == pytest.approx(1e-3, rel=1e-6)
+
+
+# --- stops ------------------------------------------------------------------------------------------------------------
+
+#: Moves at a constant acceleration up and down, 20 counts per sample at most, with rests.
+RAMP = np.repeat([0.0, *np.linspace(0, 20, 60), *np.linspace(20, 0, 60), 0.0], [30] + [1] * 120 + [30])
+SPEED = np.tile(np.r_[RAMP, -RAMP], 4)
+
+
+def counted(speed: np.ndarray) -> np.ndarray:
+    return np.floor(np.cumsum(speed)).astype(np.int64)
+
+
+def test_rests_are_no_sudden_stops() -> None:
+    counts = counted(SPEED)
+    assert long_stops(counts)
+    assert sudden(counts, long_stops(counts)) == set()
+
+
+def test_a_counter_that_catches_up_was_stuck() -> None:
+    # the axis is nearly as sudden by itself as where the counter stops, but nowhere as where it goes on
+    assert found_in(faulty("stuck counter", 1008)) == ("stuck",)
+
+
+@pytest.mark.parametrize("missed", ["lost until the axis rests", "to the end"])
+def test_a_counter_that_stops_in_motion_is_stuck(missed: str) -> None:
+    change, start = np.diff(counted(SPEED), prepend=0), 30 + 75
+    if missed == "to the end":
+        start += 6 * RAMP.size
+        change[start:] = 0
+    else:
+        change[start : start + 80] = 0
+    counts = np.cumsum(change)
+    found = sudden(counts, long_stops(counts))
+    assert [first for first, _ in found] == [start - 1]
+
+
+# --- short and slow records -------------------------------------------------------------------------------------------
+
+
+def test_a_short_record_whose_input_switches_between_its_rows_is_too_slow() -> None:
+    assert found_in(faulty("sample rate too low", 5023)) == ("rate_low",)
+
+
+def test_a_short_record_whose_input_explains_it_is_not() -> None:
+    log = clean(5023)
+    record = log.record()
+    short = replace(record, u=record.u[:120], counts=record.counts[:120])
+    assert "rate_low" not in codes(checked(short, log.configuration, judged=True))
+
+
+# --- limits of the input ----------------------------------------------------------------------------------------------
+
+
+def test_what_the_log_cuts_off_is_told_from_the_limit_of_the_drive() -> None:
+    assert found_in(faulty("saturated input", 3027)) == ("saturated",)
+    log = limited(3041)
+    found = checked(log.record(), log.configuration, judged=True)
+    assert [(one.code, one.severity) for one in found] == [("saturated", "note")]
+
+
+def test_a_note_ends_no_search_and_is_no_fault(tmp_path: Path) -> None:
+    assert found_in(faulty("sample rate too low", 5002)) == ("rate_low",)
+    log = limited(5044, {"slide": ALL["slide"]})
+    record, axis = written(log, tmp_path)
+    with mock.patch("pmfid.session.checks.acts_late", return_value=iter(())):
+        result = CliRunner().invoke(main, ["check", str(record), "--config", str(axis)])
+    assert result.exit_code == 0
+    assert result.stdout.splitlines()[0].endswith("samples, nothing wrong found")
+    assert "note: the input column" in result.stdout
+
+
+# --- clean logs -------------------------------------------------------------------------------------------------------
+
+
+def test_a_sign_is_not_told_from_what_explains_nothing() -> None:
+    assert "reversed" not in found_in(clean(5020))
+
+
+def test_a_motion_that_starts_with_all_its_force_has_no_wrong_first_row() -> None:
+    record = clean(1037).record()
+    assert believed(record).findings == ()
+    assert believed(replace(record, counts=record.counts[::-1].copy())).findings == ()
+    wrong = replace(record, counts=np.r_[500, record.counts[1:]])
+    assert [one.code for one in believed(wrong).findings] == ["count_jump"]
+
+
+def test_findings_are_told_by_their_weight() -> None:
+    assert codes((Finding("saturated", "at a limit", severity="note"),)) == ()
+
+
+def test_a_late_input_is_looked_for_in_a_part_of_a_long_record() -> None:
+    log = clean(1, {"cart": ALL["cart"]})
+    record = log.record()
+    times = FITTED // record.u.size + 2
+    u, counts = np.tile(record.u, times), np.tile(record.counts - record.counts[0], times)
+    seen = mock.Mock(return_value=None)
+    with mock.patch("pmfid.session.checks.timing.examined", seen):
+        assert list(acts_late(Log(replace(record, u=u, counts=counts), log.configuration))) == []
+    assert seen.call_args.args[1].size == FITTED
