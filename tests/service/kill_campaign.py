@@ -285,7 +285,11 @@ def assert_same(killed: Plant, whole: Plant) -> int:
     """Whether a plant that was killed ended as one that was not; how many rows came again."""
     (rows, again), (expected, _) = rows_of(killed), rows_of(whole)
     differ = sorted(key for key in rows.keys() | expected.keys() if rows.get(key) != expected.get(key))
-    assert not differ, f"{len(differ)} rows differ (axis, number), the first of them {differ[0]}"
+    missing, more = len(expected.keys() - rows.keys()), len(rows.keys() - expected.keys())
+    assert not differ, (
+        f"{len(differ)} rows differ (axis, number), from {differ[0]} to {differ[-1]}: {missing} are missing, {more} "
+        f"should not be; {state_of(killed).alarms}"
+    )
     a, b = state_of(killed), state_of(whole)
     assert a.marks["record"]["sample"] == b.marks["record"]["sample"]
     for one, other in zip(a.groups, b.groups, strict=True):
