@@ -115,8 +115,9 @@ def _said(case: Case, result: Result) -> list[str]:
     faults = [f"control character in {name}" for name, text in texts.items() if CONTROL.search(text)]
     if code not in (DONE, USAGE, NOT_IDENTIFIABLE):
         return [*faults, f"exit code {code}"]
-    watches = case.arguments[:1] == ("monitor",)
-    rows = watches and "-" in case.arguments[2:]  # estimates; the bar of one that is not known yet is infinite
+    watches = case.arguments[:1] in (("monitor",), ("serve",))
+    # estimates; the bar of one that is not known yet is infinite
+    rows = case.arguments[:1] == ("monitor",) and "-" in case.arguments[2:]
     if "--json" in case.arguments and not {"--help", "-h"} & set(case.arguments) and not rows:
         faults += _json(out, several=watches)
     if code == DONE:

@@ -283,6 +283,13 @@ def _kept(saved: Saved) -> dict[str, object]:
 
 def assert_same(killed: Plant, whole: Plant) -> int:
     """Whether a plant that was killed ended as one that was not; how many rows came again."""
+    (rows, again), (expected, _) = rows_of(killed), rows_of(whole)
+    differ = sorted(key for key in rows.keys() | expected.keys() if rows.get(key) != expected.get(key))
+    missing, more = len(expected.keys() - rows.keys()), len(rows.keys() - expected.keys())
+    assert not differ, (
+        f"{len(differ)} rows differ (axis, number), from {differ[0]} to {differ[-1]}: {missing} are missing, {more} "
+        f"should not be; {state_of(killed).alarms}"
+    )
     a, b = state_of(killed), state_of(whole)
     assert a.marks["record"]["sample"] == b.marks["record"]["sample"]
     for one, other in zip(a.groups, b.groups, strict=True):
@@ -291,8 +298,6 @@ def assert_same(killed: Plant, whole: Plant) -> int:
         assert one.state == other.state, "the states of the monitors differ"
         assert np.array_equal(one.seats.view("u1"), other.seats.view("u1")), "the order of the blocks differs"
         assert one.held == other.held
-    (rows, again), (expected, _) = rows_of(killed), rows_of(whole)
-    assert rows == expected
     alarms = [[(x.number, x.what) for x in sorted(s.alarms, key=lambda x: x.number)] for s in (a, b)]
     assert alarms[0] == alarms[1]
     assert not list((killed.folder / "state").glob("*damaged*"))

@@ -170,6 +170,22 @@ def test_lines_in_any_order_within_the_window_are_sorted(seed: int) -> None:
     assert len(found) >= 120 - 42
 
 
+def test_lines_that_come_again_after_a_restart_are_a_no_op() -> None:
+    lines = [Line(k * DT, 0.5 * k, k) for k in range(200)]
+    for window in (0.0, 10 * DT):
+        timed, pieces = Timed(DT, window, timed=True), list[Piece]()
+        timed.take(Lines("x", lines[:150]), 0.0, 0, pieces)
+        again = Timed(DT, window, timed=True)
+        again.restore(timed.saved())
+        verdict = again.take(Lines("x", lines[120:]), 0.0, 1, pieces)
+        assert verdict.told == []
+        assert sum(verdict.lines.values()) == 30
+        counts = np.concatenate([piece.counts for piece in pieces])
+        assert counts.tolist() == list(range(counts.size))
+        assert counts.size >= 199 - round(window / DT)
+        assert [piece.lead for piece in pieces if piece.lead] == []
+
+
 def test_lines_of_a_clock_that_was_set_back_go_on() -> None:
     lines = [Line(100 + k * DT, 1.0, k) for k in range(100)]
     lines += [Line(100 + k * DT - 3600, 1.0, k) for k in range(100, 300)]

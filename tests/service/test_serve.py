@@ -121,8 +121,12 @@ def test_a_configuration_that_fails_costs_its_own_axes_only(folder: Path) -> Non
     assert len(events(told, "alarm")) == 1
     (problem,) = [event["problem"] for event in events(told, "configuration") if "problem" in event]
     assert "nowhere.csv" in problem
-    plant.write_text(PLANT.replace("axis.toml", "lonely.toml"))
+    plant.write_text(PLANT.replace("axis.toml", "lonely.toml") + '[axes.x2]\nconfig = "none.toml"\n')
     assert "no axis can be watched" in called("serve", str(plant), "--until-end", code=2)
+    plant.write_text(PLANT.replace("axis.toml", "lonely.toml"))
+    (line,) = called("serve", str(plant), "--until-end", code=2).splitlines()
+    assert line.startswith("pmfid: ")
+    assert "nowhere.csv" in line
 
 
 REFUSED: dict[str, tuple[Callable[[str], str], str]] = {

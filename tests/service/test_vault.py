@@ -20,6 +20,8 @@ from pmfid.service.delivery import Block, Delivery
 from pmfid.service.engine import Engine
 from pmfid.service.groups import Pace, Prepared
 from pmfid.service.keeping import Checkpoints
+from pmfid.service.outcome import Notice, Rows
+from pmfid.service.sinks.queued import Queued
 from pmfid.service.vault import Vault
 from pmfid.simulation import CART_DT
 
@@ -144,6 +146,36 @@ def test_a_snapshot_is_read_as_it_was_and_nothing_else_is(prepared: Prepared) ->
 def _restored(body: bytes, prepared: Prepared) -> None:
     for one in read_snapshot(body).groups:
         one.restored(prepared, Pace())
+
+
+class Broken:
+    """A sink that takes nothing until it works."""
+
+    name, works = "alarms", False
+
+    def open(self) -> None:
+        if not self.works:
+            raise OSError(errno.ECONNREFUSED, "nobody is there")
+
+    def put(self, outcomes: list[Rows | Notice]) -> None:
+        """Takes them."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def test_alarms_that_a_sink_does_not_have_yet_survive(prepared: Prepared) -> None:
+    engine, sink, told = engine_of(prepared), Broken(), Told()
+    queued = Queued(sink, engine.counters, told.append)
+    engine.unwritten = lambda: {queued.name: queued.unwritten()}
+    queued.start()
+    alarm = Notice("x1", 7, 1.5, {"event": "alarm", "parameter": "mass"})
+    queued.notice(alarm)
+    queued.notice(Notice("x1", 8, 1.5, {"event": "state", "state": "settling"}))
+    assert read_snapshot(b"".join(snapshot(engine))).unwritten == {"alarms": [alarm]}
+    sink.works = True
+    queued.close(10.0)
+    assert read_snapshot(b"".join(snapshot(engine))).unwritten == {}
 
 
 def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(

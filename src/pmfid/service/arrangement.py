@@ -32,11 +32,12 @@ class Configurations:
 
     def of(self, axes: Mapping[str, Path]) -> dict[str, Prepared]:
         """Name -> configuration of those axes whose configuration can be used: the present one, or where that fails
-        the one before."""
-        found = {path: self._prepared(path) for path in dict.fromkeys(axes.values())}
+        the one before. Raises PmfidError or OSError where there is but one, which could never be used."""
+        paths = dict.fromkeys(axes.values())
+        found = {path: self._prepared(path, only=len(paths) == 1) for path in paths}
         return {name: prepared for name, path in axes.items() if (prepared := found[path]) is not None}
 
-    def _prepared(self, path: Path) -> Prepared | None:
+    def _prepared(self, path: Path, only: bool) -> Prepared | None:
         before = self._known.get(path)
         try:
             axis = load_axis(path)
@@ -45,6 +46,8 @@ class Configurations:
                 self._known[path] = stamp, self._made(path, axis)
             return self._known[path][1]
         except (PmfidError, OSError) as error:
+            if only and before is None:
+                raise
             left = "its axes are not watched" if before is None else "its axes go on as they were configured before"
             self.tell({"event": "configuration", "config": path.name, "problem": f"{error}; {left}"})
             return None if before is None else before[1]

@@ -142,7 +142,11 @@ class Engine:
         self.changes += 1
         for delivery in batch:
             for item in delivery.items:
-                self._take(item, delivery, active, found)
+                try:
+                    self._take(item, delivery, active, found)
+                except (TypeError, ValueError, ArithmeticError) as error:  # it would come again and again
+                    problem = f"{type(error).__name__}: {error}; it is left out"
+                    self._refuse(delivery.source, Unusable("error", problem))
         crash_point("engine.ordered")
         self._step(active, found)
         self._count(batch, begun)

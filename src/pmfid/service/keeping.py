@@ -138,6 +138,7 @@ class Checkpoints:
         self.counters.add("pmfid_checkpoints_total")
         self.counters.put("pmfid_checkpoint_working", 1)
         self.counters.put("pmfid_checkpoint_seconds", seconds)
+        self._behind = False
         if self._failing:
             self._failing = False
             self.tell({"event": "checkpoint", "works": True, "sequence": self.vault.sequence})

@@ -15,10 +15,20 @@ from pmfid.errors import UsageError, did_you_mean
 from pmfid.service.context import SourceSection
 from pmfid.service.kinds import SINKS, SOURCES
 from pmfid.service.sinks.section import SinkSection
+from pmfid.service.web.config import PageConfig
 from pmfid.session.model_config import Name
 from pmfid.session.toml_file import FileSection, validated
 
-__all__ = ["MOST_AXES", "AxisSection", "FleetSection", "Plant", "ServiceSection", "load_plant", "single_axis"]
+__all__ = [
+    "MOST_AXES",
+    "AxisSection",
+    "FleetSection",
+    "Plant",
+    "ServiceSection",
+    "load_plant",
+    "page_config",
+    "single_axis",
+]
 
 #: More axes than one process can serve.
 MOST_AXES = 1_000_000
@@ -115,6 +125,12 @@ def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, ob
     sources = {"input" if piped else "record": _of_kind("sources", "input" if piped else "record", raw, SOURCES)}
     service = _section("service", ServiceSection, {"name": name, "window": 0.0, "every": 0.1} | dict(given or {}))
     return Plant(config.parent, service, {name: config}, sources)
+
+
+def page_config(plant: Plant) -> PageConfig:
+    """[page], with its defaults. Raises UsageError for what it may not be."""
+    whole = create_model("Whole", __base__=FileSection, page=(PageConfig, ...))
+    return validated(whole, {"page": dict(plant.page or {})}).page  # type: ignore[attr-defined,no-any-return]
 
 
 def _read(path: Path) -> dict[str, Any]:

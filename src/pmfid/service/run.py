@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import signal
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from threading import Thread
-from types import FrameType
 from typing import Any
 
 from pmfid.errors import PmfidError, UsageError
@@ -22,18 +19,17 @@ from pmfid.service.groups import Group, Pace, Prepared
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.log import Log
 from pmfid.service.outcome import Notice, Outlet
-from pmfid.service.plant import Plant
+from pmfid.service.plant import Plant, page_config
 from pmfid.service.running import Sources
+from pmfid.service.signals import Signals
 from pmfid.service.sinks.queued import Queued
 from pmfid.service.systemd import notify
 from pmfid.service.vault import Vault
-from pmfid.service.web.config import PageConfig
 from pmfid.service.web.server import Page
 from pmfid.session.config import Axis
 from pmfid.session.records import Record, read_record
-from pmfid.session.toml_file import validated
 
-__all__ = ["Service", "page_config"]
+__all__ = ["Service"]
 
 #: How often signals are looked at, and how long sources and sinks have to end [s].
 LOOK, ENDING = 0.1, 10.0
@@ -41,42 +37,6 @@ LOOK, ENDING = 0.1, 10.0
 MOST_NAMES, MOST_HISTORY = 100, 1000
 #: An engine that has not come by for so long is not called alive any more [s].
 STUCK = 60.0
-
-
-@dataclass
-class _Signals:
-    """What was asked for by a signal."""
-
-    stop: bool = False
-    reload: bool = False
-
-    @contextmanager
-    def handled(self) -> Iterator[_Signals]:
-        """SIGINT and SIGTERM end the service, SIGHUP reads PLANT.toml again."""
-        hangup = getattr(signal, "SIGHUP", None)
-        numbers = [signal.SIGINT, signal.SIGTERM, *([hangup] if hangup is not None else [])]
-        before = {number: signal.signal(number, self._handle) for number in numbers}
-        try:
-            yield self
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        if number in (signal.SIGINT, signal.SIGTERM):
-            self.stop = True
-        else:
-            self.reload = True
-
-
-def page_config(plant: Plant) -> PageConfig:
-    """[page], with its defaults. Raises UsageError for what it may not be."""
-    from pydantic import create_model
-
-    from pmfid.session.toml_file import FileSection
-
-    whole = create_model("Whole", __base__=FileSection, page=(PageConfig, ...))
-    return validated(whole, {"page": dict(plant.page or {})}).page  # type: ignore[attr-defined,no-any-return]
 
 
 @dataclass
@@ -94,10 +54,10 @@ class Service:
         """Until a signal, or the end of all sources. Raises UsageError for a plant that cannot be served at all."""
         self._plant = plant = self.load()
         self._page: Page | None = None
-        self._signals = _Signals()
+        self._signals = Signals()
         self._reloading: Thread | None = None
+        self._prepare(plant)  # may take minutes: a signal ends it at once, for nothing runs yet
         with self._signals.handled():
-            self._prepare(plant)
             try:
                 self._start(plant)
                 notify("READY=1")
@@ -122,11 +82,14 @@ class Service:
         self._sources = Sources(self._engine.inbox, self._engine.tell, self._engine.marks)
         self._pace = Pace(plant.service.window, plant.service.every)
         self._configurations = Configurations(self._tell_now, self.record)
-        self._axes: dict[str, Prepared] = self._configurations.of(plant.axes)
-        if not self._axes:
+        try:
+            self._axes: dict[str, Prepared] = self._configurations.of(plant.axes)
+            if not self._axes:
+                raise UsageError("no axis can be watched; correct what the log says of their configurations")
+            self._restore(plant)
+        except BaseException:
             self._log.close(ENDING)
-            raise UsageError("no axis can be watched; correct what the log says of their configurations")
-        self._restore(plant)
+            raise
 
     def _restore(self, plant: Plant) -> None:
         """Goes on from the last checkpoint, if there is one."""
@@ -314,6 +277,8 @@ class Service:
         if hasattr(self, "_thread"):
             self._thread.join()
             self._tell_now({"event": "ended"})
+        else:
+            self._engine.keeper.offer(self._engine, last=True)
         if self._page is not None:
             self._page.stop()
         for sink in self._sinks:

@@ -9,7 +9,7 @@ from threading import Event, Thread
 from typing import Any
 
 from pmfid.errors import PmfidError
-from pmfid.service.delivery import Mark
+from pmfid.service.delivery import Delivery, Mark
 from pmfid.service.inbox import Inbox
 from pmfid.service.sources import Source
 
@@ -31,6 +31,7 @@ class Running:
     marks: Mapping[str, Mark]
     failed: PmfidError | None = field(default=None, init=False)
     ended: bool = field(default=False, init=False)
+    _mark: Mark | None = field(default=None, init=False)
     _stopped: Event = field(default_factory=Event, init=False)
 
     def start(self) -> None:
@@ -38,11 +39,17 @@ class Running:
         self._thread = Thread(target=self._run, name=f"source {self.source.name}", daemon=True)
         self._thread.start()
 
+    def _take(self, delivery: Delivery) -> bool:
+        taken = self.inbox.put(delivery)
+        if taken and delivery.mark is not None:
+            self._mark = delivery.mark  # where it goes on if it has to begin again: the engine is behind
+        return taken
+
     def _run(self) -> None:
         pause = FIRST_PAUSE
         while not self._stopped.is_set():
             try:
-                self.source.run(self.inbox.put, self.marks.get(self.source.name))
+                self.source.run(self._take, self._mark or self.marks.get(self.source.name))
                 break
             except PmfidError as error:
                 self.failed = error

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import struct
-import zlib
 from bisect import insort
 from collections import deque
+from hashlib import blake2b
 
 import numpy as np
 
@@ -45,8 +45,10 @@ class Timed:
         self._grid = self._new()
         self._held: list[Line] = []
         self._newest, self._behind = -math.inf, 0
-        self._recent: deque[int] = deque(maxlen=KNOWN)  # checksums of lines
-        self._before: frozenset[int] = frozenset()  # those of before the restart
+        self._recent: deque[str] = deque(maxlen=KNOWN)  # digests of lines
+        self._latest = -math.inf
+        self._before: frozenset[str] = frozenset()  # digests of before the restart
+        self._until = -math.inf  # the latest time of these
         self._doubtful = 0  # samples that are still to follow one another before any is believed
 
     def _new(self) -> Timeline | Metronome:
@@ -66,10 +68,12 @@ class Timed:
 
     def _again(self, line: Line) -> bool:
         """Whether a line came before the restart."""
-        checksum = zlib.crc32(_LINE.pack(line.time, line.u, line.counts))
-        if self._before and checksum in self._before:
+        # 64 bits: with fewer, one line in some thousand restarts would be taken for another one, and lost
+        digest = blake2b(_LINE.pack(line.time, line.u, line.counts), digest_size=8).hexdigest()
+        if self._before and not line.time > self._until and digest in self._before:
             return True
-        self._recent.append(checksum)
+        self._recent.append(digest)
+        self._latest = max(self._latest, line.time)
         return False
 
     def _sorted(self, line: Line) -> list[Line]:
@@ -135,6 +139,7 @@ class Timed:
             "behind": self._behind,
             "doubtful": self._doubtful,
             "recent": list(self._recent),
+            "latest": self._latest,
             "held": [[line.time, line.u, line.counts, line.problem] for line in self._held],
             "grid": self._grid.saved(),
         }
@@ -145,7 +150,8 @@ class Timed:
         self._newest, self._behind = float(saved["newest"]), int(saved["behind"])
         self._doubtful = int(saved["doubtful"])
         self._held = [Line(*entry) for entry in saved["held"]]
-        self._recent = deque((int(checksum) for checksum in saved["recent"]), KNOWN)
+        self._recent = deque((str(digest) for digest in saved["recent"]), KNOWN)
+        self._latest = self._until = float(saved["latest"])
         self._before = frozenset(self._recent)
         self._grid = self._new()
         self._grid.restore(saved["grid"])
