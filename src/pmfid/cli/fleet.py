@@ -10,7 +10,7 @@ import click
 from pmfid.cli.options import JSON, config_option
 from pmfid.cli.output import print_json
 from pmfid.cli.progress import progress
-from pmfid.errors import printable
+from pmfid.errors import NotIdentifiableError, printable
 
 if TYPE_CHECKING:
     from pmfid.fleet.history import History
@@ -79,6 +79,9 @@ def history(
         print_json(found.to_json())
     else:
         _print(found, out)
+    if found.unknown.height == found.axes.height:
+        reason = next(iter(found.problems["text"]), "too little motion for every parameter")
+        raise NotIdentifiableError(f"no axis of {source} can be identified: {printable(reason)}")
 
 
 def _print(found: History, out: Path) -> None:

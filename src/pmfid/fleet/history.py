@@ -133,7 +133,7 @@ def estimate(
     own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
     columns, periods = Columns.of(own, by, type), Periods.of(period)
     tolerance = own.monitor.tolerance if tolerance is None else tolerance
-    parts = parts_of(data)
+    parts = parts_of(data, None if out is None else Path(out))
     store = None if out is None else Store(Path(out))
     tell = progress or (lambda done: None)
     run = _Run(own, columns, parts, store, engine or Local(), tell)

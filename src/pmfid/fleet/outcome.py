@@ -8,9 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pmfid.fleet.periods import Periods, period_rows
+import numpy as np
+
+from pmfid.fleet.periods import SAME, Periods, period_rows
 from pmfid.fleet.said import sentence
-from pmfid.fleet.series import series_of
+from pmfid.fleet.series import Series, series_of
 from pmfid.fleet.source import AXIS
 from pmfid.fleet.survey import Problem
 from pmfid.fleet.verdicts import CHANGED, CLEAR, Follow, Verdict, followed, judged, ranking
@@ -46,12 +48,14 @@ def outcome_of(
     for problem in problems:
         if problem.axis:
             codes[problem.axis].add((problem.at, problem.code))
-    follows, frames, seen = dict[str, Follow](), list[pl.DataFrame](), 0
+    problems, follows = list(problems), dict[str, Follow]()
+    frames, seen = list[pl.DataFrame](), 0
     for group in groups:
         rows: list[dict[str, object]] = []
         for part in group.partition_by(AXIS, maintain_order=True):
             axis, series = str(part[AXIS][0]), series_of(part, names)
             seen += int(series.samples.sum())
+            problems += _mixed(axis, series)
             follows[axis] = followed(axis, types[axis], series, names, tolerance)
             step = follows[axis].step
             told = codes[axis] | ({(step.since, CHANGED)} if step is not None and step.score > CLEAR else set())
@@ -65,9 +69,17 @@ def outcome_of(
     return Outcome(whole, axes, _problems(problems), seen)
 
 
-def _unknown(axis: str, kind: str, parameters: int) -> Follow:
-    import numpy as np
+def _mixed(axis: str, series: Series) -> list[Problem]:
+    """An axis that is sampled now so, now so."""
+    low, high = float(series.dt.min()), float(series.dt.max())
+    if high - low <= SAME * high:
+        return []
+    at = float(series.start[np.flatnonzero(series.dt != series.dt[0])[0]])
+    text = f"sample periods from {low:.6g} to {high:.6g} s: each is estimated with its own"
+    return [Problem(axis, "", "mixed_dt", text, at)]
 
+
+def _unknown(axis: str, kind: str, parameters: int) -> Follow:
     return Follow(axis, kind, 0, np.full(parameters, np.nan), np.full(parameters, np.inf), None, None)
 
 

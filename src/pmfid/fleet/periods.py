@@ -22,6 +22,8 @@ PAUSE = 60.0
 TOLD = (Status.FALLBACK, Status.UNMODELLED, Status.FEEDBACK, Status.DEAD_TIME)
 #: Findings with which an estimate may be further off than its bar says; a period with a change in it has two truths.
 DOUBT = {"missing", "changed", *(str(bit.name).lower() for bit in TOLD)}
+#: Sample periods within this part of one another are the same.
+SAME = 1e-3
 #: Part of the samples that is filled in, from which on that is told.
 LOST = 0.01
 
@@ -89,7 +91,7 @@ def _row(axis: str, kind: str, part: Series, names: Sequence[str], begin: float,
 
 def _codes(part: Series, used: Series, lost: float) -> set[str]:
     found = {"missing"} if lost > LOST else set()
-    if np.ptp(part.dt) > 0:
+    if np.ptp(part.dt) > SAME * np.max(part.dt):
         found.add("mixed_dt")
     status = Counter(bit for bit in TOLD for one in used.status if int(one) & bit)
     found |= {str(bit.name).lower() for bit, many in status.items() if 2 * many >= used.start.size}

@@ -45,9 +45,8 @@ def slice_length(rows: pl.DataFrame, period: float | None) -> float:
     sampled."""
     import polars as pl
 
-    spans = rows.filter(pl.col(ROWS) > 1).select(((pl.col(LAST) - pl.col(FIRST)) / (pl.col(ROWS) - 1)).alias("dt"))
-    steps = spans["dt"].to_numpy()
-    steps = steps[steps > 0]
+    step = (pl.col(LAST) - pl.col(FIRST)) / (pl.col(ROWS) - 1)
+    steps = rows.filter(pl.col(LAST) > pl.col(FIRST)).select(step.alias("dt"))["dt"].to_numpy()
     if not steps.size:
         raise UsageError("no axis has two rows at different times; check --axis and [record] time")
     dt = float(np.median(steps))

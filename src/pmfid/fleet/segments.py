@@ -135,7 +135,7 @@ def _frame(stretches: Sequence[Stretch], tracks: Tracks, ends: Sequence[Sequence
 
     lane = np.repeat(np.arange(len(stretches)), [len(one) for one in ends])
     end = np.concatenate([np.array(one) for one in ends])
-    before = np.concatenate([np.r_[0, one[:-1]] for one in ends])
+    before = np.concatenate([np.array([0, *one[:-1]]) for one in ends])
     start, dt, lost = (np.array([getattr(one, name) for one in stretches])[lane] for name in ("start", "dt", "lost"))
     columns: dict[str, object] = {
         "axis": [stretches[int(k)].axis for k in lane],

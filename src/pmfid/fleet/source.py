@@ -26,6 +26,8 @@ AXIS, TIME, INPUT, OUTPUT, MASK, TYPE = "axis", "time", "input", "output", "mask
 #: Where Delta Lake lists which of the files beside it count.
 DELTA = "_delta_log"
 _NANOSECOND = 1e-9
+#: Of a period [s].
+SHORTEST, LONGEST = 1.0, 1e9
 
 
 @dataclass(frozen=True)
@@ -116,15 +118,16 @@ def _cast(own: str, name: str, kind: pl.DataType, factor: float, value: pl.Expr 
     return (number if scale == 1 else number * scale).alias(own)
 
 
-def parts_of(source: object) -> list[Part]:
+def parts_of(source: object, out: Path | None = None) -> list[Part]:
     """The parts of a file, of a folder with files in folders, or of a frame of pandas, Polars or Arrow, lazy or not.
+    out: a folder whose files are results, where it lies in the other.
 
     Raises UsageError for what is none of these, and for a folder without a file that can be read.
     """
     import polars as pl
 
     if isinstance(source, str | Path):
-        return _files(Path(source))
+        return _files(Path(source), out)
     if isinstance(source, pl.LazyFrame):
         lazy = source
         return [Part("the frame", "", lambda: lazy)]
@@ -132,7 +135,7 @@ def parts_of(source: object) -> list[Part]:
     return [Part("the frame", "", whole.lazy)]
 
 
-def _files(source: Path) -> list[Part]:
+def _files(source: Path, out: Path | None) -> list[Part]:
     if not source.exists():
         raise UsageError(f"{source}: there is no such file or folder; give that of the data set")
     if source.is_file():
@@ -144,7 +147,9 @@ def _files(source: Path) -> list[Part]:
         )
     known = {*READERS, *ENDINGS}
     paths = (path for path in source.rglob("*") if path.suffix.lower() in known and path.is_file())
-    found = sorted(path for path in paths if not _hidden(path.relative_to(source)))
+    own = None if out is None else out.resolve()
+    data = (path for path in paths if own is None or own not in path.resolve().parents)
+    found = sorted(path for path in data if not _hidden(path.relative_to(source)))
     if not found:
         raise UsageError(f"{source}: no file of a known format is in it; it should hold Parquet or Arrow files")
     return [_part(path, source) for path in found]
@@ -167,9 +172,9 @@ def _opened(path: Path) -> pl.LazyFrame:
 
     kind = ENDINGS.get(path.suffix.lower(), path.suffix.lower())
     if kind == ".parquet":
-        return pl.scan_parquet(path, hive_partitioning=False)
+        return pl.scan_parquet(path, hive_partitioning=False, glob=False)
     if kind == ".arrow":
-        return pl.scan_ipc(path, hive_partitioning=False)
+        return pl.scan_ipc(path, hive_partitioning=False, glob=False)
     return pl.DataFrame(dict(read_table(path))).lazy()
 
 
@@ -182,6 +187,6 @@ def seconds(text: str) -> float:
         found = float(number) * lengths[unit]
     except (ValueError, KeyError):
         found = float("nan")
-    if not 0 < found < float("inf"):
-        raise UsageError(f"{text!r} is no duration; give one as 600, 10min, 1h or 7d")
+    if not SHORTEST <= found < LONGEST:
+        raise UsageError(f"{text!r} is no duration that makes a period; give one as 600, 10min, 1h or 7d")
     return found

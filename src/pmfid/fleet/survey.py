@@ -1,4 +1,7 @@
-"""Which axes each file of a data set has, how many rows of them and of when: from two columns, once per file."""
+"""Which axes each file of a data set has, how many rows of them and of when: from two columns, once per file.
+
+Day by day, so that neither gaps nor a stamp from another century make the plan a bad guess.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,8 @@ from pmfid.session.formats.safety import readable
 if TYPE_CHECKING:
     import polars as pl
 
+#: [s].
+DAY = 86_400.0
 PART, ROWS, FIRST, LAST = "part", "rows", "first", "last"
 
 
@@ -30,8 +35,8 @@ class Problem:
 
 @dataclass(frozen=True)
 class Survey:
-    """rows: a row for each axis in each part, with the part's name, number of rows, first and last time [s], and type;
-    problems: parts that are left out, and what is odd of others."""
+    """rows: a row for each axis and day in each part, with the part's name, number of rows, first and last time [s],
+    and type; problems: parts that are left out, and what is odd of others."""
 
     rows: pl.DataFrame
     problems: tuple[Problem, ...]
@@ -47,7 +52,7 @@ def surveyed(part: Part, columns: Columns) -> Survey:
             known = pl.col(AXIS).is_not_null() & pl.col(TIME).is_finite()
             kind = pl.col(TYPE).min() if columns.type else pl.lit("")
             found = (
-                frame.group_by(AXIS)
+                frame.group_by(AXIS, (pl.col(TIME) / DAY).floor().alias("day"))
                 .agg(
                     known.sum().cast(pl.Int64).alias(ROWS),
                     (~known | known.is_null()).sum().cast(pl.Int64).alias("lost"),
@@ -55,7 +60,7 @@ def surveyed(part: Part, columns: Columns) -> Survey:
                     pl.col(TIME).filter(pl.col(TIME).is_finite()).max().alias(LAST),
                     kind.fill_null("").alias(TYPE),
                 )
-                .sort(AXIS, nulls_last=True)
+                .sort(AXIS, "day", nulls_last=True)
                 .collect(engine="streaming")
             )
             odd = [Problem("", part.name, "type", text) for text in part.other_types(columns)]
@@ -63,7 +68,7 @@ def surveyed(part: Part, columns: Columns) -> Survey:
         return Survey(_empty(), (Problem("", part.name, "unreadable", " ".join(str(error).split())),))
     lost = int(found["lost"].sum())
     if lost:
-        odd.append(Problem("", part.name, "rows_lost", f"{lost} rows have no axis or no time: left out"))
+        odd.append(Problem("", part.name, "rows_lost", f"{lost} rows have no axis, or no number for a time: left out"))
     found = found.filter(pl.col(AXIS).is_not_null() & (pl.col(ROWS) > 0)).drop("lost")
     return Survey(found.select(pl.lit(part.name).alias(PART), AXIS, ROWS, FIRST, LAST, TYPE), tuple(odd))
 

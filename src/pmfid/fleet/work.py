@@ -61,5 +61,8 @@ def check_columns(columns: Columns, parts: Sequence[Part], found: int) -> None:
     if found:
         return
     for part in parts[:1]:
-        part.rows(columns)
+        try:
+            part.rows(columns)
+        except UsageError as error:
+            raise UsageError(f"{part.name}: {error}") from None
     raise UsageError("no file of the data set could be read; see the problems of each: run pmfid check on one")
