@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
+from pmfid.fleet.choice import choose
 from pmfid.fleet.local import Engine, Local
 from pmfid.fleet.outcome import Outcome, outcome_of
 from pmfid.fleet.periods import Periods
 from pmfid.fleet.plan import Shard, shards_of, slice_length
 from pmfid.fleet.segments import Segments
-from pmfid.fleet.settings import Chosen, choose, make_settings
+from pmfid.fleet.settings import Chosen, make_settings
 from pmfid.fleet.source import AXIS, TYPE, Columns, Part, parts_of
 from pmfid.fleet.store import Store, digest, whole
 from pmfid.fleet.survey import Problem, Survey, joined, surveyed

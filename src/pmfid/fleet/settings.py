@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.drives import make_estimator
-from pmfid.session.identify import kind_of
 from pmfid.session.known import finds_gain
 from pmfid.session.records import Record, record_of
 from pmfid.session.tables import Table
@@ -25,8 +23,6 @@ SEGMENTS = (60.0, 120.0, 300.0, 600.0, 1800.0)
 MEMORIES = 2.5
 #: A segment has so many times the samples after which the filters have settled, and never less than so many.
 SETTLED, LEAST_SETTLED = 10, 4
-#: Samples that the configuration is completed by.
-CHOOSING = 6000
 #: Part of a piece whose samples may be missing.
 MOST_MISSING = 0.2
 
@@ -70,7 +66,7 @@ def record_at(table: Table, axis: Axis) -> Record:
 
 @dataclass(frozen=True)
 class Chosen:
-    """What a record of the fleet has told: pole of the filters [rad/s], zeros of the pre-filters [1/s], and its own
+    """What records of the fleet have told: pole of the filters [rad/s], zeros of the pre-filters [1/s], and their
     sample period [s] and resolution."""
 
     cutoff: float
@@ -79,36 +75,8 @@ class Chosen:
     resolution: float
 
 
-def choose(axis: Axis, tables: Iterable[Table]) -> Chosen:
-    """By the first of the tables of some axes that is a record of a moving machine.
-
-    Raises UsageError for a method that is not recursive, and the first table's own error where none will do.
-    """
-    axis = _on_line(axis)
-    refused: UsageError | NotIdentifiableError | None = None
-    for table in tables:
-        try:
-            record = liveliest(record_at(table, axis))
-            known = kind_of(axis).prepared(record, axis)
-            zeros = _recursive(make_estimator(known, record)).prefilter_zeros
-            pair = None if zeros is None else (zeros[0], zeros[1])
-            return Chosen(known.estimator.pole, pair, record.dt, record.resolution)
-        except (UsageError, NotIdentifiableError) as error:
-            refused = refused or error
-    raise refused or UsageError("no axis has rows; check --axis and the columns of [record]")
-
-
-def liveliest(record: Record) -> Record:
-    """The part of a record that moves most, about as long as an estimate remembers: the slow filters that long records
-    would ask for are for these alone."""
-    parts = [slice(k, k + CHOOSING) for k in range(0, max(1, record.u.size - CHOOSING + 1), CHOOSING)]
-    travel = [int(np.abs(np.diff(record.counts[part])).sum()) for part in parts]
-    part = parts[int(np.argmax(travel))]
-    there = None if record.there is None else record.there[part]
-    return replace(record, u=record.u[part], counts=record.counts[part], there=there)
-
-
-def _on_line(axis: Axis) -> Axis:
+def on_line(axis: Axis) -> Axis:
+    """With the method that "auto" is here. Raises UsageError for what a history cannot do."""
     method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
     if not issubclass(ESTIMATORS[method], RecursiveEstimator):
         raise UsageError(f"[estimator] method = {method!r} takes a record as a whole; use riv, bcrls or auto")
@@ -120,10 +88,10 @@ def _on_line(axis: Axis) -> Axis:
 def make_settings(axis: Axis, chosen: Chosen, most: float, segment: float | None) -> Settings:
     """most: that a segment may last [s]; segment: [s], None: by the memory of [estimator] forgetting, or by the
     filters. Raises UsageError for segments that are too short for the filters."""
-    config = _on_line(axis).estimator.model_copy(update={"cutoff": chosen.cutoff, "prefilter_zeros": chosen.zeros})
+    config = on_line(axis).estimator.model_copy(update={"cutoff": chosen.cutoff, "prefilter_zeros": chosen.zeros})
     axis = axis.model_copy(update={"estimator": config})
     nothing = Record(np.zeros(0), np.zeros(0, np.int64), chosen.dt, chosen.resolution, (), "")
-    estimator = _recursive(make_estimator(axis, nothing))
+    estimator = recursive(make_estimator(axis, nothing))
     settled = estimator.settle_samples * chosen.dt
     if segment is None:
         plain = next((one for one in SEGMENTS if one >= SETTLED * settled), SEGMENTS[-1])
@@ -138,7 +106,8 @@ def make_settings(axis: Axis, chosen: Chosen, most: float, segment: float | None
     return Settings(axis, estimator, segment)
 
 
-def _recursive(estimator: Estimator) -> RecursiveEstimator:
+def recursive(estimator: Estimator) -> RecursiveEstimator:
+    """The same. Raises UsageError for an off-line method."""
     if not isinstance(estimator, RecursiveEstimator):
         raise UsageError(f"{estimator.method} is an off-line method; use riv or bcrls")
     return estimator
