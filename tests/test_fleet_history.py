@@ -138,7 +138,7 @@ def test_shards_leave_the_bytes(
     log: pl.DataFrame, config: Path, plain: History, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pmfid.fleet.plan.BUDGET", 70_000)
-    monkeypatch.setattr("pmfid.fleet.segments.LANES", 3)
+    monkeypatch.setattr("pmfid.fleet.segments.BATCH", 20_000)
     found = fleet.estimate(log, axis=config, by="machine", period="1min")
     assert found.shards >= AXES > plain.shards
     assert found.periods.equals(plain.periods)
@@ -219,7 +219,7 @@ def codes_of(found: History, where: str) -> set[str]:
     [
         ("axis-0003", "duplicates"),
         ("axis-0004", "contradictions"),
-        ("axis-0006", "short"),
+        ("axis-0006", "no_record"),
         ("p8.parquet", "type"),
         ("p9.parquet", "unreadable"),
         ("p10.parquet", "unreadable"),
@@ -290,7 +290,7 @@ def test_the_command_prints_and_writes(log: pl.DataFrame, plain: History, tmp_pa
     words += ["--out", str(tmp_path / "out"), "--period", "1min"]
     shown = CliRunner().invoke(main, words)
     assert shown.exit_code == 0, shown.output
-    assert shown.output.startswith("3 of 12 axes need attention")
+    assert shown.stdout.startswith("3 of 12 axes need attention")
     page = (tmp_path / "out" / "fleet.html").read_text()
     assert all(f"axis-{k:04d}" in page for k in CHANGES)
     again = CliRunner().invoke(main, [*words, "--json"])

@@ -14,15 +14,14 @@ from pmfid.types import Floats
 
 #: Segments on each side of a step, at least.
 SIDE = 2
-#: Segments from that of a step on that hold some of both sides, while the estimator's own model follows: they are left
-#: out of its size where enough remain.
-MIXED = 2
+#: Segments from that of a step on that hold some of both sides: left out of its size where enough remain.
+MIXED = 1
 #: Relative error that segments of one axis share after a step, where the model is not quite the machine.
 FLOOR = 2e-3
 #: The first segment that has so much of a step, and is so many of its standard deviations away from before, has it.
 PART, SURE = 0.05, 5.0
 #: Such segments before the place that explains most, at most.
-BACK = 3
+BACK = 2
 
 
 @dataclass(frozen=True)
@@ -127,8 +126,7 @@ def explained(relative: Floats, bars: Floats, correlation: Floats, names: Sequen
 
 
 def _onset(series: Series, k: int) -> int:
-    """The first segment that has some of the step at place k: what explains most may be later, once the estimator's
-    model has followed."""
+    """The first segment that has some of the step at place k: what explains most may be the next."""
     old, new = mean_of(series[: max(SIDE, k - BACK)])[0], mean_of(series[k:])[0]
     whole = np.abs(new - old)
     for place in range(max(SIDE, k - BACK), k):

@@ -28,7 +28,7 @@ def between(since: float, until: float) -> str:
     """From when to when, the date once."""
     first, last = when(since), when(until)
     same = " " in first and first.partition(" ")[0] == last.partition(" ")[0]
-    return f"{first} to {last.partition(' ')[2] if same else last}"
+    return f"between {first} and {last.partition(' ')[2] if same else last}"
 
 
 def sentence(verdict: Verdict) -> str:
@@ -36,7 +36,7 @@ def sentence(verdict: Verdict) -> str:
     what = _WORDS.get(verdict.cause, verdict.cause.replace("_", " "))
     size, std = 100 * verdict.size, 100 * verdict.std
     if verdict.kind == CHANGED:
-        return f"{what} {size:+.1f} % ± {std:.1f} % since {between(verdict.since, verdict.until)}"
+        return f"{what} {size:+.1f} % ± {std:.1f} % {between(verdict.since, verdict.until)}"
     if verdict.kind == DRIFTS:
         return f"{what} drifts by {size:+.2g} % ± {std:.1g} % per day"
     if verdict.kind == DIFFERS:

@@ -1,6 +1,7 @@
 """Estimates of segments, many axes side by side: the heavy work of a history, and a function of the rows alone.
 
-Each piece starts from nothing, so its bits are those that it would have by itself, whatever runs beside it.
+Each segment starts from nothing, so its bits are those that it would have by itself, whatever runs beside it; its error
+shares nothing with that of its neighbours; and what happened in one of them harms no other.
 """
 
 from __future__ import annotations
@@ -13,9 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.bridges import gaps_in
+from pmfid.estimators.bridges import parts_of
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.estimators.track import Tracks
 from pmfid.fleet.rows import Piece
 from pmfid.fleet.settings import Settings, quarter_of, record_at
 from pmfid.fleet.survey import Problem
@@ -24,15 +24,15 @@ from pmfid.types import Counts, Floats
 if TYPE_CHECKING:
     import polars as pl
 
-#: Samples of a batch at most [axes times samples], and pieces: several vectors of the kernel.
-BATCH, LANES = 2**23, 32
-#: Quarters of a segment: an estimate has seen four, or all of a piece that has at least so many.
-WHOLE, LEAST = 4, 1
+#: Samples of a batch at most [axes times samples].
+BATCH = 2**22
+#: Quarters of a whole segment. What is left at the end of a piece is one if it has two; all of a piece, if it has one.
+WHOLE, REST, LEAST = 4, 2, 1
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Samples (n,) without a gap. lost: part of them that was filled in."""
+    """Samples (n,) of one segment, without a gap. lost: part of them that was filled in."""
 
     axis: str
     start: float
@@ -70,84 +70,76 @@ def solve(pieces: Iterable[Piece], settings: Settings) -> Segments:
     frames = [empty(settings)]
     for (dt, resolution), stretches in groups.items():
         try:
-            frames += _estimated(stretches, settings.at(dt, resolution), quarter_of(settings, dt))
+            frames += _estimated(stretches, settings.at(dt, resolution))
         except UsageError as error:
             told = " ".join(str(error).split())
             problems += [Problem(one.axis, "", "no_estimate", told, one.start) for one in stretches]
-        short = [one for one in stretches if one.u.size < LEAST * quarter_of(settings, dt)]
-        problems += [_too_short(one, settings) for one in short]
     return Segments(pl.concat(frames).sort("axis", "start"), tuple(problems))
 
 
-def _too_short(one: Stretch, settings: Settings) -> Problem:
-    text = f"{one.u.size} samples without a gap are too few: an estimate takes {settings.segment / 4:.3g} s of them"
-    return Problem(one.axis, "", "short", text, one.start)
-
-
 def _stretches(piece: Piece, settings: Settings) -> list[Stretch]:
+    """Raises UsageError for a piece that is no record, or too short for an estimate."""
     record = record_at(piece.table, settings.axis)
+    quarter = quarter_of(settings, record.dt)
     filled = np.zeros(record.u.size, bool) if record.there is None else ~record.there
-    edges = [0, *(edge for gap in gaps_in(record.u) for edge in gap), record.u.size]
-    found = []
-    for first, last in zip(edges[0::2], edges[1::2], strict=True):
-        if last > first:
-            part = slice(first, last)
-            start, lost = piece.start + first * record.dt, float(filled[part].mean())
-            u, counts = record.u[part], record.counts[part]
-            found.append(Stretch(piece.axis, start, record.dt, record.resolution, u, counts, lost))
-    return found
+    parts = [part for whole in parts_of(record.u) for part in _cut(whole, quarter)]
+    if not parts:
+        raise UsageError(
+            f"{record.u.size} samples without a gap are too few: an estimate takes {quarter * record.dt:.3g} s of them"
+        )
+    return [
+        Stretch(
+            piece.axis,
+            piece.start + part.start * record.dt,
+            record.dt,
+            record.resolution,
+            record.u[part],
+            record.counts[part],
+            float(filled[part].mean()),
+        )
+        for part in parts
+    ]
 
 
-def _estimated(stretches: Sequence[Stretch], estimator: RecursiveEstimator, quarter: int) -> list[pl.DataFrame]:
-    """In batches of nearly the same length, the longest first."""
-    usable = sorted((one for one in stretches if one.u.size >= LEAST * quarter), key=lambda one: -one.u.size)
-    frames, start = [], 0
-    while start < len(usable):
-        samples = usable[start].u.size // quarter * quarter
-        many = max(1, min(LANES, BATCH // samples))
-        frames.append(_batch(usable[start : start + many], estimator, quarter, samples))
-        start += many
+def _cut(whole: slice, quarter: int) -> list[slice]:
+    """Whole segments, and what is left; a whole number of quarters each, so that many have the same length."""
+    size = WHOLE * quarter
+    starts = range(whole.start, whole.stop - size + 1, size)
+    found = [slice(start, start + size) for start in starts]
+    start = whole.start + len(found) * size
+    rest = (whole.stop - start) // quarter
+    return [*found, slice(start, start + rest * quarter)] if rest >= (REST if found else LEAST) else found
+
+
+def _estimated(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> list[pl.DataFrame]:
+    """In batches of the same length."""
+    groups: dict[int, list[Stretch]] = defaultdict(list)
+    for one in stretches:
+        groups[one.u.size].append(one)
+    frames = []
+    for size, group in groups.items():
+        many = max(1, BATCH // size)
+        frames += [_batch(group[start : start + many], estimator) for start in range(0, len(group), many)]
     return frames
 
 
-def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator, quarter: int, samples: int) -> pl.DataFrame:
-    """Shorter ones rest behind their end, where nothing is kept of them."""
-    u = np.zeros((len(stretches), samples))
-    counts = np.empty((len(stretches), samples), np.int64)
-    for lane, one in enumerate(stretches):
-        size = min(one.u.size, samples)
-        u[lane, :size], counts[lane, :size] = one.u[:size], one.counts[:size]
-        counts[lane, size:] = one.counts[size - 1]
-    tracks = estimator.runner.side_by_side(len(stretches), workers=1).run(u, counts, quarter)
-    ends = [_ends(min(one.u.size, samples) // quarter) for one in stretches]
-    return _frame(stretches, tracks, ends, quarter)
-
-
-def _ends(quarters: int) -> list[int]:
-    """Quarters at which estimates are taken: whole segments; what is left at the end if it is half of one or all."""
-    ends = list(range(WHOLE, quarters + 1, WHOLE))
-    rest = quarters - len(ends) * WHOLE
-    return [*ends, quarters] if rest >= WHOLE // 2 or not ends else ends
-
-
-def _frame(stretches: Sequence[Stretch], tracks: Tracks, ends: Sequence[Sequence[int]], quarter: int) -> pl.DataFrame:
+def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> pl.DataFrame:
     import polars as pl
 
-    lane = np.repeat(np.arange(len(stretches)), [len(one) for one in ends])
-    end = np.concatenate([np.array(one) for one in ends])
-    before = np.concatenate([np.array([0, *one[:-1]]) for one in ends])
-    start, dt, lost = (np.array([getattr(one, name) for one in stretches])[lane] for name in ("start", "dt", "lost"))
+    u, counts = np.stack([one.u for one in stretches]), np.stack([one.counts for one in stretches])
+    tracks = estimator.start().side_by_side(len(stretches), workers=1).run(u, counts)
+    samples = stretches[0].u.size
     columns: dict[str, object] = {
-        "axis": [stretches[int(k)].axis for k in lane],
-        "start": start + before * quarter * dt,
-        "end": start + end * quarter * dt,
-        "samples": (end - before) * quarter,
-        "dt": dt,
-        "lost": lost,
-        "status": tracks.status[lane, end - 1],
+        "axis": [one.axis for one in stretches],
+        "start": np.array([one.start for one in stretches]),
+        "end": np.array([one.start + samples * one.dt for one in stretches]),
+        "samples": np.full(len(stretches), samples),
+        "dt": np.array([one.dt for one in stretches]),
+        "lost": np.array([one.lost for one in stretches]),
+        "status": tracks.status[:, -1],
     }
     for i, name in enumerate(tracks.names):
-        columns |= {name: tracks.theta[lane, end - 1, i], f"{name}_std": tracks.theta_std[lane, end - 1, i]}
+        columns |= {name: tracks.theta[:, -1, i], f"{name}_std": tracks.theta_std[:, -1, i]}
     return pl.DataFrame(columns)
 
 

@@ -44,11 +44,11 @@ class Series:
 
     @property
     def usable(self) -> Flags:
-        """(n,) which segments say something: those of the method itself where at least half of them are, not of the
-        simpler one that it falls back on."""
+        """(n,) which segments say something: those of the method itself where there are some, not of the simpler one
+        that it falls back on, whose bars hold less."""
         known = ((self.status & UNUSABLE) == 0) & np.all(np.isfinite(self.std) & (self.std > 0), axis=1)
         own = known & ((self.status & int(Status.FALLBACK)) == 0)
-        return np.asarray(own if 2 * np.count_nonzero(own) >= np.count_nonzero(known) else known, bool)
+        return np.asarray(own if np.any(own) else known, bool)
 
 
 def series_of(rows: pl.DataFrame, names: tuple[str, ...]) -> Series:

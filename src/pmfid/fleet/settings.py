@@ -47,8 +47,8 @@ class Settings:
 
 
 def forgetting_of(segment: float, dt: float) -> float:
-    """Weight of the past per sample for estimates that are a segment [s] apart: what neighbours share is e^-2.5, and
-    little of what the samples tell is lost between them."""
+    """Weight of the past per sample in a segment [s]: of its first samples, which may have come before the filters and
+    the method's model had settled, little is left at its end."""
     return max(0.5, 1 - MEMORIES * dt / segment)
 
 

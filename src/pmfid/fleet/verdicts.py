@@ -45,7 +45,7 @@ class Follow:
 class Verdict:
     """kind: one of the above, empty: nothing to say; score: evidence over what chance would name, from 1 on it is
     named; cause: parameter, FRICTION or INPUT_GAIN; size, std: relative, of a drift per day; since, until: [s], between
-    which it came; deviation:
+    which it came; days: of the history; deviation:
     (p,) logarithm over the median of its type, in its spreads; NaN of too few axes."""
 
     kind: str
@@ -55,7 +55,18 @@ class Verdict:
     std: float = math.nan
     since: float = math.nan
     until: float = math.nan
+    days: float = 0.0
     deviation: Floats = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def weight(self) -> float:
+        """By which they stand in order: of those that are named, evidence is enough, so the size; of others that."""
+        return abs(self.total) if self.named and math.isfinite(self.total) else self.score
+
+    @property
+    def total(self) -> float:
+        """The relative change over the history."""
+        return self.size * self.days if self.kind == DRIFTS else self.size
 
     @property
     def named(self) -> bool:
@@ -101,7 +112,7 @@ def _of_past(one: Follow, names: Sequence[str], axes: int) -> list[Verdict]:
     if drifted < 1 or step.misfit <= trend.misfit:
         return [Verdict(CHANGED, max(stepped, 0.0), step.cause, step.size, step.std, step.since, step.until)]
     day = 86_400.0
-    return [Verdict(DRIFTS, drifted, names[trend.parameter], trend.slope * day, trend.std * day)]
+    return [Verdict(DRIFTS, drifted, names[trend.parameter], trend.slope * day, trend.std * day, days=trend.span / day)]
 
 
 def _of_differing(one: Follow, names: Sequence[str], deviation: Floats, excess: Floats, limit: float) -> Verdict:
@@ -158,7 +169,7 @@ def ranking(verdicts: Iterable[Verdict]) -> list[int]:
     """Places of the verdicts, those that need attention first."""
     order = {CHANGED: 0, DRIFTS: 0, DIFFERS: 0, UNKNOWN: 1, "": 2}
     pairs = enumerate(verdicts)
-    return [k for k, one in sorted(pairs, key=lambda pair: (order[pair[1].kind], -pair[1].score, pair[0]))]
+    return [k for k, one in sorted(pairs, key=lambda pair: (order[pair[1].kind], -pair[1].weight, pair[0]))]
 
 
 def counted(verdicts: Iterable[Verdict]) -> Mapping[str, int]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pmfid.fleet.history import History
 from pmfid.fleet.said import when
 from pmfid.report.files import write_json
-from pmfid.report.fleet_figures import map_figure, spread_figure
+from pmfid.report.fleet_figures import ROWS, map_figure, spread_figure
 from pmfid.report.html import Cell, Section, Table, svg, write_report
 
 if TYPE_CHECKING:
@@ -32,14 +32,14 @@ def _attention(found: History) -> Section:
     named = found.named
     kinds = Counter(named["kind"].to_list())
     causes = Counter(named.filter(named["kind"] == "changed")["why"].str.extract(r"^(.*?) [+-]").to_list())
-    parts = [f"{many} {kind}" for kind, many in kinds.most_common()]
     what = ", ".join(f"{many} {cause}" for cause, many in causes.most_common() if cause)
-    text = "; ".join(filter(None, [", ".join(parts), f"of those that changed: {what}" if what else ""]))
+    words = {"changed": f"changed ({what})", "drifts": "drift", "differs": "differ from the others"}
+    text = ", ".join(f"{many} {words[kind]}" for kind, many in kinds.most_common())
     unknown = found.unknown.height
     if not named.height:
         text = "No axis changed, drifts or differs from the others beyond chance and tolerance."
     elif text:
-        text = text[0].upper() + text[1:] + "."
+        text += ". The largest come first."
     if unknown:
         text += f" {unknown} axes have no estimate: see the last table."
     rows: list[list[Cell]] = [
@@ -55,7 +55,7 @@ def _attention(found: History) -> Section:
 
 def _strength(score: float) -> str:
     """In multiples of what chance would name."""
-    return f"{score:.1f} ×" if score < 10 else f"{score:.0f} ×"
+    return f"{score:.1f} ×" if score < 10 else f"{score:.0f} ×" if score < 100 else "over 100 ×"
 
 
 def _spread(found: History) -> Section | None:
@@ -72,6 +72,8 @@ def _map(found: History) -> Section | None:
     if not found.periods.height:
         return None
     text = "A row for each axis, those that need attention at the top; a column for each period."
+    if found.axes.height > ROWS:
+        text += f" The first {ROWS} of {found.axes.height}, by attention and by how many periods are in doubt."
     return Section("Map of findings", text, svg=svg(map_figure(found)))
 
 

@@ -15,8 +15,8 @@ from pmfid.report.figures import COLOURS, GREY, WIDTH, figure_style
 #: Colours of the verdicts, and of the quality of a period, worst first.
 KINDS = {"changed": COLOURS[1], "drifts": COLOURS[3], "differs": COLOURS[0]}
 MAP = {"change": COLOURS[1], "none": "#333333", "doubt": COLOURS[3], "good": "#cfe8dc", "no data": "#f4f4f4"}
-#: Names that are written into a panel, rows of the map with a name, and periods of it.
-NAMES, ROWS, COLUMNS = 6, 40, 400
+#: Names that are written into a panel, and of a change of so much [%]; rows of the map, and periods of it.
+NAMES, SHOWN, ROWS, COLUMNS = 6, 2.0, 50, 400
 
 
 def spread_figure(found: History) -> Figure:
@@ -44,7 +44,8 @@ def _panel(panel: Axes, found: History, name: str) -> None:
     for kind, colour in KINDS.items():
         which = kinds == kind
         panel.plot(x[which], y[which], "o", color=colour, ms=4)
-    far = [k for k in np.argsort(-np.abs(y), kind="stable") if not quiet[k]][:NAMES]
+    most = np.where(kinds == "differs", np.abs(x), np.abs(y))
+    far = [k for k in np.argsort(-most, kind="stable") if not quiet[k] and most[k] > SHOWN][:NAMES]
     for k in far:
         panel.annotate(axes["axis"][int(k)], (x[k], y[k]), (4, 3), textcoords="offset points", fontsize=7)
     panel.margins(x=0.15)
@@ -54,18 +55,19 @@ def _panel(panel: Axes, found: History, name: str) -> None:
 
 def map_figure(found: History) -> Figure:
     """Axes by periods: where a change came, where there is no estimate, where it is in doubt."""
-    order = found.axes["axis"].to_list()
+    order = _order(found)
     place = {axis: row for row, axis in enumerate(order)}
     times = np.array(sorted(set(found.periods["period"].drop_nans().drop_nulls().to_list())) or [0.0])
+    shown = found.periods.filter(found.periods["axis"].is_in(order))
     edges = times[:: -(-times.size // COLUMNS)]
     grid = np.full((len(order), edges.size), len(MAP) - 1)
     levels = {name: level for level, name in enumerate(MAP)}
-    for axis, period, quality, told in found.periods.select("axis", "period", "quality", "findings").iter_rows():
+    for axis, period, quality, told in shown.select("axis", "period", "quality", "findings").iter_rows():
         column = max(0, int(np.searchsorted(edges, period, "right")) - 1) if period == period else 0
         level = levels["change" if "changed" in told.split() else quality]
         grid[place[axis], column] = min(level, grid[place[axis], column])
     with figure_style():
-        figure = Figure(figsize=(WIDTH, min(12.0, 1.4 + 0.16 * max(8, min(len(order), 60)))), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 1.2 + 0.14 * max(8, len(order))), layout="constrained")
         axes = figure.subplots()
         norm = BoundaryNorm(np.arange(len(MAP) + 1) - 0.5, len(MAP))
         axes.imshow(grid, cmap=ListedColormap(list(MAP.values())), norm=norm, aspect="auto", interpolation="nearest")
@@ -78,9 +80,17 @@ def map_figure(found: History) -> Figure:
     return figure
 
 
+def _order(found: History) -> list[str]:
+    """The axes that are named or unknown, in their order, then those with most periods that are not good."""
+    periods = found.periods.filter(found.periods["quality"] != "good")["axis"].value_counts()
+    doubts = dict(periods.iter_rows())
+    rows = enumerate(found.axes.select("axis", "kind").iter_rows())
+    ranked = sorted((kind == "", -doubts.get(axis, 0) if kind == "" else 0, k, axis) for k, (axis, kind) in rows)
+    return [axis for *_, axis in ranked][:ROWS]
+
+
 def _labels(axes: Axes, order: list[str], edges: np.ndarray) -> None:
-    shown = range(len(order)) if len(order) <= ROWS else range(0, len(order), -(-len(order) // 20))
-    axes.set_yticks(list(shown), [order[row] for row in shown], fontsize=7)
+    axes.set_yticks(range(len(order)), order, fontsize=7)
     columns = range(0, edges.size, -(-edges.size // 6))
     axes.set_xticks(list(columns), [when(float(edges[column])).partition(" ")[0] for column in columns])
     axes.grid(visible=False)
