@@ -140,9 +140,8 @@ def padasip_rate() -> float:
     return SINGLE / (time.process_time() - start)
 
 
-def page(folder: Path, axes: int, parts: Sequence[float]) -> str:
-    """The page; folder: of `write_fleet`."""
-    runs = [in_a_process(folder, part) for part in parts]
+def page(axes: int, runs: Sequence[tuple[Cost, Found]]) -> str:
+    """The page; runs: on parts of the files, the last on all."""
     whole, found = runs[-1]
     sizes, cpu = (np.log([getattr(cost, name) for cost, _ in runs]) for name in ("samples", "cpu"))
     exponent = float(np.polyfit(sizes, cpu, 1)[0]) if len(runs) > 1 else math.nan
@@ -177,7 +176,8 @@ def page(folder: Path, axes: int, parts: Sequence[float]) -> str:
         *([""] if found.others else []),
         "## What it costs",
         "",
-        "Parts of the same data set, each in a process of its own, from Parquet to tables, two threads. Size: as "
+        "Parts of the same data set, each in a process of its own, from Parquet to tables, two threads; wall "
+        "time with whatever else the machine had to do. Size: as "
         f"arrays of {ROW} bytes a row. Processor time grows with the power {exponent:.3f} of the size.",
         "",
         *table(header, costs),
@@ -207,7 +207,7 @@ def main() -> None:
             changed = max(1, round(0.03 * arguments.axes))
             write_fleet(folder, arguments.axes, changed, arguments.hours, seed=11, workers=2)
         parts = [part for part in PARTS if part * arguments.axes >= IN_A_FILE] or [1.0]
-        text = page(folder, arguments.axes, parts)
+        text = page(arguments.axes, [in_a_process(folder, part) for part in parts])
     arguments.out.write_text(text, encoding="utf-8")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -142,6 +143,24 @@ def test_shards_leave_the_bytes(
     found = fleet.estimate(log, axis=config, by="machine", period="1min")
     assert found.shards >= AXES > plain.shards
     assert found.periods.equals(plain.periods)
+
+
+def test_an_engine_that_brings_the_rows_together_itself_has_the_same_segments(
+    log: pl.DataFrame, config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`Work.frame` is what a cluster calls on the rows of some axes, however it has shuffled them."""
+    few = log.filter(pl.col("machine").is_in(["axis-0001", "axis-0002"]))
+    works: list[tuple[fleet.Work, fleet.Segments]] = []
+    plainly = fleet.Work.shard
+    monkeypatch.setattr(
+        fleet.Work, "shard", lambda work, *rest: works.append((work, plainly(work, *rest))) or works[-1][1]
+    )
+    fleet.estimate(few, axis=config, by="machine", engine=fleet.Local(1))
+    work, segments = works[0]
+    brought = few.select(axis="machine", time="t", input="u", output=pl.col("counts").cast(pl.Float64))
+    again = pickle.loads(pickle.dumps(work)).frame(brought.sample(fraction=1.0, shuffle=True, seed=1))
+    assert again.rows.equals(segments.rows)
+    assert again.rows.height == 20
 
 
 # --- what is done is not done again -----------------------------------------------------------------------------------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
@@ -11,6 +13,7 @@ from matplotlib.patches import Patch
 from pmfid.fleet.history import History
 from pmfid.fleet.said import when
 from pmfid.report.figures import COLOURS, GREY, WIDTH, figure_style
+from pmfid.types import Floats
 
 #: Colours of the verdicts, and of the quality of a period, worst first.
 KINDS = {"changed": COLOURS[1], "drifts": COLOURS[3], "differs": COLOURS[0]}
@@ -45,12 +48,21 @@ def _panel(panel: Axes, found: History, name: str) -> None:
         which = kinds == kind
         panel.plot(x[which], y[which], "o", color=colour, ms=4)
     most = np.where(kinds == "differs", np.abs(x), np.abs(y))
-    far = [k for k in np.argsort(-most, kind="stable") if not quiet[k] and most[k] > SHOWN][:NAMES]
-    for k in far:
-        panel.annotate(axes["axis"][int(k)], (x[k], y[k]), (4, 3), textcoords="offset points", fontsize=7)
+    for k in _apart(x, y, [int(k) for k in np.argsort(-most, kind="stable") if not quiet[k] and most[k] > SHOWN]):
+        panel.annotate(axes["axis"][k], (x[k], y[k]), (4, 3), textcoords="offset points", fontsize=7)
     panel.margins(x=0.15)
     panel.set_title(name.replace("_", " "))
     panel.set_xlabel("from the median in %")
+
+
+def _apart(x: Floats, y: Floats, places: Sequence[int]) -> list[int]:
+    """The first NAMES places whose names do not stand in each other's way."""
+    width, height = max(float(np.ptp(x)), 1e-9), max(float(np.ptp(y)), 1e-9)
+    found: list[int] = []
+    for k in places:
+        if all(abs(x[k] - x[j]) > 0.4 * width or abs(y[k] - y[j]) > 0.06 * height for j in found):
+            found.append(k)
+    return found[:NAMES]
 
 
 def map_figure(found: History) -> Figure:
