@@ -13,6 +13,7 @@ from pmfid.cli.check import check
 from pmfid.cli.design import commission, design
 from pmfid.cli.explain import explain
 from pmfid.cli.export import export
+from pmfid.cli.fleet import fleet
 from pmfid.cli.friction import friction
 from pmfid.cli.init import init
 from pmfid.cli.monitor import monitor
@@ -248,4 +249,5 @@ main.add_command(validate)
 main.add_command(reproduce)
 main.add_command(explain)
 main.add_command(export)
+main.add_command(fleet)
 main.add_command(friction)
