@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from pmfid.errors import UsageError
+from pmfid.service import keeping
 from pmfid.service import vault as module
 from pmfid.service.arrangement import arranged
 from pmfid.service.checkpoint import read_snapshot, snapshot
@@ -191,6 +193,7 @@ def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(
 
     def checkpoint(k: int) -> None:
         engine.process([Delivery("source", [block(10 * k)], lambda: done.append(k))])
+        engine.urgent = True
         keeper.offer(engine)
         with keeper._changed:
             assert keeper._changed.wait_for(lambda: keeper._job is None, 10.0)
@@ -216,6 +219,33 @@ def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(
     assert found is not None
     assert found.groups[0].restored(prepared, Pace()).numbers.tolist() == [40, 0]
     assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_large_state_is_not_written_all_the_time(
+    prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, made = [100.0], list[float]()
+    monkeypatch.setattr(keeping, "monotonic", lambda: now[0])
+    vault = Vault(tmp_path)
+
+    def slow(chunks: list[bytes]) -> None:
+        made.append(now[0])
+        now[0] += 2.0
+
+    monkeypatch.setattr(vault, "write", slow)
+    keeper = Checkpoints(vault, 1.0, Counters(), Told().append)
+    engine = engine_of(prepared)
+    for k in range(60):
+        now[0] += 0.5
+        engine.changes += 1
+        keeper.offer(engine)
+        with keeper._changed:
+            assert keeper._changed.wait_for(lambda: keeper._job is None, 10.0)
+        if k == 50:
+            engine.urgent = True
+    keeper.offer(engine, last=True)
+    # what people asked for, at the fourth, is kept at once
+    assert [b - a for a, b in pairwise(made)] == [10.0, 10.0, 10.0, 3.0, 6.0]
 
 
 def test_deliveries_wait_for_a_checkpoint_that_has_them(prepared: Prepared, tmp_path: Path) -> None:

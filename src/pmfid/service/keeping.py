@@ -18,6 +18,9 @@ __all__ = ["Checkpoints"]
 
 #: Deliveries that wait for a checkpoint at most: brokers have no more than 65535 messages under way.
 MOST = 50_000
+#: After a checkpoint that took a second to write comes the next after so many seconds at the earliest: with many axes
+#: it has hundreds of MB, and its checksum and its copies cost the time of a processor.
+REST = 4.0
 
 Done = Callable[[], None]
 
@@ -30,7 +33,8 @@ class _Job:
 
 @dataclass
 class Checkpoints:
-    """A `Keeper`. period: time between two checkpoints [s]; tell: what there is to say of the disk.
+    """A `Keeper`. period: time between two checkpoints [s], longer where writing one takes long; tell: what there is to
+    say of the disk.
 
     While the disk does not take checkpoints, or is too slow for what comes, deliveries are acknowledged all the same,
     for otherwise their source would stop and the watch with it; that is told, and what a restart would then lack.
@@ -48,7 +52,7 @@ class Checkpoints:
 
     def __post_init__(self) -> None:
         self._changed = Condition()
-        self._next, self._made_at = monotonic() + self.period, -1
+        self._next, self._rested, self._made_at = monotonic() + self.period, 0.0, -1
         self._thread = Thread(target=self._run, name="checkpoints", daemon=True)
         self._thread.start()
 
@@ -71,7 +75,7 @@ class Checkpoints:
         and returns when it is written, or could not be."""
         if last:
             self._close(engine)
-        elif (monotonic() >= self._next or engine.urgent) and self._job is None:
+        elif self._job is None and (monotonic() >= max(self._next, self._rested) or engine.urgent):
             self._next = monotonic() + self.period
             if engine.changes != self._made_at:
                 self._make(engine)
@@ -120,6 +124,7 @@ class Checkpoints:
             self._failed(error)
         else:
             self._succeeded(monotonic() - begun)
+        self._rested = monotonic() + REST * (monotonic() - begun)
         self._call(job.done)
 
     def _failed(self, error: OSError) -> None:
