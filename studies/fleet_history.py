@@ -30,6 +30,32 @@ PARTS = (0.125, 0.25, 1.0)
 SIDE_BY_SIDE, SAMPLES, SINGLE = 1000, 2000, 20_000
 
 
+HOW = """## How it is used
+
+    pmfid fleet history lake/ --config AXIS.toml --axis machine --period day --out history
+
+`lake/` holds Parquet or Arrow files, partitioned in any way: by folders `machine=7/`, by date, one for each axis,
+many axes in one, rows in any order. AXIS.toml names the columns and what all axes have in common; `--type COLUMN`
+tells types apart. `history/` gets `fleet.html`, and as tables `periods.parquet` (estimates with their bars,
+quality and findings of every axis and period), `axes.parquet` (who needs attention, and why) and
+`problems.parquet` (what could not be used). A second call with the same folder does what is new or changed alone.
+In Python:
+
+    found = pmfid.fleet.estimate(frame_or_folder, axis="AXIS.toml", by="machine")  # found.periods, found.axes
+
+Every axis is estimated in segments of 60 s, each from nothing: so errors are independent, a change shows within a
+minute, and the same rows give the same bytes whatever files, threads or earlier calls they come from. An axis is
+named where its change, drift or distance from its type goes beyond `[monitor] tolerance` by more than chance makes
+of the whole fleet.
+
+What it does not do: files in which very many axes are mixed row by row are read once for each shard of about four
+million rows that has some of them; write such data by axis, or by hour, first. Where the model lacks something of
+the machine, the bars do not hold that (`unmodelled` in the findings); changes are then still found against the
+axis's own past.
+
+""".splitlines()
+
+
 @dataclass(frozen=True)
 class Cost:
     """samples, wall and processor time [s], largest memory [MiB]."""
@@ -165,6 +191,7 @@ def page(axes: int, runs: Sequence[tuple[Cost, Found]]) -> str:
         f"{found.changed} of them change mass, friction or force per input by 8 to 30 % at a time of their own. "
         "`pmfid fleet history` knows the type, not the axes.",
         "",
+        *HOW,
         "## Who is found",
         "",
         f"{found.right} of the {found.changed} that changed are named, {len(found.others)} others. Of those found "

@@ -182,7 +182,10 @@ def test_a_second_call_does_what_is_new_alone(log: pl.DataFrame, config: Path, t
     assert both.periods.height == 2 * first.periods.height
     damaged = next((out / "work").glob("*.parquet"))
     damaged.write_bytes(b"PAR1 no more")
+    half = damaged.with_name(f"{damaged.name}.1.part")  # as a call leaves it that is killed
+    half.write_bytes(b"PAR1")
     assert whole().periods.equals(both.periods)
+    assert not half.exists()
 
 
 def test_results_within_the_data_are_no_data(log: pl.DataFrame, config: Path, tmp_path: Path) -> None:

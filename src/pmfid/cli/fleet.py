@@ -80,7 +80,8 @@ def history(
     else:
         _print(found, out)
     if found.unknown.height == found.axes.height:
-        reason = next(iter(found.problems["text"]), "too little motion for every parameter")
+        told = found.problems.filter(found.problems["code"] != "type")["text"]
+        reason = next(iter(told), "too little motion for every parameter")
         raise NotIdentifiableError(f"no axis of {source} can be identified: {printable(reason)}")
 
 

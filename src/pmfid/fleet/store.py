@@ -63,10 +63,10 @@ class Store:
         return self._folder / f"{key}.parquet"
 
     def keep(self, keys: Iterable[str]) -> None:
-        """Removes all others: of partitions that are gone, and of other configurations."""
+        """Removes all others: of parts that are gone, of other configurations, and what a killed call left half."""
         kept = set(keys)
         for path in self._folder.iterdir():
-            if path.name.partition(".")[0] not in kept:
+            if path.name.partition(".")[0] not in kept or path.suffix == ".part":
                 path.unlink(missing_ok=True)
 
 
