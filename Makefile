@@ -7,7 +7,7 @@ PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.py' -o -name '*.py[ix]' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.j2' \
     -o -path '*/static/*')
 
-.PHONY: demo test test-long kills check format bench study hostile firmware firmware-tools service-tools \
+.PHONY: demo test test-long kills soak check format bench study hostile firmware firmware-tools service-tools \
     images clean
 
 # What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. Not compiled to
@@ -61,6 +61,11 @@ test-long: .venv/tools firmware-tools service-tools
 
 # The service killed without notice, at named points and at random; every state and row must be as without.
 KILLS ?= 1000
+# An hour of a hundred axes at their full rate: memory, latency and open files over time.
+soak: .venv/tools service-tools
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m studies.service.load --axes 100 --seconds 3600 \
+	--out docs/service_soak.md --image docs/images/service_soak.png
+
 kills: .venv/tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.service.kill_campaign --kills $(KILLS)
 
