@@ -10,11 +10,14 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from pmfid.estimators.registry import RECURSIVE
 
+#: Instructions of the parts of a step, by estimator.
+Counted = Mapping[str, Mapping[str, float]]
 STEPS = 2000
 PRECISIONS = ("float64", "float32")
 PARTS = ("pmf_step", "pmf_encoder_step", "pmf_auxiliary_step", "pmf_network_step", "pmf_recursion_step")
@@ -50,6 +53,15 @@ def inclusive(path: Path) -> dict[str, float]:
     text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     found = re.findall(r"^\s*([\d,]+)\s.*?:(pmf_\w+)", text, re.MULTILINE)
     return {name: int(number.replace(",", "")) / STEPS for number, name in found if name in PARTS}
+
+
+def instruction_rows(counted: Counted) -> list[str]:
+    """A line for each estimator; one that says so where nothing was counted."""
+    lines = [
+        f"| {name} | " + " | ".join(f"{one[part]:.0f}" if part in one else "–" for part in PARTS) + " |"
+        for name, one in counted.items()
+    ]
+    return lines or ["| not counted: valgrind is not installed | | | | | |"]
 
 
 def main(arguments: list[str]) -> None:

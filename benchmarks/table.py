@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.instructions import PARTS, STEPS
+from benchmarks.instructions import STEPS, Counted, instruction_rows
 from benchmarks.reading import section
 
 REFERENCE = "test_pmfid_bcrls_run[float64]"
@@ -148,7 +148,10 @@ class Result:
         return "–" if self.mass_error is None else f"{100 * self.mass_error:+.3f} %"
 
 
-def read(path: Path) -> tuple[Mapping[str, Any], dict[str, Result]]:
+Machine, Results = Mapping[str, Any], Mapping[str, Result]
+
+
+def read(path: Path) -> tuple[Machine, dict[str, Result]]:
     """The machine's description and the results by name; exits with one sentence where the file is not usable."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -174,7 +177,7 @@ def _result(entry: Mapping[str, Any]) -> Result:
     )
 
 
-def machine_text(machine: Mapping[str, Any]) -> str:
+def machine_text(machine: Machine) -> str:
     """The processor and the versions that the figures belong to."""
     cpu = machine["cpu"]
     name = cpu.get("brand_raw") or cpu.get("arch_string_raw") or machine["machine"]
@@ -183,7 +186,7 @@ def machine_text(machine: Mapping[str, Any]) -> str:
     return f"Processor: {name}{clock}, {machine['processors']} cores. Python {machine['python_version']}, {versions}."
 
 
-def rows(results: Mapping[str, Result]) -> list[str]:
+def rows(results: Results) -> list[str]:
     """The table's lines: in the order of `LABELS`, names that are not in it last."""
     reference = results[REFERENCE].ns
     names = [name for name in LABELS if name in results] + sorted(set(results) - set(LABELS) - set(MANY) - set(LINEAR))
@@ -193,7 +196,7 @@ def rows(results: Mapping[str, Result]) -> list[str]:
     ]
 
 
-def many_rows(results: Mapping[str, Result]) -> list[str]:
+def many_rows(results: Results) -> list[str]:
     """Time per axis and sample by the number of axes, with the gain over the scalar kernel in a loop."""
     lines = []
     for axes in AXES:
@@ -203,7 +206,7 @@ def many_rows(results: Mapping[str, Result]) -> list[str]:
     return lines
 
 
-def many_figures(results: Mapping[str, Result]) -> dict[str, float]:
+def many_figures(results: Results) -> dict[str, float]:
     """The figures in the text below that table."""
     loop, thread = ([results[form.format(precision)].ns for precision in PRECISIONS] for form in (LOOP, THREAD))
     return {
@@ -212,7 +215,7 @@ def many_figures(results: Mapping[str, Result]) -> dict[str, float]:
     }
 
 
-def linear_figures(results: Mapping[str, Result]) -> dict[str, Any]:
+def linear_figures(results: Results) -> dict[str, Any]:
     """What stands in the section on linear processes."""
     found = [(label, results[name]) for name, label in WHOLE.items() if name in results]
     times = [f"{results[ON_LINE.format(zeros)].ns:.0f} ns" for zeros in ZEROS]
@@ -226,16 +229,7 @@ def linear_figures(results: Mapping[str, Result]) -> dict[str, Any]:
     }
 
 
-def instruction_rows(counted: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """A line for each estimator; one that says so where nothing was counted."""
-    lines = [
-        f"| {name} | " + " | ".join(f"{one[part]:.0f}" if part in one else "–" for part in PARTS) + " |"
-        for name, one in counted.items()
-    ]
-    return lines or ["| not counted: valgrind is not installed | | | | | |"]
-
-
-def goals(results: Mapping[str, Result]) -> list[str]:
+def goals(results: Results) -> list[str]:
     """Each goal with what was measured, and whether that meets it."""
     run, ratio, step = results[REFERENCE].ns, results[PEER].ns / results[REFERENCE].ns, results[STEP].ns
     order_4 = {zeros: results[ON_LINE.format(zeros)].ns for zeros in (1, 3)}
@@ -259,12 +253,7 @@ def goals(results: Mapping[str, Result]) -> list[str]:
     return [f"| {goal} | {measured} | {'met' if met else '**not met**'} |" for goal, measured, met in lines]
 
 
-def page(
-    machine: Mapping[str, Any],
-    results: Mapping[str, Result],
-    counted: Mapping[str, Mapping[str, float]],
-    read_in: Mapping[str, float],
-) -> str:
+def page(machine: Machine, results: Results, counted: Counted, read_in: Mapping[str, float]) -> str:
     """The whole page; the same results give the same bytes."""
     return PAGE.format(
         reading=section(read_in),
@@ -281,12 +270,7 @@ def page(
     )
 
 
-def kept(
-    machine: Mapping[str, Any],
-    results: Mapping[str, Result],
-    counted: Mapping[str, Mapping[str, float]],
-    read_in: Mapping[str, float],
-) -> str:
+def kept(machine: Machine, results: Results, counted: Counted, read_in: Mapping[str, float]) -> str:
     """The figures under their permanent names, and what machine they are of; nothing that names the host."""
     figures = {
         name: {key: value for key, value in vars(one).items() if key != "output_error" or value is not None}

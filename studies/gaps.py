@@ -19,11 +19,10 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.bridges import gaps_in
 from pmfid.estimators.iv import IV, RIV
 from pmfid.models.drive import Drive
-from pmfid.monitor.lost import guess
+from pmfid.monitor.lost import guess, longest
 from pmfid.paper.truth import CartRecord, table
 from pmfid.session.gaps.motion import by_motion, doubt
 from pmfid.session.gaps.standing import ALWAYS, filled, gaps_of, is_held
-from pmfid.session.monitored.run import FEW
 from pmfid.simulation import prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
@@ -153,7 +152,7 @@ def _online(method: IV, run: CartRecord, there: Flags) -> tuple[Floats, NDArray[
     last, places = -1, np.flatnonzero(there).tolist()
     for k, u, counts in zip(places, run.u[there].tolist(), run.counts[there].tolist(), strict=True):
         missing, own = k - last - 1, counts + last_one.zero
-        found = guess(last_one, rate, missing, u, own) if 0 < missing <= FEW else None
+        found = guess(last_one, rate, missing, u, own) if 0 < missing <= longest(rate) else None
         if found and found.doubt:
             riv.doubt(found.doubt)
         between = [(at, moved - last_one.zero) for at, moved in found.samples] if found else []

@@ -12,6 +12,7 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
+import polars as pl
 import pytest
 from click.testing import CliRunner
 
@@ -105,6 +106,8 @@ def test_the_same_sentence_everywhere(fault: str, tmp_path: Path) -> None:
     assert terminal.exit_code == as_json.exit_code == (3 if wrong else 1)
     assert [line.partition(": ")[2] for line in terminal.stdout.splitlines()[1:]] == sentences
     assert json.loads(as_json.stdout)["findings"] == [finding.to_json() for finding in found_in(fault)]
+    with mock.patch("pmfid.session.checks.acts_late", return_value=iter(())):
+        assert pmfid.check(log.columns, axis=log.configuration) == found_in(fault)
     result = plainly(log.record(), log.configuration)
     if isinstance(result, NotIdentifiableError):
         assert all(sentence in str(result) for sentence in sentences)
@@ -135,6 +138,7 @@ def test_an_input_that_acts_late_is_said_as_of_the_estimate() -> None:
     late = [finding for finding in found_in(JUDGED) if finding.code == "dead_time"]
     assert len(late) == 1
     assert late[0].text in identify(log.record(), log.configuration).notes
+    assert late[0] in pmfid.check(log.columns, axis=log.configuration)
 
 
 def test_counts_that_are_taken_for_a_position_are_refused_in_the_same_words(tmp_path: Path) -> None:
@@ -143,6 +147,22 @@ def test_counts_that_are_taken_for_a_position_are_refused_in_the_same_words(tmp_
     assert [result.exit_code for result in said] == [2, 2]
     assert said[0].stderr == said[1].stderr
     assert 'give output_kind = "counts"' in said[0].stderr
+    with pytest.raises(UsageError) as in_python:
+        pmfid.check(log_of(UNREADABLE).columns, axis=log_of(UNREADABLE).configuration)
+    assert str(in_python.value) in " ".join(said[0].stderr.split())
+
+
+def test_a_check_takes_what_identify_takes(tmp_path: Path) -> None:
+    log = log_of("reversed sign")
+    record, axis = written(log, tmp_path)
+    frame = pl.DataFrame(log.columns)
+    said = [pmfid.check(one, axis=how) for one in (frame, record, str(record)) for how in (axis, log.configuration)]
+    assert {found[0].code for found in said} == {"reversed"}
+    assert len({found[0].text for found in said}) == 1
+    with pytest.raises(UsageError, match="leave out y, model, dt and encoder"):
+        pmfid.check(frame, axis=axis, dt=0.01)
+    with pytest.raises(UsageError, match="or a frame and axis"):
+        pmfid.check(frame)
 
 
 def test_a_clean_log_ends_with_0(tmp_path: Path) -> None:

@@ -196,6 +196,7 @@ def test_record_missing_or_a_directory_or_of_unknown_type(tmp_path: Path, cart: 
         (("--resolution", "0"), "[encoder] resolution = 0.0 (given as an option)", "give the unit of y per count"),
         (("--resolution", "-1e-3"), "resolution = -0.001 (given as an option)", "give the unit of y per count"),
         (("--resolution", "nan"), "resolution = nan", "give the unit of y per count"),
+        (("--resolution", "0.01 parsec"), "'parsec' is no unit here", "known are m, cm, mm"),
         (("--cutoff", "0"), "[estimator] cutoff = 0.0", "give the pole of the filter chain in rad/s"),
         (("--cutoff", "201"), "[estimator] cutoff = 201 rad/s is too high for dt = 0.01 s", "at most 2/dt = 200 rad/s"),
         (("--order", "1"), "[estimator] order = 1", "give the number of filter stages, 2 to 6"),
@@ -425,6 +426,12 @@ def test_the_json_object_has_its_keys_and_types(cart: Cart) -> None:
     assert set(printed["status"]) <= {"std_too_small", "biased"}
 
 
+def test_a_resolution_in_words_is_no_resolution(cart: Cart) -> None:
+    result = CliRunner().invoke(main, ["identify", str(cart.csv), "--config", "axis.toml", "--resolution", "coarse"])
+    assert result.exit_code == 2
+    assert "'coarse' is no number, with a unit or without, as 0.001 or \"0.01 mm\"" in result.stderr
+
+
 def test_options_go_before_the_configuration(cart: Cart) -> None:
     options = ("--method", "ls", "--cutoff", "30", "--order", "3", "--quantize", "91e-6")
     printed = good(cart.csv, *options)
@@ -433,6 +440,7 @@ def test_options_go_before_the_configuration(cart: Cart) -> None:
     assert values(printed)["mass"] != values(good(cart.csv, "--method", "ls"))["mass"]
     doubled = good(cart.csv, "--resolution", str(2 * CART_RESOLUTION))
     assert values(doubled)["mass"] == pytest.approx(CART.mass / 2, rel=0.02)
+    assert values(good(cart.csv, "--resolution", f"{2000 * CART_RESOLUTION!r} mm")) == values(doubled)
 
 
 @pytest.mark.parametrize("method", METHODS)

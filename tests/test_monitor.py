@@ -273,6 +273,17 @@ def test_the_cause_is_found_with_its_start(index: int, name: str) -> None:
     assert cause.share > 0.95
 
 
+def test_a_parameter_that_was_zero_may_change() -> None:
+    """Its size is told in standard deviations."""
+    u, counts = normal_work(4, INCREMENTS, 0.05)
+    blocks, theta = scores(front(), THETA, u, counts)[6:], THETA * [1.0, 1.0, 0.0]
+    score = blocks.score.copy()
+    score[200:] += blocks.cross[200:] @ [0.0, 0.0, 0.1]
+    cause = explain(Blocks(score, blocks.cross, blocks.square), make_scale(blocks), theta, NAMES, 2.0)
+    assert cause.name == "coulomb_friction"
+    assert cause.relative == pytest.approx(cause.change / cause.std)
+
+
 # --- the monitor ------------------------------------------------------------------------------------------------------
 
 

@@ -92,6 +92,8 @@ def test_a_notebook_gets_a_table(kind: str) -> None:
     page = Text(one._repr_html_())
     assert set(page.tags) <= {"div", "p", "b", "table", "tr", "th", "td"}
     assert page.tags.count("tr") == 1 + len(one.summary().rows)
+    cells = page.tags.count("th") + page.tags.count("td")
+    assert one._repr_html_().count("padding: 0.1em 1em") == cells  # where nothing else keeps the columns apart
     assert one.summary().title in page.text
 
 

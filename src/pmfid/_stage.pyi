@@ -5,6 +5,8 @@ SAMPLES: int
 LOST: int
 KNOWN: int
 CHANGED: int
+FRESH: int
+KEPT: int
 USUAL: int
 SAME: int
 ALONE: int
@@ -22,6 +24,7 @@ class Inputs:
     lost: bool
     input: float
     usual: float
+    fresh: int
     known: bool
     same: float
     alone: float
@@ -30,6 +33,7 @@ class Inputs:
     def step(self, u: float, counts: int) -> int: ...
     def run(self, u: NDArray[np.float64], counts: NDArray[np.int64]) -> NDArray[np.int64]: ...
     def rebase(self, counts: int) -> None: ...
+    def before(self, samples: int) -> int: ...
     def pass_over(self, samples: int) -> None: ...
 
 def follow_many(

@@ -29,7 +29,8 @@ def first_order(signal, double a, double b0, double b1=0.0, double memory=0.0):
 
 #: Places in the whole numbers of an axis: the last counts, what is added to what its counter shows, the change of the
 #: counts in the last sample, samples so far, whether the last one was lost, whether any was not, whether the input
-#: changed in the last one that was not.
+#: changed in the last one that was not, how many of the counts that are kept follow one another up to the last, and
+#: these, each at the number of its sample modulo KEPT.
 cpdef enum:
     COUNTS = 0
     ZERO
@@ -38,7 +39,10 @@ cpdef enum:
     LOST
     KNOWN
     CHANGED
-    WHOLE
+    FRESH
+    RECENT
+    KEPT = 64
+    WHOLE = 72
 #: And in its real ones: the last input, what it usually changes by, in which part of the samples it stays the same, which
 #: part of its changes come alone, and its mean square.
 cpdef enum:
@@ -82,6 +86,8 @@ cdef inline int64_t _follow(int64_t *whole, double *real, double u, int64_t coun
     whole[CHANGE] = 0 if lost or whole[SAMPLES] == 0 else _sum(counts, -<uint64_t> whole[COUNTS])
     whole[LOST], whole[COUNTS] = lost, counts
     whole[SAMPLES] += 1
+    whole[FRESH] = 1 if lost else min(whole[FRESH] + 1, <int64_t> KEPT)
+    whole[RECENT + whole[SAMPLES] % KEPT] = counts
     if not lost:
         _learn(whole, real, u)
     return counts
@@ -125,7 +131,20 @@ cdef class Inputs:
 
     def pass_over(self, int64_t samples):
         """So many samples more, of which nothing is known."""
+        if samples <= 0:
+            return
         self._whole[SAMPLES] += samples
+        self._whole[FRESH] = 1
+        self._whole[RECENT + self._whole[SAMPLES] % KEPT] = self._whole[COUNTS]
+
+    def before(self, int64_t samples):
+        """The counts so many samples before the last, fewer than `fresh`."""
+        return self._whole[RECENT + <uint64_t> (self._whole[SAMPLES] - samples) % KEPT]
+
+    @property
+    def fresh(self):
+        """So many counts are kept that follow one another, the last among them."""
+        return self._whole[FRESH]
 
     @property
     def counts(self):

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 #: Lines of a table, and remarks below it, that a `repr` has; longer remarks are cut.
 MOST_LINES, MOST_REMARKS, LONGEST = 8, 3, 300
+#: Of a cell of a table where no notebook has a style: columns must not run into each other.
+CELL = ' style="text-align: left; padding: 0.1em 1em 0.1em 0"'
 #: The one look upward, by name and at the call: a result is below the room that draws it.
 _load = door("pmfid.report", {"figure_of": "plots"})
 
@@ -52,8 +54,8 @@ class Summary:
     @property
     def html(self) -> str:
         """A table that needs nothing beside it; names from files are text in it, whatever they hold."""
-        head = "".join(f"<th>{_safe(name)}</th>" for name in self.header)
-        body = "".join(f"<tr>{''.join(f'<td>{_safe(cell)}</td>' for cell in row)}</tr>" for row in self.rows)
+        head = "".join(f"<th{CELL}>{_safe(name)}</th>" for name in self.header)
+        body = "".join(f"<tr>{''.join(f'<td{CELL}>{_safe(cell)}</td>' for cell in row)}</tr>" for row in self.rows)
         remarks = "".join(f"<p>{_safe(remark)}</p>" for remark in self.remarks)
         return f"<div><p><b>{_safe(self.title)}</b></p><table><tr>{head}</tr>{body}</table>{remarks}</div>"
 

@@ -136,6 +136,16 @@ def _friction(rng: Rng, folder: Path) -> Case:
     return Case(("friction", name, "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files)
 
 
+def _fleet(rng: Rng, folder: Path) -> Case:
+    """A record in place of a data set, a folder of such, or what is none."""
+    files, name = _recorded(rng, folder)
+    by = str(rng.choice(["t", "u", "counts", "machine", ""]))
+    source = str(rng.choice([name, ".", "nowhere", "axis.toml"]))
+    chosen = options(rng, 0.2, period=["day", "run", "shift", "10min", "1e9"], segment=["60", "5"], workers=["1", "2"])
+    chosen += [*options(rng, 0.1, engine=["local"], type=["u"]), *_flags(rng, 0.6, "--json")]
+    return Case(("fleet", "history", source, "--config", "axis.toml", "--axis", by, "--out", "out", *chosen), files)
+
+
 #: Parameters of the models that are drawn, each with its unit.
 KNOWN = {"mass": "kg", "viscous_friction": "N s/m", "coulomb_friction": "N", "offset": "N", "a0": "s^-1", "b0": "s^-1"}
 
@@ -346,9 +356,10 @@ COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "init": (_init, 0.001),
     "terms": (_terms, 0.002),
     "friction": (_friction, 0.002),
+    "fleet": (_fleet, 0.002),
     "order": (_order, 0.002),
     "demo": (_demo, 0.01),
     "reproduce": (_reproduce, 0.01),
     "explain": (_explain, 0.008),
-    "none": (_none, 0.03),
+    "none": (_none, 0.028),
 }

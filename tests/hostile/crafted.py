@@ -93,7 +93,9 @@ def program(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
     if place != "export" and estimator.precision == "float32":
         options.append("-DPMF_FLOAT32")
     if place == "fleet":
-        files += [str(sources / "many" / name) for name in ("pmf_layout.c", "pmf_many.c", "pmf_lanes.c")]
+        files += [
+            str(sources / "many" / name) for name in ("pmf_layout.c", "pmf_many.c", "pmf_scores.c", "pmf_lanes.c")
+        ]
         options += ["-DFLEET", "-DPMF_LANE_BYTES=16", "-DPMF_HAVE_LANES_16", "-msse4.2"]
     command = ["gcc", *REQUIRED, *options, *SANITIZE, f"-I{sources}", *files, "-o", "crafted"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)

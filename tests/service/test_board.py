@@ -221,6 +221,7 @@ def test_new_groups_keep_what_is_known_of_axes_that_stay() -> None:
     assert board.history("c").size == 0  # type: ignore[union-attr]
     assert board.history("a").size == 0, "its parameters are others now"  # type: ignore[union-attr]
     assert [group.axis.tolist() for group in board.news().groups] == [[0], []]
+    assert board.trends(0, np.array([0, 1]))[1][:, -1].tolist() == pytest.approx([0.02, np.nan], nan_ok=True)
 
 
 def test_rows_of_a_group_that_nobody_announced_find_a_place() -> None:

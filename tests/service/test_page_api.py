@@ -160,6 +160,11 @@ def test_an_engine_that_has_no_room_is_told(page: Served, monkeypatch: pytest.Mo
     assert page.post("/api/axis/gantry-y/reference", {}) == 503
 
 
+def test_the_head_of_a_stream_ends(page: Served) -> None:
+    status, headers, body = page.ask("/api/stream", method="HEAD")
+    assert (status, headers["content-type"], body) == (200, "application/x-ndjson", b"")
+
+
 def test_odd_methods_are_refused(page: Served) -> None:
     assert page.ask("/api/plant", method="DELETE")[0] == 405
     assert page.ask("/api/alarms/1/acknowledge")[0] == 404

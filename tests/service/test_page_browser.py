@@ -58,7 +58,8 @@ def test_what_needs_someone_stands_first_and_a_new_alarm_comes_by_itself(browser
         assert names(page)[:2] == ["gantry-x2", "turntable"]
         plant.alarm("spindle-b", "inertia", "kg m2")
         assert until(page, "document.title.includes('2 alarms')")
-        assert "Alarm of spindle-b: inertia +7.8 %" in page.inner_text("#spoken")
+        assert until(page, "document.querySelector('.rows .axis-name').textContent === 'spindle-b'"), "the newest first"
+        assert "Alarm of spindle-b: inertia +7.8\u00a0%" in page.inner_text("#spoken")
         assert page.inner_text("#alarmed").split()[0] == "2"
         assert violations(page) == []
 
@@ -155,6 +156,19 @@ def test_the_cursor_goes_by_keyboard_and_zoom_comes_back(browser: Any, page: Ser
         assert until(there, f"!{back}.disabled")
         there.keyboard.press("0")
         assert until(there, f"{back}.disabled")
+        box = there.locator(".u-over").first.bounding_box()
+        left, width, top = box["x"], box["width"], box["y"] + 40
+        there.mouse.move(left + 0.3 * width, top)
+        there.mouse.down()
+        there.mouse.move(left + 0.6 * width, top)
+        page.plant.run(1.0)
+        there.wait_for_timeout(500)
+        there.mouse.up()
+        assert until(there, f"!{back}.disabled")
+        there.click("summary >> nth=0")
+        there.wait_for_selector(".scrolled tbody tr")
+        times = [float(text.split()[0]) for text in there.locator(".scrolled tbody th").all_inner_texts()]
+        assert times[0] - times[-1] == pytest.approx(9.0, abs=2.5), "three tenths of 30 s"
 
 
 COLUMNS = """async () => {
@@ -322,7 +336,7 @@ def test_another_page_of_the_same_browser_reads_nothing_even_with_the_token(brow
 
 # --- at length --------------------------------------------------------------------------------------------------------
 
-VIEWS = [(width, theme) for width in (1440, 390) for theme in ("light", "dark")]
+VIEWS = [(1440, "light"), (1440, "dark"), (768, "light"), (390, "light"), (390, "dark")]
 
 
 @pytest.mark.long
@@ -384,7 +398,7 @@ def test_ten_thousand_axes_stay_usable(browser: Any) -> None:
         rows = page.locator(".rows .row")
         assert rows.count() < 60
         assert page.get_attribute(".axes", "aria-rowcount") == "10001"
-        assert names(page)[:2] == ["cell-00042", "cell-04711"]
+        assert names(page)[:2] == ["cell-04711", "cell-00042"], "the newest alarm first"
         page.fill("#search", "04711")
         assert until(page, "document.querySelectorAll('.rows .row').length === 1")
         page.fill("#search", "")

@@ -76,9 +76,11 @@ def test_the_pages_own_origin_is_answered(page: Served) -> None:
     assert page.ask("/api/plant", origin=f"http://{page.host}")[0] == 200
 
 
-def test_what_a_browser_calls_cross_site_is_refused_but_for_following_a_link(page: Served) -> None:
-    assert page.ask("/style.css", sec_fetch_site="cross-site", sec_fetch_mode="no-cors")[0] == 403
-    assert page.ask("/", sec_fetch_site="cross-site", sec_fetch_mode="navigate")[0] == 200
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+def test_what_a_browser_calls_another_site_or_port_may_follow_a_link_alone(page: Served, site: str) -> None:
+    assert page.ask("/style.css", sec_fetch_site=site, sec_fetch_mode="no-cors")[0] == 403
+    assert page.ask("/", sec_fetch_site=site, sec_fetch_mode="navigate")[0] == 200
+    assert page.ask("/api/plant", sec_fetch_site=site, sec_fetch_mode="navigate", token=None)[0] == 401
 
 
 # --- tokens -----------------------------------------------------------------------------------------------------------

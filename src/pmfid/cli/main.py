@@ -13,10 +13,11 @@ from pmfid.cli.check import check
 from pmfid.cli.design import commission, design
 from pmfid.cli.explain import explain
 from pmfid.cli.export import export
+from pmfid.cli.fleet import fleet
 from pmfid.cli.friction import friction
 from pmfid.cli.init import init
 from pmfid.cli.monitor import monitor
-from pmfid.cli.options import CUTOFF, JSON, RECORDS, config_option, folder_option
+from pmfid.cli.options import CUTOFF, JSON, RECORDS, config_option, folder_option, step
 from pmfid.cli.output import print_json
 from pmfid.cli.progress import progress
 from pmfid.cli.reproduce import reproduce
@@ -93,7 +94,9 @@ def _open_closed_streams() -> None:
 @CUTOFF
 @click.option("--order", type=int, help="Stages of the filters.")
 @click.option("--forgetting", type=float, help="Weight of the past per sample, in (0, 1].")
-@click.option("--resolution", type=float, metavar="STEP", help="Unit of position per count.")
+@click.option(
+    "--resolution", type=step, metavar="STEP", help='Unit of position per count: a number, or with a unit "0.01 mm".'
+)
 @click.option(
     "--quantize",
     type=float,
@@ -246,4 +249,5 @@ main.add_command(validate)
 main.add_command(reproduce)
 main.add_command(explain)
 main.add_command(export)
+main.add_command(fleet)
 main.add_command(friction)

@@ -71,7 +71,8 @@ def serve(
         return plant.with_page(page)
 
     line = json_line if as_json else _sentence
-    Service(load, Log(sys.stdout, line), until_end, record).run()
+    log = Log(sys.stderr if load().speaks else sys.stdout, line)
+    Service(load, log, until_end, record).run()
 
 
 def _sentence(notice: object) -> str:

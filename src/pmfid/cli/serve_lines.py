@@ -17,7 +17,7 @@ def line(notice: Notice) -> str:
     what = notice.what
     own = _SENTENCES.get(str(what["event"]))
     text = own(what) if own is not None else _monitored(what)
-    return printable(f"{notice.axis}  {text}" if notice.axis else text)
+    return printable(f"{notice.axis}  {text}" if notice.axis and text else text)
 
 
 def _monitored(what: Told) -> str:
@@ -39,6 +39,8 @@ def _serving(what: Told) -> str:
 def _configuration(what: Told) -> str:
     if "problem" in what:
         return f"{what['config']}: {what['problem']}"
+    if "digest" in what:  # for sinks that keep a history
+        return ""
     ready = "calibration from the cache" if what["cached"] else "calibrated"
     return "\n".join([f"{what['config']}: {ready}", *(f"note: {note}" for note in what["notes"])])
 

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid._stage import ALONE, CHANGED, KNOWN, LOST, POWER, SAME, SAMPLES, USUAL
+from pmfid._stage import ALONE, CHANGED, FRESH, KNOWN, LOST, POWER, SAME, SAMPLES, USUAL
 from pmfid.monitor.scores import width_of
 from pmfid.types import Floats
 
@@ -80,6 +80,11 @@ class Sampled(Rows):
     def yes_or_no(self) -> NDArray[np.int64]:
         """(n, 3) 1 or 0: whether the last sample was lost, any was not, the input changed in the last that was not."""
         return self.whole[:, [LOST, KNOWN, CHANGED]]
+
+    @property
+    def fresh(self) -> NDArray[np.int64]:
+        """(n,) counts that are kept and follow one another."""
+        return self.whole[:, FRESH]
 
     @property
     def sizes(self) -> Floats:

@@ -28,8 +28,8 @@ LAGS = 2
 @dataclass(frozen=True)
 class Cause:
     """name: of the parameter, INPUT_GAIN or FRICTION; change, std: [its unit], of FRICTION relative; relative: change
-    over the reference value; start: index of the first block that shows it; share: of all that a change of all
-    parameters together would explain."""
+    over the reference value, over std where that is 0; start: index of the first block that shows it; share: of all
+    that a change of all parameters together would explain."""
 
     name: str
     change: float
@@ -117,7 +117,7 @@ def _told(cause: Cause, size: float, std: float, theta: Floats, names: Sequence[
     if cause.name == FRICTION:
         return replace(cause, change=size, std=std, relative=size)
     if cause.name != INPUT_GAIN:
-        reference = abs(float(theta[list(names).index(cause.name)]))
+        reference = abs(float(theta[list(names).index(cause.name)])) or max(std, np.finfo(float).tiny)
         return replace(cause, change=size, std=std, relative=size / reference)
     factor = 1 / max(1 + size, 0.01)
     relative = factor - 1

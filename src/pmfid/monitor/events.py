@@ -43,8 +43,8 @@ class Watch:
 @dataclass(frozen=True)
 class Alarm:
     """A change. time: of the alarm [s]; changed_at: when it began to show [s]; parameter: name, or "input_gain",
-    or "friction" where all of it grew alike; change, std: [unit], of "friction" as relative: to the reference;
-    statistic at the first suspicion, and its threshold."""
+    or "friction" where all of it grew alike; change, std: [unit], of "friction" as relative: to the reference, to std
+    where that is 0; statistic at the first suspicion, and its threshold."""
 
     time: float
     changed_at: float

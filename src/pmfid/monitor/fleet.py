@@ -32,8 +32,8 @@ class MonitorFleet:
     """Many axes watched with the configuration and calibration of one monitor, each with a state of its own and the
     bits that `Monitor` alone would give.
 
-    All start from the present state of `monitor`, which itself does not change. axes: number, >= 0. Raises UsageError
-    for another number.
+    All start from the present state of `monitor`, which itself does not change. axes: number, >= 0. One thread at a
+    time may use it. Raises UsageError for another number.
     """
 
     def __init__(self, monitor: Monitor, axes: int) -> None:
@@ -118,6 +118,11 @@ class MonitorFleet:
     def skip(self, axis: int, samples: int) -> list[Event]:
         """`Monitor.skip` of an axis."""
         return self._with(self._place(axis), lambda monitor: monitor.skip(samples))
+
+    @property
+    def longest(self) -> int:
+        """`Monitor.longest` of all."""
+        return self._source.longest
 
     def between(self, axis: int, missing: int, u: float, counts: int) -> list[Event]:
         """`Monitor.between` of an axis."""

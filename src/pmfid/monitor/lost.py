@@ -15,6 +15,8 @@ SWITCHED = 6.0
 HELD, ALONE = 0.5, 0.9
 #: A switch matters where not knowing its instant moves the input behind the filters by so much of its size.
 DOUBTFUL = 0.01
+#: So many missing samples are guessed, and in so many of the filters' time constants: over more nothing is known.
+FEW, SHORT = 8, 0.25
 #: The filters forget a blow in so many of their time constants.
 FORGOTTEN = 4.5
 
@@ -27,22 +29,29 @@ class Guess:
     doubt: int
 
 
+def longest(rate: float) -> int:
+    """So many lost samples are guessed; over more the filters had better settle anew. rate: a sample period over the
+    time constant of the filters."""
+    return max(FEW, round(SHORT / rate))
+
+
 def guess(last: Inputs, rate: float, missing: int, u: float, counts: int) -> Guess | None:
     """So many samples behind `last` and before one of u and counts, which go on from the last: the input on a straight
-    line, the counts on the parabola that leaves the last as fast as they came to it. rate: a sample period over the
-    time constant of the filters. None where nothing is known of them: an input that is lost itself, or one that is not
-    held and leaps."""
+    line, the counts on the parabola that leaves the last as fast as they came to it, as the last tell, and of a long
+    gap as many as are missing. rate: as in `longest`. None where nothing is known of them: an input that is lost
+    itself, or one that is not held and leaps."""
     if last.lost or not (last.known and math.isfinite(u)):
         return None
     n, leap = missing + 1, u - last.input
     held = last.same > HELD and last.alone > ALONE
     if not held and abs(leap) > SWITCHED * n * last.usual:
         return None
-    bend = (counts - last.counts - last.change * n) / (n * n + n)
-    between = (
-        (last.input + k / n * leap, last.counts + round(k * (last.change + bend * (k + 1)))) for k in range(1, n)
-    )
-    return Guess(tuple(between), _doubt(last, rate, missing, leap) if held else 0)
+    back = min(n if n > FEW + 1 else 1, last.fresh - 1)
+    speed = (last.counts - last.before(back)) / back if back else 0.0
+    bend = (counts - last.counts - speed * n) / (n * (n + back))
+    moved = (round(k * (speed + bend * (k + back))) for k in range(1, n))
+    between = tuple((last.input + k / n * leap, last.counts + way) for k, way in enumerate(moved, 1))
+    return Guess(between, _doubt(last, rate, missing, leap) if held else 0)
 
 
 def _doubt(last: Inputs, rate: float, missing: int, leap: float) -> int:

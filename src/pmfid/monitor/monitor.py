@@ -19,7 +19,7 @@ from pmfid.kernel.structures import whole_words
 from pmfid.monitor.arrays import Sampled
 from pmfid.monitor.axis import FIRST, Axis
 from pmfid.monitor.events import SETTLING, SUSPICIOUS, WATCHING, Event, Outlier, Settled
-from pmfid.monitor.lost import guess
+from pmfid.monitor.lost import guess, longest
 from pmfid.monitor.rows import FleetRows
 from pmfid.monitor.saved import Saved, checked, read, written
 from pmfid.monitor.scores import ScoreFilter, reference_kernel
@@ -155,12 +155,22 @@ class Monitor(Axis, Shown):
         self._inputs.pass_over(samples - few)
         return events
 
+    @property
+    def _rate(self) -> float:
+        """A sample period over the time constant of the filters."""
+        return self.estimator.cutoff * self.estimator.dt
+
+    @property
+    def longest(self) -> int:
+        """So many lost samples are for `between`, more for `skip`."""
+        return longest(self._rate)
+
     def between(self, missing: int, u: float, counts: int) -> list[Event]:
         """A few samples that were lost before one of u and counts: what most likely stood there (`guess`), and nothing
         is learnt for a while where a held input switched in one of them, nobody knows which. Where nothing is known of
         them, as `skip`. What there is to tell."""
-        last, rate = self._inputs, self.estimator.cutoff * self.estimator.dt
-        found = guess(last, rate, missing, u, counts + last.zero)
+        last = self._inputs
+        found = guess(last, self._rate, missing, u, counts + last.zero)
         if found is None:
             return self.skip(missing)
         if found.doubt:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid._kernel64 import ManyKernel
+from pmfid._stage import KEPT
 from pmfid.errors import UsageError
 from pmfid.kernel.structures import layout_number
 from pmfid.monitor.arrays import Disturbed, Places, Rows, Sampled, Watched
@@ -171,6 +172,7 @@ def _counts_fit(judge: Judge, saved: Saved) -> bool:
     conditions = [
         *((number >= 0) & (number <= MOST) for number in counted),
         (sampled.yes_or_no == 0) | (sampled.yes_or_no == 1),
+        (sampled.fresh >= 0) & (sampled.fresh <= np.minimum(samples, KEPT)),
         sampled.sizes >= 0,
         (sampled.shares >= 0) & (sampled.shares <= 1),
         sampled.progress[:, 0] < judge.scoring.size,

@@ -88,6 +88,12 @@ class Plant:
         return self if page is None else replace(self, page={**(self.page or {}), **page})
 
     @property
+    def speaks(self) -> bool:
+        """Whether a source or a sink writes on standard output, where nothing else may then be."""
+        sections = [*self.sources.values(), *self.sinks.values()]
+        return any(getattr(one, "pass_on", False) or getattr(one, "to", None) == "stdout" for one in sections)
+
+    @property
     def state(self) -> Path | None:
         """The folder of the checkpoints."""
         return None if self.service.state is None else self.folder / self.service.state

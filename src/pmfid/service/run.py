@@ -163,6 +163,7 @@ class Service:
             queued.start()
             self._outlets.append(queued)
         self._say_started(plant)
+        self._say_configurations()
         self._thread = Thread(target=self._engine_runs, name="engine", daemon=True)
         self._problem: BaseException | None = None
         self._thread.start()
@@ -186,6 +187,15 @@ class Service:
         page = {} if self._page is None else {"page": self._page.start_url, "notes": list(self._page.notes)}
         self._log.notice(Notice("", number, time.time(), {**told, **page}))
 
+    def _say_configurations(self) -> None:
+        """To the sinks: they keep what differs from the time before."""
+        present = {group.prepared.digest for group in self._engine.groups}
+        for entry in self._engine.history:
+            if entry["digest"] in present:
+                self._tell_now(
+                    {"event": "configuration", **{key: entry[key] for key in ("config", "digest", "nominal")}}
+                )
+
     def _serve_page(self, plant: Plant) -> None:
         config = page_config(plant)
         if not config.enabled:
@@ -202,7 +212,12 @@ class Service:
             folder=plant.folder,
             reference=self._reference,
             metrics=lambda: exposition(self.counters),
+            alive=self._alive,
         )
+
+    def _alive(self) -> bool:
+        """Whether the engine comes by."""
+        return time.monotonic() - self._engine.beat < STUCK
 
     def _reference(self, axis: str) -> Record | None:
         """The record of normal work of an axis."""
@@ -229,7 +244,7 @@ class Service:
                 self._reload()
             if self._sources.ended and (self.until_end or self._sources.failed):
                 return
-            if time.monotonic() - alive > 1 and time.monotonic() - self._engine.beat < STUCK:
+            if time.monotonic() - alive > 1 and self._alive():
                 alive = time.monotonic()
                 notify("WATCHDOG=1")
 
@@ -255,6 +270,7 @@ class Service:
         """By the engine's thread, between two ticks."""
         before, self._axes = self._axes, axes
         fresh = self._arrange(self._engine.groups)
+        self._say_configurations()
         gone = sum(name not in axes for name in before)
         changed = sum(name in before for name in fresh)
         told = {"event": "reload", "added": len(fresh) - changed, "changed": changed, "removed": gone}

@@ -14,7 +14,7 @@ from pmfid.monitor.rows import FleetRows
 from pmfid.service.groups import Group, Seat
 from pmfid.service.order import Piece
 from pmfid.service.outcome import Rows
-from pmfid.session.monitored.run import FEW, event_object
+from pmfid.session.monitored.run import event_object
 from pmfid.types import Floats
 
 __all__ = ["Found", "Stepped", "step"]
@@ -83,7 +83,7 @@ def _interrupted(group: Group, seat: Seat, piece: Piece) -> list[Event]:
     """Lets the monitor know that samples are missing, or that nobody knows how many, as `pmfid monitor` does."""
     missing = max(1, piece.lead)
     group.numbers[seat.index] += missing
-    if 0 < piece.lead <= FEW and not piece.apart:
+    if 0 < piece.lead <= group.fleet.longest and not piece.apart:
         return group.fleet.between(seat.index, missing, float(piece.u[0]), int(piece.counts[0]))
     return group.fleet.skip(seat.index, missing)
 

@@ -83,29 +83,44 @@ def identify(
 def _configured(record: object, axis: Axis | Path | str) -> Result:
     """Of a frame, a file or several of either, by an AXIS.toml."""
     own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
-    kind = kind_of(own)
+    return run(_read(record, own), own)
+
+
+def _read(record: object, axis: Axis) -> Records:
+    """A frame, a file or several files, as an AXIS.toml says."""
+    kind = kind_of(axis)
     if isinstance(record, str | Path):
-        return run(kind.read([Path(record)], own), own)
+        return kind.read([Path(record)], axis)
     if isinstance(record, list | tuple) and record and all(isinstance(one, str | Path) for one in record):
-        return run(kind.read([Path(one) for one in record], own), own)
-    return run(kind.of_table(table_of(record), own), own)
+        return kind.read([Path(one) for one in record], axis)
+    return kind.of_table(table_of(record), axis)
 
 
 def check(
-    u: ArrayLike,
-    y: ArrayLike,
+    u: ArrayLike | object,
+    y: ArrayLike | None = None,
     *,
-    model: Model,
-    dt: float,
-    encoder: Encoder,
+    model: Model | None = None,
+    axis: Axis | Path | str | None = None,
+    dt: float | None = None,
+    encoder: Encoder | None = None,
 ) -> tuple[Finding, ...]:
     """What is wrong with a log of a machine, most important first, as `pmfid check` says it; empty where nothing is
     found.
 
-    u, y (n,), model, dt [s], encoder: as for `identify`. Raises UsageError for arguments that do not fit each other.
+    u, y (n,), model, dt [s], encoder: as for `identify`; or a frame, a dict of arrays or the path of a file in place of
+    u and y, and `axis`, that or the path of an AXIS.toml, in place of the others. Raises UsageError for arguments that
+    do not fit each other.
     """
-    axis = axis_of(model, encoder, dt, {})
-    return checked(_record(u, y, axis), axis)
+    if axis is not None:
+        if any(value is not None for value in (y, model, dt, encoder)):
+            raise UsageError("axis says everything but the record: leave out y, model, dt and encoder")
+        own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
+        return checked(_read(u, own), own)
+    if model is None or y is None or dt is None or encoder is None:
+        raise UsageError("check needs u, y, model, dt and encoder, or a frame and axis")
+    own = axis_of(model, encoder, dt, {})
+    return checked(_record(cast(ArrayLike, u), y, own), own)
 
 
 def validate(

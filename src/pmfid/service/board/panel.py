@@ -185,7 +185,8 @@ class Panel:
         )
 
     def adopt(self, other: Panel, version: int) -> None:
-        """Takes over what is known of axes of the same names and parameters."""
+        """Takes over what is known of axes of the same names and parameters, and their trends where they have the same
+        points in time."""
         if other.group.names != self.group.names:
             return
         common = [name for name in self.group.axes if name in other.place]
@@ -196,6 +197,10 @@ class Panel:
         own = np.array([(other.nominal[j] != other.group.nominal).any() for j in theirs], bool)
         self.nominal[mine[own]] = other.nominal[theirs[own]]
         self._changed[mine[seen]] = version
+        if self._bin_end == -np.inf:
+            self.interval, self._bin, self._bin_end = other.interval, other._bin, other._bin_end
+        if (self.interval, self._bin, self._bin_end) == (other.interval, other._bin, other._bin_end):
+            self._trend[mine] = other._trend[theirs]
         for i, j in zip(mine[seen].tolist(), theirs[seen].tolist(), strict=True):
             rows = other.history(j)[-self.depth :]
             self._kept[i, : rows.size], self._rows[i] = rows, rows.size

@@ -79,6 +79,8 @@ class Api:
         axis = request.query_params.get("axis")
         if axis is not None:
             self._known(axis)
+        if request.method == "HEAD":
+            return Response(media_type=Lines.media_type)
         if self.hub.streams >= self.streams:
             self.counters.add("pmfid_page_refused_total", reason="streams")
             raise HTTPException(503, "as many browsers look already as [page] browsers allows")
@@ -171,8 +173,10 @@ def _taken(taken: bool) -> Response:
 class Lines(Response):
     """A response of NDJSON that ends when the browser goes, which only `receive` tells."""
 
+    media_type = "application/x-ndjson"
+
     def __init__(self, hub: Hub, lines: AsyncIterator[bytes]) -> None:
-        super().__init__(media_type="application/x-ndjson")
+        super().__init__()
         self._hub, self._lines = hub, lines
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

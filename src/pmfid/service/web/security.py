@@ -101,7 +101,8 @@ class Guard:
         own = {f"{scheme}://{hosts[0].lower()}" for scheme in ("http", "https")}  # a proxy may speak TLS
         if len(origins) > 1 or not {origin.lower() for origin in origins} <= own:
             raise Refusal("origin", 403, "another page may not ask here")
-        if headers.get("sec-fetch-site", "none") == "cross-site" and headers.get("sec-fetch-mode") != "navigate":
+        from_here = headers.get("sec-fetch-site", "none") in ("same-origin", "none")  # same-site is another port
+        if not from_here and headers.get("sec-fetch-mode") != "navigate":
             raise Refusal("origin", 403, "another page may not ask here")
 
     def _check_token(self, scope: Scope, headers: Headers) -> None:

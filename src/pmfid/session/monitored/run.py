@@ -19,8 +19,6 @@ from pmfid.types import Floats
 MOST_ROWS = 8000
 #: Lines of a kind and gaps that are told one by one, and events that are kept.
 TOLD, KEPT = 10, 10_000
-#: So many missing samples stand on the line between their neighbours; over more the filters settle anew.
-FEW = 8
 
 #: What is written as JSON: texts, numbers, and tables of them, each known by its key alone.
 Told = dict[str, Any]
@@ -146,7 +144,7 @@ def _interrupted(sample: Sample, monitor: Monitor, run: MonitoredRun, tell: Tell
         run.missing += sample.missing
         if run.gaps <= TOLD:
             tell({"event": "gap", "time": sample.time, "missing": sample.missing})
-        if sample.missing <= FEW:
+        if sample.missing <= monitor.longest:
             return monitor.between(sample.missing, sample.u, sample.counts)
         return monitor.skip(sample.missing)
     run.clock_jumps += 1

@@ -176,6 +176,16 @@ export class AxisView {
     this.draw();
   }
 
+  // While someone drags, nothing moves under their hand.
+  hold() {
+    this.held = true;
+    const release = () => {
+      this.held = false;
+      this.later();
+    };
+    addEventListener("mouseup", release, { once: true });
+  }
+
   key(event) {
     const [from, to] = this.range();
     const step = (to - from) / 10, middle = (from + to) / 2;
@@ -243,7 +253,7 @@ export class AxisView {
   draw() {
     clearTimeout(this.drawing);
     this.drawing = undefined;
-    if (!this.element.isConnected) return;
+    if (!this.element.isConnected || this.held) return;
     const [from, to] = this.range();
     this.seen = this.columns.thinned(from, to, POINTS, this.group.resolution);
     for (const chart of this.all) chart.draw(this.seen, from, to);

@@ -11,7 +11,7 @@ const HEIGHT = 170, LABELS = 70;
 export class Chart {
   constructor(spec, group) {
     this.spec = spec;
-    this.group = group; // of charts: {zoom(from, to), cursor(k, from)}
+    this.group = group; // of charts: {zoom(from, to), cursor(k), key(event), hold()}
     this.read = el("p", { class: "read" });
     this.place = el("div", { class: "plot" });
     this.element = el(
@@ -35,15 +35,16 @@ export class Chart {
       width: this.width(),
       height: HEIGHT,
       legend: { show: false },
-      cursor: { drag: { x: true, y: false, setScale: false }, sync: { key: "axis", setSeries: false }, points: { show: false } },
+      cursor: { drag: { x: true, y: false, setScale: false }, sync: { key: "axis", setSeries: false, filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } }, points: { show: false } },
       scales: { x: { time: this.wall }, y: { range: () => this.limits } },
-      axes: [{ ...axis, size: 30 }, { ...axis, size: LABELS, values: (_, ticks) => ticks.map((tick) => number(tick, 5).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "")) }],
+      axes: [{ ...axis, size: 30, space: 70 }, { ...axis, size: LABELS, values: (_, ticks) => ticks.map((tick) => number(tick, 5).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "")) }],
       series,
       bands: [{ series: [2, 1], fill: colour("band") }],
       hooks: { setSelect: [(plot) => this.selected(plot)], setCursor: [(plot) => this.group.cursor(plot.cursor.idx)] },
     };
     this.plot = new uPlot(options, [[], [], [], [], []], this.place);
     this.plot.over.addEventListener("dblclick", () => this.group.zoom(null));
+    this.plot.over.addEventListener("mousedown", () => this.group.hold());
   }
 
   width() {

@@ -25,7 +25,7 @@ export class Compare {
 
   build() {
     const { group, record } = this;
-    const still = { zoom: () => {}, cursor: (k) => this.charts?.forEach((chart) => chart.tell(record, k)), key: () => {} };
+    const still = { zoom: () => {}, hold: () => {}, cursor: (k) => this.charts?.forEach((chart) => chart.tell(record, k)), key: () => {} };
     const speed = `${group.position_unit}/s`;
     this.charts = [
       new Chart({ title: "input, reference", unit: group.input_unit, line: (seen) => seen.u, steps: true, told: (seen, k) => `${number(seen.u[k])}${unitOf(group.input_unit)}` }, still),

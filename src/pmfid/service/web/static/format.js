@@ -25,7 +25,7 @@ export function percent(part) {
   const value = 100 * part;
   const text = Math.abs(value) >= 100 ? value.toFixed(0) : value.toFixed(1);
   const signed = Number(text) > 0 ? "+" + text : Number(text) === 0 ? "0.0" : text.replace("-", "−");
-  return `${signed} %`;
+  return `${signed}\u00a0%`;
 }
 
 export function age(seconds) {

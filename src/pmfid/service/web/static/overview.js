@@ -122,7 +122,7 @@ export class Overview {
     const size = (i) => Math.abs(plant.deviation[i]) || 0;
     const old = (i) => (Number.isFinite(plant.received[i]) ? plant.received[i] : -Infinity);
     const orders = {
-      attention: (a, b) => kinds[a] - kinds[b] || a - b,
+      attention: (a, b) => kinds[a] - kinds[b] || plant.latestAlarm(b) - plant.latestAlarm(a) || a - b,
       name: (a, b) => (plant.names[a] < plant.names[b] ? -1 : 1),
       deviation: (a, b) => size(b) - size(a) || a - b,
       age: (a, b) => (old(a) === old(b) ? a - b : old(a) - old(b)),

@@ -85,6 +85,11 @@ export class Plant {
     }
   }
 
+  // Number of the last open alarm of an axis, 0 for none.
+  latestAlarm(i) {
+    return this.open.get(this.names[i])?.at(-1).number ?? 0;
+  }
+
   openAlarms() {
     return [...this.open.values()].flat().sort((a, b) => b.number - a.number);
   }

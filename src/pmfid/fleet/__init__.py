@@ -1,0 +1,34 @@
+"""Histories of many axes: estimates per axis and period out of a data set, who changed, and who differs from the
+rest."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pmfid.door import door
+
+if TYPE_CHECKING:
+    from pmfid.fleet.history import History as History
+    from pmfid.fleet.history import estimate as estimate
+    from pmfid.fleet.local import Engine as Engine
+    from pmfid.fleet.local import Local as Local
+    from pmfid.fleet.segments import Segments as Segments
+    from pmfid.fleet.source import Columns as Columns
+    from pmfid.fleet.work import Work as Work
+
+_PUBLIC = {
+    "Columns": "source",
+    "Engine": "local",
+    "History": "history",
+    "Local": "local",
+    "Segments": "segments",
+    "Work": "work",
+    "estimate": "history",
+}
+
+__all__ = sorted(_PUBLIC)
+__getattr__ = door(__name__, _PUBLIC)
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -1,0 +1,157 @@
+"""What became of one axis: a step at some time, a slow trend, or nothing beyond chance and tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmfid.estimators.facts import INPUT_GAIN
+from pmfid.fleet.series import Series, lasting, mean_of, noise_of
+from pmfid.monitor.cause import FRICTION
+from pmfid.types import Floats
+
+#: Segments on each side of a step, at least.
+SIDE = 2
+#: Segments from that of a step on that hold some of both sides: left out of its size where enough remain.
+MIXED = 1
+#: Relative error that segments of one axis share after a step, where the model is not quite the machine.
+FLOOR = 2e-3
+#: The first segment that has so much of a step, and is so many of its standard deviations away from before, has it.
+PART, SURE = 0.05, 5.0
+#: Such segments before the place that explains most, at most.
+BACK = 2
+
+
+@dataclass(frozen=True)
+class Step:
+    """cause: name of a parameter, FRICTION or INPUT_GAIN; size, std: relative; since, until: [s] of the segment in
+    which it came; settled: [s] from which on estimates are of the time after it; score: the largest deviation
+    beyond the tolerance, in standard deviations; relative, bars: (p,) change of every parameter with its standard
+    deviation; misfit: sum of squares that it leaves, in standard deviations."""
+
+    cause: str
+    size: float
+    std: float
+    since: float
+    until: float
+    settled: float
+    score: float
+    relative: Floats
+    bars: Floats
+    misfit: float
+
+
+@dataclass(frozen=True)
+class Trend:
+    """parameter: index of the one that moves most clearly; slope, std: relative [1/s]; span: [s] of the history; score:
+    of the change over the span beyond the tolerance, in standard deviations; misfit: as of a `Step`."""
+
+    parameter: int
+    slope: float
+    std: float
+    span: float
+    score: float
+    misfit: float
+
+
+def step_of(series: Series, names: Sequence[str], tolerance: float) -> Step | None:
+    """The step that explains most of a series (n, p) of usable segments; None of too few. tolerance: relative change
+    that is none."""
+    n = series.start.size
+    if n < 2 * SIDE:
+        return None
+    noise, weight = noise_of(series), 1 / series.std**2
+    places = np.arange(SIDE, n - SIDE + 1)
+    (left, right), (left_sum, right_sum) = _sums(weight, places), _sums(weight * series.theta, places)
+    apart = (right_sum / right - left_sum / left) / noise
+    k = int(places[np.argmax(np.max(apart**2 / (1 / left + 1 / right), axis=1))])
+    return _sized(series, k, names, tolerance)
+
+
+def _sums(part: Floats, places: np.ndarray) -> tuple[Floats, Floats]:
+    """Of part (n, p) before and from each place on."""
+    total = np.cumsum(part, axis=0)
+    left = total[places - 1]
+    return left, total[-1] - left
+
+
+def _sized(series: Series, k: int, names: Sequence[str], tolerance: float) -> Step:
+    n = series.start.size
+    k = _onset(series, k)
+    later = min(k + MIXED, n - SIDE)
+    first, second = series[:k], series[later:]
+    old, new = mean_of(first)[0], mean_of(second)[0]
+    rest = np.concatenate([(first.theta - old) / first.std, (second.theta - new) / second.std])
+    size = np.maximum(np.abs(old), np.finfo(float).tiny)
+    known = (first.std**-2.0).sum(axis=0), (second.std**-2.0).sum(axis=0)
+    bars = np.sqrt(1 / known[0] + 1 / known[1]) * np.maximum(1.0, lasting(rest)) / size
+    relative = (new - old) / size
+    scores = (np.abs(relative) - tolerance) / bars
+    cause, change, std = explained(relative, bars, _correlation(rest), names)
+    times = float(series.start[k]), float(series.end[k]), float(series.start[later])
+    whole = np.where(np.arange(n)[:, None] < k, old, new)
+    misfit = float(np.sum(((series.theta - whole) / series.std) ** 2))
+    return Step(cause, change, std, *times, float(np.max(scores)), relative, bars, misfit)
+
+
+def _correlation(rest: Floats) -> Floats:
+    """(p, p) of the parameters' errors, from deviations (n, p); shrunk to none where these are few."""
+    n, p = rest.shape
+    size = np.sqrt(np.mean(rest**2, axis=0))
+    if not np.all(size > 0):
+        return np.eye(p)
+    found = (rest / size).T @ (rest / size) / n
+    return np.asarray(np.eye(p) + (found - np.eye(p)) * n / (n + 2 * p))
+
+
+def explained(relative: Floats, bars: Floats, correlation: Floats, names: Sequence[str]) -> tuple[str, float, float]:
+    """The one cause that explains relative changes (p,) best, its relative size and standard deviation: a parameter,
+    all friction alike, or the gain of the input, whose loss looks as if all parameters had grown alike."""
+    covariance = correlation * np.outer(bars, bars) + FLOOR**2 * np.eye(bars.size)
+    friction = np.array([FRICTION in name for name in names], float)
+    directions = dict(zip(names, np.eye(len(names)), strict=True)) | {INPUT_GAIN: np.ones(len(names))}
+    if friction.sum() > 1:
+        directions[FRICTION] = friction
+    weighted = {name: np.linalg.solve(covariance, way) for name, way in directions.items()}
+    gains = {name: float(relative @ way) ** 2 / float(directions[name] @ way) for name, way in weighted.items()}
+    name = max(gains, key=lambda key: gains[key])
+    known = float(directions[name] @ weighted[name])
+    size, std = float(relative @ weighted[name]) / known, known**-0.5
+    if name != INPUT_GAIN:
+        return name, size, std
+    factor = 1 / max(1 + size, 0.01)
+    return name, factor - 1, std * factor**2
+
+
+def _onset(series: Series, k: int) -> int:
+    """The first segment that has some of the step at place k: what explains most may be the next."""
+    old, new = mean_of(series[: max(SIDE, k - BACK)])[0], mean_of(series[k:])[0]
+    whole = np.abs(new - old)
+    for place in range(max(SIDE, k - BACK), k):
+        apart = np.abs(series.theta[place] - old)
+        if np.any((apart > PART * whole) & (apart > SURE * series.std[:place].max(axis=0))):
+            return place
+    return k
+
+
+def trend_of(series: Series, tolerance: float) -> Trend | None:
+    """The straight line through a series (n, p) of usable segments; None of too few."""
+    n = series.start.size
+    if n < 2 * SIDE:
+        return None
+    time, weight = (series.start + series.end) / 2, 1 / series.std**2
+    total = weight.sum(axis=0)
+    centre = (weight * time[:, None]).sum(axis=0) / total
+    mean = (weight * series.theta).sum(axis=0) / total
+    x = time[:, None] - centre
+    known = (weight * x**2).sum(axis=0)
+    slope = (weight * x * series.theta).sum(axis=0) / known
+    rest = (series.theta - mean - slope * x) / series.std
+    bars = known**-0.5 * np.maximum(1.0, lasting(rest))
+    span, size = float(time[-1] - time[0]), np.maximum(np.abs(mean), np.finfo(float).tiny)
+    scores = (np.abs(slope) * span - tolerance * size) / (bars * span)
+    i = int(np.argmax(scores))
+    misfit = float(np.sum(rest**2))
+    return Trend(i, float(slope[i] / size[i]), float(bars[i] / size[i]), span, float(scores[i]), misfit)

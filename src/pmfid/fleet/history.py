@@ -1,0 +1,268 @@
+"""The history of a fleet: from a data set of any size to estimates per axis and period, and who needs attention."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pmfid.errors import UsageError
+from pmfid.fleet.choice import choose
+from pmfid.fleet.local import Engine, Local
+from pmfid.fleet.outcome import Outcome, outcome_of
+from pmfid.fleet.periods import Periods
+from pmfid.fleet.plan import Shard, shards_of, slice_length
+from pmfid.fleet.segments import Segments
+from pmfid.fleet.settings import Chosen, make_settings
+from pmfid.fleet.source import AXIS, TYPE, Columns, Part, parts_of
+from pmfid.fleet.store import Store, digest, whole
+from pmfid.fleet.survey import Problem, Survey, joined, surveyed
+from pmfid.fleet.verdicts import UNKNOWN
+from pmfid.fleet.work import Work, check_columns, samples_of
+from pmfid.session.config import Axis, load_axis
+
+if TYPE_CHECKING:
+    import polars as pl
+
+#: Called with the part of the work that is done, 0 to 1.
+Progress = Callable[[float], None]
+#: Axes whose segments are in memory at once when they are judged.
+TOGETHER = 64
+
+
+@dataclass(frozen=True)
+class History:
+    """What a fleet has been through.
+
+    periods: a row for each axis and period; axes: a row for each axis, those that need attention first; problems: what
+    could not be used, and why; names, units: of the parameters; samples: that estimates were made of; segment: [s] of
+    one estimate; shards, reused: how many there were, and how many were there from an earlier call; engine: its name.
+    """
+
+    periods: pl.DataFrame
+    axes: pl.DataFrame
+    problems: pl.DataFrame
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    samples: int
+    segment: float
+    period: str
+    shards: int
+    reused: int
+    engine: str
+
+    def to_frame(self) -> pl.DataFrame:
+        """A row for each axis and period."""
+        return self.periods
+
+    @property
+    def named(self) -> pl.DataFrame:
+        """The axes that need attention, most clearly first."""
+        import polars as pl
+
+        return self.axes.filter(pl.col("named"))
+
+    @property
+    def unknown(self) -> pl.DataFrame:
+        """The axes without an estimate."""
+        import polars as pl
+
+        return self.axes.filter(pl.col("kind") == UNKNOWN)
+
+    @property
+    def title(self) -> str:
+        """How many axes there are, and how many need attention."""
+        many, named = self.axes.height, self.named.height
+        return f"{named} of {many} axes need{'s' * (named == 1)} attention"
+
+    def __str__(self) -> str:
+        lines = [f"  {row['axis']}: {row['why']}" for row in self.named.head(8).iter_rows(named=True)]
+        return "\n".join([self.title, *lines, *(["  ..."] if self.named.height > 8 else [])])
+
+    def to_json(self) -> dict[str, object]:
+        """Numbers for programs, without the periods, which are a table."""
+        named = self.named.select("axis", "type", "kind", "cause", "size", "std", "since", "score", "why")
+        return {
+            "axes": self.axes.height,
+            "samples": self.samples,
+            "segment": self.segment,
+            "period": self.period,
+            "engine": self.engine,
+            "shards": self.shards,
+            "reused": self.reused,
+            "units": dict(zip(self.names, self.units, strict=True)),
+            "attention": [_plain(row) for row in named.iter_rows(named=True)],
+            "problems": [_plain(row) for row in self.problems.iter_rows(named=True)],
+        }
+
+
+def _plain(row: Mapping[str, object]) -> dict[str, object]:
+    """Numbers that JSON knows."""
+    return {key: None if isinstance(value, float) and value - value != 0 else value for key, value in row.items()}
+
+
+def estimate(
+    data: object,
+    *,
+    axis: Axis | Path | str,
+    by: str,
+    period: str = "day",
+    type: str | None = None,
+    engine: Engine | None = None,
+    out: Path | str | None = None,
+    segment: float | None = None,
+    tolerance: float | None = None,
+    progress: Progress | None = None,
+) -> History:
+    """Estimates of every axis and period of a data set, and which axes need attention.
+
+    data: a folder of Parquet or Arrow files, partitioned in any way, a file of any format, or a frame of pandas, Polars
+    (lazy, too) or Arrow; in it a row for each sample of each axis, in any order. axis: an AXIS.toml or its path, which
+    names the columns of time, input and counts, and what all axes have in common; by: the column, or the key of the
+    folders, that tells the axes. period: "day", "shift", "run" or a duration, "10min". type: the column of the axes'
+    type: spread is judged within one. engine: None: this machine, `Local()`. out: a folder where what is done is kept:
+    a second call does what is new or changed alone. segment: [s] of one estimate, by which changes are found; None:
+    60 s, or by [estimator] forgetting. tolerance: relative deviation that is none; None: that of [monitor].
+
+    Axes, times and files that cannot be used are among the `problems` and the findings of the periods; the rest is
+    done. Raises UsageError where nothing can be: for other columns, methods that are not recursive, no moving axis.
+    """
+    own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
+    columns, periods = Columns.of(own, by, type), Periods.of(period)
+    tolerance = own.monitor.tolerance if tolerance is None else tolerance
+    parts = parts_of(data, None if out is None else Path(out))
+    store = None if out is None else Store(Path(out))
+    tell = progress or (lambda done: None)
+    run = _Run(own, columns, parts, store, engine or Local(), tell)
+    found = run.outcome(periods, segment, tolerance)
+    if out is not None:
+        for name in ("periods", "axes", "problems"):
+            frame: pl.DataFrame = getattr(found, name)
+            whole(Path(out) / f"{name}.parquet", frame.write_parquet)
+    return found
+
+
+class _Run:
+    """One call: what is surveyed and planned, and where it is kept."""
+
+    def __init__(
+        self, axis: Axis, columns: Columns, parts: Sequence[Part], store: Store | None, engine: Engine, tell: Progress
+    ) -> None:
+        self.axis, self.columns, self.store, self.engine, self.tell = axis, columns, store, engine, tell
+        self.parts = {part.name: part for part in parts}
+        self.keys: list[str] = []
+        self.survey = joined(list(engine.map(self._surveyed, parts)))
+        check_columns(columns, parts, self.survey.rows.height)
+
+    def _surveyed(self, part: Part) -> Survey:
+        key = digest("survey", part.name, part.stamp, self.columns)
+        return self._kept(key, partial(_unpacked, surveyed, part, self.columns))
+
+    def _kept(self, key: str, make: Callable[[], tuple[pl.DataFrame, tuple[Problem, ...]]]) -> Survey:
+        if self.store is None:
+            return Survey(*make())
+        self.keys.append(key)
+        return self.store.table(key, make)
+
+    def outcome(self, periods: Periods, segment: float | None, tolerance: float) -> History:
+        """All of it."""
+        length = slice_length(self.survey.rows, periods.length)
+        shards = shards_of(self.survey.rows, length)
+        chosen = self._chosen(shards, length)
+        most = min(length / 2, periods.length or length)
+        settings = make_settings(self.axis, chosen, most, segment)
+        work = Work(settings, self.columns, length)
+        before = 0 if self.store is None else self.store.reused
+        names = settings.estimator.names
+        solved = self._solved(shards, work, str((self.axis.model_dump(), chosen, settings.segment, length)))
+        reused = 0 if self.store is None else self.store.reused - before
+        problems = [*self.survey.problems, *(problem for one in solved for problem in one.problems)]
+        groups = self._groups(shards, solved)
+        found: Outcome = outcome_of(groups, self._types(), problems, names, periods, settings.segment, tolerance)
+        if self.store is not None:
+            self.store.keep(self.keys)
+        units = settings.estimator.units
+        facts = (found.samples, settings.segment, periods.name, len(shards), reused, self.engine.name)
+        return History(found.periods, found.axes, found.problems, names, units, *facts)
+
+    def _chosen(self, shards: Sequence[Shard], length: float) -> Chosen:
+        """From the first moving axis; once it is kept, that, so that new data change nothing of the old."""
+        tables = samples_of(shards, self.parts, self.columns, length)
+        if self.store is None:
+            return choose(self.axis, tables)
+        key = digest("chosen", self.axis.model_dump(), self.columns)
+        self.keys.append(key)
+        path = self.store.path(key).with_suffix(".json")
+        try:
+            raw = json.loads(path.read_text(encoding="utf-8"))
+            zeros = None if raw["zeros"] is None else (raw["zeros"][0], raw["zeros"][1])
+            return Chosen(raw["cutoff"], zeros, raw["dt"], raw["resolution"])
+        except (OSError, ValueError, KeyError, TypeError):
+            chosen = choose(self.axis, tables)
+        whole(path, lambda part: part.write_text(json.dumps(asdict(chosen)), encoding="utf-8"))
+        return chosen
+
+    def _solved(self, shards: Sequence[Shard], work: Work, signature: str) -> list[_Solved]:
+        """Of every shard, in their order; the rows stay on the disk where there is a folder."""
+        found, done, rows = list[_Solved](), 0, sum(shard.rows for shard in shards)
+        for shard, one in zip(shards, self.engine.map(partial(self._solve, work, signature), shards), strict=True):
+            found.append(one)
+            done += shard.rows
+            self.tell(done / max(rows, 1))
+        return found
+
+    def _solve(self, work: Work, signature: str, shard: Shard) -> _Solved:
+        stamps = [(name, self.parts[name].stamp) for name in shard.parts]
+        key = digest("segments", signature, shard.axes, shard.first, shard.last, stamps)
+        kept = self._kept(key, partial(_unpacked, work.shard, shard, self.parts))
+        path = None if self.store is None else self.store.path(key)
+        return _Solved(kept.rows if path is None else None, path, kept.problems)
+
+    def _groups(self, shards: Sequence[Shard], solved: Sequence[_Solved]) -> Iterator[pl.DataFrame]:
+        """The segments of some axes at a time, in the order of axes and time."""
+        import polars as pl
+
+        places: dict[str, list[int]] = defaultdict(list)
+        for k, shard in enumerate(shards):
+            for name in shard.axes:
+                places[name].append(k)
+        names = sorted(places)
+        for start in range(0, len(names), TOGETHER):
+            group = names[start : start + TOGETHER]
+            wanted = sorted({k for name in group for k in places[name]})
+            frames = [solved[k].rows().filter(pl.col(AXIS).is_in(group)) for k in wanted]
+            yield pl.concat(frames).sort(AXIS, "start")
+
+    def _types(self) -> dict[str, str]:
+        """The type of each axis; of several the first by name."""
+        import polars as pl
+
+        return dict(self.survey.rows.group_by(AXIS).agg(pl.col(TYPE).min()).sort(AXIS).iter_rows())
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """Segments of a shard, here or on the disk."""
+
+    here: pl.DataFrame | None
+    path: Path | None
+    problems: tuple[Problem, ...]
+
+    def rows(self) -> pl.DataFrame:
+        import polars as pl
+
+        if self.here is not None:
+            return self.here
+        if self.path is None:
+            raise UsageError("the segments are gone; run it again")
+        return pl.read_parquet(self.path, hive_partitioning=False)
+
+
+def _unpacked(make: Callable[..., Survey | Segments], *arguments: object) -> tuple[pl.DataFrame, tuple[Problem, ...]]:
+    """Rows and problems of either."""
+    found = make(*arguments)
+    return found.rows, found.problems

@@ -1,0 +1,146 @@
+"""The rows of a shard: in order, each sample once, cut where an axis, a slice or the recording ends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import UsageError
+from pmfid.fleet.plan import Shard
+from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, Columns, Part
+from pmfid.fleet.survey import Problem
+from pmfid.session.formats.safety import readable
+from pmfid.session.tables import Table
+from pmfid.types import Flags, Floats
+
+if TYPE_CHECKING:
+    import polars as pl
+
+#: A longer step, in medians of a slice, ends a piece: what follows begins anew. Shorter gaps are the record's.
+APART = 8.5
+
+
+@dataclass(frozen=True)
+class Rows:
+    """n rows in order. axis: (n,) number of the axis in `axes`; time: (n,) [s]; others: (n,) by their name in the
+    data."""
+
+    axes: tuple[str, ...]
+    axis: NDArray[np.uint32]
+    time: Floats
+    others: dict[str, Floats]
+
+    def __getitem__(self, kept: Flags | NDArray[np.intp] | slice) -> Rows:
+        others = {name: values[kept] for name, values in self.others.items()}
+        return Rows(self.axes, self.axis[kept], self.time[kept], others)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Rows of one axis, one slice and no gap. start: of its first sample [s]; table: of columns by their name in the
+    data, the time from the start on."""
+
+    axis: str
+    start: float
+    table: Table
+
+
+def read_rows(
+    shard: Shard, parts: Mapping[str, Part], columns: Columns, length: float
+) -> tuple[Rows, tuple[Problem, ...]]:
+    """The rows of a shard in order, of those that stand twice one, and of those that contradict each other none;
+    length: of a slice [s]. Parts that cannot be read have problems in place of rows."""
+    frames, problems = [], list[Problem]()
+    for name in shard.parts:
+        try:
+            with readable("data"):
+                frames.append(_read(parts[name], shard, columns, length))
+        except UsageError as error:
+            problems.append(Problem("", name, "unreadable", " ".join(str(error).split())))
+    rows, found = unique(_in_order(_arrays(frames, shard.axes, columns)))
+    return rows, (*problems, *found)
+
+
+def _read(part: Part, shard: Shard, columns: Columns, length: float) -> pl.DataFrame:
+    import polars as pl
+
+    axis, time = pl.col(AXIS), pl.col(TIME)
+    inside = (time >= shard.first * length) & (time < shard.last * length)
+    frame = part.rows(columns).filter(inside)
+    if columns.axis not in part.constants:
+        frame = frame.filter(axis.is_in(list(shard.axes)))
+    named = axis.cast(pl.Enum(list(shard.axes)), strict=False).to_physical().alias(AXIS)
+    wanted = [named, TIME, INPUT, OUTPUT, *([MASK] if columns.mask else [])]
+    return frame.select(wanted).drop_nulls(AXIS).collect(engine="streaming")
+
+
+def _arrays(frames: Sequence[pl.DataFrame], axes: tuple[str, ...], columns: Columns) -> Rows:
+    def of(name: str) -> Floats:
+        parts = [frame[name].to_numpy() for frame in frames]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    named = columns.named
+    others = {named[own]: of(own) for own in (INPUT, OUTPUT, *([MASK] if columns.mask else []))}
+    return Rows(axes, of(AXIS).astype(np.uint32), of(TIME), others)
+
+
+def rows_of(frame: pl.DataFrame, columns: Columns) -> tuple[Rows, tuple[Problem, ...]]:
+    """The same of a frame with the columns of `source`, in any order."""
+    import polars as pl
+
+    axes = tuple(sorted(frame[AXIS].drop_nulls().unique().to_list()))
+    named = pl.col(AXIS).cast(pl.Enum(list(axes))).to_physical()
+    known = frame.filter(pl.col(TIME).is_finite()).drop_nulls(AXIS).with_columns(named)
+    return unique(_in_order(_arrays([known], axes, columns)))
+
+
+def _in_order(rows: Rows) -> Rows:
+    """By axis, time, and then by all that there is, so that no order of files shows."""
+    same, step = np.diff(rows.axis.astype(np.int64)), np.diff(rows.time)
+    if np.all((same > 0) | ((same == 0) & (step > 0))):
+        return rows
+    keys: list[Floats] = [*rows.others.values(), rows.time, rows.axis.astype(np.float64)]
+    return rows[np.lexsort(keys)]
+
+
+def unique(rows: Rows) -> tuple[Rows, tuple[Problem, ...]]:
+    """Rows in order without those that say the same again, and without all of one time that say different things."""
+    again = np.r_[False, (np.diff(rows.axis) == 0) & (np.diff(rows.time) == 0)]
+    if not np.any(again):
+        return rows, ()
+    equal = np.ones(again.size, bool)
+    for values in rows.others.values():
+        equal[1:] &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+    group = np.cumsum(~again)
+    contradicted = np.isin(group, group[again & ~equal])
+    problems = _told(rows, again & ~contradicted, "duplicates", "rows stand there again, the same: one of each counts")
+    problems += _told(rows, contradicted, "contradictions", "rows have the time of another and other values: left out")
+    return rows[~again & ~contradicted], tuple(problems)
+
+
+def _told(rows: Rows, which: Flags, code: str, text: str) -> list[Problem]:
+    numbers, first, count = np.unique(rows.axis[which], return_index=True, return_counts=True)
+    times = rows.time[which][first]
+    return [
+        Problem(rows.axes[number], "", code, f"{many} {text}", at)
+        for number, many, at in zip(numbers.tolist(), count.tolist(), times.tolist(), strict=True)
+    ]
+
+
+def pieces_of(rows: Rows, columns: Columns, length: float) -> Iterator[Piece]:
+    """The pieces of rows in order; length: of a slice [s]."""
+    if not rows.time.size:
+        return
+    place = np.floor(rows.time / length)
+    ends = np.flatnonzero((np.diff(rows.axis) != 0) | (np.diff(place) != 0)) + 1
+    for first, last in zip([0, *ends], [*ends, rows.time.size], strict=True):
+        steps = np.diff(rows.time[first:last])
+        cuts = np.flatnonzero(steps > APART * np.median(steps)) + 1 + first if steps.size else ends[:0]
+        for low, high in zip([first, *cuts], [*cuts, last], strict=True):
+            time = rows.time[low:high]
+            others = {name: values[low:high] for name, values in rows.others.items()}
+            yield Piece(rows.axes[rows.axis[low]], float(time[0]), {columns.time: time - time[0], **others})

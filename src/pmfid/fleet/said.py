@@ -1,0 +1,44 @@
+"""What there is to say of an axis, in a line: terminal, report and table have it from here."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+
+from pmfid.estimators.facts import INPUT_GAIN
+from pmfid.fleet.verdicts import CHANGED, DIFFERS, DRIFTS, UNKNOWN, Verdict
+from pmfid.session.clock import EPOCHS
+
+#: What the parameters are in a sentence.
+_WORDS = {INPUT_GAIN: "force per input", "friction": "all friction"}
+
+
+def when(time: float) -> str:
+    """A time [s], as a date (UTC) where it is one, else as hours, minutes and seconds from zero."""
+    if not math.isfinite(time):
+        return ""
+    if EPOCHS[0] <= time < EPOCHS[1]:
+        return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M:%S")
+    minutes, second = divmod(round(time), 60)
+    hours, minute = divmod(minutes, 60)
+    return f"{hours}:{minute:02}:{second:02}"
+
+
+def between(since: float, until: float) -> str:
+    """From when to when, the date once."""
+    first, last = when(since), when(until)
+    same = " " in first and first.partition(" ")[0] == last.partition(" ")[0]
+    return f"between {first} and {last.partition(' ')[2] if same else last}"
+
+
+def sentence(verdict: Verdict) -> str:
+    """Why the axis needs attention; empty where it does not."""
+    what = _WORDS.get(verdict.cause, verdict.cause.replace("_", " "))
+    size, std = 100 * verdict.size, 100 * verdict.std
+    if verdict.kind == CHANGED:
+        return f"{what} {size:+.1f} % ± {std:.1f} % {between(verdict.since, verdict.until)}"
+    if verdict.kind == DRIFTS:
+        return f"{what} drifts by {size:+.2g} % ± {std:.1g} % per day"
+    if verdict.kind == DIFFERS:
+        return f"{what} {size:+.0f} % from the median of its type"
+    return "no estimate: see its findings" if verdict.kind == UNKNOWN else ""

@@ -1,0 +1,154 @@
+"""Estimates of segments, many axes side by side: the heavy work of a history, and a function of the rows alone.
+
+Each segment starts from nothing, so its bits are those that it would have by itself, whatever runs beside it; its error
+shares nothing with that of its neighbours; and what happened in one of them harms no other.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.bridges import parts_of
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.fleet.rows import Piece
+from pmfid.fleet.settings import Settings, quarter_of, record_at
+from pmfid.fleet.survey import Problem
+from pmfid.types import Counts, Floats
+
+if TYPE_CHECKING:
+    import polars as pl
+
+#: Samples of a batch at most [axes times samples].
+BATCH = 2**22
+#: Quarters of a whole segment. What is left at the end of a piece is one if it has two; all of a piece, if it has one.
+WHOLE, REST, LEAST = 4, 2, 1
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Samples (n,) of one segment, without a gap. lost: part of them that was filled in."""
+
+    axis: str
+    start: float
+    dt: float
+    resolution: float
+    u: Floats
+    counts: Counts
+    lost: float
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Estimates of segments and what could not be used.
+
+    rows: axis, start and end [s], samples, dt [s], lost (part of the samples), status at the end, and each parameter
+    with its standard deviation, in the order of axes and time.
+    """
+
+    rows: pl.DataFrame
+    problems: tuple[Problem, ...]
+
+
+def solve(pieces: Iterable[Piece], settings: Settings) -> Segments:
+    """The segments of pieces; what is no record is a problem of its axis."""
+    import polars as pl
+
+    problems = list[Problem]()
+    groups: dict[tuple[float, float], list[Stretch]] = defaultdict(list)
+    for piece in pieces:
+        try:
+            for stretch in _stretches(piece, settings):
+                groups[stretch.dt, stretch.resolution].append(stretch)
+        except (UsageError, NotIdentifiableError) as error:
+            problems.append(Problem(piece.axis, "", "no_record", " ".join(str(error).split()), piece.start))
+    frames = [empty(settings)]
+    for (dt, resolution), stretches in groups.items():
+        try:
+            frames += _estimated(stretches, settings.at(dt, resolution))
+        except UsageError as error:
+            told = " ".join(str(error).split())
+            problems += [Problem(one.axis, "", "no_estimate", told, one.start) for one in stretches]
+    return Segments(pl.concat(frames).sort("axis", "start"), tuple(problems))
+
+
+def _stretches(piece: Piece, settings: Settings) -> list[Stretch]:
+    """Raises UsageError for a piece that is no record, or too short for an estimate."""
+    record = record_at(piece.table, settings.axis)
+    quarter = quarter_of(settings, record.dt)
+    filled = np.zeros(record.u.size, bool) if record.there is None else ~record.there
+    parts = [part for whole in parts_of(record.u) for part in _cut(whole, quarter)]
+    if not parts:
+        raise UsageError(
+            f"{record.u.size} samples without a gap are too few: an estimate takes {quarter * record.dt:.3g} s of them"
+        )
+    return [
+        Stretch(
+            piece.axis,
+            piece.start + part.start * record.dt,
+            record.dt,
+            record.resolution,
+            record.u[part],
+            record.counts[part],
+            float(filled[part].mean()),
+        )
+        for part in parts
+    ]
+
+
+def _cut(whole: slice, quarter: int) -> list[slice]:
+    """Whole segments, and what is left; a whole number of quarters each, so that many have the same length."""
+    size = WHOLE * quarter
+    starts = range(whole.start, whole.stop - size + 1, size)
+    found = [slice(start, start + size) for start in starts]
+    start = whole.start + len(found) * size
+    rest = (whole.stop - start) // quarter
+    return [*found, slice(start, start + rest * quarter)] if rest >= (REST if found else LEAST) else found
+
+
+def _estimated(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> list[pl.DataFrame]:
+    """In batches of the same length."""
+    groups: dict[int, list[Stretch]] = defaultdict(list)
+    for one in stretches:
+        groups[one.u.size].append(one)
+    frames = []
+    for size, group in groups.items():
+        many = max(1, BATCH // size)
+        frames += [_batch(group[start : start + many], estimator) for start in range(0, len(group), many)]
+    return frames
+
+
+def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> pl.DataFrame:
+    import polars as pl
+
+    u, counts = np.stack([one.u for one in stretches]), np.stack([one.counts for one in stretches])
+    tracks = estimator.start().side_by_side(len(stretches), workers=1).run(u, counts)
+    samples = stretches[0].u.size
+    columns: dict[str, object] = {
+        "axis": [one.axis for one in stretches],
+        "start": np.array([one.start for one in stretches]),
+        "end": np.array([one.start + samples * one.dt for one in stretches]),
+        "samples": np.full(len(stretches), samples),
+        "dt": np.array([one.dt for one in stretches]),
+        "lost": np.array([one.lost for one in stretches]),
+        "status": tracks.status[:, -1],
+    }
+    for i, name in enumerate(tracks.names):
+        columns |= {name: tracks.theta[:, -1, i], f"{name}_std": tracks.theta_std[:, -1, i]}
+    return pl.DataFrame(columns)
+
+
+def empty(settings: Settings) -> pl.DataFrame:
+    """No segments, with their columns."""
+    import polars as pl
+
+    kinds: dict[str, type[pl.DataType]] = {"axis": pl.String, "start": pl.Float64, "end": pl.Float64}
+    kinds |= {"samples": pl.Int64, "dt": pl.Float64, "lost": pl.Float64, "status": pl.UInt32}
+    for name in settings.estimator.names:
+        kinds |= {name: pl.Float64, f"{name}_std": pl.Float64}
+    return pl.DataFrame(schema=kinds)

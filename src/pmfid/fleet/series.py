@@ -1,0 +1,92 @@
+"""The segments of one axis as a series: estimates with their bars, their mean, and what they scatter beyond the
+bars."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.status import Status
+from pmfid.types import Flags, Floats
+
+if TYPE_CHECKING:
+    import polars as pl
+
+#: An estimate with one of these at its end says nothing.
+UNUSABLE = int(Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION | Status.COMPENSATION_HELD | Status.RESET)
+#: Batches whose means show what lasts, at least.
+BATCHES = 4
+#: Standard deviations that segments are known to be too sure or unsure by, at least: of few, their own word counts.
+LEAST_NOISE, FEW = 0.7, 20
+#: Median of the absolute value of a normal number, in standard deviations.
+MEDIAN = 0.6745
+
+
+@dataclass(frozen=True)
+class Series:
+    """n segments with p parameters. start, end: (n,) [s]; samples: (n,); lost: (n,) part filled in; dt: (n,) [s];
+    status: (n,); theta, std: (n, p)."""
+
+    start: Floats
+    end: Floats
+    samples: NDArray[np.int64]
+    lost: Floats
+    dt: Floats
+    status: NDArray[np.uint32]
+    theta: Floats
+    std: Floats
+
+    def __getitem__(self, kept: Flags | slice) -> Series:
+        return Series(*(getattr(self, name)[kept] for name in self.__dataclass_fields__))
+
+    @property
+    def usable(self) -> Flags:
+        """(n,) which segments say something: those of the method itself where there are some, not of the simpler one
+        that it falls back on, whose bars hold less."""
+        known = ((self.status & UNUSABLE) == 0) & np.all(np.isfinite(self.std) & (self.std > 0), axis=1)
+        own = known & ((self.status & int(Status.FALLBACK)) == 0)
+        return np.asarray(own if np.any(own) else known, bool)
+
+
+def series_of(rows: pl.DataFrame, names: tuple[str, ...]) -> Series:
+    """Of the segments of one axis, in the order of time."""
+    theta, std = (np.stack([rows[name + end].to_numpy() for name in names], axis=1) for end in ("", "_std"))
+    start, end, lost, dt = (rows[name].to_numpy() for name in ("start", "end", "lost", "dt"))
+    return Series(start, end, rows["samples"].to_numpy(), lost, dt, rows["status"].to_numpy(), theta, std)
+
+
+def mean_of(series: Series) -> tuple[Floats, Floats]:
+    """Weighted mean (p,) and its standard deviation: by the bars, or by how batches of segments scatter, weighted or
+    all alike, if that is more. NaN and infinite of no segments."""
+    p = series.theta.shape[1]
+    if not series.start.size:
+        return np.full(p, np.nan), np.full(p, np.inf)
+    weight = 1 / series.std**2
+    total = weight.sum(axis=0)
+    mean = (weight * series.theta).sum(axis=0) / total
+    bar = total**-0.5
+    by_bars = bar * np.maximum(1.0, lasting((series.theta - mean) / series.std))
+    alike = lasting(series.theta - mean) / np.sqrt(series.start.size)
+    return mean, np.maximum(by_bars, alike)
+
+
+def lasting(apart: Floats) -> Floats:
+    """(p,): root mean square of deviations (n, p), that of single ones which the means of batches would have if all
+    were independent; the largest of all lengths of batches of which there are several."""
+    found, size = np.zeros(apart.shape[1]), 1
+    while apart.shape[0] // size >= BATCHES:
+        many = apart.shape[0] // size
+        means = apart[-many * size :].reshape(many, size, -1).mean(axis=1)
+        found = np.maximum(found, np.sqrt(size * np.mean(means**2, axis=0)))
+        size *= 2
+    return found
+
+
+def noise_of(series: Series) -> Floats:
+    """(p,): what neighbours differ by, over what their bars say; not moved by a few steps."""
+    bars = np.hypot(series.std[1:], series.std[:-1])
+    found = np.median(np.abs(np.diff(series.theta, axis=0)) / bars, axis=0) / MEDIAN
+    return np.maximum(found, LEAST_NOISE if len(bars) >= FEW else 1.0)

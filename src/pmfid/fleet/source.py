@@ -1,0 +1,192 @@
+"""A data set of many axes: its files, partitioned in any way, and which rows of which axis each of them has.
+
+Every file is read by itself, so that one that is damaged, or has other columns, is named and costs nothing but its
+rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import unquote
+
+from pmfid.errors import UsageError
+from pmfid.session.clock import UNITS, time_factor
+from pmfid.session.config import Axis
+from pmfid.session.formats.reading import ENDINGS, READERS, read_table
+from pmfid.session.formats.safety import readable
+from pmfid.session.frames import table_of
+
+if TYPE_CHECKING:
+    import polars as pl
+
+#: Names of the columns of every frame that leaves this module.
+AXIS, TIME, INPUT, OUTPUT, MASK, TYPE = "axis", "time", "input", "output", "mask", "type"
+#: Where Delta Lake lists which of the files beside it count.
+DELTA = "_delta_log"
+_NANOSECOND = 1e-9
+#: Of a period [s].
+SHORTEST, LONGEST = 1.0, 1e9
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Names of the columns in the data: axis, time, input, output, and, where there are such, mask and type; factor:
+    seconds per unit of a time that is a number."""
+
+    axis: str
+    time: str
+    input: str
+    output: str
+    mask: str | None = None
+    type: str | None = None
+    factor: float = 1.0
+
+    @classmethod
+    def of(cls, axis: Axis, by: str, kind: str | None = None) -> Columns:
+        """Those that AXIS.toml names, and the column `by` that tells the axes; kind: the column of their type. Raises
+        UsageError where it names no time, or no axis of motion."""
+        record = axis.record
+        if axis.model.kind == "transfer_function":
+            raise UsageError("the history of a fleet is of machines; of a transfer function use pmfid identify")
+        if record.time is None:
+            raise UsageError('[record] time is missing: rows of many axes need a time each, time = "t"')
+        if record.exclude:
+            raise UsageError(
+                "[record] exclude is of one record; of a fleet leave out rows by a column, mask, or drop it"
+            )
+        return cls(by, record.time, record.input, record.output, record.mask, kind, time_factor(record))
+
+    @property
+    def named(self) -> dict[str, str]:
+        """Own name -> name in the data."""
+        pairs = {AXIS: self.axis, TIME: self.time, INPUT: self.input, OUTPUT: self.output}
+        return pairs | {own: name for own, name in ((MASK, self.mask), (TYPE, self.type)) if name is not None}
+
+
+@dataclass(frozen=True)
+class Part:
+    """One file, or one frame in memory. name: for people; stamp: changes with the content; constants: what the folders
+    around it say of all its rows."""
+
+    name: str
+    stamp: str
+    open: Callable[[], pl.LazyFrame] = field(repr=False, compare=False)
+    constants: Mapping[str, str] = field(default_factory=dict)
+
+    def rows(self, columns: Columns) -> pl.LazyFrame:
+        """Its rows with the columns of this module: axis and type as text, time [s] and the others as float64. Raises
+        UsageError where a column is not there, or is nothing that can be read as numbers."""
+        import polars as pl
+
+        with readable(Path(self.name).suffix or "frame"):
+            frame = self.open()
+            schema = frame.collect_schema()
+        made = []
+        for own, name in columns.named.items():
+            if name in schema:
+                made.append(_cast(own, name, schema[name], columns.factor))
+            elif name in self.constants:
+                made.append(_cast(own, name, pl.String(), columns.factor, pl.lit(self.constants[name])))
+            else:
+                raise UsageError(f"there is no column {name!r}; it has {', '.join(schema)}")
+        return frame.select(made)
+
+    def other_types(self, columns: Columns) -> list[str]:
+        """What is written as text and should be a number, for people."""
+        import polars as pl
+
+        schema = self.open().collect_schema()
+        numbers = (columns.time, columns.input, columns.output)
+        return [f"{name} is text, read as numbers" for name in numbers if schema.get(name) == pl.String]
+
+
+def _cast(own: str, name: str, kind: pl.DataType, factor: float, value: pl.Expr | None = None) -> pl.Expr:
+    import polars as pl
+
+    column = pl.col(name) if value is None else value
+    if own in (AXIS, TYPE):
+        whole = column.cast(pl.Int64, strict=False) if kind.is_float() else column
+        return whole.cast(pl.String).alias(own)
+    if own == TIME and kind == pl.Datetime:
+        return (column.dt.epoch("ns").cast(pl.Float64) * _NANOSECOND).alias(own)
+    if not (kind.is_numeric() or kind in (pl.String, pl.Boolean)):
+        raise UsageError(f"the column {name!r} is of type {kind}, which is no number")
+    scale = factor if own == TIME else 1.0
+    number = column.cast(pl.Float64, strict=False)
+    return (number if scale == 1 else number * scale).alias(own)
+
+
+def parts_of(source: object, out: Path | None = None) -> list[Part]:
+    """The parts of a file, of a folder with files in folders, or of a frame of pandas, Polars or Arrow, lazy or not.
+    out: a folder whose files are results, where it lies in the other.
+
+    Raises UsageError for what is none of these, and for a folder without a file that can be read.
+    """
+    import polars as pl
+
+    if isinstance(source, str | Path):
+        return _files(Path(source), out)
+    if isinstance(source, pl.LazyFrame):
+        lazy = source
+        return [Part("the frame", "", lambda: lazy)]
+    whole = pl.DataFrame(dict(table_of(source)))
+    return [Part("the frame", "", whole.lazy)]
+
+
+def _files(source: Path, out: Path | None) -> list[Part]:
+    if not source.exists():
+        raise UsageError(f"{source}: there is no such file or folder; give that of the data set")
+    if source.is_file():
+        return [_part(source, source.parent)]
+    if (source / DELTA).exists():
+        raise UsageError(
+            f"{source}: a Delta table has files that no longer count; give a Polars frame in Python, "
+            "pl.scan_delta(...), or write the table as plain Parquet"
+        )
+    known = {*READERS, *ENDINGS}
+    paths = (path for path in source.rglob("*") if path.suffix.lower() in known and path.is_file())
+    own = None if out is None else out.resolve()
+    data = (path for path in paths if own is None or own not in path.resolve().parents)
+    found = sorted(path for path in data if not _hidden(path.relative_to(source)))
+    if not found:
+        raise UsageError(f"{source}: no file of a known format is in it; it should hold Parquet or Arrow files")
+    return [_part(path, source) for path in found]
+
+
+def _hidden(path: Path) -> bool:
+    """Files that engines write beside the data."""
+    return any(part.startswith((".", "_")) for part in path.parts)
+
+
+def _part(path: Path, root: Path) -> Part:
+    inside, stat = path.relative_to(root), path.stat()
+    pairs = (part.partition("=") for part in inside.parent.parts if "=" in part)
+    constants = {unquote(key): unquote(value) for key, _, value in pairs}
+    return Part(inside.as_posix(), f"{stat.st_size}-{stat.st_mtime_ns}", lambda: _opened(path), constants)
+
+
+def _opened(path: Path) -> pl.LazyFrame:
+    import polars as pl
+
+    kind = ENDINGS.get(path.suffix.lower(), path.suffix.lower())
+    if kind == ".parquet":
+        return pl.scan_parquet(path, hive_partitioning=False, glob=False)
+    if kind == ".arrow":
+        return pl.scan_ipc(path, hive_partitioning=False, glob=False)
+    return pl.DataFrame(dict(read_table(path))).lazy()
+
+
+def seconds(text: str) -> float:
+    """A duration such as "10 min", "1 h", "1.5 d" or a number of seconds. Raises UsageError for anything else."""
+    lengths = UNITS | {"min": 60.0, "h": 3600.0, "d": 86400.0}
+    number = text.strip().rstrip("abcdefghijklmnopqrstuvwxyzµ").strip()
+    unit = text.strip()[len(number) :].strip() or "s"
+    try:
+        found = float(number) * lengths[unit]
+    except (ValueError, KeyError):
+        found = float("nan")
+    if not SHORTEST <= found < LONGEST:
+        raise UsageError(f"{text!r} is no duration that makes a period; give one as 600, 10min, 1h or 7d")
+    return found

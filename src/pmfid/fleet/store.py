@@ -1,0 +1,85 @@
+"""The folder of a history: what is done stays done. Files are whole or not there, and are named by what they came
+from."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pmfid import __version__
+from pmfid.errors import UsageError
+from pmfid.fleet.survey import Problem, Survey
+
+if TYPE_CHECKING:
+    import polars as pl
+
+#: To be raised with every change of what a segment is, or of these files.
+VERSION = 1
+
+
+def digest(*parts: object) -> str:
+    """The name of what is made of these."""
+    return sha256(json.dumps([VERSION, __version__, *parts], default=str).encode()).hexdigest()[:32]
+
+
+class Store:
+    """A table and its problems for each key; reused: how many were there already. Raises UsageError where the folder is
+    a file or holds something else."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / "work"
+        self.reused = 0
+        if folder.exists() and not folder.is_dir():
+            raise UsageError(f"{folder}: is a file; give a folder for the history")
+        strangers = [path.name for path in folder.iterdir() if path.name not in OWN] if folder.is_dir() else []
+        if strangers and not self._folder.is_dir():
+            raise UsageError(f"{folder}: holds other files, {strangers[0]} among them; give a new or empty folder")
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def table(self, key: str, make: Callable[[], tuple[pl.DataFrame, tuple[Problem, ...]]]) -> Survey:
+        """What lies under a key, made if it does not yet. Raises UsageError where the disk is full."""
+        import polars as pl
+
+        rows, told = self.path(key), self._folder / f"{key}.json"
+        try:
+            problems = tuple(Problem(**raw) for raw in json.loads(told.read_text(encoding="utf-8")))
+            found = Survey(pl.read_parquet(rows, hive_partitioning=False), problems)
+            self.reused += 1
+            return found
+        except Exception:  # not there, or not what this version writes: made anew
+            pass
+        frame, problems = make()
+        whole(told, lambda path: path.write_text(json.dumps([asdict(one) for one in problems]), encoding="utf-8"))
+        whole(rows, lambda path: frame.write_parquet(path))
+        return Survey(frame, problems)
+
+    def path(self, key: str) -> Path:
+        """Where the table lies."""
+        return self._folder / f"{key}.parquet"
+
+    def keep(self, keys: Iterable[str]) -> None:
+        """Removes all others: of parts that are gone, of other configurations, and what a killed call left half."""
+        kept = set(keys)
+        for path in self._folder.iterdir():
+            if path.name.partition(".")[0] not in kept or path.suffix == ".part":
+                path.unlink(missing_ok=True)
+
+
+#: Files that a history writes into its folder.
+OWN = {"work", "periods.parquet", "axes.parquet", "problems.parquet", "fleet.html", "fleet.json"}
+
+
+def whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Writes a file in one step. Raises UsageError where that cannot be."""
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        write(part)
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise UsageError(f"{path}: {error.strerror or error}; make room, or choose another folder") from None

@@ -1,0 +1,180 @@
+"""Who needs attention: who changed, who drifts, who differs from the others of its type. So few false ones that all can
+be looked at, however many axes there are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+from pmfid.fleet.changes import Step, Trend, step_of, trend_of
+from pmfid.fleet.series import Series, mean_of
+from pmfid.types import Floats
+
+#: Axes that are named by chance, of a whole fleet in which nothing is the matter, for each way of being named.
+BY_CHANCE = 0.3
+#: Standard deviations from which on a step is told of the period in which it came, whatever the fleet is like.
+CLEAR = 6.0
+#: Axes of one type whose spread says what is unusual, at least.
+LEAST_AXES = 8
+#: Parts of the axes of a type whose distance from the median tells its spread: the rest may be odd.
+PARTS = (0.5, 0.7, 0.8, 0.9)
+#: Ways of being named, in words.
+CHANGED, DRIFTS, DIFFERS, UNKNOWN = "changed", "drifts", "differs", "no estimate"
+
+
+@dataclass(frozen=True)
+class Follow:
+    """What one axis says by itself. theta, std: (p,) at the end, since its last step; segments: usable ones."""
+
+    axis: str
+    type: str
+    segments: int
+    theta: Floats
+    std: Floats
+    step: Step | None
+    trend: Trend | None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """kind: one of the above, empty: nothing to say; score: evidence over what chance would name, from 1 on it is
+    named; cause: parameter, FRICTION or INPUT_GAIN; size, std: relative, of a drift per day; since, until: [s], between
+    which it came; days: of the history; deviation:
+    (p,) logarithm over the median of its type, in its spreads; NaN of too few axes."""
+
+    kind: str
+    score: float
+    cause: str = ""
+    size: float = math.nan
+    std: float = math.nan
+    since: float = math.nan
+    until: float = math.nan
+    days: float = 0.0
+    deviation: Floats = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def weight(self) -> float:
+        """By which they stand in order: of those that are named, evidence is enough, so the size; of others that."""
+        return abs(self.total) if self.named and math.isfinite(self.total) else self.score
+
+    @property
+    def total(self) -> float:
+        """The relative change over the history."""
+        return self.size * self.days if self.kind == DRIFTS else self.size
+
+    @property
+    def named(self) -> bool:
+        """Does the axis need attention for what it does?"""
+        return self.kind in (CHANGED, DRIFTS, DIFFERS)
+
+
+def followed(axis: str, kind: str, series: Series, names: Sequence[str], tolerance: float) -> Follow:
+    """What the segments (n,) of an axis say; kind: its type; tolerance: relative change that is none."""
+    used = series[series.usable]
+    step, trend = step_of(used, names, tolerance), trend_of(used, tolerance)
+    late = used if step is None or not step.score > 0 else used[used.start >= step.settled]
+    theta, std = mean_of(late if late.start.size else used)
+    return Follow(axis, kind, int(used.start.size), theta, std, step, trend)
+
+
+def judged(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[Verdict]:
+    """The verdict on each axis, in their order."""
+    deviations = _deviations(follows, tolerance)
+    limit = _limit(len(follows) * max(1, len(names)), math.inf)
+    return [
+        _verdict(one, names, deviation, excess, len(follows), limit)
+        for one, (deviation, excess) in zip(follows, deviations, strict=True)
+    ]
+
+
+def _verdict(one: Follow, names: Sequence[str], deviation: Floats, excess: Floats, axes: int, limit: float) -> Verdict:
+    if not one.segments:
+        return Verdict(UNKNOWN, 0.0, deviation=deviation)
+    found = [_of_differing(one, names, deviation, excess, limit), *_of_past(one, names, axes)]
+    best = max(found, key=lambda verdict: verdict.score)
+    return replace(best, kind=best.kind if best.score >= 1 else "", deviation=deviation)
+
+
+def _of_past(one: Follow, names: Sequence[str], axes: int) -> list[Verdict]:
+    """Of its step, or of its trend: of the one that explains more."""
+    step, trend = one.step, one.trend
+    if step is None or trend is None:
+        return []
+    trials, free = axes * len(names), one.segments - 2
+    stepped = step.score / _limit(trials * one.segments, free)
+    drifted = trend.score / _limit(trials, free)
+    if drifted < 1 or step.misfit <= trend.misfit:
+        return [Verdict(CHANGED, max(stepped, 0.0), step.cause, step.size, step.std, step.since, step.until)]
+    day = 86_400.0
+    return [Verdict(DRIFTS, drifted, names[trend.parameter], trend.slope * day, trend.std * day, days=trend.span / day)]
+
+
+def _of_differing(one: Follow, names: Sequence[str], deviation: Floats, excess: Floats, limit: float) -> Verdict:
+    if not np.any(np.isfinite(excess)):
+        return Verdict(DIFFERS, 0.0)
+    i = int(np.nanargmax(excess))
+    return Verdict(DIFFERS, max(0.0, float(excess[i]) / limit), names[i], float(deviation[i]), math.nan)
+
+
+def _limit(trials: float, free: float) -> float:
+    """Standard deviations that chance goes beyond BY_CHANCE times in so many trials, either way; free: degrees of
+    freedom of the standard deviation."""
+    part = BY_CHANCE / (2 * max(trials, 1))
+    return float(-ndtri(part) if math.isinf(free) else -stdtrit(max(free, 1), part))
+
+
+def _deviations(follows: Sequence[Follow], tolerance: float) -> list[tuple[Floats, Floats]]:
+    """Of each axis (p,), relative to the median of its type, and how many spreads that is beyond the tolerance: NaN
+    where there are too few, or where the sign differs."""
+    groups: dict[str, list[int]] = defaultdict(list)
+    for k, one in enumerate(follows):
+        if one.segments:
+            groups[one.type].append(k)
+    p = follows[0].theta.size if follows else 0
+    found = [(np.full(p, np.nan), np.full(p, np.nan)) for _ in follows]
+    for members in groups.values():
+        if len(members) >= LEAST_AXES:
+            theta, std = (np.array([getattr(follows[k], name) for k in members]) for name in ("theta", "std"))
+            for k, *pair in zip(members, *_apart(theta, std, tolerance), strict=True):
+                found[k] = (pair[0], pair[1])
+    return found
+
+
+def _apart(theta: Floats, std: Floats, tolerance: float) -> tuple[Floats, Floats]:
+    """(m, p) of the axes of one type. Logarithms, where all are positive: parameters of machines differ by factors."""
+    middle = np.median(theta, axis=0)
+    size = np.maximum(np.abs(middle), np.finfo(float).tiny)
+    ratio = theta / size * np.where(middle < 0, -1.0, 1.0)
+    positive = np.all(ratio > 0, axis=0)
+    apart = np.where(positive, np.log(np.where(positive, ratio, 1.0)), ratio - 1)
+    spread = spread_of(apart)
+    bars = np.hypot(spread, std / size)
+    return ratio - 1, np.maximum(np.abs(apart) - tolerance, 0.0) / np.maximum(bars, np.finfo(float).tiny)
+
+
+def spread_of(apart: Floats) -> Floats:
+    """(p,) standard deviation of most of the distances (m, p) from the median: the largest that a part of them tells,
+    so that tails heavier than normal count, and a tenth of odd axes does not."""
+    sizes = np.abs(apart)
+    return np.asarray(np.max([np.quantile(sizes, part, axis=0) / ndtri((1 + part) / 2) for part in PARTS], axis=0))
+
+
+def ranking(verdicts: Iterable[Verdict]) -> list[int]:
+    """Places of the verdicts, those that need attention first."""
+    order = {CHANGED: 0, DRIFTS: 0, DIFFERS: 0, UNKNOWN: 1, "": 2}
+    pairs = enumerate(verdicts)
+    return [k for k, one in sorted(pairs, key=lambda pair: (order[pair[1].kind], -pair[1].weight, pair[0]))]
+
+
+def counted(verdicts: Iterable[Verdict]) -> Mapping[str, int]:
+    """How many there are of each kind."""
+    found: dict[str, int] = defaultdict(int)
+    for one in verdicts:
+        found[one.kind] += 1
+    return found

@@ -1,0 +1,68 @@
+"""The work on one shard, as a value: what an engine sends to where the rows are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pmfid.errors import UsageError
+from pmfid.fleet.plan import Shard
+from pmfid.fleet.rows import pieces_of, read_rows, rows_of
+from pmfid.fleet.segments import Segments, solve
+from pmfid.fleet.settings import Settings
+from pmfid.fleet.source import Columns, Part
+from pmfid.session.tables import Table
+
+if TYPE_CHECKING:
+    import polars as pl
+
+#: Shards whose first axes are looked at for one that tells the configuration.
+TRIED = 5
+
+
+@dataclass(frozen=True)
+class Work:
+    """settings, columns: of the history; length: of a slice [s]."""
+
+    settings: Settings
+    columns: Columns
+    length: float
+
+    def shard(self, shard: Shard, parts: Mapping[str, Part]) -> Segments:
+        """The segments of a shard, from the files that have its rows."""
+        rows, problems = read_rows(shard, parts, self.columns, self.length)
+        found = solve(pieces_of(rows, self.columns, self.length), self.settings)
+        return Segments(found.rows, (*problems, *found.problems))
+
+    def frame(self, frame: pl.DataFrame) -> Segments:
+        """The segments of rows that an engine has brought together, in any order: all those of a slice of an axis must
+        be there. frame: with the columns of `source`."""
+        rows, problems = rows_of(frame, self.columns)
+        found = solve(pieces_of(rows, self.columns, self.length), self.settings)
+        return Segments(found.rows, (*problems, *found.problems))
+
+
+def samples_of(shards: Sequence[Shard], parts: Mapping[str, Part], columns: Columns, length: float) -> Iterator[Table]:
+    """The longest piece of each slice of the first axes, a table for each."""
+    for shard in shards[:TRIED]:
+        for axis in shard.axes[:TRIED]:
+            for place in range(shard.first, shard.last):
+                one = Shard((axis,), place, place + 1, shard.parts, 0)
+                rows, _ = read_rows(one, parts, columns, length)
+                pieces = list(pieces_of(rows, columns, length))
+                if pieces:
+                    yield max(pieces, key=lambda piece: len(piece.table[columns.time])).table  # type: ignore[arg-type]
+                    break
+
+
+def check_columns(columns: Columns, parts: Sequence[Part], found: int) -> None:
+    """Raises UsageError where no part has rows with the columns that are named."""
+    if found:
+        return
+    for part in parts[:1]:
+        try:
+            part.rows(columns)
+        except UsageError as error:
+            raise UsageError(f"{part.name}: {error}") from None
+    raise UsageError("no file of the data set could be read; see the problems of each: run pmfid check on one")

@@ -1,0 +1,113 @@
+"""The report on a fleet: who needs attention, why, and what could not be used."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pmfid.fleet.history import History
+from pmfid.fleet.said import when
+from pmfid.report.files import write_json
+from pmfid.report.fleet_figures import ROWS, map_figure, spread_figure
+from pmfid.report.html import Cell, Section, Table, svg, write_report
+
+if TYPE_CHECKING:
+    import polars as pl
+
+#: Axes and problems in the tables; all are in the files beside the report.
+SHOWN, PROBLEMS = 60, 40
+
+
+def write_fleet(out: Path, found: History, name: str) -> None:
+    """Writes fleet.html and fleet.json into the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "fleet.json", found.to_json())
+    sections = [_attention(found), _spread(found), _map(found), _unused(found), _how(found)]
+    write_report(out / "fleet.html", f"{name}: {found.title}", [one for one in sections if one is not None])
+
+
+def _attention(found: History) -> Section:
+    named = found.named
+    kinds = Counter(named["kind"].to_list())
+    causes = Counter(named.filter(named["kind"] == "changed")["why"].str.extract(r"^(.*?) [+-]").to_list())
+    what = ", ".join(f"{many} {cause}" for cause, many in causes.most_common() if cause)
+    words = {"changed": f"changed ({what})", "drifts": "drift", "differs": "differ from the others"}
+    text = ", ".join(f"{many} {words[kind]}" for kind, many in kinds.most_common())
+    unknown = found.unknown.height
+    if not named.height:
+        text = "No axis changed, drifts or differs from the others beyond chance and tolerance."
+    elif text:
+        text += ". The largest come first."
+    if unknown:
+        text += f" {unknown} axes have no estimate: see the last table."
+    rows: list[list[Cell]] = [
+        [place, row["axis"], row["why"], row["kind"], _strength(row["score"]), row["type"]]
+        for place, row in enumerate(named.head(SHOWN).iter_rows(named=True), 1)
+    ]
+    typed = any(row[-1] for row in rows)
+    header = ("", "axis", "why", "verdict", "evidence", *(["type"] if typed else []))
+    more = f"\n\nThe first {SHOWN} of {named.height}; all are in axes.parquet." if named.height > SHOWN else ""
+    table = (header, [row if typed else row[:-1] for row in rows]) if rows else None
+    return Section("Who needs attention", text + more, table)
+
+
+def _strength(score: float) -> str:
+    """In multiples of what chance would name."""
+    return f"{score:.1f} ×" if score < 10 else f"{score:.0f} ×" if score < 100 else "over 100 ×"
+
+
+def _spread(found: History) -> Section | None:
+    if not found.axes.height or found.unknown.height == found.axes.height:
+        return None
+    text = (
+        "Each point is an axis: across, how far its parameter lies from the median of its type; upward, how much "
+        "it has changed within the history. Named axes are coloured and have their names."
+    )
+    return Section("From the others, and from their own past", text, svg=svg(spread_figure(found)), first=False)
+
+
+def _map(found: History) -> Section | None:
+    if not found.periods.height:
+        return None
+    text = "A row for each axis, those that need attention at the top; a column for each period."
+    if found.axes.height > ROWS:
+        text += f" The first {ROWS} of {found.axes.height}, by attention and by how many periods are in doubt."
+    return Section("Map of findings", text, svg=svg(map_figure(found)))
+
+
+def _unused(found: History) -> Section | None:
+    rows: list[list[Cell]] = [
+        [row["axis"] or row["file"], row["code"], row["times"], _from(row["from"]), row["text"]]
+        for row in found.problems.head(PROBLEMS).iter_rows(named=True)
+    ]
+    if not rows:
+        return None
+    text = "What could not be used as it is, or was left out. Everything else was done."
+    if found.problems.height > PROBLEMS:
+        text += f" The first {PROBLEMS} of {found.problems.height}; all are in problems.parquet."
+    return Section("What could not be used", text, (("axis or file", "finding", "times", "from", "what"), rows))
+
+
+def _from(time: float) -> str:
+    return when(time) if math.isfinite(time) else ""
+
+
+def _how(found: History) -> Section:
+    middle: Table = (
+        ("parameter", "median", "5 %", "95 %", "unit"),
+        [[name, *_quantiles(found.axes, name), unit] for name, unit in zip(found.names, found.units, strict=True)],
+    )
+    text = (
+        f"{found.samples} samples in estimates of {found.segment:.3g} s each, put together by period ({found.period}). "
+        "An axis is named where its change, drift or distance goes beyond the tolerance by more than chance makes of "
+        "so many axes, parameters and moments; in a fleet where nothing is the matter less than one axis is. "
+        "Error bars hold what the estimates of one axis scatter; they do not hold what the model lacks."
+    )
+    return Section("The fleet, and how this was made", text, middle)
+
+
+def _quantiles(axes: pl.DataFrame, name: str) -> list[float]:
+    known = axes[name].drop_nans().drop_nulls()
+    return [math.nan if not known.len() else float(known.quantile(part) or 0.0) for part in (0.5, 0.05, 0.95)]

@@ -1,0 +1,108 @@
+"""Figures of a fleet: distance from the others over change, and the map of findings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from pmfid.fleet.history import History
+from pmfid.fleet.said import when
+from pmfid.report.figures import COLOURS, GREY, WIDTH, figure_style
+from pmfid.types import Floats
+
+#: Colours of the verdicts, and of the quality of a period, worst first.
+KINDS = {"changed": COLOURS[1], "drifts": COLOURS[3], "differs": COLOURS[0]}
+MAP = {"change": COLOURS[1], "none": "#333333", "doubt": COLOURS[3], "good": "#cfe8dc", "no data": "#f4f4f4"}
+#: Names that are written into a panel, and of a change of so much [%]; rows of the map, and periods of it.
+NAMES, SHOWN, ROWS, COLUMNS = 6, 2.0, 50, 400
+
+
+def spread_figure(found: History) -> Figure:
+    """A panel for each parameter: relative distance from the median of the type, and relative change, of each axis."""
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
+        panels = figure.subplots(1, len(found.names), squeeze=False)[0]
+        for panel, name in zip(panels, found.names, strict=True):
+            _panel(panel, found, name)
+        panels[0].set_ylabel("change within the history in %")
+        handles = [Patch(color=colour, label=kind) for kind, colour in KINDS.items()]
+        figure.legend(
+            handles=[*handles, Patch(color=GREY, label="nothing to say")], loc="outside lower center", ncols=4
+        )
+    return figure
+
+
+def _panel(panel: Axes, found: History, name: str) -> None:
+    axes = found.axes
+    x, y = (100 * axes[f"{name}{end}"].to_numpy() for end in ("_deviation", "_change"))
+    x, y = np.nan_to_num(x, nan=0.0), np.nan_to_num(y, nan=0.0)
+    kinds = axes["kind"].to_numpy()
+    quiet = ~np.isin(kinds, list(KINDS))
+    panel.plot(x[quiet], y[quiet], ".", color=GREY, ms=3, alpha=0.5)
+    for kind, colour in KINDS.items():
+        which = kinds == kind
+        panel.plot(x[which], y[which], "o", color=colour, ms=4)
+    most = np.where(kinds == "differs", np.abs(x), np.abs(y))
+    for k in _apart(x, y, [int(k) for k in np.argsort(-most, kind="stable") if not quiet[k] and most[k] > SHOWN]):
+        panel.annotate(axes["axis"][k], (x[k], y[k]), (4, 3), textcoords="offset points", fontsize=7)
+    panel.margins(x=0.15)
+    panel.set_title(name.replace("_", " "))
+    panel.set_xlabel("from the median in %")
+
+
+def _apart(x: Floats, y: Floats, places: Sequence[int]) -> list[int]:
+    """The first NAMES places whose names do not stand in each other's way."""
+    width, height = max(float(np.ptp(x)), 1e-9), max(float(np.ptp(y)), 1e-9)
+    found: list[int] = []
+    for k in places:
+        if all(abs(x[k] - x[j]) > 0.4 * width or abs(y[k] - y[j]) > 0.06 * height for j in found):
+            found.append(k)
+    return found[:NAMES]
+
+
+def map_figure(found: History) -> Figure:
+    """Axes by periods: where a change came, where there is no estimate, where it is in doubt."""
+    order = _order(found)
+    place = {axis: row for row, axis in enumerate(order)}
+    times = np.array(sorted(set(found.periods["period"].drop_nans().drop_nulls().to_list())) or [0.0])
+    shown = found.periods.filter(found.periods["axis"].is_in(order))
+    edges = times[:: -(-times.size // COLUMNS)]
+    grid = np.full((len(order), edges.size), len(MAP) - 1)
+    levels = {name: level for level, name in enumerate(MAP)}
+    for axis, period, quality, told in shown.select("axis", "period", "quality", "findings").iter_rows():
+        column = max(0, int(np.searchsorted(edges, period, "right")) - 1) if period == period else 0
+        level = levels["change" if "changed" in told.split() else quality]
+        grid[place[axis], column] = min(level, grid[place[axis], column])
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 1.2 + 0.14 * max(8, len(order))), layout="constrained")
+        axes = figure.subplots()
+        norm = BoundaryNorm(np.arange(len(MAP) + 1) - 0.5, len(MAP))
+        axes.imshow(grid, cmap=ListedColormap(list(MAP.values())), norm=norm, aspect="auto", interpolation="nearest")
+        _labels(axes, order, edges)
+        figure.legend(
+            handles=[Patch(color=colour, label=name) for name, colour in MAP.items()],
+            loc="outside lower center",
+            ncols=5,
+        )
+    return figure
+
+
+def _order(found: History) -> list[str]:
+    """The axes that are named or unknown, in their order, then those with most periods that are not good."""
+    periods = found.periods.filter(found.periods["quality"] != "good")["axis"].value_counts()
+    doubts = dict(periods.iter_rows())
+    rows = enumerate(found.axes.select("axis", "kind").iter_rows())
+    ranked = sorted((kind == "", -doubts.get(axis, 0) if kind == "" else 0, k, axis) for k, (axis, kind) in rows)
+    return [axis for *_, axis in ranked][:ROWS]
+
+
+def _labels(axes: Axes, order: list[str], edges: np.ndarray) -> None:
+    axes.set_yticks(range(len(order)), order, fontsize=7)
+    columns = range(0, edges.size, -(-edges.size // 6))
+    axes.set_xticks(list(columns), [when(float(edges[column])).partition(" ")[0] for column in columns])
+    axes.grid(visible=False)

@@ -1,0 +1,50 @@
+"""What is an extra is imported when it is used, and where it is missing one sentence says what to install."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pmfid.errors import UsageError
+from pmfid.service.broker import BrokerSection
+from pmfid.service.sources.mqtt import MqttSection, MqttSource
+from pmfid.service.sources.opcua import OpcuaSection, OpcuaSource
+from pmfid.service.sources.serial import SerialSection, SerialSource
+from pmfid.service.wire.sender import Sender
+
+LIBRARIES = {"paho", "serial", "asyncua"}
+
+
+def test_sections_and_sources_are_imported_without_their_libraries() -> None:
+    modules = ("sources.mqtt", "sources.serial", "sources.opcua", "sources.execd", "wire.sender")
+    program = "\n".join(f"import pmfid.service.{module}" for module in modules)
+    program += "\nimport sys\nprint(*{name.partition('.')[0] for name in sys.modules})"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert set(run.stdout.split()) & LIBRARIES == set()
+    assert "pmfid" in run.stdout.split()
+
+
+def made(library: str) -> MqttSource | SerialSource | OpcuaSource:
+    if library == "paho":
+        return MqttSource("a", MqttSection(kind="mqtt", topics=("a",)), {}, lambda what: None)
+    if library == "serial":
+        section = SerialSection(kind="serial", port="nowhere", format="block")
+        return SerialSource("a", section, {}, lambda what: None)
+    axes = {"x1": {"nodes": {"u": "ns=2;s=u"}}}
+    nodes = OpcuaSection.model_validate({"kind": "opcua", "url": "opc.tcp://127.0.0.1:9", "axes": axes})
+    return OpcuaSource("a", nodes, {}, lambda what: None)
+
+
+@pytest.mark.parametrize(("library", "extra"), [("paho", "serve"), ("serial", "serve"), ("asyncua", "opcua")])
+def test_a_missing_extra_is_one_sentence(monkeypatch: pytest.MonkeyPatch, library: str, extra: str) -> None:
+    for name in [name for name in sys.modules if name.partition(".")[0] == library]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(UsageError, match=rf"needs \S+: pip install 'pmfid\[{extra}\]'$"):
+        made(library).run(lambda delivery: True, None)
+    if library == "paho":
+        with pytest.raises(UsageError, match="pip install"):
+            Sender("a", 0.01, BrokerSection(), folder=Path())
