@@ -14,8 +14,8 @@ REPOSITORY = Path(__file__).parents[2]
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
 def test_a_service_that_is_killed_ends_as_one_that_was_not() -> None:
-    words = "-m tests.service.kill_campaign --kills 6 --round 6 --seconds 8 --seed 7"
+    words = "-m tests.service.kill_campaign --kills 4 --round 4 --seconds 6 --seed 7"
     done = subprocess.run([sys.executable, *words.split()], cwd=REPOSITORY, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert "6 kills" in done.stdout
+    assert "4 kills" in done.stdout
     assert "every state and row as without kills" in done.stdout
