@@ -15,6 +15,7 @@ import numpy as np
 
 from pmfid.errors import UsageError
 from pmfid.service.delivery import Block, Unusable
+from pmfid.service.wire.alike import alike
 from pmfid.session.monitored.reading import MAX_COUNT, MOST_TIME
 from pmfid.types import Counts, Floats
 
@@ -73,7 +74,8 @@ def encode(block: Block) -> bytes:
 
 def decode(data: bytes) -> list[Block | Unusable]:
     """What a message says: its blocks in order, and in place of each that cannot be used the reason."""
-    return _blocks(data, whole=True)[0]
+    found = alike(data, VERSION, LONGEST_NAME, MOST_SAMPLES)
+    return [*found] if found is not None else _blocks(data, whole=True)[0]
 
 
 @dataclass

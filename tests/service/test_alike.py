@@ -1,0 +1,101 @@
+"""Messages of blocks that are all alike are read at once: what is read is what single blocks say."""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+
+import numpy as np
+import pytest
+
+from pmfid.service.delivery import Block, Unusable
+from pmfid.service.wire.alike import alike
+from pmfid.service.wire.blocks import LONGEST_NAME, MOST_SAMPLES, VERSION, decode, encode
+
+SIZE = 7
+
+
+def block(k: int, wide: bool = False, name: str = "axis-{:02d}") -> Block:
+    rng = np.random.default_rng(k)
+    u = rng.normal(size=SIZE).astype(np.float32).astype(float) + (1e-12 if wide else 0.0)
+    u[k % SIZE] = math.nan
+    counts = rng.integers(-(2**40) if wide else -99, 2**40 if wide else 99, SIZE)
+    time = math.nan if k % 3 == 0 else 0.25 * k
+    return Block(name.format(k), k, 10 * k, time, 0.01, u, counts)
+
+
+def said(found: list[Block | Unusable]) -> list[tuple[object, ...]]:
+    return [
+        (one.axis, one.epoch, one.first, repr(one.time), one.dt, one.u.tobytes(), one.counts.tobytes())
+        if isinstance(one, Block)
+        else (one.reason, one.problem, one.axis)
+        for one in found
+    ]
+
+
+def at_once(data: bytes) -> list[Block] | None:
+    return alike(data, VERSION, LONGEST_NAME, MOST_SAMPLES)
+
+
+@pytest.mark.parametrize("wide", [False, True])
+@pytest.mark.parametrize("name", ["axis-{:02d}", "ä{}-long-name-of-an-axis-0123456789"])
+def test_many_blocks_say_what_each_says(wide: bool, name: str) -> None:
+    parts = [encode(block(k % 9 + 1, wide, name)) for k in range(30)]
+    found = at_once(b"".join(parts))
+    assert found is not None
+    assert said([*found]) == said([one for part in parts for one in decode(part)])
+    assert found[0].u.dtype == np.float64
+    assert found[0].counts.dtype == np.int64
+
+
+def sealed(part: bytes, place: int, value: bytes) -> bytes:
+    body = part[:place] + value + part[place + len(value) : -4]
+    return body + struct.pack("<I", zlib.crc32(body))
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (4, b"\x02"),  # another version
+        (16, b"\xff" * 8),  # a number beyond 2**53
+        (24, struct.pack("<d", math.inf)),  # a time
+        (32, struct.pack("<d", -0.01)),  # a period
+        (40, b"\xff\xfe"),  # a name that is no UTF-8
+        (41, b"\n"),  # or not printable
+        (46, b"\x00"),  # or ends in a zero
+        (48, struct.pack("<f", math.inf)),  # an input
+        (0, b"PMFX"),
+    ],
+)
+def test_what_is_wrong_with_one_is_told_of_that_one(place: int, value: bytes) -> None:
+    parts = [encode(block(k + 1)) for k in range(8)]
+    parts[5] = sealed(parts[5], place, value)
+    data = b"".join(parts)
+    assert at_once(data) is None
+    found = decode(data)
+    assert [one.axis for one in found if isinstance(one, Block)][:5] == [f"axis-{k:02d}" for k in range(1, 6)]
+    assert sum(isinstance(one, Unusable) for one in found) >= 1
+    assert sum(isinstance(one, Block) for one in found) == 7
+
+
+def test_a_wrong_checksum_costs_one_block() -> None:
+    parts = [encode(block(k + 1)) for k in range(8)]
+    parts[3] = parts[3][:-5] + bytes([parts[3][-5] ^ 1]) + parts[3][-4:]
+    found = decode(b"".join(parts))
+    assert [one.reason for one in found if isinstance(one, Unusable)] == ["crc"]
+    assert sum(isinstance(one, Block) for one in found) == 7
+
+
+def test_a_shorter_name_is_a_block_of_another_form() -> None:
+    parts = [encode(block(k + 1)) for k in range(8)]
+    parts[5] = sealed(parts[5], 12, b"\x05")
+    data = b"".join(parts)
+    assert at_once(data) is None
+    assert [one.axis for one in decode(data) if isinstance(one, Block)][5] == "axis-"
+
+
+def test_blocks_of_other_sizes_are_read_one_by_one() -> None:
+    data = b"".join(encode(block(k + 1, wide=k % 2 == 0)) for k in range(8))
+    assert at_once(data) is None
+    assert sum(isinstance(one, Block) for one in decode(data)) == 8
