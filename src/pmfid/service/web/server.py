@@ -100,7 +100,9 @@ def _check_extra() -> None:
         import starlette  # noqa: F401
         import uvicorn  # noqa: F401
     except ImportError:
-        raise UsageError("the page needs an extra: pip install 'pmfid[serve]'; or [page] enabled = false") from None
+        raise UsageError(
+            "the page needs an extra: pip install 'pmfid[serve]'; or serve none: --no-page, or [page] enabled = false"
+        ) from None
 
 
 def _listener(config: PageConfig) -> socket.socket:
