@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import os
 import re
 from pathlib import Path
@@ -94,18 +95,20 @@ def test_names_that_the_format_does_not_know_are_mended() -> None:
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="this system has no /proc")
 def test_the_figures_of_the_process(tmp_path: Path) -> None:
     before = metrics.process_levels()
-    page, size = np.ones(30_000_000 // 8), 30_000_000
+    size = 30_000_000
+    fresh = mmap.mmap(-1, size)  # memory that the process cannot have had before
+    fresh.write(bytes(size))
     files = [open(tmp_path / str(k), "w") for k in range(5)]  # noqa: SIM115
     after = metrics.process_levels()
     for file in files:
         file.close()
+    fresh.close()
     assert after["process_open_fds"] == before["process_open_fds"] + 5
     assert after["process_resident_memory_bytes"] > before["process_resident_memory_bytes"] + 0.8 * size
     assert after["process_cpu_seconds_total"] > before["process_cpu_seconds_total"]
     assert after["process_start_time_seconds"] == pytest.approx(os.stat("/proc/self").st_ctime, abs=5)
     assert after["process_threads"] >= 1
     assert after["process_max_fds"] > after["process_open_fds"]
-    assert page.sum() > 0
     samples, _, types = parsed(metrics.exposition(Counters()))
     assert samples["process_open_fds", ()] > 3
     assert types["process_cpu_seconds_total"] == "counter"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 SHOWN = 30
 
 
-@click.group(short_help="Histories of many axes: who changed, and who differs from the rest.")
+@click.group(short_help="Histories of many axes: who changed, who differs.")
 def fleet() -> None:
     """What many axes have been through, from data sets of any size."""
 

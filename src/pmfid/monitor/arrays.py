@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from pmfid._stage import ALONE, CHANGED, FRESH, KNOWN, LOST, POWER, SAME, SAMPLES, USUAL
 from pmfid.monitor.scores import width_of
-from pmfid.types import Floats
+from pmfid.types import Floats, Places
 
 #: Units that an alarm looks back on.
 LOOK_BACK = 64
-Places = NDArray[np.int64]
 #: What follows from other arrays, and is not saved.
 DERIVED = {"saved": False}
 

@@ -13,13 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.arguments import integer_counts, numbers
 from pmfid.estimators.configuration import configuration_of, made
-from pmfid.monitor.arrays import Places
 from pmfid.monitor.events import Event
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.quiet import Quiet
 from pmfid.monitor.rows import FleetRows
 from pmfid.monitor.saved import checked, pieces, read, written
-from pmfid.types import Counts, Flags, Floats
+from pmfid.types import Counts, Flags, Floats, Places
 
 T = TypeVar("T")
 #: Axes that are computed at once: their arrays stay in the processor's cache.

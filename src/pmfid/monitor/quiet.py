@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from pmfid._stage import follow_many
 from pmfid.estimators.track import Tracks
 from pmfid.models.equation import ESTIMATE
-from pmfid.monitor.arrays import Disturbed, Places, Sampled, Watched
+from pmfid.monitor.arrays import Disturbed, Sampled, Watched
 from pmfid.monitor.events import SETTLING, SUSPICIOUS, Event, Outlier, StateChange
 from pmfid.monitor.monitor import ANY_OUTLIER, Monitor, outliers
 from pmfid.monitor.rows import STATES, FleetRows
 from pmfid.monitor.watching import REASONS
-from pmfid.types import Counts, Flags, Floats
+from pmfid.types import Counts, Flags, Floats, Places
 
 #: Numbers of the states in which an axis is not quiet.
 UNEASY = (STATES.index(SUSPICIOUS), STATES.index(SETTLING))

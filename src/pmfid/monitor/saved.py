@@ -18,12 +18,12 @@ from pmfid._kernel64 import ManyKernel
 from pmfid._stage import KEPT
 from pmfid.errors import UsageError
 from pmfid.kernel.structures import layout_number
-from pmfid.monitor.arrays import Disturbed, Places, Rows, Sampled, Watched
+from pmfid.monitor.arrays import Disturbed, Rows, Sampled, Watched
 from pmfid.monitor.events import SETTLING, SUSPICIOUS
 from pmfid.monitor.rows import STATES
 from pmfid.monitor.scores import Scoring
 from pmfid.monitor.watching import Watching
-from pmfid.types import Floats
+from pmfid.types import Floats, Places
 
 #: What stands before the states; layout: of a row; config: of whom it is; checksum: CRC-32 of all else.
 HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])

@@ -13,14 +13,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.monitor.arrays import Places, Watched
+from pmfid.monitor.arrays import Watched
 from pmfid.monitor.calibration import Calibration
 from pmfid.monitor.detectors import Detector
 from pmfid.monitor.events import CANNOT_TELL, STARTING, WATCHING
 from pmfid.monitor.rows import STATES
 from pmfid.monitor.scores import Blocks, Scale, mean_of, waiting_after
 from pmfid.status import Status
-from pmfid.types import Flags, Floats
+from pmfid.types import Flags, Floats, Places
 
 #: A block with less of the average information tells nothing.
 INFORMATIVE = 0.05
