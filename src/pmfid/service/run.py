@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -35,6 +36,11 @@ __all__ = ["Service"]
 LOOK, ENDING = 0.1, 10.0
 #: Names that a notice lists at most, and configurations that are remembered.
 MOST_NAMES, MOST_HISTORY = 100, 1000
+#: The interpreter is handed over so often [s]: the kernel works without it, and the engine should not wait for it each
+#: time as long as it may be kept by default.
+SWITCH = 2e-4
+#: Objects after which garbage is looked for: blocks come and go by tens of thousands, without circles.
+COLLECTED = 50_000
 #: An engine that has not come by for so long is not called alive any more [s].
 STUCK = 60.0
 
@@ -60,6 +66,8 @@ class Service:
         with self._signals.handled():
             try:
                 self._start(plant)
+                gc.freeze()  # what is there stays: not to be looked through again and again
+                gc.set_threshold(COLLECTED)
                 notify("READY=1")
                 self._watch()
             finally:
