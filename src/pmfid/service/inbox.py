@@ -10,8 +10,9 @@ from pmfid.service.delivery import Delivery
 
 __all__ = ["Inbox"]
 
-#: Deliveries that wait at most, and items in them: a source waits while there are as many.
-MOST, MOST_ITEMS = 8192, 65536
+#: Deliveries that wait at most, and items in them: a source waits while there are as many. What the engine takes at
+#: once stays in the processor's cache; more would be stepped more slowly, and a delay never made up for.
+MOST, MOST_ITEMS = 8192, 8192
 #: The engine takes what came in so much time at once [s]: arrays are filled, and nobody sees the delay.
 TICK = 0.025
 
