@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.service.wire.layout import MAGIC, VERSION, block_type
 from pmfid.simulation import make_scenario
 from pmfid.simulation.files import axis_toml, write_csv
 
@@ -26,24 +27,8 @@ AXES_IN_MESSAGE, TURNS = 50, 25
 #: Samples by which the place of one axis in the record is behind that of the one before.
 APART = 37
 
-BLOCK = np.dtype(
-    [
-        ("magic", "S4"),
-        ("version", "u1"),
-        ("flags", "u1"),
-        ("samples", "<u2"),
-        ("epoch", "<u4"),
-        ("letters", "u1"),
-        ("zero", "V3"),
-        ("first", "<u8"),
-        ("time", "<f8"),
-        ("dt", "<f8"),
-        ("name", "S16"),
-        ("u", "<f4", SAMPLES),
-        ("counts", "<i4", SAMPLES),
-        ("crc", "<u4"),
-    ]
-)
+NAME = "cell-{:06d}"
+BLOCK = block_type(0, SAMPLES, len(NAME.format(0)))
 
 AXIS = """
 [monitor]
@@ -86,9 +71,9 @@ class Machines:
         run = make_scenario("moves", seed=2, duration=seconds + axes * APART * DT)
         self.u, self.counts = run.motion.u.astype("<f4"), run.counts.astype("<i4")
         self.blocks = np.zeros(axes, BLOCK)
-        self.blocks["magic"], self.blocks["version"], self.blocks["samples"] = b"PMFB", 1, SAMPLES
-        self.blocks["name"] = [f"cell-{k:06d}".encode() for k in range(axes)]
-        self.blocks["letters"], self.blocks["dt"] = len("cell-000000"), DT
+        self.blocks["magic"], self.blocks["version"], self.blocks["samples"] = MAGIC, VERSION, SAMPLES
+        self.blocks["name"] = [NAME.format(k).encode() for k in range(axes)]
+        self.blocks["letters"], self.blocks["dt"] = len(NAME.format(0)), DT
 
     def messages(self, which: NDArray[np.int64], turn: int) -> list[bytes]:
         """Block number `turn` of some axes, several in a message."""

@@ -11,7 +11,8 @@ import pytest
 
 from pmfid.service.delivery import Block, Unusable
 from pmfid.service.wire.alike import alike
-from pmfid.service.wire.blocks import LONGEST_NAME, MOST_SAMPLES, VERSION, decode, encode
+from pmfid.service.wire.blocks import decode, encode
+from pmfid.service.wire.layout import CRC, HEADER, block_type
 
 SIZE = 7
 
@@ -34,15 +35,11 @@ def said(found: list[Block | Unusable]) -> list[tuple[object, ...]]:
     ]
 
 
-def at_once(data: bytes) -> list[Block] | None:
-    return alike(data, VERSION, LONGEST_NAME, MOST_SAMPLES)
-
-
 @pytest.mark.parametrize("wide", [False, True])
 @pytest.mark.parametrize("name", ["axis-{:02d}", "ä{}-long-name-of-an-axis-0123456789"])
 def test_many_blocks_say_what_each_says(wide: bool, name: str) -> None:
     parts = [encode(block(k % 9 + 1, wide, name)) for k in range(30)]
-    found = at_once(b"".join(parts))
+    found = alike(b"".join(parts))
     assert found is not None
     assert said([*found]) == said([one for part in parts for one in decode(part)])
     assert found[0].u.dtype == np.float64
@@ -72,7 +69,7 @@ def test_what_is_wrong_with_one_is_told_of_that_one(place: int, value: bytes) ->
     parts = [encode(block(k + 1)) for k in range(8)]
     parts[5] = sealed(parts[5], place, value)
     data = b"".join(parts)
-    assert at_once(data) is None
+    assert alike(data) is None
     found = decode(data)
     assert [one.axis for one in found if isinstance(one, Block)][:5] == [f"axis-{k:02d}" for k in range(1, 6)]
     assert sum(isinstance(one, Unusable) for one in found) >= 1
@@ -91,11 +88,25 @@ def test_a_shorter_name_is_a_block_of_another_form() -> None:
     parts = [encode(block(k + 1)) for k in range(8)]
     parts[5] = sealed(parts[5], 12, b"\x05")
     data = b"".join(parts)
-    assert at_once(data) is None
+    assert alike(data) is None
     assert [one.axis for one in decode(data) if isinstance(one, Block)][5] == "axis-"
 
 
 def test_blocks_of_other_sizes_are_read_one_by_one() -> None:
     data = b"".join(encode(block(k + 1, wide=k % 2 == 0)) for k in range(8))
-    assert at_once(data) is None
+    assert alike(data) is None
     assert sum(isinstance(one, Block) for one in decode(data)) == 8
+
+
+@pytest.mark.parametrize("letters", [1, 8, 13])
+def test_the_two_ways_to_read_a_header_say_the_same(letters: int) -> None:
+    one = Block("x" * letters, 7, 11, 2.5, 0.01, np.ones(3), np.arange(3))
+    data = encode(one)
+    form = block_type(0, 3, letters)
+    assert form.itemsize == len(data)
+    assert form.fields is not None
+    assert form.fields["name"][1] == HEADER.size
+    assert form.fields["crc"][1] == len(data) - CRC.size
+    row = np.frombuffer(data, form)[0]
+    names = ("magic", "version", "flags", "samples", "epoch", "letters", "first", "time", "dt")
+    assert tuple(row[name] for name in names) == HEADER.unpack_from(data)

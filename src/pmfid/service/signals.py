@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 
+from pmfid.session.monitored.stream import caught
+
 __all__ = ["Signals"]
 
 
@@ -21,14 +23,8 @@ class Signals:
     @contextmanager
     def handled(self) -> Iterator[Signals]:
         """SIGINT and SIGTERM end the service, SIGHUP reads PLANT.toml again."""
-        hangup = getattr(signal, "SIGHUP", None)
-        numbers = [signal.SIGINT, signal.SIGTERM, *([hangup] if hangup is not None else [])]
-        before = {number: signal.signal(number, self._handle) for number in numbers}
-        try:
+        with caught(self._handle):
             yield self
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         if number in (signal.SIGINT, signal.SIGTERM):

@@ -25,7 +25,8 @@ from pmfid.service.broker import Text, pauses, secret
 from pmfid.service.context import Axes, Context, SourceSection
 from pmfid.service.delivery import Block, Delivery, Item, Mark, Unusable
 from pmfid.service.sources import Take
-from pmfid.service.wire.blocks import MOST_SAMPLES, problem_of
+from pmfid.service.wire.blocks import problem_of
+from pmfid.service.wire.layout import MOST_SAMPLES
 from pmfid.service.wire.points import Point, Readers
 from pmfid.session.toml_file import FileSection
 

@@ -1,4 +1,4 @@
-"""Messages of many blocks that are all alike, as gateways send them: read at once, in a third of the time.
+"""Messages of many blocks that are all alike, as gateways send them: read at once, in less than half of the time.
 
 What is not perfectly in order is left to `blocks`, which says why.
 """
@@ -7,50 +7,36 @@ from __future__ import annotations
 
 import math
 import zlib
-from functools import lru_cache
 
 import numpy as np
 
 from pmfid.service.delivery import Block
+from pmfid.service.wire.layout import HEADER, LONGEST_NAME, MAGIC, MOST_NUMBER, MOST_SAMPLES, VERSION, block_type
 from pmfid.session.monitored.reading import MAX_COUNT, MOST_TIME
 from pmfid.types import Flags
 
-__all__ = ["LAYOUT", "alike"]
+__all__ = ["alike"]
 
-#: Fields of a header, and how many blocks are worth the trouble.
-LAYOUT = (
-    *(("magic", "S4"), ("version", "u1"), ("flags", "u1"), ("samples", "<u2"), ("epoch", "<u4"), ("letters", "u1")),
-    *(("zero", "V3"), ("first", "<u8"), ("time", "<f8"), ("dt", "<f8")),
-)
+#: So many blocks are worth the trouble.
 FEWEST = 4
-_HEAD = np.dtype(list(LAYOUT))
-#: Bytes of the header that blocks have in common, as numbers: magic, version, flags, samples; and the name's length.
+#: Bytes of the header that blocks have in common: magic, version, flags, samples; and the name's length.
 _COMMON, _LETTERS = slice(0, 8), 12
-_MOST_NUMBER = 2**53
 
 
-@lru_cache(64)
-def _dtype(flags: int, samples: int, letters: int) -> np.dtype[np.void]:
-    u, counts = ("<f4", "<f8")[flags & 1], ("<i4", "<i8")[flags >> 1]
-    name = [("name", f"S{letters}"), ("rest", f"V{-letters % 8}")]
-    return np.dtype([*LAYOUT, *name, ("u", u, (samples,)), ("counts", counts, (samples,)), ("crc", "<u4")])
-
-
-def alike(data: bytes, version: int, longest_name: int, most_samples: int) -> list[Block] | None:
+def alike(data: bytes) -> list[Block] | None:
     """The blocks of a message where all have the same form and nothing is wrong with any; None otherwise."""
-    if len(data) < _HEAD.itemsize or data[:4] != b"PMFB":
+    if len(data) < HEADER.size or not data.startswith(MAGIC):
         return None
-    head = np.frombuffer(data, _HEAD, 1)[0]
-    flags, samples, letters = int(head["flags"]), int(head["samples"]), int(head["letters"])
-    if not (0 < samples <= most_samples and 0 < letters <= longest_name and flags < 4):
+    _, version, flags, samples, _, letters, *_ = HEADER.unpack_from(data)
+    if not (version == VERSION and 0 < samples <= MOST_SAMPLES and 0 < letters <= LONGEST_NAME and flags < 4):
         return None
-    form = _dtype(flags, samples, letters)
+    form = block_type(flags, samples, letters)
     if len(data) % form.itemsize or len(data) < FEWEST * form.itemsize:
         return None
     rows = np.frombuffer(data, form)
     whole = rows.view(np.uint8).reshape(rows.size, form.itemsize)
-    same = int(head["version"]) == version and (whole[:, _COMMON] == whole[0, _COMMON]).all()
-    if not (same and (whole[:, _LETTERS] == letters).all() and _sums_fit(data, rows) and _fine(rows, samples)):
+    same = (whole[:, _COMMON] == whole[0, _COMMON]).all() and (whole[:, _LETTERS] == letters).all()
+    if not (same and _sums_fit(data, rows) and _fine(rows, samples)):
         return None
     names = _names(rows, letters)
     return None if names is None else _made(rows, names)
@@ -68,11 +54,9 @@ def _fine(rows: np.ndarray, samples: int) -> bool:
     with np.errstate(invalid="ignore"):
         fine: Flags = (dt > 0) & (dt < math.inf) & (np.isnan(time) | (np.abs(time) < MOST_TIME))
     narrow = counts.dtype.itemsize == 4 or bool(((counts > -MAX_COUNT) & (counts < MAX_COUNT)).all())
-    return bool(fine.all() and narrow and (rows["first"] <= _MOST_NUMBER - samples).all() and not _infinite(rows["u"]))
-
-
-def _infinite(u: np.ndarray) -> bool:
-    return bool(np.isinf(u).any())
+    return bool(
+        fine.all() and narrow and (rows["first"] <= MOST_NUMBER - samples).all() and not np.isinf(rows["u"]).any()
+    )
 
 
 def _names(rows: np.ndarray, letters: int) -> list[str] | None:

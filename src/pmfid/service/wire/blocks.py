@@ -7,7 +7,6 @@ costs its neighbours nothing: the next one begins where it ends, or else at the 
 from __future__ import annotations
 
 import math
-import struct
 import zlib
 from dataclasses import dataclass, field
 
@@ -16,33 +15,25 @@ import numpy as np
 from pmfid.errors import UsageError
 from pmfid.service.delivery import Block, Unusable
 from pmfid.service.wire.alike import alike
+from pmfid.service.wire.layout import (
+    COUNTS,
+    CRC,
+    HEADER,
+    LONGEST_NAME,
+    MAGIC,
+    MOST_EPOCH,
+    MOST_NUMBER,
+    MOST_SAMPLES,
+    VERSION,
+    WIDE_COUNTS,
+    WIDE_U,
+    U,
+)
 from pmfid.session.monitored.reading import MAX_COUNT, MOST_TIME
 from pmfid.types import Counts, Floats
 
-__all__ = [
-    "LONGEST_NAME",
-    "MAGIC",
-    "MOST_BYTES",
-    "MOST_SAMPLES",
-    "VERSION",
-    "BlockStream",
-    "decode",
-    "encode",
-    "problem_of",
-]
+__all__ = ["BlockStream", "decode", "encode", "problem_of"]
 
-MAGIC, VERSION = b"PMFB", 1
-MOST_SAMPLES, LONGEST_NAME = 1024, 64
-#: Epochs have 32 bits; from this number of samples on neighbours are no longer separate doubles, as JSON has them.
-_MOST_EPOCH, _MOST_NUMBER = 2**32, 2**53
-#: Bits of the flags: u are float64 in place of float32, counts int64 in place of int32.
-_WIDE_U, _WIDE_COUNTS = 1, 2
-_U, _COUNTS = (np.dtype("<f4"), np.dtype("<f8")), (np.dtype("<i4"), np.dtype("<i8"))
-#: Magic, version, flags, samples, epoch, bytes of the name, first, time, dt.
-_HEADER = struct.Struct("<4sBBHIB3xQdd")
-_CRC = struct.Struct("<I")
-#: Bytes of the longest block.
-MOST_BYTES = _HEADER.size + LONGEST_NAME + 16 * MOST_SAMPLES + _CRC.size
 #: How often in one message a block is looked for by MAGIC alone: each may cost the checksum of a whole block.
 _MOST_SEARCHES = 16
 
@@ -61,20 +52,20 @@ def encode(block: Block) -> bytes:
     if refused is not None:
         raise UsageError(f"a receiver would refuse this block: {refused.problem}")
     with np.errstate(over="ignore"):  # what has no float32 is sent as float64
-        single, short = u.astype(_U[0]), counts.astype(_COUNTS[0])
+        single, short = u.astype(U[0]), counts.astype(COUNTS[0])
     wide_u, wide_counts = not ((single == u) | np.isnan(u)).all(), not (short == counts).all()
-    flags = _WIDE_U * wide_u | _WIDE_COUNTS * wide_counts
+    flags = WIDE_U * wide_u | WIDE_COUNTS * wide_counts
     sizes = (MAGIC, VERSION, flags, u.size, block.epoch, len(name))
-    header = _HEADER.pack(*sizes, block.first, block.time, block.dt)
-    u_bytes = (u.astype(_U[1]) if wide_u else single).tobytes()
-    counts_bytes = (counts.astype(_COUNTS[1]) if wide_counts else short).tobytes()
+    header = HEADER.pack(*sizes, block.first, block.time, block.dt)
+    u_bytes = (u.astype(U[1]) if wide_u else single).tobytes()
+    counts_bytes = (counts.astype(COUNTS[1]) if wide_counts else short).tobytes()
     body = header + name + bytes(-len(name) % 8) + u_bytes + counts_bytes
-    return body + _CRC.pack(zlib.crc32(body))
+    return body + CRC.pack(zlib.crc32(body))
 
 
 def decode(data: bytes) -> list[Block | Unusable]:
     """What a message says: its blocks in order, and in place of each that cannot be used the reason."""
-    found = alike(data, VERSION, LONGEST_NAME, MOST_SAMPLES)
+    found = alike(data)
     return [*found] if found is not None else _blocks(data, whole=True)[0]
 
 
@@ -129,22 +120,22 @@ def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unus
     """Where the block that begins at `place` ends, 0 where that is not known, and what it says; None: it is cut off."""
     if not data.startswith(MAGIC[: len(data) - place], place):
         return 0, Unusable("magic", "bytes that are no block: none begins there")
-    if place + _HEADER.size > len(data):
+    if place + HEADER.size > len(data):
         return 0, None
-    _, version, flags, n, epoch, letters, first, time, dt = _HEADER.unpack_from(data, place)
+    _, version, flags, n, epoch, letters, first, time, dt = HEADER.unpack_from(data, place)
     if version != VERSION:
         return 0, Unusable("version", f"a block of version {version}, not {VERSION}")
     if not (0 < n <= MOST_SAMPLES and 0 < letters <= LONGEST_NAME and flags < 4):
         return 0, Unusable("length", f"a block of {n} samples, {letters} bytes of name and flags {flags}")
-    name_at = place + _HEADER.size
+    name_at = place + HEADER.size
     u_at = name_at + letters + -letters % 8
-    u_type, counts_type = _U[flags & _WIDE_U], _COUNTS[flags >> 1]
+    u_type, counts_type = U[flags & WIDE_U], COUNTS[flags >> 1]
     counts_at = u_at + n * u_type.itemsize
     crc_at = counts_at + n * counts_type.itemsize
-    end = crc_at + _CRC.size
+    end = crc_at + CRC.size
     if end > len(data):
         return 0, None
-    if zlib.crc32(view[place:crc_at]) != _CRC.unpack_from(data, crc_at)[0]:
+    if zlib.crc32(view[place:crc_at]) != CRC.unpack_from(data, crc_at)[0]:
         return end, Unusable("crc", "a block with a wrong checksum")
     try:
         name = data[name_at : name_at + letters].decode()
@@ -154,7 +145,7 @@ def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unus
     u = np.frombuffer(data, u_type, n, u_at).astype(np.float64)
     counts = np.frombuffer(data, counts_type, n, counts_at).astype(np.int64)
     block = Block(name, epoch, first, time, dt, u, counts)
-    return end, problem_of(block, u, counts, bool(flags & _WIDE_COUNTS)) or block
+    return end, problem_of(block, u, counts, bool(flags & WIDE_COUNTS)) or block
 
 
 def problem_of(block: Block, u: Floats, counts: Counts, wide: bool = True) -> Unusable | None:
@@ -164,7 +155,7 @@ def problem_of(block: Block, u: Floats, counts: Counts, wide: bool = True) -> Un
         return Unusable(
             "name", f"the name {name[:LONGEST_NAME]!r} is not printable, or not of 1 to {LONGEST_NAME} bytes"
         )
-    if not (0 <= block.epoch < _MOST_EPOCH and 0 <= block.first <= _MOST_NUMBER - n):
+    if not (0 <= block.epoch < MOST_EPOCH and 0 <= block.first <= MOST_NUMBER - n):
         return Unusable("number", f"epoch {block.epoch} or number {block.first} is out of range", name)
     if not (0 < block.dt < math.inf and (math.isnan(block.time) or abs(block.time) < MOST_TIME)):
         return Unusable("not finite", f"a time of {block.time:g} s or a period of {block.dt:g} s", name)

@@ -8,6 +8,7 @@ from typing import Literal
 
 from pmfid.service.delivery import Block, Item, Unusable
 from pmfid.service.wire import blocks, json_lines, line_protocol
+from pmfid.service.wire.layout import MAGIC
 from pmfid.service.wire.line_protocol import Precision
 from pmfid.service.wire.points import Readers
 
@@ -39,7 +40,7 @@ class Messages:
         return self.readers.items(line_protocol.decode(data, axis, self.tag, self.precision))
 
     def _form(self, data: bytes) -> Form:
-        if data.startswith(blocks.MAGIC):
+        if data.startswith(MAGIC):
             return "block"
         return "json" if data.lstrip()[:1] in (b"{", b"[") else "line"
 

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
 from pmfid.service.delivery import Block
-from pmfid.service.wire.blocks import MOST_SAMPLES, encode, problem_of
+from pmfid.service.wire.blocks import encode, problem_of
+from pmfid.service.wire.layout import MOST_SAMPLES
 from pmfid.types import Counts, Floats
 
 __all__ = ["Numbering"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import FrameType
@@ -29,6 +29,20 @@ class _InterruptedError(Exception):
     """A signal came while nothing was being processed."""
 
 
+@contextmanager
+def caught(handle: Callable[[int, FrameType | None], None], hangup: bool = True) -> Iterator[None]:
+    """SIGINT, SIGTERM and, if wanted and where there is one, SIGHUP go to a handler inside of the block."""
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if hangup and hasattr(signal, "SIGHUP"):
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, handle) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 @dataclass
 class Stop:
     """Ends a run after the sample in hand at SIGINT, SIGTERM and SIGHUP, or at once where it waits for the next one.
@@ -46,16 +60,10 @@ class Stop:
     @contextmanager
     def handling(self) -> Iterator[Stop]:
         """Signals are handled here inside of the block."""
-        numbers = [signal.SIGINT, signal.SIGTERM]
         hangup = getattr(signal, "SIGHUP", None)
-        if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
-            numbers.append(hangup)
-        before = {number: signal.signal(number, self._handle) for number in numbers}
-        try:
+        ignored = hangup is not None and signal.getsignal(hangup) is signal.SIG_IGN
+        with caught(self._handle, hangup=not ignored):
             yield self
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
     def read(self, stream: BinaryIO) -> bytes:
         """The next line, b"" at the end or when a signal comes."""
