@@ -74,12 +74,11 @@ class MonitorFleet:
     ) -> Flags:
         """Whether each stayed so, (k,); of those that did the states and rows are as they should be."""
         every, (group, time) = self._all, part
-        piece = self._quiet.run(every.sampled.taken(index), every.watched.taken(index), u, counts)
+        sampled = every.sampled.taken(index)
+        piece = self._quiet.run(every, index, sampled, u, counts)
         kept = ~piece.crossed
-        piece.push(every.disturbed, kept, index)
         staying = np.flatnonzero(kept)
-        every.sampled.put(index[staying], piece.sampled.selected(staying))
-        every.watched.put(index[staying], piece.watched.selected(staying))
+        every.sampled.put(index[staying], sampled.selected(staying))
         rows.take(piece.rows, group.start + at, time, kept)
         return kept
 
