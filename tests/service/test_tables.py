@@ -38,7 +38,7 @@ def sent(name: str, random: Random) -> list[Block]:
     blocks, epoch, begun, shift = list[Block](), 0, 0, 0.0
     for k in range(TURNS):
         if random.random() < 0.03:
-            epoch, begun = epoch + 1, k
+            epoch, begun = epoch + 1, random.choice([k, begun])
         shift += random.choice([-100.0, 500.0]) if random.random() < 0.04 else 0.0
         first = (k - begun) * SIZE
         time = rate * k * SIZE * CART_DT + shift if timed else np.nan

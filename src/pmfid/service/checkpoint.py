@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
+from pmfid.monitor.saved import sealed
 from pmfid.service.board.alarms import Standing
 from pmfid.service.delivery import Block, Mark
 from pmfid.service.groups import Group, Pace, Prepared, Seat
@@ -25,7 +26,7 @@ from pmfid.service.outcome import Notice
 if TYPE_CHECKING:
     from pmfid.service.engine import Engine
 
-__all__ = ["Snapshot", "read_snapshot", "snapshot"]
+__all__ = ["Draft", "Room", "Snapshot", "draft", "read_snapshot", "snapshot", "state_size"]
 
 _LENGTH = struct.Struct("<Q")
 #: Of every axis: where its numbers and its clock stand.
@@ -51,16 +52,74 @@ HELD = np.dtype(
 )
 
 
-def snapshot(engine: Engine) -> list[bytes]:
+class Room:
+    """Where states are copied to, again and again: memory that is new at each checkpoint would cost more than the
+    copy."""
+
+    def __init__(self) -> None:
+        self._bytes = np.empty(0, np.uint8)
+
+    @property
+    def size(self) -> int:
+        """Bytes that there are."""
+        return self._bytes.size
+
+    def grow(self, size: int) -> None:
+        """New memory of so many bytes, each touched; by any thread, while nothing is copied."""
+        self._bytes = np.full(size, 1, np.uint8)
+
+    def copied(self, states: Sequence[Sequence[memoryview]]) -> list[list[memoryview]]:
+        """The same there, until the next call."""
+        size = sum(len(part) for state in states for part in state)
+        if self._bytes.size < size:
+            self._bytes = np.empty(size, np.uint8)
+        place, found = 0, list[list[memoryview]]()
+        for state in states:
+            found.append([])
+            for part in state:
+                copy = self._bytes[place : place + len(part)]
+                copy[:] = np.frombuffer(part, np.uint8)  # other threads go on meanwhile
+                found[-1].append(copy.data)
+                place += len(part)
+        return found
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A checkpoint without the checksums of its states, which take longer than their copy. text: the object of JSON;
+    states, others: of each group, what it has for `parts`, its state in several pieces."""
+
+    text: bytes
+    states: list[list[memoryview]]
+    others: list[list[bytes]]
+
+    def chunks(self) -> list[bytes | memoryview]:
+        """The whole: by any thread, as long as the states stay where they were copied to."""
+        found: list[bytes | memoryview] = [_LENGTH.pack(len(self.text)), self.text]
+        for state, own in zip(self.states, self.others, strict=True):
+            found += [*sealed(state), *own]
+        return found
+
+
+def snapshot(engine: Engine) -> list[bytes | memoryview]:
     """The engine between two ticks."""
-    groups, parts = list[dict[str, Any]](), list[bytes]()
-    for group in engine.groups:
-        own = [group.fleet.get_state(), _seats(group).tobytes(), _held(group)]
+    return draft(engine, Room()).chunks()
+
+
+def state_size(engine: Engine) -> int:
+    """Bytes of room that a draft takes."""
+    return sum(len(part) for group in engine.groups for part in group.fleet.unsealed_state())
+
+
+def draft(engine: Engine, room: Room) -> Draft:
+    """The same, to be finished by another thread; the engine can go on."""
+    states = room.copied([group.fleet.unsealed_state() for group in engine.groups])
+    others, groups = [[_seats(group).tobytes(), _held(group)] for group in engine.groups], list[dict[str, Any]]()
+    for group, state, own in zip(engine.groups, states, others, strict=True):
         names = [seat.name for seat in group.seats]
         groups.append({"digest": group.prepared.digest, "config": group.kindred.config, "axes": names})
         groups[-1]["seats"] = {str(seat.index): rare for seat in group.seats if (rare := _rare(seat))}
-        groups[-1]["parts"] = [len(part) for part in own]
-        parts += own
+        groups[-1]["parts"] = [sum(map(len, state)), *map(len, own)]
     text = json.dumps(
         {
             "wall": time.time(),
@@ -76,7 +135,7 @@ def snapshot(engine: Engine) -> list[bytes]:
             "groups": groups,
         }
     ).encode()
-    return [_LENGTH.pack(len(text)), text, *parts]
+    return Draft(text, states, others)
 
 
 def _seats(group: Group) -> NDArray[np.void]:
