@@ -35,13 +35,14 @@ def sent(name: str, random: Random) -> list[Block]:
     all; now and then a new epoch or another period."""
     rng = np.random.default_rng(random.randrange(2**32))
     rate, timed = random.choice([1.0, 1.0, 1.02]), random.random() < 0.8
-    blocks, epoch, begun, shift = list[Block](), 0, 0, 0.0
+    blocks, epoch, begun, shift, place = list[Block](), 0, 0, 0.0, 0.0
     for k in range(TURNS):
         if random.random() < 0.03:
             epoch, begun = epoch + 1, random.choice([k, begun])
         shift += random.choice([-100.0, 500.0]) if random.random() < 0.04 else 0.0
         first = (k - begun) * SIZE
-        time = rate * k * SIZE * CART_DT + shift if timed else np.nan
+        time = place + shift if timed else np.nan
+        place += (rate if k < TURNS // 3 else 1.0) * SIZE * CART_DT
         dt = CART_DT * (1.0 if random.random() < 0.97 else 1.1)
         u, counts = rng.normal(size=SIZE), rng.integers(-3, 4, SIZE).cumsum() + 40 * k
         blocks.append(Block(name, epoch, first, time, dt, u, counts))
@@ -86,8 +87,8 @@ def told(engine: Engine, outlet: Collected) -> tuple[object, ...]:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_table_is_its_blocks_one_by_one(prepared: Prepared, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clock, "RATE_TIME", 1.0)
-    monkeypatch.setattr(clock, "RATE_SAMPLES", 50)
+    monkeypatch.setattr(clock, "RATE_TIME", 0.3)
+    monkeypatch.setattr(clock, "RATE_SAMPLES", 20)
     given = deliveries(Random(seed))
     random, outlets, engines = Random(seed), (Collected(), Collected()), list[Engine]()
     batches = list[list[Delivery]]()
