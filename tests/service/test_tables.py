@@ -14,7 +14,9 @@ from pmfid.service.checkpoint import read_snapshot, snapshot
 from pmfid.service.counters import Counters
 from pmfid.service.delivery import Block, Delivery, Item, Lines, Table, one_by_one
 from pmfid.service.engine import Engine
+from pmfid.service.expected import take_expected
 from pmfid.service.groups import Pace, Prepared
+from pmfid.service.order import Order
 from pmfid.session.monitored.timeline import Line
 from pmfid.simulation import CART_DT
 from tests.service.collected import Collected
@@ -35,13 +37,14 @@ def sent(name: str, random: Random) -> list[Block]:
     all; now and then a new epoch or another period."""
     rng = np.random.default_rng(random.randrange(2**32))
     rate, timed = random.choice([1.0, 1.0, 1.02]), random.random() < 0.8
-    blocks, epoch, begun, shift = list[Block](), 0, 0, 0.0
+    blocks, epoch, begun, shift, place = list[Block](), 0, 0, 0.0, 0.0
     for k in range(TURNS):
         if random.random() < 0.03:
             epoch, begun = epoch + 1, random.choice([k, begun])
         shift += random.choice([-100.0, 500.0]) if random.random() < 0.04 else 0.0
         first = (k - begun) * SIZE
-        time = rate * k * SIZE * CART_DT + shift if timed else np.nan
+        time = place + shift if timed else np.nan
+        place += (rate if k < TURNS // 3 else 1.0) * SIZE * CART_DT
         dt = CART_DT * (1.0 if random.random() < 0.97 else 1.1)
         u, counts = rng.normal(size=SIZE), rng.integers(-3, 4, SIZE).cumsum() + 40 * k
         blocks.append(Block(name, epoch, first, time, dt, u, counts))
@@ -86,8 +89,8 @@ def told(engine: Engine, outlet: Collected) -> tuple[object, ...]:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_table_is_its_blocks_one_by_one(prepared: Prepared, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clock, "RATE_TIME", 1.0)
-    monkeypatch.setattr(clock, "RATE_SAMPLES", 50)
+    monkeypatch.setattr(clock, "RATE_TIME", 0.3)
+    monkeypatch.setattr(clock, "RATE_SAMPLES", 20)
     given = deliveries(Random(seed))
     random, outlets, engines = Random(seed), (Collected(), Collected()), list[Engine]()
     batches = list[list[Delivery]]()
@@ -126,3 +129,23 @@ def test_what_an_order_knows_goes_with_its_axis_when_others_go_and_over_a_restar
     for one in (engine, restored):
         one.process(rest)
     assert snapshot(engine)[2:] == snapshot(restored)[2:]
+
+
+def test_a_clock_whose_rate_comes_right_and_goes_wrong_again_is_told_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clock, "RATE_TIME", 0.3)
+    monkeypatch.setattr(clock, "RATE_SAMPLES", 20)
+    both, alone = Order(CART_DT, 0), Order(CART_DT, 0)
+    told, at_once, time = list[dict[str, object]](), 0, 0.0
+    for k in range(3 * TURNS):
+        u = np.zeros(SIZE)
+        block = Block("x", 0, k * SIZE, time, CART_DT, u, u.astype(int))
+        time += (1.0 if TURNS <= k < 2 * TURNS else 1.02) * SIZE * CART_DT
+        alone.take(block, 0.0, k, [])
+        if take_expected(both.place.positions, CART_DT, np.array([0]), table([block])).all():
+            at_once += 1
+        elif (verdict := both.take(block, 0.0, k, [])) is not None:
+            told += verdict.told
+        for name, column in vars(both.place.positions).items():
+            assert np.array_equal(column, getattr(alone.place.positions, name)), name
+    assert [what["event"] for what in told] == ["clock", "clock"]
+    assert at_once > TURNS

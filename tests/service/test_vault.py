@@ -287,6 +287,8 @@ def test_the_engine_does_not_wait_for_new_memory(
     keeper.offer(engine, last=True)
     assert makers == ["checkpoints"]
     (saved,) = read_snapshot(b"".join(snapshot(engine))).groups
-    found = Vault(tmp_path).load(read_snapshot, Told().append)
+    vault = Vault(tmp_path)
+    found = vault.load(read_snapshot, Told().append)
+    vault.close()
     assert found is not None
     assert bytes(found.groups[0].state) == bytes(saved.state)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pmfid.service.positions import Column, Place
 from pmfid.types import Flags, Floats
 
-__all__ = ["Clock", "due", "fits", "runs"]
+__all__ = ["Clock", "due", "fits", "right", "runs"]
 
 #: A clock that is off by more was set [s]: stamps may be those of whole seconds.
 SET = 1.5
@@ -38,6 +38,11 @@ def runs(off: Real) -> Answer:
 def due(samples: Whole, time: Real) -> Answer:
     """Whether after so many samples and so much time [s] the rate of a clock is looked at."""
     return (samples >= RATE_SAMPLES) & (time >= RATE_TIME)
+
+
+def right(rate: Real) -> Answer:
+    """Whether a clock goes at such a rate as it should."""
+    return (rate - 1 <= RATE) & (1 - rate <= RATE)
 
 
 class Clock:
@@ -72,7 +77,7 @@ class Clock:
     def _rate(self, first: int, time: float) -> dict[str, object] | None:
         rate = (time - self.start) / ((first - self.first) * self.dt)
         self.start, self.first = time, first
-        wrong, known = abs(rate - 1) > RATE, self.told
+        wrong, known = not right(rate), self.told
         self.told = wrong
         if not wrong or known:
             return None
