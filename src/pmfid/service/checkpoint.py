@@ -103,6 +103,8 @@ def _rare(seat: Seat) -> dict[str, Any]:
         found["told"] = seat.told
     if seat.timed is not None:
         found["timed"] = seat.timed.saved()
+    if seat.referred is not None:
+        found["referred"] = seat.referred
     return found
 
 
@@ -204,6 +206,8 @@ def _restore_seat(seat: Seat, row: tuple[Any, ...], rare: Mapping[str, Any]) -> 
     clock.told, order.wrong_period = bool(row[8]), bool(row[9])
     order.gaps = [(int(a), int(b)) for a, b in rare.get("gaps", ())]
     seat.told = {str(kind): int(times) for kind, times in rare.get("told", {}).items()}
+    if "referred" in rare:
+        seat.referred = tuple(map(float, rare["referred"]))
     if "timed" in rare:
         seat.lines(bool(rare["timed"]["timed"])).restore(rare["timed"])
 

@@ -272,9 +272,12 @@ class Engine:
         except UsageError as error:
             self.notices.own(seat.name, {"event": "reference", "problem": str(error)})
             return
-        self.notices.own(seat.name, {"event": "reference", "samples": int(group.numbers[index])})
-        for event in events:
-            self.notices.found(seat, event_object(event, group.kindred.names))
+        told = [event_object(event, group.kindred.names) for event in events]
+        normal = {name: value["value"] for name, value in told[0]["parameters"].items()}
+        seat.referred = tuple(normal.values())
+        self.notices.own(seat.name, {"event": "reference", "samples": int(group.numbers[index]), "nominal": normal})
+        for what in told:
+            self.notices.found(seat, what)
 
     def _speak(self) -> None:
         """What other threads had to say."""

@@ -60,9 +60,10 @@ class Pace:
 class Seat:
     """One axis in its group. index: its place there; order, timed: of its blocks and its lines; queue: pieces that
     wait for the next step; number: its own in the service, 0 while it has none; notices: how many there were of it;
-    told: how many there were of a kind that is not always told."""
+    told: how many there were of a kind that is not always told; referred: (q,) what someone made normal for it by
+    hand, None: what its configuration says."""
 
-    __slots__ = ("group", "index", "name", "notices", "number", "order", "queue", "timed", "told")
+    __slots__ = ("group", "index", "name", "notices", "number", "order", "queue", "referred", "timed", "told")
 
     def __init__(self, group: Group, index: int, name: str) -> None:
         self.group, self.index, self.name = group, index, name
@@ -71,6 +72,7 @@ class Seat:
         self.queue: list[Piece] = []
         self.number, self.notices = 0, 0
         self.told: dict[str, int] = {}
+        self.referred: tuple[float, ...] | None = None
 
     def lines(self, timed: bool) -> Timed:
         """What makes samples of its lines; timed: the first of them has a time."""
