@@ -144,6 +144,10 @@ class FakePlant:
         self.tell(axis, event="reference", time=self.samples * DT, nominal=normal)
         return True
 
+    def begin_anew(self, axis: str) -> bool:
+        self.tell(axis, event="anew", dropped=0)
+        return True
+
     def reference(self, axis: str) -> Record | None:
         """As the axis moved before anything was wrong."""
         t = DT * np.arange(3000)

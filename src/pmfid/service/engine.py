@@ -195,8 +195,10 @@ class Engine:
                 self.counters.add("pmfid_samples_dropped_total", number, reason=reason, group=group)
         for kind, number in verdict.lines.items():
             self.counters.add("pmfid_lines_dropped_total", number, reason=kind, group=group)
-        if verdict.late and seat.may_tell("late"):
-            problem = f"{verdict.late} samples came too late, when the samples behind them had been taken"
+        if verdict.again or (verdict.late and seat.may_tell("late")):
+            problem = verdict.stale or (
+                f"{verdict.late} samples came too late, when the samples behind them had been taken"
+            )
             self.tell({"event": "late", "samples": verdict.late, "problem": problem}, seat.name)
         for what in verdict.told:
             self.counters.add("pmfid_events_total", event=str(what["event"]), group=group)
@@ -254,6 +256,14 @@ class Engine:
             self._acknowledge(command)
         elif isinstance(command, Refer):
             self._refer(command)
+        elif command.axis in self._seats:
+            self._begin_anew(self._seats[command.axis])
+
+    def _begin_anew(self, seat: Seat) -> None:
+        dropped, events = seat.begin_anew()
+        self.notices.own(seat.name, {"event": "anew", "dropped": dropped})
+        for event in events:
+            self.notices.found(seat, event_object(event, seat.group.kindred.names))
 
     def _acknowledge(self, command: Acknowledge) -> None:
         alarm = self.notices.alarms.get(command.number)

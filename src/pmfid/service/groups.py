@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.monitor.events import Event
 from pmfid.monitor.fleet import MonitorFleet
 from pmfid.service.order import Order, Piece
 from pmfid.service.outcome import Kindred
@@ -79,6 +80,16 @@ class Seat:
         if self.timed is None:
             self.timed = Timed(self.group.dt, self.group.pace.window, timed)
         return self.timed
+
+    def begin_anew(self) -> tuple[int, list[Event]]:
+        """Whatever numbers come next are the first, and nothing is known between them and those before. How many
+        samples waited and are dropped, and what the monitor has to tell."""
+        dropped = sum(block.counts.size for block in self.order.held)
+        self.order = Order(self.group.dt, self.order.window)
+        if not self.group.numbers[self.index]:
+            return dropped, []
+        self.group.numbers[self.index] += 1
+        return dropped, self.group.fleet.skip(self.index, 1)
 
     def may_tell(self, kind: str) -> bool:
         """Whether another notice of a kind is to be told, or only counted; by their number alone, so that it is the
