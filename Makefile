@@ -76,6 +76,10 @@ broker-kills: .venv/tools service-tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.service.broker_campaign \
 	--kills $(BROKER_KILLS) --service-kills $(SERVICE_KILLS)
 
+# The service when something else fails: messages, disks, browsers, the process itself. Wants a broker, and root for disks.
+service-faults: .venv/tools service-tools
+	.venv/bin/python -m studies.service.faults --out docs/service_faults.md
+
 KERNEL = $(wildcard csrc/*.[ch] csrc/many/*.[ch] csrc/wire/*.[ch])
 
 check: .venv/tools

@@ -216,6 +216,7 @@ class Engine:
             group = seats[0].group
             done = step(group, seats, followed)
             self.counters.add("pmfid_samples_total", done.samples, group=group.kindred.config)
+            self.counters.add("pmfid_samples_without_input_total", done.lost, group=group.kindred.config)
             found += [one for one in done.found if self._wanted(one)]
             for rows in done.rows:
                 for outlet in self.outlets:

@@ -34,11 +34,12 @@ class Found:
 
 @dataclass
 class Stepped:
-    """What a step of a group gave."""
+    """What a step of a group gave; lost: samples without an input, among all."""
 
     rows: list[Rows] = field(default_factory=list)
     found: list[Found] = field(default_factory=list)
     samples: int = 0
+    lost: int = 0
 
 
 def step(group: Group, seats: Sequence[Seat], followed: frozenset[str] = frozenset()) -> Stepped:
@@ -69,6 +70,7 @@ def _run(group: Group, pairs: Sequence[Pair], followed: frozenset[str], done: St
     rows = group.fleet.run(index, u, counts)
     group.numbers[index] += counts.shape[1]
     done.samples += counts.size
+    done.lost += int(np.count_nonzero(~np.isfinite(u)))
     for row, (seat, piece) in enumerate(pairs) if before else ():
         done.found += [_found(group, seat, piece, 0, int(start[row]), event) for event in before.get(seat.index, ())]
     for row, k, event in rows.events:
