@@ -153,6 +153,7 @@ class Engine:
         for waiting in ordered.rounds:
             done = step(waiting, followed)
             self.counters.add("pmfid_samples_total", done.samples, group=waiting.group.kindred.config)
+            self.counters.add("pmfid_samples_without_input_total", done.lost, group=waiting.group.kindred.config)
             found += [one for one in done.found if self._wanted(one)]
             for rows in done.rows:
                 for outlet in self.outlets:
@@ -193,6 +194,14 @@ class Engine:
             self._acknowledge(command)
         elif isinstance(command, Refer):
             self._refer(command)
+        elif command.axis in self._seats:
+            self._begin_anew(self._seats[command.axis])
+
+    def _begin_anew(self, seat: Seat) -> None:
+        dropped, events = seat.begin_anew()
+        self.notices.own(seat.name, {"event": "anew", "dropped": dropped})
+        for event in events:
+            self.notices.found(seat, event_object(event, seat.group.kindred.names))
 
     def _acknowledge(self, command: Acknowledge) -> None:
         alarm = self.notices.alarms.get(command.number)
@@ -211,9 +220,12 @@ class Engine:
         except UsageError as error:
             self.notices.own(seat.name, {"event": "reference", "problem": str(error)})
             return
-        self.notices.own(seat.name, {"event": "reference", "samples": int(group.numbers[index])})
-        for event in events:
-            self.notices.found(seat, event_object(event, group.kindred.names))
+        told = [event_object(event, group.kindred.names) for event in events]
+        normal = {name: value["value"] for name, value in told[0]["parameters"].items()}
+        seat.referred = tuple(normal.values())
+        self.notices.own(seat.name, {"event": "reference", "samples": int(group.numbers[index]), "nominal": normal})
+        for what in told:
+            self.notices.found(seat, what)
 
     def _speak(self) -> None:
         """What other threads had to say."""
