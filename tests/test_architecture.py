@@ -91,6 +91,7 @@ PUBLIC = [
     "RSRIVC",
     "Result",
     "SRIVC",
+    "ShardedFleet",
     "Square",
     "Status",
     "Stribeck",
