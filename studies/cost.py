@@ -89,7 +89,7 @@ def _watched() -> float:
     theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
     u, counts = (table[0] for table in motion(1, 0, 3000))
     blocks = scores(like(IV, watched, prefilter_zeros=None), theta, u.astype(float), counts.astype(np.int64))
-    tails = {name: Tail(10.0, 0.0, 1.0, 1.0, ()) for name in DETECTORS}
+    tails: dict[str, Tail] = {name: Tail(10.0, 0.0, 1.0, 1.0, ()) for name in DETECTORS}
     calibration = Calibration(theta, make_scale(blocks[20:]), (), tails, np.ones(theta.size), 1.0)
     return Monitor(watched, calibration, Watch()).saved().row_type().itemsize
 

@@ -86,9 +86,15 @@ class Shard:
 
     def begin(self, rows: NDArray[np.int64], start: NDArray[np.uint8]) -> None:
         """Axes begin in these rows."""
-        self.states[rows] = start
+        self.states[_span(rows)] = start
         self.rows = max(self.rows, int(rows.max()) + 1)
         self.changed = True
+
+
+def _span(rows: NDArray[np.int64]) -> slice | NDArray[np.int64]:
+    """Ascending rows, as a slice where they follow one another."""
+    first, end = int(rows[0]), int(rows[-1]) + 1
+    return slice(first, end) if end - first == rows.size else rows
 
 
 @dataclass(frozen=True)
@@ -101,13 +107,12 @@ class Piece:
 
     def run(self, work: Work, way: int) -> None:
         """Its part of a call."""
-        first, end = int(self.rows[0]), int(self.rows[-1]) + 1
-        in_place = end - first == self.rows.size
-        states = self.shard.states[first:end] if in_place else self.shard.states[self.rows]
+        span = _span(self.rows)
+        states = self.shard.states[span]
         results = tuple(result[self.at] for result in work.results)
         kernel = self.shard.group.borrow()
         kernel.hold(states)
         kernel.run(work.u[self.at], work.counts[self.at], 0, self.rows.size, work.every, results, way)
         self.shard.group.give_back(kernel)
-        if not in_place:
-            self.shard.states[self.rows] = states
+        if not isinstance(span, slice):  # then they are copies
+            self.shard.states[span] = states
