@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -241,9 +242,10 @@ class ShardedFleet:
         if self._vault is None:
             raise UsageError("this fleet has no folder for checkpoints; give one as in ShardedFleet('state')")
         try:
-            return stored.write(self._vault, self._shards, self._handles, mark, self._each, sync)
-        except (TypeError, ValueError) as error:
-            raise UsageError(f"mark must be of what JSON knows, got {mark!r}: {error}") from None
+            json.dumps(mark)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise UsageError(f"mark must be of what JSON knows, got {type(mark).__name__}: {error}") from None
+        return stored.write(self._vault, self._shards, self._handles, mark, self._each, sync)
 
     def __enter__(self) -> Self:
         return self

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +15,9 @@ from pmfid.durable.vault import Vault
 from pmfid.errors import UsageError
 from pmfid.estimators.sharded.handles import Handles
 from pmfid.estimators.sharded.shard import Group, Shard
-from pmfid.estimators.sharded.stored import Listing, place_of, read_listing, read_shard
+from pmfid.estimators.sharded.stored import Each, Listing, place_of, read_listing, read_shard
 
 __all__ = ["Restored", "restored_from"]
-
-
-class Each(Protocol):
-    """Does something with every shard."""
-
-    def __call__(self, action: Callable[[Shard], None], some: Sequence[Shard], /) -> None: ...
 
 
 @dataclass(frozen=True)

@@ -61,10 +61,11 @@ def identity_of(runner: Runner[RecursiveEstimator]) -> bytes:
     return head.tobytes()[:-4]  # without the checksum
 
 
-@dataclass
+@dataclass(eq=False)
 class Shard:
     """Up to `size` axes. number: its own in the fleet; rows: so many have been in use; changed: since the last
-    checkpoint; side, sequence: the file that holds it in the last checkpoint, sequence 0: none."""
+    checkpoint; side, sequence: the file that holds it in the last checkpoint, if there is one; synced: the disk is
+    known to have that file."""
 
     group: Group
     number: int
@@ -73,6 +74,7 @@ class Shard:
     changed: bool = False
     side: int = 1
     sequence: int = 0
+    synced: bool = False
     #: (size, bytes); of rows that nobody has used the memory is not there yet.
     states: NDArray[np.uint8] = field(init=False, repr=False)
 

@@ -24,7 +24,18 @@ from pmfid.durable.vault import Vault
 from pmfid.estimators.sharded.handles import LAST, Handles
 from pmfid.estimators.sharded.shard import Group, Shard
 
-__all__ = ["MOST", "MOST_OF_SHARD", "POINTS", "Listed", "Listing", "place_of", "read_listing", "read_shard", "write"]
+__all__ = [
+    "MOST",
+    "MOST_OF_SHARD",
+    "POINTS",
+    "Each",
+    "Listed",
+    "Listing",
+    "place_of",
+    "read_listing",
+    "read_shard",
+    "write",
+]
 
 #: Points of `crash` that a checkpoint passes, before those of the vault's.
 POINTS = ("shard.half", "shard.written", "shard.synced", "shards.synced")
@@ -34,7 +45,8 @@ MOST, MOST_OF_SHARD = 2**28, 2**20
 _LENGTH, _SHARD = struct.Struct("<Q"), struct.Struct("<II")
 #: Bytes of a place in a list: axes before, whether there is one.
 _PLACE = 5
-Map = Callable[[Callable[[Shard], None], Sequence[Shard]], None]
+#: Does something with all of some shards.
+Each = Callable[[Callable[[Shard], None], Sequence[Shard]], None]
 
 
 @dataclass(frozen=True)
@@ -67,24 +79,25 @@ def place_of(folder: Path, number: int, side: int) -> Path:
     return folder / f"shard-{number:06}-{side}"
 
 
-def write(vault: Vault, shards: Sequence[Shard], handles: Handles, mark: object, each: Map, sync: bool) -> int:
-    """A checkpoint; the bytes of states that it wrote. each: does something with all of some shards; sync: it shall
+def write(vault: Vault, shards: Sequence[Shard], handles: Handles, mark: object, each: Each, sync: bool) -> int:
+    """A checkpoint; the bytes of states that it wrote. sync: it shall
     outlive the power as well. Raises OSError, and TypeError for a mark that JSON does not know."""
-    sequence, changed = vault.sequence + 1, [shard for shard in shards if shard.changed or not shard.sequence]
-    listing = [_listed(shard, sequence, shard in changed) for shard in shards]
+    sequence, changed = vault.sequence + 1, [shard for shard in shards if shard.changed]
+    listing = [_listed(shard, sequence) for shard in shards]
     body = _body(shards[0].size if shards else 0, listing, handles, mark)
     each(lambda shard: _write_shard(vault.folder, shard, sequence, sync), changed)
     if sync:
+        each(lambda shard: _sync_shard(vault.folder, shard), [one for one in shards if not (one.changed or one.synced)])
         sync_folder(vault.folder)
     crash_point("shards.synced")
     vault.write(body)
     for shard in changed:
-        shard.side, shard.sequence, shard.changed = 1 - shard.side, sequence, False
+        shard.side, shard.sequence, shard.changed, shard.synced = 1 - shard.side, sequence, False, sync
     return sum(shard.used.nbytes for shard in changed)
 
 
-def _listed(shard: Shard, sequence: int, changed: bool) -> tuple[str, int, int, int]:
-    side, own = (1 - shard.side, sequence) if changed else (shard.side, shard.sequence)
+def _listed(shard: Shard, sequence: int) -> tuple[str, int, int, int]:
+    side, own = (1 - shard.side, sequence) if shard.changed else (shard.side, shard.sequence)
     return shard.group.identity.hex(), shard.rows, side, own
 
 
@@ -108,6 +121,13 @@ def _write_shard(folder: Path, shard: Shard, sequence: int, sync: bool) -> None:
     crash_point("shard.synced")
 
 
+def _sync_shard(folder: Path, shard: Shard) -> None:
+    """What an earlier checkpoint wrote without waiting for the disk, or another process did."""
+    with open(place_of(folder, shard.number, shard.side), "r+b") as file:
+        os.fsync(file.fileno())
+    shard.synced = True
+
+
 # --- and back ---------------------------------------------------------------------------------------------------------
 
 
@@ -121,7 +141,11 @@ def read_listing(sequence: int, body: bytes) -> Listing:
         places = size * len(shards)
         if not (size in range(MOST_OF_SHARD + 1) and places <= MOST and all(one.rows <= size for one in shards)):
             raise ValueError("its places are more than any fleet has")
-        return Listing(sequence, size, shards, _handles(body[_LENGTH.size + length :], places), raw["mark"])
+        handles = _handles(body[_LENGTH.size + length :], places)
+        for number, one in enumerate(shards):
+            if handles.taken[number * size + one.rows : (number + 1) * size].any():
+                raise ValueError("it has axes in rows that nobody has used")
+        return Listing(sequence, size, shards, handles, raw["mark"])
     except (KeyError, TypeError, IndexError, struct.error, RecursionError, OverflowError) as error:
         raise ValueError(f"it is no checkpoint of a sharded fleet: {error!r}") from None
 
