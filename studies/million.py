@@ -182,7 +182,7 @@ def main() -> None:
     for axes in sorted(options.sizes):
         costs.append(in_a_process(axes))
         print(costs[-1], flush=True)
-    found = list(kills(costs[-1].axes, options.kills, 1.1 * costs[-1].again.wall))
+    found = list(kills(costs[-1].axes, options.kills))
     options.out.write_text(page(costs, found), encoding="utf-8")
 
 

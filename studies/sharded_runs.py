@@ -184,13 +184,12 @@ class Kill:
     damaged: int
 
 
-def kills(axes: int, times: int, seconds: float, seed: int = 5) -> Iterator[Kill]:
-    """So many SIGKILLs within a checkpoint of all axes, at random times in equal parts of so many seconds."""
+def kills(axes: int, times: int, seed: int = 5) -> Iterator[Kill]:
+    """So many SIGKILLs within a checkpoint of all axes, at random in equal parts of the time that one takes."""
     rng = random.Random(seed)
     with tempfile.TemporaryDirectory(dir=os.environ.get("TMPDIR")) as name:
         for part in range(times):
-            after = seconds * (part + rng.random()) / times
-            lines = _killed(Path(name), axes, after)
+            after, lines = _killed(Path(name), axes, (part + rng.random()) / times)
             told = {line["mark"]: line["sums"] for line in lines if "mark" in line}
             done = [line["done"] for line in lines if "done" in line]
             with ShardedFleet(name, [estimator()]) as fleet:
@@ -200,26 +199,31 @@ def kills(axes: int, times: int, seconds: float, seed: int = 5) -> Iterator[Kill
             yield Kill(after, len(done) == 1, whole, mark > done[-1], damaged)
 
 
-def _killed(folder: Path, axes: int, after: float) -> list[dict[str, Any]]:
-    """A child that has its first checkpoint done and is killed in its second."""
+def _killed(folder: Path, axes: int, part: float) -> tuple[float, list[dict[str, Any]]]:
+    """A child that has its first checkpoint done and is killed in its second, behind a part of the first one's time;
+    how long that was [s], and what it said."""
     command = [sys.executable, "-m", "studies.sharded_runs", "child", str(folder), str(axes)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
         output = child.stdout or sys.stdin  # a pipe, always
-        lines = [json.loads(output.readline()) for _ in range(3)]
+        lines = [json.loads(output.readline())]
+        begun = time.perf_counter()
+        lines.append(json.loads(output.readline()))
+        after = part * (time.perf_counter() - begun)
+        lines.append(json.loads(output.readline()))
         time.sleep(after)
         child.send_signal(signal.SIGKILL)
-        return lines + [json.loads(line) for line in output]
+        return after, lines + [json.loads(line) for line in output]
 
 
 # --- samples, models, methods -----------------------------------------------------------------------------------------
 
 
 def per_sample(single: RecursiveEstimator, axes: int, samples: int, workers: int = 1) -> tuple[float, int]:
-    """Processor time of a sample of an axis [s] in calls of so many, behind others, the least of three; bytes of an
+    """Processor time of a sample of an axis [s] in calls of so many, behind others, the least of five; bytes of an
     axis."""
     fleet = Fleet(single, axes, workers=workers)
     fleet.run(*motion(axes, 0, BEFORE))
-    tables = [motion(axes, BEFORE + k * samples, samples) for k in range(3)]
+    tables = [motion(axes, BEFORE + k * samples, samples) for k in range(5)]
     least = min(_timed(lambda table=table: fleet.run(*table)) for table in tables)  # type: ignore[misc]
     return least / (axes * samples), fleet._many.kernel.states.shape[1]
 

@@ -41,10 +41,10 @@ class ShardedFleet:
 
     An axis is called by its handle, a number that `add` gives and that no other axis ever gets; its place in memory is
     used again behind `remove`. folder: of the checkpoints, one fleet at a time; what the last whole one there holds is
-    taken up (`restored` tells), with the configurations among `estimators`; None: no checkpoints. shard: places of a
-    shard, where the folder does not say. workers: threads, None: as many as there are processors. One thread at a time
-    may use it. Raises UsageError for other numbers, for an estimator that is not recursive, a folder that cannot be
-    used, and for axes in it whose configuration is not among the estimators.
+    taken up, and `restored` tells; None: no checkpoints. estimators: the configurations of the axes in the folder, and
+    others. shard: axes of a shard, where the folder does not say. workers: threads, None: as many as there are
+    processors. One thread at a time may use it. Raises UsageError for other numbers, for an estimator that is not
+    recursive, a folder that cannot be used, and for axes in it whose configuration is not among the estimators.
     """
 
     def __init__(

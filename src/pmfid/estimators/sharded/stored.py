@@ -80,8 +80,8 @@ def place_of(folder: Path, number: int, side: int) -> Path:
 
 
 def write(vault: Vault, shards: Sequence[Shard], handles: Handles, mark: object, each: Each, sync: bool) -> int:
-    """A checkpoint; the bytes of states that it wrote. sync: it shall
-    outlive the power as well. Raises OSError, and TypeError for a mark that JSON does not know."""
+    """A checkpoint; the bytes of states that it wrote. sync: it shall outlive the power as well. Raises OSError, and
+    TypeError for a mark that JSON does not know."""
     sequence, changed = vault.sequence + 1, [shard for shard in shards if shard.changed]
     listing = [_listed(shard, sequence) for shard in shards]
     body = _body(shards[0].size if shards else 0, listing, handles, mark)
