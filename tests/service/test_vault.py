@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pmfid.durable import vault as module
 from pmfid.errors import UsageError
 from pmfid.service import keeping
-from pmfid.service import vault as module
 from pmfid.service.arrangement import arranged
 from pmfid.service.checkpoint import Room, read_snapshot, snapshot
 from pmfid.service.counters import Counters

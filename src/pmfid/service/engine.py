@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.service.commands import Acknowledge, Command, Commands, Refer
+from pmfid.service.commands import Acknowledge, Anew, Command, Commands, Refer
 from pmfid.service.counters import Counters
 from pmfid.service.crash import crash_point
 from pmfid.service.delivery import Delivery, Mark
@@ -194,10 +194,13 @@ class Engine:
             self._acknowledge(command)
         elif isinstance(command, Refer):
             self._refer(command)
-        elif command.axis in self._seats:
-            self._begin_anew(self._seats[command.axis])
+        else:
+            self._begin_anew(command)
 
-    def _begin_anew(self, seat: Seat) -> None:
+    def _begin_anew(self, command: Anew) -> None:
+        seat = self.seat(command.axis)
+        if seat is None:
+            return
         dropped, events = seat.begin_anew()
         self.notices.own(seat.name, {"event": "anew", "dropped": dropped})
         for event in events:
@@ -211,7 +214,7 @@ class Engine:
         self.notices.own(alarm.axis, {"event": "acknowledged", "alarm": command.number, "note": command.note})
 
     def _refer(self, command: Refer) -> None:
-        seat = self._intake.seats.get(command.axis)
+        seat = self.seat(command.axis)
         if seat is None:
             return
         group, index = seat.group, seat.index
