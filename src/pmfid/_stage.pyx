@@ -3,7 +3,7 @@
 
 from cpython.long cimport PyLong_AsUnsignedLongLongMask
 from cpython.number cimport PyNumber_Index
-from libc.math cimport fabs, isfinite
+from libc.math cimport INFINITY, fabs, isfinite
 from libc.stdint cimport int64_t, uint64_t
 cimport numpy as cnp
 import numpy as np
@@ -248,3 +248,21 @@ def last_flags(cnp.ndarray[uint32_t, ndim=2, mode="c"] status not None, cnp.ndar
                     flagged[axis] = status[axis, k]
                     found[axis] |= status[axis, k] & mask != 0
     return np.flatnonzero(found)
+
+
+def bars(cnp.ndarray factor not None, cnp.ndarray variance not None, cnp.ndarray inflation not None, found=None):
+    """Standard deviations (..., p) by variance factors (..., p), scaled by the inflation (..., p) once it is known, and
+    variances (...,) of innovations; infinite where there are none yet. found: to be filled with them, None: a new one.
+    Raises ValueError for other shapes, and for arrays with gaps."""
+    std = np.empty(np.shape(factor)) if found is None else found
+    shape = np.shape(factor)
+    cdef const double *factors = <double *> _table(factor, np.float64, shape)
+    cdef const double *inflations = <double *> _table(inflation, np.float64, shape)
+    cdef const double *variances = <double *> _table(variance, np.float64, shape[:-1])
+    cdef double *bar = <double *> _table(std, np.float64, shape)
+    cdef Py_ssize_t n = variance.size, p = factor.shape[factor.ndim - 1], k, i
+    with nogil:
+        for k in range(n):
+            for i in range(k * p, (k + 1) * p):
+                bar[i] = sqrt(factors[i] * variances[k] * (inflations[i] if inflations[i] > 0 else 1.0)) if variances[k] > 0 else INFINITY
+    return std

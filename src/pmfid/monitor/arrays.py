@@ -32,21 +32,18 @@ class Rows:
 
     def taken(self, index: Places | slice) -> Self:
         """Some rows: copies by their numbers, the rows themselves as a slice."""
-        return type(self)(**{name: part[index] for name, part in self.parts()})
+        if isinstance(index, slice):
+            return type(self)(**{name: part[index] for name, part in self.parts()})
+        return type(self)(**{name: part.take(index, axis=0) for name, part in self.parts()})
 
     def put(self, index: Places | slice, rows: Self) -> None:
         """Other numbers for some rows."""
         for name, part in self.parts():
             part[index] = getattr(rows, name)
 
-    def selected(self, index: Places) -> Self:
-        """Some rows in their order; all of them are the rows themselves."""
-        return self if index.size == len(next(self.parts())[1]) else self.taken(index)
-
-    def put_selected(self, index: Places, rows: Self) -> None:
-        """What became of `selected`."""
-        if rows is not self:
-            self.put(index, rows)
+    def copied(self) -> Self:
+        """The same rows by themselves."""
+        return type(self)(**{name: part.copy() for name, part in self.parts()})
 
     def repeated(self, times: int) -> Self:
         """All rows, so many times."""
