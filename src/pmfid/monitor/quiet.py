@@ -34,7 +34,7 @@ class Quiet:
         self._scoring, self._dt = monitor.scoring, monitor.estimator.dt
         alone = monitor.known is not None  # put together with each estimate by itself
         self._calm = np.array([state not in UNEASY and not alone for state in range(len(STATES))])
-        self._memory = np.empty(0)
+        self._memory = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0))
         self._one_reference = monitor.estimator.equation.dead_time == ESTIMATE  # the kernel is configured with it
         self._theta = monitor.calibration.theta
 
@@ -70,11 +70,9 @@ class Quiet:
 
     def _room(self, k: int, n: int, p: int) -> tuple[Floats, Floats, Floats]:
         """For what is not given out; the same memory again and again."""
-        sizes = k * n * p, k * n * p, k * n
-        if sum(sizes) > self._memory.size:
-            self._memory = np.empty(sum(sizes))
-        factor, inflation, variance = np.split(self._memory[: sum(sizes)], np.cumsum(sizes)[:2])
-        return factor.reshape(k, n, p), inflation.reshape(k, n, p), variance.reshape(k, n)
+        if self._memory[0].shape != (k, n, p):
+            self._memory = np.empty((k, n, p)), np.empty((k, n, p)), np.empty((k, n))
+        return self._memory
 
     def _outliers(
         self, sampled: Sampled, status: NDArray[np.uint32], u: Floats, samples: Places
@@ -88,7 +86,9 @@ class Quiet:
         self, rows: FleetRows, wanted: NDArray[np.uint8], reason: NDArray[np.uint8], filled: Places, samples: Places
     ) -> None:
         """The states behind the blocks, (k, most), where they are other ones than before."""
-        before = np.concatenate([rows.state[:, :1], wanted[:, :-1]], axis=1)[:, : wanted.shape[1]]
+        if (wanted == rows.state[:, :1]).all():
+            return
+        before = np.concatenate([rows.state[:, :1], wanted[:, :-1]], axis=1)
         for k, block in np.argwhere(wanted != before).tolist():
             place = (block + 1) * self._scoring.size - 1 - int(filled[k])
             time = (int(samples[k]) + place) * self._dt
