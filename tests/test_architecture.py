@@ -38,6 +38,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "_estimate": {"errors", "shown", "status"},
     "_stage": set(),
     "durable": {"errors"},
+    "_detect": set(),
+    "_watch": set(),
     "_kernel": {"_estimate"},
     "_kernel32": {"_kernel64"},
     "_kernel64": {"_estimate"},
