@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -218,14 +218,15 @@ def _killed(folder: Path, axes: int, part: float) -> tuple[float, list[dict[str,
 # --- samples, models, methods -----------------------------------------------------------------------------------------
 
 
-def per_sample(single: RecursiveEstimator, axes: int, samples: int, workers: int = 1) -> tuple[float, int]:
-    """Processor time of a sample of an axis [s] in calls of so many, behind others, the least of five; bytes of an
-    axis."""
+def per_sample(
+    single: RecursiveEstimator, axes: int, samples: int, workers: int | None = 1, quantile: float = 0.0
+) -> tuple[float, int]:
+    """Processor time of a sample of an axis [s] in calls of so many, behind others: a quantile of five, 0: the least;
+    bytes of an axis."""
     fleet = Fleet(single, axes, workers=workers)
     fleet.run(*motion(axes, 0, BEFORE))
-    tables = [motion(axes, BEFORE + k * samples, samples) for k in range(5)]
-    least = min(_timed(lambda table=table: fleet.run(*table)) for table in tables)  # type: ignore[misc]
-    return least / (axes * samples), fleet._many.kernel.states.shape[1]
+    times = [_timed(partial(fleet.run, *motion(axes, BEFORE + k * samples, samples))) for k in range(5)]
+    return float(np.quantile(times, quantile)) / (axes * samples), fleet._many.kernel.states.shape[1]
 
 
 def _timed(action: Callable[[], object]) -> float:

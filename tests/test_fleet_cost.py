@@ -117,6 +117,13 @@ def test_the_command_prints_and_counts(axes: str, rate: str) -> None:
     shown = CliRunner().invoke(main, words)
     assert shown.exit_code == 0, shown.output
     assert all(line in shown.stdout for line in told["advice"])
+    assert axes != "7" or "…" not in shown.stdout
+
+
+def test_one_service_has_no_more_axes_than_its_machine() -> None:
+    """A slow axis costs hardly a core, but it costs memory."""
+    one, several = (line for line in advice(Load(1, 1e-6), MACHINE)[0].split("several"))
+    assert int(one.split(" up to ")[1].split()[0]) == int(several.split(" up to ")[1].split()[0])
 
 
 def test_another_way_is_refused() -> None:

@@ -173,15 +173,16 @@ def _safe(text: str) -> str:
 
 
 def print_bills(bills: Sequence[Bill], title: str) -> None:
-    """What each way to watch a fleet costs."""
+    """What each way to watch a fleet costs, a column for each: so it fits a narrow terminal."""
     from rich.console import Console
     from rich.table import Table
 
     from pmfid.fleet.cost import HEADER, row
 
     table = Table(title=title)
-    for heading in HEADER:
-        table.add_column(heading, justify="left" if heading == "way" else "right")
-    for bill in bills:
-        table.add_row(*row(bill))
+    cells = [list(HEADER), *map(row, bills)]
+    for k, column in enumerate(cells):
+        table.add_column(column[0], justify="right" if k else "left")
+    for line in list(zip(*cells, strict=True))[1:]:
+        table.add_row(*line)
     Console().print(table)

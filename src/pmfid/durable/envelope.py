@@ -16,7 +16,7 @@ from typing import IO, Any
 
 from pmfid.durable.crash import crash_point
 
-__all__ = ["DamagedError", "Found", "Told", "mapped", "put", "read", "set_aside", "sync_folder"]
+__all__ = ["Chunk", "DamagedError", "Found", "Told", "mapped", "put", "read", "set_aside", "sync_folder"]
 
 MAGIC, VERSION = b"PMFIDCKP", 1
 _HEAD, _REST = struct.Struct("<8sII"), struct.Struct("<QQ")

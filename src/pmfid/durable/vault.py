@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO, ClassVar, TypeVar
 
 from pmfid.durable.crash import crash_point
-from pmfid.durable.envelope import DamagedError, Found, Told, put, read, set_aside, sync_folder
+from pmfid.durable.envelope import Chunk, DamagedError, Found, Told, put, read, set_aside, sync_folder
 from pmfid.errors import UsageError
 
 __all__ = ["Vault"]
@@ -83,7 +83,7 @@ class Vault:
     def _places(self) -> tuple[Path, Path]:
         return self.folder / "checkpoint-0", self.folder / "checkpoint-1"
 
-    def write(self, chunks: Sequence[bytes | memoryview]) -> None:
+    def write(self, chunks: Sequence[Chunk]) -> None:
         """A new checkpoint in place of the older one; it is durable when this returns. Raises OSError."""
         sequence = self.sequence + 1
         part = self.folder / "checkpoint.part"

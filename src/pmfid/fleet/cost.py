@@ -190,7 +190,7 @@ def advice(load: Load, machine: Machine = Machine()) -> list[str]:
     """Which way is enough, and where the next one begins, in sentences."""
     most = {way: most_axes(way, load, machine) for way in WAYS[:3]}
     serve, process = bill("serve", load, machine), bill("process", load, machine)
-    one = int(USED / (serve.cores / load.axes))
+    one = min(most["serve"], int(USED / (serve.cores / load.axes)))
     lines = [
         f"watched, with alarms and the page: one `pmfid serve` up to {_few(one)} axes at {load.rate:g} Hz, several "
         f"with axes of their own up to {_few(most['serve'])} on such a machine",
