@@ -134,6 +134,8 @@ study: .venv/tools
 	.venv/bin/python -m studies.logs --out docs/logs.md
 	.venv/bin/python -m studies.checks --out docs/checks.md
 	.venv/bin/python -m studies.fleet_history --out docs/fleet_history.md
+	.venv/bin/python -m studies.million --out docs/million.md
+	.venv/bin/python -m studies.cost --out docs/cost.md
 	.venv/bin/python -m tests.hostile.study --out docs/hostile.md
 
 # Attacks at length, an hour at most: crafted states under the sanitizers, openings, names in exports, calls, pipes.

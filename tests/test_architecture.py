@@ -21,7 +21,8 @@ PACKAGE = Path(pmfid.__file__).parent
 REPOSITORY = Path(__file__).parents[1]
 CSRC = REPOSITORY / "csrc"
 
-GROUND = {"errors", "types", "findings", "status", "shown", "_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
+KERNELS = {"_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
+GROUND = {"errors", "types", "findings", "status", "shown", "durable"} | KERNELS
 FILTERS = GROUND | {"models", "encoder"}
 ESTIMATORS = FILTERS | {"filters", "transfer"}
 JUDGE = ESTIMATORS | {"estimators"}
@@ -36,6 +37,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     "shown": {"errors", "door"},
     "_estimate": {"errors", "shown", "status"},
     "_stage": set(),
+    "_detect": set(),
+    "_watch": set(),
+    "durable": {"errors"},
     "_kernel": {"_estimate"},
     "_kernel32": {"_kernel64"},
     "_kernel64": {"_estimate"},
@@ -89,6 +93,7 @@ PUBLIC = [
     "RSRIVC",
     "Result",
     "SRIVC",
+    "ShardedFleet",
     "Square",
     "Status",
     "Stribeck",

@@ -26,7 +26,16 @@ OBJECTS = [
     "Term",
 ]
 OBJECTS += ["TransferFunction", "Wave"]
-FUNCTIONS = ["Fleet", "export_firmware", "friction_curve", "identify", "quantize", "search_terms", "validate"]
+FUNCTIONS = [
+    "Fleet",
+    "ShardedFleet",
+    "export_firmware",
+    "friction_curve",
+    "identify",
+    "quantize",
+    "search_terms",
+    "validate",
+]
 #: Arguments of estimators with a dimension.
 UNITS = {"dt": "s", "cutoff": "rad/s", "prefilter_zeros": "rad/s", "drift_cutoff": "rad/s", "window": "s"}
 UNITS |= {"noise_std": "unit of y"}

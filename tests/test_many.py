@@ -15,7 +15,7 @@ import pmfid
 from pmfid import Status, _kernel64
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import RECURSIVE
-from pmfid.estimators.side_by_side import _kept
+from pmfid.estimators.side_by_side import kept_samples
 from pmfid.kernel.structures import whole_words
 from tests.conftest import cart_run
 from tests.test_architecture import C_FLAGS, COMPILER, CSRC
@@ -231,7 +231,7 @@ def test_every_so_many_and_the_last_are_kept():
     assert np.array_equal(some["mass"], some.theta[:, :, 0])
     assert np.array_equal(some.theta_std[3], whole.axis(3).theta_std[[299, 599, 699]])
     assert np.array_equal(some.flagged(Status.STARTING), (some.status & 1) != 0)
-    assert [_kept(6, 3).tolist(), _kept(0, 3).tolist(), _kept(0, None).tolist()] == [[2, 5], [], []]
+    assert [kept_samples(n, every).tolist() for n, every in ((6, 3), (0, 3), (0, None))] == [[2, 5], [], []]
 
 
 def test_tables_are_read_in_place_in_any_order():

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pmfid.estimators.results import Fit as Fit
     from pmfid.estimators.rls import RLS as RLS
     from pmfid.estimators.rsrivc import RSRIVC as RSRIVC
+    from pmfid.estimators.sharded.fleet import ShardedFleet as ShardedFleet
     from pmfid.estimators.srivc import SRIVC as SRIVC
     from pmfid.estimators.track import Track as Track
     from pmfid.estimators.track import Tracks as Tracks
@@ -82,6 +83,7 @@ _PUBLIC = {
     "RSRIVC": "pmfid.estimators.rsrivc",
     "RLS": "pmfid.estimators.rls",
     "SRIVC": "pmfid.estimators.srivc",
+    "ShardedFleet": "pmfid.estimators.sharded.fleet",
     "Experiment": "pmfid.transfer.experiment",
     "Process": "pmfid.transfer.process",
     "Status": "pmfid.status",

@@ -377,15 +377,18 @@ cdef class ManyKernel:
         self.states = states
 
     def plausible(self):
-        """Whether samples could have made all the states."""
+        """Whether samples could have made all the states. Releases the interpreter meanwhile."""
         cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] states = self.states
         cdef Py_ssize_t axis
         cdef pmf_state_t state
         cdef uint32_t fine = 1
-        pmf_clear(&state, sizeof(state))
-        for axis in range(states.shape[0]):
-            pmf_unpack(&self.layout, &states[axis, 0], &state)
-            fine &= pmf_plausible(&self.config, &state)
+        cdef Py_ssize_t axes = states.shape[0], size = self.layout.packed_size
+        cdef const unsigned char *first = <const unsigned char *> cnp.PyArray_DATA(states)
+        with nogil:
+            pmf_clear(&state, sizeof(state))
+            for axis in range(axes):
+                pmf_unpack(&self.layout, first + axis * size, &state)
+                fine &= pmf_plausible(&self.config, &state)
         return fine != 0
 
     def store(self, Kernel kernel, Py_ssize_t axis):

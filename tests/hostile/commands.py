@@ -137,13 +137,23 @@ def _friction(rng: Rng, folder: Path) -> Case:
 
 
 def _fleet(rng: Rng, folder: Path) -> Case:
-    """A record in place of a data set, a folder of such, or what is none."""
+    """A record in place of a data set, a folder of such, or what is none; or what a fleet costs."""
+    if rng.random() < 0.4:
+        return _cost(rng)
     files, name = _recorded(rng, folder)
     by = str(rng.choice(["t", "u", "counts", "machine", ""]))
     source = str(rng.choice([name, ".", "nowhere", "axis.toml"]))
     chosen = options(rng, 0.2, period=["day", "run", "shift", "10min", "1e9"], segment=["60", "5"], workers=["1", "2"])
     chosen += [*options(rng, 0.1, engine=["local"], type=["u"]), *_flags(rng, 0.6, "--json")]
     return Case(("fleet", "history", source, "--config", "axis.toml", "--axis", by, "--out", "out", *chosen), files)
+
+
+def _cost(rng: Rng) -> Case:
+    numbers = {"--axes": ["1", "1000", "1000000", "10"], "--rate": ["0.1", "10", "100", "1e6"]}
+    numbers |= {"--block": ["1", "0.01", "1e5"], "--cores": ["1", "64"], "--memory": ["1", "256"]}
+    chosen = [(name, str(rng.choice([*values, str(rng.choice(ODD))]))) for name, values in numbers.items()]
+    words = [word for pair in chosen if rng.random() < 0.9 for word in pair]
+    return Case(("fleet", "cost", *words, *_flags(rng, 0.6, "--json")), {})
 
 
 #: Parameters of the models that are drawn, each with its unit.

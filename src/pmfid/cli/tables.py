@@ -11,6 +11,7 @@ from pmfid.errors import printable
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from pmfid.fleet.cost import Bill
     from pmfid.paper.merit import Merit
     from pmfid.session.compare import Comparison
     from pmfid.session.result import ProcessResult, Result
@@ -169,3 +170,18 @@ def _safe(text: str) -> str:
     from rich.markup import escape
 
     return escape(printable(text))
+
+
+def print_bills(bills: Sequence[Bill], title: str) -> None:
+    """What each way to watch a fleet costs."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from pmfid.fleet.cost import HEADER, row
+
+    table = Table(title=title)
+    for heading in HEADER:
+        table.add_column(heading, justify="left" if heading == "way" else "right")
+    for bill in bills:
+        table.add_row(*row(bill))
+    Console().print(table)

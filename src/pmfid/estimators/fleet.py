@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -10,6 +12,14 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.runner import Runner
 from pmfid.estimators.track import Tracks
 from pmfid.kernel.structures import whole_words
+
+
+def runner_of(estimator: RecursiveEstimator | Runner[RecursiveEstimator]) -> Runner[RecursiveEstimator]:
+    """What many axes begin from. Raises UsageError for an estimator that is not recursive."""
+    if not isinstance(estimator, RecursiveEstimator | Runner):
+        what = getattr(estimator, "method", type(estimator).__name__)
+        raise UsageError(f"a fleet runs sample by sample, which {what} does not; use rls, bcrls, riv or rsrivc")
+    return cast("Runner[RecursiveEstimator]", estimator if isinstance(estimator, Runner) else estimator.runner)
 
 
 class Fleet:
@@ -25,10 +35,7 @@ class Fleet:
     def __init__(
         self, estimator: RecursiveEstimator | Runner[RecursiveEstimator], axes: int, *, workers: int | None = None
     ) -> None:
-        if not isinstance(estimator, RecursiveEstimator | Runner):
-            what = getattr(estimator, "method", type(estimator).__name__)
-            raise UsageError(f"a fleet runs sample by sample, which {what} does not; use rls, bcrls, riv or rsrivc")
-        first = estimator if isinstance(estimator, Runner) else estimator.runner
+        first = runner_of(estimator)
         self._source = first  # for its configuration: it may go on by itself
         self._many = first.side_by_side(axes, workers)
         self.axes, self.workers = self._many.axes, self._many.workers

@@ -156,7 +156,7 @@ FLEET_MAGIC, FLEET_VERSION = 0x46464D50, 1  # "PMFF"
 
 def save_fleet(kernel: ManyKernel, precision: str) -> bytes:
     """The bytes of all axes of a `ManyKernel`, behind what says whose they are."""
-    head = _fleet_head(kernel, precision)
+    head = fleet_head(kernel, precision)
     states: bytes = kernel.states.tobytes()
     head["checksum"] = zlib.crc32(states, zlib.crc32(head.tobytes()[:-4]))
     return head.tobytes() + states
@@ -167,7 +167,7 @@ def load_fleet(kernel: ManyKernel, precision: str, data: bytes) -> None:
     if not isinstance(data, bytes | bytearray | memoryview):
         raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
     data, place = bytes(data), FLEET_HEAD.itemsize
-    expected = _fleet_head(kernel, precision)
+    expected = fleet_head(kernel, precision)
     if len(data) != place + kernel.states.nbytes:
         raise UsageError(_FOREIGN_FLEET)
     head = np.frombuffer(data[:place], FLEET_HEAD)[0]
@@ -179,7 +179,8 @@ def load_fleet(kernel: ManyKernel, precision: str, data: bytes) -> None:
         kernel.set_states(np.frombuffer(data, np.uint8, offset=place).reshape(kernel.states.shape))
 
 
-def _fleet_head(kernel: ManyKernel, precision: str) -> Structured:
+def fleet_head(kernel: ManyKernel, precision: str) -> Structured:
+    """What says whose the states of a `ManyKernel` are, still without the checksum."""
     head = np.zeros((), FLEET_HEAD)
     head["magic"], head["version"] = FLEET_MAGIC, FLEET_VERSION
     head["layout"] = layout_number(structures(None, precision)["pmf_state_t"])

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from pmfid.monitor.events import Event
 from pmfid.monitor.fleet import MonitorFleet
-from pmfid.service.order import Order, Piece
+from pmfid.service.order import Order
 from pmfid.service.outcome import Kindred
+from pmfid.service.positions import Place, Positions
 from pmfid.service.timed import Timed
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.monitored.setup import Setup, set_up
@@ -59,21 +60,28 @@ class Pace:
 
 
 class Seat:
-    """One axis in its group. index: its place there; order, timed: of its blocks and its lines; queue: pieces that
-    wait for the next step; number: its own in the service, 0 while it has none; notices: how many there were of it;
-    told: how many there were of a kind that is not always told; referred: (q,) what someone made normal for it by
-    hand, None: what its configuration says."""
+    """One axis in its group. order, timed: of its blocks and its lines; number: its own in the service, 0 while it has
+    none; notices: how many there were of it; told: how many there were of a kind that is not always told; referred:
+    (q,) what someone made normal for it by hand, None: what its configuration says."""
 
-    __slots__ = ("group", "index", "name", "notices", "number", "order", "queue", "referred", "timed", "told")
+    __slots__ = ("_place", "group", "name", "notices", "number", "order", "referred", "timed", "told")
 
     def __init__(self, group: Group, index: int, name: str) -> None:
-        self.group, self.index, self.name = group, index, name
-        self.order = Order(group.dt, round(group.pace.window / group.dt))
+        self.group, self.name, self._place = group, name, Place(group.positions, index)
+        self.order = Order(group.dt, round(group.pace.window / group.dt), self._place)
         self.timed: Timed | None = None
-        self.queue: list[Piece] = []
         self.number, self.notices = 0, 0
         self.told: dict[str, int] = {}
         self.referred: tuple[float, ...] | None = None
+
+    @property
+    def index(self) -> int:
+        """Its place in the group."""
+        return self._place.index
+
+    def move(self, index: int) -> None:
+        """Others are gone, and it is another one now."""
+        self._place.index = index
 
     def lines(self, timed: bool) -> Timed:
         """What makes samples of its lines; timed: the first of them has a time."""
@@ -85,7 +93,8 @@ class Seat:
         """Whatever numbers come next are the first, and nothing is known between them and those before. How many
         samples waited and are dropped, and what the monitor has to tell."""
         dropped = sum(block.counts.size for block in self.order.held)
-        self.order = Order(self.group.dt, self.order.window)
+        self._place.positions.forget(self.index)
+        self.order = Order(self.group.dt, self.order.window, self._place)
         if not self.group.numbers[self.index]:
             return dropped, []
         self.group.numbers[self.index] += 1
@@ -101,12 +110,14 @@ class Seat:
 
 @dataclass
 class Group:
-    """Axes of one configuration. seats: by number; numbers: (axes,) samples of each so far."""
+    """Axes of one configuration. seats: by number; numbers: (axes,) samples of each so far; positions: where the
+    numbers and clocks of their senders stand."""
 
     prepared: Prepared
     pace: Pace
     seats: list[Seat] = field(default_factory=list, init=False)
     numbers: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64), init=False)
+    positions: Positions = field(default_factory=lambda: Positions.fresh(0), init=False)
 
     def __post_init__(self) -> None:
         self.dt = self.prepared.dt
@@ -121,6 +132,7 @@ class Group:
             return
         start = len(self.seats)
         self.fleet.add(len(fresh))
+        self.positions.add(len(fresh))
         self.seats += [Seat(self, start + k, name) for k, name in enumerate(fresh)]
         self.numbers = np.concatenate([self.numbers, np.zeros(len(fresh), np.int64)])
         self.kindred = self._kindred()
@@ -133,13 +145,15 @@ class Group:
         left = set(gone)
         self.seats = [seat for seat in self.seats if seat.index not in left]
         self.numbers = np.delete(self.numbers, list(gone))
+        self.positions.remove(gone)
         for k, seat in enumerate(self.seats):
-            seat.index = k
+            seat.move(k)
         self.kindred = self._kindred()
 
     def restore(self, names: Sequence[str], state: bytes) -> None:
         """Goes on with axes from the saved states of their fleet. Raises UsageError for those of others."""
         self.fleet.set_state(state)
+        self.positions.add(len(names))
         self.seats = [Seat(self, k, name) for k, name in enumerate(names)]
         self.numbers = np.array(self.fleet.samples(), np.int64)
         self.kindred = self._kindred()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterator
 from threading import Condition
 from time import monotonic
 
@@ -10,9 +12,11 @@ from pmfid.service.delivery import Delivery
 
 __all__ = ["Inbox"]
 
-#: Deliveries that wait at most, and items in them: a source waits while there are as many. What the engine takes at
-#: once stays in the processor's cache; more would be stepped more slowly, and a delay never made up for.
+#: Deliveries that wait at most, and items in them: a source waits while there are as many.
 MOST, MOST_ITEMS = 8192, 8192
+#: Items that the engine takes at once, but for those of the last delivery: what is stepped stays in the processor's
+#: cache; more would be stepped more slowly, and a delay never made up for.
+AT_ONCE = 1024
 #: The engine takes what came in so much time at once [s]: arrays are filled, and nobody sees the delay.
 TICK = 0.025
 
@@ -21,7 +25,7 @@ class Inbox:
     """`put` by the threads of the sources, `taken` by the engine's."""
 
     def __init__(self) -> None:
-        self._waiting: list[Delivery] = []
+        self._waiting: deque[Delivery] = deque()
         self._items = 0
         self._open = True
         self._changed = Condition()
@@ -35,8 +39,8 @@ class Inbox:
             if not self._open:
                 return False
             self._waiting.append(delivery)
-            self._items += len(delivery.items)
-            if len(self._waiting) == 1 or self._full:
+            self._items += delivery.size
+            if len(self._waiting) == 1 or self._enough:
                 self._changed.notify_all()
         crash_point("inbox.taken")
         return True
@@ -45,20 +49,32 @@ class Inbox:
     def _full(self) -> bool:
         return len(self._waiting) >= MOST or self._items >= MOST_ITEMS
 
+    @property
+    def _enough(self) -> bool:
+        return self._items >= AT_ONCE or self._full
+
     def taken(self, timeout: float) -> list[Delivery]:
-        """All that came, at the earliest TICK after the last call returned some, or as soon as the inbox is full;
+        """What came first, at the earliest TICK after the last call returned some, or as soon as there is enough;
         nothing after `timeout` [s]."""
         with self._changed:
             if not self._waiting and self._open:
                 self._changed.wait_for(lambda: self._waiting or not self._open, timeout)
-            if self._waiting and self._open and not self._full:
+            if self._waiting and self._open and not self._enough:
                 rest = self._last + TICK - monotonic()
-                self._changed.wait_for(lambda: self._full or not self._open, max(0.0, rest))
-            found, self._waiting, self._items = self._waiting, [], 0
+                self._changed.wait_for(lambda: self._enough or not self._open, max(0.0, rest))
+            found = list(self._first())
             self._changed.notify_all()
         if found:
             self._last = monotonic()
         return found
+
+    def _first(self) -> Iterator[Delivery]:
+        items = 0
+        while self._waiting and items < AT_ONCE:
+            delivery = self._waiting.popleft()
+            items += delivery.size
+            self._items -= delivery.size
+            yield delivery
 
     def __len__(self) -> int:
         return len(self._waiting)

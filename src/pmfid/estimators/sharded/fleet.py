@@ -1,0 +1,259 @@
+"""A million axes in one process."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Self, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.durable.vault import Vault
+from pmfid.errors import UsageError, whole_number
+from pmfid.estimators.fleet import runner_of
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.runner import Runner
+from pmfid.estimators.sharded import stored
+from pmfid.estimators.sharded.handles import Handles
+from pmfid.estimators.sharded.restoring import Restored, restored_from
+from pmfid.estimators.sharded.shard import Group, Piece, Shard, identity_of, state_of
+from pmfid.estimators.side_by_side import SMALL, Work, threads
+from pmfid.estimators.track import Tracks
+
+__all__ = ["Restored", "ShardedFleet"]
+
+T = TypeVar("T")
+Estimator = RecursiveEstimator | Runner[RecursiveEstimator]
+#: Places of a shard: some MB, which a disk writes in one go, and little to write again for a single axis.
+SHARD = 4096
+#: Axes that a thread steps at once.
+PIECE = 512
+
+
+class ShardedFleet:
+    """Axes of any number of configurations, in shards that are stepped and saved apart; each has the bits that its
+    estimator alone would give.
+
+    An axis is called by its handle, a number that `add` gives and that no other axis ever gets; its place in memory is
+    used again behind `remove`. folder: of the checkpoints, one fleet at a time; what the last whole one there holds is
+    taken up, and `restored` tells; None: no checkpoints. estimators: the configurations of the axes in the folder, and
+    others. shard: axes of a shard, where the folder does not say. workers: threads, None: as many as there are
+    processors. One thread at a time may use it. Raises UsageError for other numbers, for an estimator that is not
+    recursive, a folder that cannot be used, and for axes in it whose configuration is not among the estimators.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str] | None = None,
+        estimators: Iterable[Estimator] = (),
+        *,
+        shard: int = SHARD,
+        workers: int | None = None,
+    ) -> None:
+        self.workers = threads(workers)
+        self._size = whole_number("shard", shard, 1, "it is the number of axes of a shard")
+        if self._size > stored.MOST_OF_SHARD:
+            raise UsageError(f"shard must be at most {stored.MOST_OF_SHARD}, got {shard}")
+        self._groups: dict[bytes, Group] = {}
+        self._shards: list[Shard] = []
+        self._handles = Handles()
+        for estimator in estimators:
+            self._group(runner_of(estimator))
+        self._vault = None if folder is None else Vault(Path(folder))
+        self.restored: Restored | None = None
+        if self._vault is not None:
+            self._begin(self._vault)
+
+    def _begin(self, vault: Vault) -> None:
+        try:
+            found = restored_from(vault, self._groups, self._each)
+        except BaseException:
+            vault.close()
+            raise
+        if found is not None:
+            self.restored, self._size = found.told, found.size or self._size
+            self._shards, self._handles = found.shards, found.handles
+
+    def __repr__(self) -> str:
+        folder = None if self._vault is None else str(self._vault.folder)
+        return f"ShardedFleet({folder!r}, {list(self.estimators)!r}, shard={self._size}, workers={self.workers})"
+
+    @property
+    def axes(self) -> int:
+        """How many there are now."""
+        return int(np.count_nonzero(self._handles.taken))
+
+    @property
+    def estimators(self) -> tuple[RecursiveEstimator, ...]:
+        """The configurations, as new estimators."""
+        return tuple(group.runner.estimator for group in self._groups.values())
+
+    def handles(self, estimator: Estimator | None = None) -> NDArray[np.int64]:
+        """(k,) of all axes, or of those with the configuration of an estimator, in the order of their places, in which
+        `run` is fastest."""
+        places = np.flatnonzero(self._handles.taken)
+        if estimator is not None:
+            identity = identity_of(runner_of(estimator))
+            own = np.array([shard.group.identity == identity for shard in self._shards], np.bool_)
+            places = places[own[places // self._size]] if places.size else places
+        return self._handles.of(places)
+
+    # --- axes come and go ---------------------------------------------------------------------------------------------
+
+    def add(self, estimator: Estimator, axes: int = 1) -> NDArray[np.int64]:
+        """So many axes more, which begin in the present state of an estimator or `Runner`; their handles (axes,).
+        Raises UsageError for another number, an estimator that is not recursive, and more than the memory holds."""
+        runner = runner_of(estimator)
+        number = whole_number("axes", axes, 0, "it is the number of machines")
+        if number > stored.MOST - self._size * (len(self._shards) + 1):
+            raise UsageError(f"a fleet has {stored.MOST} places at most, got {axes} axes more; take another fleet")
+        group, start = self._group(runner), state_of(runner)
+        try:
+            places = self._places_for(group, number)
+            for shard, rows in self._by_shard(places):
+                shard.begin(rows, start)
+        except MemoryError:
+            raise UsageError(f"the states of {axes} axes do not fit the memory; take fewer at a time") from None
+        return self._handles.take(places)
+
+    def remove(self, handles: ArrayLike) -> None:
+        """Without these axes. Their handles are refused from now on, also where their places are used again. The memory
+        stays for those that are added. Raises UsageError for an axis that is not there or comes twice."""
+        self._handles.release(self._handles.places(handles))
+
+    def _group(self, runner: Runner[RecursiveEstimator]) -> Group:
+        return self._groups.setdefault(identity_of(runner), Group(runner))
+
+    def _places_for(self, group: Group, axes: int) -> NDArray[np.int64]:
+        """So many free places of a configuration, those first that have been in use, then new shards."""
+        found, left = [np.zeros(0, np.int64)], axes
+        for shard in self._shards:
+            if left and shard.group is group:
+                found.append(self._handles.free(shard.number * self._size, (shard.number + 1) * self._size)[:left])
+                left -= found[-1].size
+        first = len(self._shards)
+        more = [Shard(group, first + k, self._size) for k in range(-(-left // self._size))]
+        self._handles.grow(self._size * len(more))
+        self._shards += more
+        return np.concatenate([*found, np.arange(left) + first * self._size])
+
+    def _by_shard(self, places: NDArray[np.int64]) -> list[tuple[Shard, NDArray[np.int64]]]:
+        """Shards and rows of ascending places."""
+        if not places.size:
+            return []
+        numbers = places // self._size
+        parts = np.split(places % self._size, np.flatnonzero(np.diff(numbers)) + 1)
+        return [(self._shards[number], rows) for number, rows in zip(np.unique(numbers), parts, strict=True)]
+
+    # --- samples ------------------------------------------------------------------------------------------------------
+
+    def run(self, handles: ArrayLike, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
+        """The next n samples of the axes `handles` (k,), each at most once and all of one configuration.
+
+        u: (k, n), or (n,) the same for all; counts: (k, n); every and what is read in place: as in `Fleet.run`. The
+        estimates are in the order of the handles. Raises UsageError for an axis that is not there or comes twice, for
+        several configurations, and like `Fleet.run`.
+        """
+        places = self._handles.places(handles)
+        runner = self._only(places).runner
+        work = Work.of(u, counts, every, places.size, len(runner.names))
+        order = None if np.all(np.diff(places) > 0) else np.argsort(places)
+        if work.samples.size and order is None:
+            self._run(places, work)
+        elif work.samples.size:
+            self._run(places[order], replace(work, u=work.u[order], counts=work.counts[order]))
+        return work.tracks(runner.names, runner.units, None if order is None else np.argsort(order))
+
+    def _only(self, places: NDArray[np.int64]) -> Group:
+        """The configuration of some axes."""
+        numbers: list[int] = np.unique(places // self._size).tolist()
+        found = {self._shards[number].group.identity for number in numbers}
+        if len(found) != 1:
+            raise UsageError(
+                f"a call takes axes of one configuration, got {len(found)}; run those of each by themselves, "
+                "`handles(estimator)` tells which they are"
+            )
+        return self._shards[numbers[0]].group
+
+    def _run(self, places: NDArray[np.int64], work: Work) -> None:
+        """Ascending places."""
+        pieces, at = list[Piece](), 0
+        for shard, rows in self._by_shard(places):
+            shard.changed = True
+            for first in range(0, rows.size, PIECE):
+                part = rows[first : first + PIECE]
+                pieces.append(Piece(shard, part, slice(at, at + part.size)))
+                at += part.size
+        way = pieces[0].shard.group.fastest_way
+        self._each(lambda piece: piece.run(work, way), pieces, worth=work.counts.size >= SMALL)
+
+    def _each(self, action: Callable[[T], None], some: Sequence[T], worth: bool = True) -> None:
+        """Does something with all of some; worth: more threads than this one."""
+        if self.workers == 1 or not worth:
+            for one in some:
+                action(one)
+            return
+        with ThreadPoolExecutor(self.workers) as pool:
+            list(pool.map(action, some))
+
+    def axis(self, handle: int) -> RecursiveEstimator:
+        """A new estimator in the state of one axis; its `get_state` is what firmware and Python share. Raises
+        UsageError for one that is not there."""
+        shard, row = self._row(handle)
+        single, kernel = shard.group.runner.estimator, shard.group.borrow()
+        kernel.hold(shard.states[row : row + 1])
+        kernel.load(single.runner.kernel, 0)
+        shard.group.give_back(kernel)
+        return single
+
+    def gap(self, handle: int, counts: int) -> None:
+        """Samples of one axis were lost, and its next one has these counts: `Fleet.gap`, and its errors."""
+        shard, row = self._row(handle)
+        shard.group.runner.estimator.check_gaps()
+        kernel = shard.group.borrow()
+        kernel.hold(shard.states[row : row + 1])
+        kernel.gap(0, counts)
+        shard.group.give_back(kernel)
+        shard.changed = True
+
+    def _row(self, handle: int) -> tuple[Shard, int]:
+        number = whole_number("handle", handle, None, "it is what `add` gave")
+        if not -(2**63) <= number < 2**63:
+            raise UsageError(f"there is no axis {number}; `handles()` has those that are there")
+        place = int(self._handles.places([number])[0])
+        return self._shards[place // self._size], place % self._size
+
+    # --- checkpoints --------------------------------------------------------------------------------------------------
+
+    def checkpoint(self, mark: object = None, *, sync: bool = True) -> int:
+        """Writes the shards that have changed since the last checkpoint; their bytes. When it returns, the whole fleet
+        is on disk as it is now; a kill before that leaves the last one.
+
+        mark: written beside it, of what JSON knows, as how far the samples have been read. sync: waits until the disk
+        has it, so that it outlives the power, too; False: it outlives the process alone, and what the power takes is
+        found by its checksum. Raises OSError where the disk does not take it, behind which the last one counts, and
+        UsageError without a folder or for another mark.
+        """
+        if self._vault is None:
+            raise UsageError("this fleet has no folder for checkpoints; give one as in ShardedFleet('state')")
+        try:
+            json.dumps(mark)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise UsageError(f"mark must be of what JSON knows, got {type(mark).__name__}: {error}") from None
+        return stored.write(self._vault, self._shards, self._handles, mark, self._each, sync)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Another fleet may have the folder; nothing is written. A `with` statement does it at its end."""
+        if self._vault is not None:
+            self._vault.close()
