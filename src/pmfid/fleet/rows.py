@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 #: A longer step, in medians of a slice, ends a piece: what follows begins anew. Shorter gaps are the record's.
 APART = 8.5
+#: Of a file whose rows may be of before or of after; the next call does it anew, for it goes by size and time.
+REWRITTEN = "was written to while it was read: call again when it is whole"
 #: Columns of rows by their name in `source`.
 _Columns = Mapping[str, NDArray[np.generic]]
 
@@ -70,6 +72,8 @@ def read_rows(
                     frames.append(_columns(_read(parts[name], shard, columns, length)))
         except UsageError as error:
             problems.append(Problem("", name, "unreadable", " ".join(str(error).split())))
+        if parts[name].rewritten:
+            problems.append(Problem("", name, "rewritten", REWRITTEN))
     rows, found = unique(_in_order(_arrays(frames, shard.axes, columns)))
     return rows, (*problems, *found)
 

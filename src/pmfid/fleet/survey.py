@@ -69,6 +69,8 @@ def surveyed(part: Part, columns: Columns) -> Survey:
             odd = [Problem("", part.name, "type", text) for text in part.other_types(columns)]
     except UsageError as error:
         return Survey(_empty(), (Problem("", part.name, "unreadable", " ".join(str(error).split())),))
+    if not found.height:
+        odd.append(Problem("", part.name, "empty", "it has no rows"))
     lost = int(found["lost"].sum())
     if lost:
         odd.append(Problem("", part.name, "rows_lost", f"{lost} rows have no axis, or no number for a time: left out"))
