@@ -112,6 +112,7 @@ PUBLIC = [
 SLOW_TO_IMPORT = {
     *("numpy", "scipy", "pydantic", "polars", "matplotlib", "rich"),
     *("starlette", "uvicorn", "paho", "serial", "asyncua"),
+    *("pyspark", "py4j", "pyarrow", "pandas"),
 }
 
 COMPILER = shutil.which("cc")
