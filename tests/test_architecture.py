@@ -36,6 +36,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "shown": {"errors", "door"},
     "_estimate": {"errors", "shown", "status"},
     "_stage": set(),
+    "_detect": set(),
+    "_watch": set(),
     "_kernel": {"_estimate"},
     "_kernel32": {"_kernel64"},
     "_kernel64": {"_estimate"},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,11 @@ import pmfid
 from pmfid.cli.main import main
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.cutoff import TRIED, choose_cutoff
+from pmfid.session.config import load_axis
+from pmfid.session.monitored.setup import set_up
 from pmfid.session.result import Result
 from pmfid.simulation import Machine
+from pmfid.status import Status
 from pmfid.types import Floats
 from studies.machines import Axis, record_of, truth
 from studies.real_axes import REAL
@@ -112,3 +116,34 @@ def test_the_command_needs_none_and_export_asks_for_one_or_a_record(tmp_path: Pa
     refused = CliRunner().invoke(main, export)
     assert "cutoff is missing" in refused.output
     assert CliRunner().invoke(main, [*export, "--record", paths[0]]).exit_code == 0
+
+
+@pytest.mark.parametrize("name", ["crane", "door"])
+def test_on_line_the_filters_settle_within_what_is_remembered(name: str) -> None:
+    """A record of many minutes prefers filters behind which a recursion of two seconds never trusts its instruments."""
+    axis = replace(REAL[name], samples=30_000)
+    record, forgetting = record_of(axis, Machine(axis.drive), "multisine", 256, 5), 1 - axis.dt / 2.0
+    model, encoder = pmfid.Drive(axis.drive.input_gain), pmfid.Encoder(record.resolution)
+    slow, own = (choose_cutoff([model], encoder, axis.dt, record.u, record.counts, keep) for keep in (1.0, forgetting))
+    assert slow < 1 / (60 * axis.dt)
+    riv = pmfid.RIV(model, encoder, axis.dt, own, forgetting=forgetting)
+    run = riv.run(record.u[:6000], record.counts[:6000])
+    assert not np.any(run.status[3000:] & int(Status.FALLBACK))
+    np.testing.assert_allclose(run.theta[3000:, 0], axis.drive.mass, rtol=0.05)
+
+
+def test_a_monitor_has_filters_for_its_memory(tmp_path: Path) -> None:
+    """Where AXIS.toml names neither pole nor memory."""
+    axis = replace(REAL["crane"], samples=30_000)
+    record = record_of(axis, Machine(axis.drive), "multisine", 4096, 5)
+    np.savetxt(
+        tmp_path / "normal.csv",
+        np.column_stack([record.u, record.counts]),
+        header="u,counts",
+        delimiter=",",
+        comments="",
+    )
+    text = TOML.format(dt=axis.dt, resolution=record.resolution, gain=axis.drive.input_gain)
+    (tmp_path / "axis.toml").write_text(text + '[monitor]\nreference = "normal.csv"\nmtbf_hours = 1.0\n')
+    estimator = set_up(load_axis(tmp_path / "axis.toml"), tmp_path, None).monitor.estimator
+    assert 1 / (estimator.cutoff * axis.dt) < 40

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -175,3 +176,37 @@ def test_lengths_in_counts_and_of_no_unit_are_said(tmp_path: Path) -> None:
     assert "resolution is 1: lengths are in counts; give the travel of a count in [encoder]" in record.notes
     (line,) = (line for line in guess(saved("nameless", tmp_path)).text.splitlines() if line.startswith("resolution"))
     assert "TO DO: taken to be in m or rad, else write" in line
+
+
+def _relay_log(path: Path, seed: int, step: float) -> None:
+    """A cart under a relay, as a rig logs it without a header: time, current, position in so many decimals, velocity by
+    differences."""
+    rng, dt, n = np.random.default_rng(seed), 1 / 150, 3000
+    x, v, u, rows, before = 0.0, 0.0, 2.0, [], 0.0
+    for k in range(n):
+        u = -2.0 if x > 0.05 else 2.0 if x < -0.05 else u
+        for _ in range(10):
+            v += dt / 10 * (6.0 * u - 3.0 * v - 1.5 * np.tanh(v / 1e-3)) / 1.9
+            x += dt / 10 * v
+        seen = step * np.floor(x / step + rng.uniform(0, 1e-3)) + 0.31511
+        rows.append((k * dt, u, seen, (seen - before) / dt if k else 0.0))
+        before = seen
+    np.savetxt(path, rows, fmt="%.5f", delimiter=", ")
+
+
+@pytest.mark.parametrize(("seed", "step"), [(1, 8.8e-5), (2, 2.3e-4), (3, 1.47e-4)])
+def test_a_relay_is_an_input_and_the_rounding_of_a_log_no_encoder(tmp_path: Path, seed: int, step: float) -> None:
+    """A relay that the position switches would fit as a velocity; and five decimals are finer than the step."""
+    _relay_log(tmp_path / "log.csv", seed, step)
+    text = guess(tmp_path / "log.csv").text
+    said = tomllib.loads(text)
+    assert (said["record"]["input"], said["record"]["output"]) == ("column_2", "column_3"), text
+    assert said["record"]["output_kind"] == "position"
+    assert said["encoder"]["resolution"] == pytest.approx(step, rel=1e-3)
+
+
+def test_a_column_in_turns_is_no_velocity(tmp_path: Path) -> None:
+    """Though one explains the input as it does here: its unit says what it is, and another kind would be refused."""
+    columns = {"t [s]": run().motion.t, "voltage [V]": run().motion.u, "position [turns]": run().motion.v}
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    assert tomllib.loads(guess(tmp_path / "log.csv").text)["record"]["output_kind"] == "position"

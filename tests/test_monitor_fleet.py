@@ -18,7 +18,7 @@ from pmfid.monitor.calibration import Calibration, Tail
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, SUSPICIOUS, WATCHING, Event, Settled, StateChange
 from pmfid.monitor.names import DETECTORS
 from pmfid.monitor.rows import STATES
-from pmfid.monitor.saved import Saved, written
+from pmfid.monitor.saved import Saved, sealed, written
 from pmfid.monitor.scores import make_scale, scores
 from pmfid.monitor.work import Work
 from pmfid.simulation import CART, CART_DT, Schedule, resolution_of
@@ -255,6 +255,7 @@ def test_a_saved_state_goes_on_with_the_same_bits(monitor: Monitor, records: tup
     assert [repr(event) for row, _, event in one.events if row == 0] == [repr(event) for *_, event in third.events]
     assert any(isinstance(event, Alarm) for _, _, event in one.events)
     assert first.get_state() == second.get_state() == b"".join(first.state_pieces())
+    assert b"".join(sealed(first.unsealed_state())) == first.get_state()
     assert first.monitor(0).get_state() == single.get_state()
 
 

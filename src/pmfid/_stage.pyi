@@ -1,5 +1,13 @@
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+CUSUM: int
+PAGE_HINKLEY: int
+GLR: int
+CHI_SQUARE: int
+EDGE: float
 
 SAMPLES: int
 LOST: int
@@ -39,3 +47,77 @@ class Inputs:
 def follow_many(
     whole: NDArray[np.int64], real: NDArray[np.float64], u: NDArray[np.float64], counts: NDArray[np.int64]
 ) -> NDArray[np.int64]: ...
+def last_flags(
+    status: NDArray[np.uint32], u: NDArray[np.float64], flagged: NDArray[np.uint32], mask: int
+) -> NDArray[np.int64]: ...
+def waiting_after(lost: bool, waiting: int, wait: int) -> int: ...
+
+class Norms:
+    def __init__(self, inverse: NDArray[np.float64], energy: NDArray[np.float64]) -> None: ...
+    def deviations(self, score: NDArray[np.float64], sigma: NDArray[np.float64]) -> NDArray[np.float64]: ...
+    def told(self, square: NDArray[np.float64]) -> NDArray[np.float64]: ...
+    def information(self, square: NDArray[np.float64]) -> NDArray[np.float64]: ...
+
+def centred(
+    score: NDArray[np.float64], cross: NDArray[np.float64], offset: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
+def weights(x: NDArray[np.float64], limit: NDArray[np.float64]) -> NDArray[np.float64]: ...
+
+class Detection:
+    rows: int
+    def __init__(
+        self,
+        kind: int,
+        p: int,
+        window: int = 1,
+        drift: float = 0.0,
+        memory: float = 1.0,
+        precision: tuple[tuple[float, ...], ...] = (),
+    ) -> None: ...
+    def run(
+        self,
+        state: NDArray[np.float64],
+        x: NDArray[np.float64],
+        w: NDArray[np.float64],
+        tolerance: NDArray[np.float64],
+    ) -> NDArray[np.float64]: ...
+    def deviations(
+        self,
+        state: NDArray[np.float64],
+        x: NDArray[np.float64],
+        w: NDArray[np.float64],
+        tolerance: NDArray[np.float64],
+    ) -> NDArray[np.float64]: ...
+
+class Watcher:
+    """watched, disturbed: `monitor.arrays.Watched` and `Disturbed`."""
+
+    def __init__(
+        self,
+        norms: Norms,
+        seen: Norms,
+        detection: Detection,
+        work: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None,
+        threshold: float,
+        block_time: float,
+        silent_blocks: int,
+    ) -> None: ...
+    def informed(self, watched: Any, block: NDArray[np.float64], lost: bool) -> tuple[NDArray[np.float64], float]: ...
+    def whole(
+        self, watched: Any, block: NDArray[np.float64], information: float, time: float
+    ) -> tuple[bool, NDArray[np.float64]]: ...
+    def counted(self, watched: Any, disturbed: Any, unit: NDArray[np.float64]) -> float: ...
+    def crossed(self, watched: Any, information: float, status: int) -> bool: ...
+    def looked(self, watched: Any, status: int) -> tuple[int, int]: ...
+    def run(
+        self,
+        watched: Any,
+        disturbed: Any,
+        index: NDArray[np.int64],
+        scored: tuple[NDArray[np.float64], NDArray[np.uint8]],
+        status: NDArray[np.uint32],
+        samples: NDArray[np.int64],
+        filled: NDArray[np.int64],
+        size: int,
+        dt: float,
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.bool_]]: ...

@@ -1,5 +1,5 @@
 # cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
-"""Recursions over whole signals beside the kernel: a first-order stage, and the inputs of a monitored axis."""
+"""Recursions beside the kernel: a first-order stage, the inputs of a monitored axis, and what is made of its blocks."""
 
 from cpython.long cimport PyLong_AsUnsignedLongLongMask
 from cpython.number cimport PyNumber_Index
@@ -9,6 +9,9 @@ cimport numpy as cnp
 import numpy as np
 
 cnp.import_array()
+
+include "_detect.pxi"
+include "_watch.pxi"
 
 
 def first_order(signal, double a, double b0, double b1=0.0, double memory=0.0):
@@ -229,3 +232,19 @@ def follow_many(cnp.ndarray[int64_t, ndim=2, mode="c"] whole not None, cnp.ndarr
             for k in range(n):
                 found[axis, k] = _follow(&whole[axis, 0], &real[axis, 0], u[axis, k], counts[axis, k])
     return found
+
+
+def last_flags(cnp.ndarray[uint32_t, ndim=2, mode="c"] status not None, cnp.ndarray[double, ndim=2, mode="c"] u not None,
+               cnp.ndarray[uint32_t, mode="c"] flagged not None, uint32_t mask):
+    """The rows of status and u, (axes, n), with a bit of the mask in a sample that was not lost; flagged (axes,) becomes
+    the status of the last of those. Raises ValueError for other shapes."""
+    cdef Py_ssize_t axes = u.shape[0], n = u.shape[1], axis, k
+    _check(np.shape(status) == (axes, n) and flagged.shape[0] == axes)
+    cdef cnp.ndarray[unsigned char, mode="c"] found = np.zeros(axes, np.uint8)
+    with nogil:
+        for axis in range(axes):
+            for k in range(n):
+                if isfinite(u[axis, k]):
+                    flagged[axis] = status[axis, k]
+                    found[axis] |= status[axis, k] & mask != 0
+    return np.flatnonzero(found)

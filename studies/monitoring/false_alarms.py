@@ -52,9 +52,7 @@ def count_alarms(detector: Detector, x: Floats, w: Floats, threshold: float, hol
         fired = (statistic > threshold) & (waiting == 0)
         alarms += int(fired.sum())
         waiting = np.where(fired, hold, np.maximum(waiting - 1, 0))
-        again = (waiting > 0)[:, None]
-        if again.any():
-            state = tuple(np.where(again, first, part) for first, part in zip(fresh, state, strict=True))
+        state = np.where((waiting > 0)[:, None, None], fresh, state)
     return alarms
 
 

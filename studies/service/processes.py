@@ -18,6 +18,8 @@ from pmfid.errors import UsageError
 
 #: Seconds until a process must be there, the calibration of a service included.
 STARTING = 600.0
+#: Seconds until the page must answer: a service that was stopped for a minute goes on behind it.
+ANSWERING = 180.0
 TICKS, PAGE = os.sysconf("SC_CLK_TCK"), os.sysconf("SC_PAGE_SIZE")
 BROKER = """\
 listener {port} 127.0.0.1
@@ -97,7 +99,7 @@ class Service:
         """What the page answers."""
         address = f"http://127.0.0.1:{self.port}{path}"
         request = urllib.request.Request(address, headers={"Authorization": f"Bearer {self.token}"})
-        with urllib.request.urlopen(request, timeout=30) as answer:
+        with urllib.request.urlopen(request, timeout=ANSWERING) as answer:
             return str(answer.read().decode())
 
     def metrics(self) -> dict[str, float]:

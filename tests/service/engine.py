@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from threading import Thread
 from typing import Any
 
-from pmfid.service.delivery import Block, Delivery, Item
+from pmfid.service.delivery import Block, Delivery, Lines, Unusable, one_by_one
 from pmfid.service.sources import Source
 
 
@@ -29,7 +29,7 @@ class FakeEngine:
             time.sleep(self.slow)
         if not self.ends:
             self.deliveries.append(delivery)
-            for item in delivery.items:
+            for item in one_by_one(delivery.items):
                 if isinstance(item, Block):
                     self.reached[item.axis] = max(item.end, self.reached.get(item.axis, 0))
         return not self.ends
@@ -42,8 +42,8 @@ class FakeEngine:
                 delivery.done()
 
     @property
-    def items(self) -> list[Item]:
-        return [item for delivery in list(self.deliveries) for item in delivery.items]
+    def items(self) -> list[Block | Lines | Unusable]:
+        return [item for delivery in list(self.deliveries) for item in one_by_one(delivery.items)]
 
     @property
     def blocks(self) -> list[Block]:

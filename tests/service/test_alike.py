@@ -41,9 +41,9 @@ def test_many_blocks_say_what_each_says(wide: bool, name: str) -> None:
     parts = [encode(block(k % 9 + 1, wide, name)) for k in range(30)]
     found = alike(b"".join(parts))
     assert found is not None
-    assert said([*found]) == said([one for part in parts for one in decode(part)])
-    assert found[0].u.dtype == np.float64
-    assert found[0].counts.dtype == np.int64
+    assert said([*found.blocks()]) == said([one for part in parts for one in decode(part)])
+    assert found.u.dtype == np.float64
+    assert found.counts.dtype == np.int64
 
 
 def sealed(part: bytes, place: int, value: bytes) -> bytes:

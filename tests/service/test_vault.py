@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from threading import current_thread
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from pmfid.errors import UsageError
 from pmfid.service import keeping
 from pmfid.service import vault as module
 from pmfid.service.arrangement import arranged
-from pmfid.service.checkpoint import read_snapshot, snapshot
+from pmfid.service.checkpoint import Room, read_snapshot, snapshot
 from pmfid.service.counters import Counters
 from pmfid.service.delivery import Block, Delivery
 from pmfid.service.engine import Engine
@@ -260,3 +261,32 @@ def test_deliveries_wait_for_a_checkpoint_that_has_them(prepared: Prepared, tmp_
     keeper.offer(engine, last=True)
     assert done == [0, 1, 2]
     assert told == []
+
+
+def test_the_engine_does_not_wait_for_new_memory(
+    prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(keeping, "LARGE", 0)
+    keeper, makers = Checkpoints(Vault(tmp_path), 0.0, Counters(), Told().append), list[str]()
+    grow = Room.grow
+
+    def noted(room: Room, size: int) -> None:
+        makers.append(current_thread().name)
+        grow(room, size)
+
+    monkeypatch.setattr(Room, "grow", noted)
+    engine, done = engine_of(prepared), list[int]()
+    engine.keeper = keeper
+    for k in range(3):
+        engine.process([Delivery("source", [block(10 * k)], lambda k=k: done.append(k))])
+        engine.urgent = True
+        keeper.offer(engine)
+        with keeper._changed:
+            assert keeper._changed.wait_for(lambda: keeper._job is None, 10.0)
+        assert done == list(range(k + 1 if k else 0))
+    keeper.offer(engine, last=True)
+    assert makers == ["checkpoints"]
+    (saved,) = read_snapshot(b"".join(snapshot(engine))).groups
+    found = Vault(tmp_path).load(read_snapshot, Told().append)
+    assert found is not None
+    assert bytes(found.groups[0].state) == bytes(saved.state)

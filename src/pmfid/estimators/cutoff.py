@@ -26,17 +26,31 @@ from pmfid.types import Floats
 TRIED = (10, 30, 3, 100, 300)
 #: A record has at least so many of them.
 LEAST = 30
+#: What is remembered on-line has at least so many, and none is of more samples: with slower filters the recursion has
+#: forgotten what it knew before it may trust its instruments, and falls back for most of the time, on axes from
+#: 3e-5 kg m2 to 500 kg; with 30 samples it was the best of all on most.
+REMEMBERED, SLOWEST = 3, 30
 
 
-def choose_cutoff(models: Sequence[Model], encoder: Encoder, dt: float, u: Floats, counts: NDArray[np.int64]) -> float:
+def choose_cutoff(
+    models: Sequence[Model],
+    encoder: Encoder,
+    dt: float,
+    u: Floats,
+    counts: NDArray[np.int64],
+    forgetting: float = 1.0,
+) -> float:
     """The pole [rad/s] of the filters behind which the record u, counts: (n,) says most on the parameters of one of the
-    models: one, or the same with an input that acts either way.
+    models: one, or the same with an input that acts either way; forgetting < 1: for a recursion that remembers so much.
 
     Smallest determinant of the covariance of instrumental variables along one motion; of bias-compensated least squares
     where nothing simulates the equation. It is flat: a factor of three from the best costs little. Where no pole gives
     an estimate it is that of ten samples, and the estimator says what is wrong with the record.
     """
-    poles = [1 / (samples * dt) for samples in TRIED if samples * LEAST <= counts.size] or [1 / (TRIED[0] * dt)]
+    most = counts.size / LEAST
+    if forgetting < 1:
+        most = min(most, SLOWEST, max(1 / (1 - forgetting) / REMEMBERED, min(TRIED)))
+    poles = [1 / (samples * dt) for samples in TRIED if samples <= most] or [1 / (TRIED[0] * dt)]
     sizes: dict[float, float] = {}
     for model in models:
         for pole, found in _columns(model, encoder, dt, poles, u, counts):

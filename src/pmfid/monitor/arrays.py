@@ -173,11 +173,6 @@ class Disturbed(Rows):
             np.ones(axes),
         )
 
-    def push(self, axes: Places, units_before: Places, units: Floats, begun: Floats) -> None:
-        """One more unit of each of some axes."""
-        place = units_before % LOOK_BACK
-        self.units[axes, place], self.begun[axes, place] = units, begun
-
     def recent(self, axis: int, units: int) -> tuple[Floats, Floats]:
         """The last units (m, width) of an axis that has had so many, and their times (m,), in order."""
         order = np.arange(max(0, units - LOOK_BACK), units) % LOOK_BACK

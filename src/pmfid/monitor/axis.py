@@ -114,32 +114,32 @@ class Axis:
 
     def _on_block(self, rows: Floats, lost: NDArray[np.uint8], estimate: Estimate) -> list[Event]:
         """What a block (1, width) leads to, and whether all its samples were disturbed (1,)."""
-        rows, information = self.watching.informed(self._own, rows, lost)
+        watcher, own = self.watching.watcher, self._own
+        rows, information = watcher.informed(own, rows, bool(lost[0]))
         if self.state == SETTLING:
-            return self._settle(rows, float(information[0]), estimate)
-        whole, units = self.watching.whole(self._own, rows, information, np.array([self._time]))
+            return self._settle(rows, information, estimate)
+        whole, unit = watcher.whole(own, rows, information, self._time)
         events = [] if self.state == SUSPICIOUS else self._look_around(estimate)
-        return [*events, *self._on_unit(units, estimate)] if whole[0] else events
+        return [*events, *self._on_unit(unit, estimate)] if whole else events
 
     def _on_unit(self, unit: Floats, estimate: Estimate) -> list[Event]:
-        own, rest = self._own, self._rest
-        rest.push(FIRST, own.units, unit, own.begun)
-        information = self.watching.counted(own, unit)
+        own, rest, watcher = self._own, self._rest, self.watching.watcher
+        information = watcher.counted(own, rest, unit)
         if self.state == SUSPICIOUS:
-            rest.gathered[0] += min(float(information[0]), MOST_INFORMATION)
+            rest.gathered[0] += min(information, MOST_INFORMATION)
             rest.suspected[0] += 1
             return self._alarm(estimate)
-        if not self.watching.crossed(own, information, np.array([estimate.status], np.uint32))[0]:
+        if not watcher.crossed(own, information, estimate.status):
             return []
-        rest.gathered[0] = min(float(information[0]), MOST_INFORMATION)
+        rest.gathered[0] = min(information, MOST_INFORMATION)
         rest.crossed[0], rest.suspected[0] = own.statistic[0], 1
         self.estimator.open_memory(KEEP)
         return [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm(estimate)]
 
     def _look_around(self, estimate: Estimate) -> list[Event]:
         """Whether there is anything to tell from."""
-        wanted, reason = self.watching.looked(self._own, np.array([estimate.status], np.uint32))
-        return self._enter(STATES[wanted[0]], REASONS[reason[0]])
+        wanted, reason = self.watching.watcher.looked(self._own, estimate.status)
+        return self._enter(STATES[wanted], REASONS[reason])
 
     def _enter(self, state: str, reason: str) -> list[Event]:
         if state == self.state:

@@ -274,11 +274,9 @@ def noise_ratio(scale: Scale, blocks: Blocks) -> Floats:
 
 def _precision(detector: ChiSquare, x: Floats, w: Floats) -> tuple[tuple[float, ...], ...]:
     """Inverse covariance of the deviation of the estimate in normal work x, w: (runs, n, p)."""
-    p = x.shape[-1]
-    state, total = detector.start((x.shape[0], p)), np.zeros((p, p))
+    found, total = detector.deviations(x, w), np.zeros((x.shape[-1], x.shape[-1]))
     for k in range(x.shape[1]):
-        state, d = detector.deviation(state, x[:, k], w[:, k], np.zeros(p))
-        total += d.T @ d
+        total += found[:, k].T @ found[:, k]
     inverse = np.linalg.inv(total / (x.shape[0] * x.shape[1]))
     return tuple(tuple(float(value) for value in row) for row in inverse)
 

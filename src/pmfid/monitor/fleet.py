@@ -17,7 +17,7 @@ from pmfid.monitor.events import Event
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.quiet import Quiet
 from pmfid.monitor.rows import FleetRows
-from pmfid.monitor.saved import checked, pieces, read, written
+from pmfid.monitor.saved import checked, pieces, read, unsealed, written
 from pmfid.types import Counts, Flags, Floats, Places
 
 T = TypeVar("T")
@@ -74,12 +74,11 @@ class MonitorFleet:
     ) -> Flags:
         """Whether each stayed so, (k,); of those that did the states and rows are as they should be."""
         every, (group, time) = self._all, part
-        piece = self._quiet.run(every.sampled.taken(index), every.watched.taken(index), u, counts)
+        sampled = every.sampled.taken(index)
+        piece = self._quiet.run(every, index, sampled, u, counts)
         kept = ~piece.crossed
-        piece.push(every.disturbed, kept, index)
         staying = np.flatnonzero(kept)
-        every.sampled.put(index[staying], piece.sampled.selected(staying))
-        every.watched.put(index[staying], piece.watched.selected(staying))
+        every.sampled.put(index[staying], sampled.selected(staying))
         rows.take(piece.rows, group.start + at, time, kept)
         return kept
 
@@ -181,6 +180,11 @@ class MonitorFleet:
     def state_pieces(self) -> list[memoryview]:
         """The same one after the other and without a copy, to be written before the next sample or change."""
         return pieces(self._all, self._source.configuration_number)
+
+    def unsealed_state(self) -> list[memoryview]:
+        """The same, still without the checksum of all, which takes longer than a copy: `pmfid.monitor.saved.sealed`
+        puts it in, of a copy in any thread."""
+        return unsealed(self._all, self._source.configuration_number)
 
     def set_state(self, state: bytes) -> None:
         """Goes on from saved states, of as many axes as they are of. Raises UsageError, and stays as it was, for those

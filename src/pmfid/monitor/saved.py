@@ -7,7 +7,7 @@ number, the kernels' states by the kernels.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -96,13 +96,23 @@ def written(saved: Saved, config: int) -> bytes:
 
 def pieces(saved: Saved, config: int) -> list[memoryview]:
     """The same one after the other; all but the first are the arrays themselves."""
-    head = _head(saved, config, saved.axes)
+    return sealed(unsealed(saved, config))
+
+
+def unsealed(saved: Saved, config: int) -> list[memoryview]:
+    """The same, still without the checksum."""
     parts = [np.ascontiguousarray(array).reshape(-1).view(np.uint8).data for array in saved.arrays()]
+    return [memoryview(_head(saved, config, saved.axes).tobytes()), *parts]
+
+
+def sealed(parts: Sequence[memoryview]) -> list[memoryview]:
+    """What `unsealed` gave, or a copy of it, with the checksum: by any thread, which does not hold the others up."""
+    head = np.frombuffer(parts[0], HEAD)[0].copy()
     checksum = zlib.crc32(head.tobytes()[:-4])
-    for part in parts:
+    for part in parts[1:]:
         checksum = zlib.crc32(part, checksum)
     head["checksum"] = checksum
-    return [memoryview(head.tobytes()), *parts]
+    return [memoryview(head.tobytes()), *parts[1:]]
 
 
 def read(data: bytes, like: Saved, config: int) -> Saved:

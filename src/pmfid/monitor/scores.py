@@ -14,12 +14,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid._stage import Norms, waiting_after
 from pmfid.estimators.auxiliary import make_auxiliary_kernel
 from pmfid.estimators.base import Estimator
 from pmfid.kernel.saved import take_guard
@@ -126,12 +126,6 @@ def width_of(p: int) -> int:
     return p + 2 * p * p
 
 
-def waiting_after(lost: NDArray[np.generic], waiting: NDArray[np.int64], wait: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Blocks that are still to wait, behind one in which the filters settled all the time (lost) or not: there the
-    simulated motion has lost the plant. While there are any, blocks count for nothing."""
-    return np.where(lost != 0, wait, np.maximum(0, waiting - 1))
-
-
 def scores(
     estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.int64], left_out: int = UNUSABLE
 ) -> Blocks:
@@ -152,8 +146,7 @@ class ScoreFilter:
             take_guard(self.kernel, before.kernel, estimator.precision)
         self.scoring = Scoring(first, self.theta.size, block_samples(estimator), left_out)
         self.sums, self.progress = self.scoring.start()
-        self.wait = np.array([start_blocks(estimator, self.theta)])
-        self.waiting = self.wait.copy()
+        self.wait = self.waiting = start_blocks(estimator, self.theta)
         self._u, self._count = np.empty(1), np.empty(1, np.int64)
 
     @property
@@ -176,8 +169,8 @@ class ScoreFilter:
         rows, lost = self.rows(np.ascontiguousarray(u), np.ascontiguousarray(counts))
         used = np.empty(len(rows))
         for k in range(len(rows)):
-            self.waiting = waiting_after(lost[k : k + 1], self.waiting, self.wait)
-            used[k] = self.waiting[0] == 0
+            self.waiting = waiting_after(bool(lost[k]), self.waiting, self.wait)
+            used[k] = self.waiting == 0
         return Blocks.of(rows * used[:, None], self.theta.size)
 
     def doubt(self, samples: int) -> None:
@@ -203,38 +196,21 @@ class Scale:
     energy: Floats
     sigma: Floats
 
-    @cached_property
-    def _products(self) -> Floats:
-        """(p p, p): [j p + k] are the products of the entries j and k of each row of the inverse."""
-        turned = self.inverse.T
-        return (turned[:, None] * turned[None]).reshape(-1, len(turned))
+    @property
+    def norms(self) -> Norms:
+        """What computes the following."""
+        return Norms(self.inverse, self.energy)
 
     def standardise(self, blocks: Blocks) -> tuple[Floats, Floats]:
         """x (n, p): deviations; w (n, p): the information in them, 1 on average, 0 at standstill.
 
         A parameter that deviates by d standard deviations has E x = d w, variance of x about w.
         """
-        return in_order(blocks.score[:, :, None] * self.inverse.T) / self.sigma, self._told(blocks)
-
-    def _told(self, blocks: Blocks) -> Floats:
-        """The w of `standardise`."""
-        square = blocks.square.reshape(len(blocks.square), -1, 1)
-        return np.asarray(in_order(square * self._products) / self.energy)
+        return self.norms.deviations(blocks.score, self.sigma), self.norms.told(blocks.square)
 
     def information(self, blocks: Blocks) -> Floats:
         """(n,) that blocks tell of all parameters, in average blocks."""
-        return mean_of(self._told(blocks))
-
-
-def in_order(terms: Floats) -> Floats:
-    """(n, p) sums of terms (n, m, p), one after the other: a sum has the same bits alone and among others, which those
-    of `sum`, `einsum` and matrix products need not have."""
-    return np.asarray(np.add.accumulate(terms, axis=1)[:, -1])
-
-
-def mean_of(w: Floats) -> Floats:
-    """(n,) means of the rows of w (n, p)."""
-    return np.asarray(in_order(w[:, :, None])[:, 0] / w.shape[1])
+        return self.norms.information(blocks.square)
 
 
 def make_scale(blocks: Blocks) -> Scale:

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmfid.monitor.scores import Blocks, Scale, in_order, make_scale
+from pmfid._stage import centred, weights
+from pmfid.monitor.scores import Blocks, Scale, make_scale
 from pmfid.types import Floats
 
 #: Information of a unit [average blocks]: the first in which units hardly go with their neighbours.
@@ -44,12 +45,11 @@ class Work:
 
     def centred(self, blocks: Blocks) -> Blocks:
         """Blocks, or sums of them, without what is off all the time."""
-        return replace(blocks, score=blocks.score - in_order(blocks.cross.transpose(0, 2, 1) * self.offset[:, None]))
+        return replace(blocks, score=centred(blocks.score, blocks.cross, self.offset))
 
     def weighed(self, units: Blocks) -> Blocks:
         """Centred units, each as far as it counts."""
-        x, _ = self.scale.standardise(units)
-        weight = 1 / np.maximum(1.0, (np.abs(x) / self.limit).max(axis=1))
+        weight = weights(self.scale.standardise(units)[0], self.limit)
         return Blocks(
             units.score * weight[:, None], units.cross * weight[:, None, None], units.square * weight[:, None, None]
         )

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
+from pmfid.monitor.saved import sealed
 from pmfid.service.board.alarms import Standing
 from pmfid.service.delivery import Block, Mark
 from pmfid.service.groups import Group, Pace, Prepared, Seat
@@ -25,7 +26,7 @@ from pmfid.service.outcome import Notice
 if TYPE_CHECKING:
     from pmfid.service.engine import Engine
 
-__all__ = ["Snapshot", "read_snapshot", "snapshot"]
+__all__ = ["Draft", "Room", "Snapshot", "draft", "read_snapshot", "snapshot", "state_size"]
 
 _LENGTH = struct.Struct("<Q")
 #: Of every axis: where its numbers and its clock stand.
@@ -43,22 +44,82 @@ SEAT = np.dtype(
         ("wrong_period", "u1"),
     ]
 )
+#: Those of them that are columns of `Positions`.
+_COLUMNS = tuple(name for name in SEAT.names or () if name not in ("seat", "notices"))
 #: Of every block that waits for those before it; its samples follow, u as float64, counts as int64.
 HELD = np.dtype(
     [("seat", "<i8"), ("epoch", "<i8"), ("first", "<i8"), ("time", "<f8"), ("dt", "<f8"), ("samples", "<i8")]
 )
 
 
-def snapshot(engine: Engine) -> list[bytes]:
+class Room:
+    """Where states are copied to, again and again: memory that is new at each checkpoint would cost more than the
+    copy."""
+
+    def __init__(self) -> None:
+        self._bytes = np.empty(0, np.uint8)
+
+    @property
+    def size(self) -> int:
+        """Bytes that there are."""
+        return self._bytes.size
+
+    def grow(self, size: int) -> None:
+        """New memory of so many bytes, each touched; by any thread, while nothing is copied."""
+        self._bytes = np.full(size, 1, np.uint8)
+
+    def copied(self, states: Sequence[Sequence[memoryview]]) -> list[list[memoryview]]:
+        """The same there, until the next call."""
+        size = sum(len(part) for state in states for part in state)
+        if self._bytes.size < size:
+            self._bytes = np.empty(size, np.uint8)
+        place, found = 0, list[list[memoryview]]()
+        for state in states:
+            found.append([])
+            for part in state:
+                copy = self._bytes[place : place + len(part)]
+                copy[:] = np.frombuffer(part, np.uint8)  # other threads go on meanwhile
+                found[-1].append(copy.data)
+                place += len(part)
+        return found
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A checkpoint without the checksums of its states, which take longer than their copy. text: the object of JSON;
+    states, others: of each group, what it has for `parts`, its state in several pieces."""
+
+    text: bytes
+    states: list[list[memoryview]]
+    others: list[list[bytes]]
+
+    def chunks(self) -> list[bytes | memoryview]:
+        """The whole: by any thread, as long as the states stay where they were copied to."""
+        found: list[bytes | memoryview] = [_LENGTH.pack(len(self.text)), self.text]
+        for state, own in zip(self.states, self.others, strict=True):
+            found += [*sealed(state), *own]
+        return found
+
+
+def snapshot(engine: Engine) -> list[bytes | memoryview]:
     """The engine between two ticks."""
-    groups, parts = list[dict[str, Any]](), list[bytes]()
-    for group in engine.groups:
-        own = [group.fleet.get_state(), _seats(group.seats).tobytes(), _held(group.seats)]
+    return draft(engine, Room()).chunks()
+
+
+def state_size(engine: Engine) -> int:
+    """Bytes of room that a draft takes."""
+    return sum(len(part) for group in engine.groups for part in group.fleet.unsealed_state())
+
+
+def draft(engine: Engine, room: Room) -> Draft:
+    """The same, to be finished by another thread; the engine can go on."""
+    states = room.copied([group.fleet.unsealed_state() for group in engine.groups])
+    others, groups = [[_seats(group).tobytes(), _held(group)] for group in engine.groups], list[dict[str, Any]]()
+    for group, state, own in zip(engine.groups, states, others, strict=True):
         names = [seat.name for seat in group.seats]
         groups.append({"digest": group.prepared.digest, "config": group.kindred.config, "axes": names})
         groups[-1]["seats"] = {str(seat.index): rare for seat in group.seats if (rare := _rare(seat))}
-        groups[-1]["parts"] = [len(part) for part in own]
-        parts += own
+        groups[-1]["parts"] = [sum(map(len, state)), *map(len, own)]
     text = json.dumps(
         {
             "wall": time.time(),
@@ -74,23 +135,15 @@ def snapshot(engine: Engine) -> list[bytes]:
             "groups": groups,
         }
     ).encode()
-    return [_LENGTH.pack(len(text)), text, *parts]
+    return Draft(text, states, others)
 
 
-def _seats(seats: Sequence[Seat]) -> NDArray[np.void]:
-    orders = [seat.order for seat in seats]
-    clocks = [order.clock for order in orders]
-    found = np.zeros(len(orders), SEAT)
-    found["epoch"] = [order.epoch for order in orders]
-    found["expected"] = [order.expected for order in orders]
-    found["time"] = [clock.expected for clock in clocks]
-    found["number"] = [clock.number for clock in clocks]
-    found["start"] = [clock.start for clock in clocks]
-    found["first"] = [clock.first for clock in clocks]
-    found["seat"] = [seat.number for seat in seats]
-    found["notices"] = [seat.notices for seat in seats]
-    found["told"] = [clock.told for clock in clocks]
-    found["wrong_period"] = [order.wrong_period for order in orders]
+def _seats(group: Group) -> NDArray[np.void]:
+    found = np.zeros(len(group.seats), SEAT)
+    for name in _COLUMNS:
+        found[name] = getattr(group.positions, name)
+    found["seat"] = [seat.number for seat in group.seats]
+    found["notices"] = [seat.notices for seat in group.seats]
     return found
 
 
@@ -106,9 +159,10 @@ def _rare(seat: Seat) -> dict[str, Any]:
     return found
 
 
-def _held(seats: Sequence[Seat]) -> bytes:
+def _held(group: Group) -> bytes:
     """Blocks that wait."""
-    pairs = [(seat.index, block) for seat in seats for block in seat.order.held]
+    waiting = np.flatnonzero(group.positions.waits).tolist()
+    pairs = [(index, block) for index in waiting for block in group.seats[index].order.held]
     if not pairs:
         return b""
     heads = [(index, b.epoch, b.first, b.time, b.dt, b.counts.size) for index, b in pairs]
@@ -134,8 +188,13 @@ class Saved:
         group = Group(prepared, pace)
         try:
             group.restore(self.axes, self.state)
-            for seat, row in zip(group.seats, self.seats.tolist(), strict=True):
-                _restore_seat(seat, row, self.rare.get(str(seat.index), {}))
+            for name in _COLUMNS:
+                getattr(group.positions, name)[:] = self.seats[name]
+            numbers = self.seats["seat"].tolist(), self.seats["notices"].tolist()
+            for index, (seat, *own) in enumerate(zip(group.seats, *numbers, strict=True)):
+                seat.number, seat.notices = own
+                if str(index) in self.rare:
+                    _restore_rare(seat, self.rare[str(index)])
             _restore_held(group.seats, self.held)
         except (UsageError, KeyError, TypeError, IndexError, AttributeError, struct.error, OverflowError) as error:
             raise ValueError(str(error)) from None
@@ -196,13 +255,8 @@ def _standing(raw: Mapping[str, Any]) -> Standing:
     return Standing(**{key: raw[key] for key in keys})
 
 
-def _restore_seat(seat: Seat, row: tuple[Any, ...], rare: Mapping[str, Any]) -> None:
-    order = seat.order
-    order.epoch, order.expected, clock = row[0], row[1], order.clock
-    clock.expected, clock.number, clock.start, clock.first = row[2:6]
-    seat.number, seat.notices = row[6:8]
-    clock.told, order.wrong_period = bool(row[8]), bool(row[9])
-    order.gaps = [(int(a), int(b)) for a, b in rare.get("gaps", ())]
+def _restore_rare(seat: Seat, rare: Mapping[str, Any]) -> None:
+    seat.order.gaps = [(int(a), int(b)) for a, b in rare.get("gaps", ())]
     seat.told = {str(kind): int(times) for kind, times in rare.get("told", {}).items()}
     if "timed" in rare:
         seat.lines(bool(rare["timed"]["timed"])).restore(rare["timed"])
@@ -219,5 +273,6 @@ def _restore_held(seats: Sequence[Seat], held: bytes) -> None:
     start = 0
     for index, epoch, first, begun, dt, n in heads.tolist():
         seat, here = seats[index], slice(start, start + n)
-        seat.order.held.append(Block(seat.name, epoch, first, begun, dt, u[here], counts[here]))
+        block = Block(seat.name, epoch, first, begun, dt, u[here], counts[here])
+        seat.order.hold(len(seat.order.held), block)
         start += n

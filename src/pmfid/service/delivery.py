@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pmfid.session.monitored.timeline import Line
 from pmfid.types import Counts, Floats
 
-__all__ = ["Block", "Delivery", "Item", "Lines", "Unusable"]
+__all__ = ["Block", "Delivery", "Item", "Lines", "Table", "Unusable", "one_by_one"]
 
 #: JSON of a source by which it goes on after a restart, as the place in a file.
 Mark = dict[str, int | float | str]
@@ -39,6 +43,46 @@ class Block:
 
 
 @dataclass(frozen=True)
+class Table:
+    """Blocks of the same number of samples as one item, as gateways send them: a row for each, in their order.
+
+    axes: their names; epoch, first, time, dt: (k,) as of `Block`; u, counts: (k, n), n > 0.
+    """
+
+    axes: tuple[str, ...]
+    epoch: NDArray[np.int64]
+    first: NDArray[np.int64]
+    time: Floats
+    dt: Floats
+    u: Floats
+    counts: Counts
+
+    @classmethod
+    def joined(cls, tables: Sequence[Table]) -> Table:
+        """Tables of blocks of the same length, one behind the other, as one."""
+        if len(tables) == 1:
+            return tables[0]
+        return cls(
+            tuple(chain.from_iterable(table.axes for table in tables)),
+            np.concatenate([table.epoch for table in tables]),
+            np.concatenate([table.first for table in tables]),
+            np.concatenate([table.time for table in tables]),
+            np.concatenate([table.dt for table in tables]),
+            np.concatenate([table.u for table in tables]),
+            np.concatenate([table.counts for table in tables]),
+        )
+
+    def block(self, row: int) -> Block:
+        """One of them."""
+        numbers = int(self.epoch[row]), int(self.first[row]), float(self.time[row]), float(self.dt[row])
+        return Block(self.axes[row], *numbers, self.u[row], self.counts[row])
+
+    def blocks(self) -> list[Block]:
+        """All of them."""
+        return [self.block(row) for row in range(len(self.axes))]
+
+
+@dataclass(frozen=True)
 class Lines:
     """Samples of one axis that have a time in place of a number, as a logger writes them."""
 
@@ -56,7 +100,15 @@ class Unusable:
     axis: str = ""
 
 
-Item = Block | Lines | Unusable
+Item = Block | Table | Lines | Unusable
+
+
+def one_by_one(items: Sequence[Item]) -> list[Block | Lines | Unusable]:
+    """The same with single blocks in place of tables."""
+    found = list[Block | Lines | Unusable]()
+    for item in items:
+        found += item.blocks() if isinstance(item, Table) else [item]
+    return found
 
 
 @dataclass(frozen=True)
@@ -74,3 +126,8 @@ class Delivery:
     done: Callable[[], None] | None = None
     mark: Mark | None = field(default=None)
     received: float = 0.0
+
+    @property
+    def size(self) -> int:
+        """Its items, the blocks of a table one by one."""
+        return sum(len(item.axes) if isinstance(item, Table) else 1 for item in self.items)

@@ -14,11 +14,11 @@ from pmfid.errors import UsageError
 from pmfid.service.commands import Acknowledge, Command, Commands, Refer
 from pmfid.service.counters import Counters
 from pmfid.service.crash import crash_point
-from pmfid.service.delivery import Block, Delivery, Item, Lines, Mark, Unusable
+from pmfid.service.delivery import Delivery, Mark
 from pmfid.service.groups import Group, Seat
 from pmfid.service.inbox import Inbox
+from pmfid.service.intake import Intake, Ordered
 from pmfid.service.notices import Notices
-from pmfid.service.order import Verdict
 from pmfid.service.outcome import Notice, Outlet
 from pmfid.service.stepping import Found, step
 from pmfid.session.monitored.run import event_object
@@ -84,11 +84,9 @@ class Engine:
 
     def __post_init__(self) -> None:
         self.notices = Notices(self.outlets)
-        self._seats: dict[str, Seat] = {}
+        self._intake = Intake(self.counters, lambda what, axis: self.tell(what, axis))
         self._said: deque[tuple[str, dict[str, Any]]] = deque()
         self._asked: deque[Callable[[], None]] = deque()
-        self._unusable: set[tuple[str, str]] = set()
-        self._turn = 0
 
     # --- from any thread ----------------------------------------------------------------------------------------------
 
@@ -124,8 +122,8 @@ class Engine:
     def arranged(self, groups: Iterable[Group]) -> None:
         """These are all the groups from now on."""
         self.groups = [group for group in groups if group.seats]
-        self._seats = {seat.name: seat for group in self.groups for seat in group.seats}
-        for seat in self._seats.values():
+        self._intake.arranged(seat for group in self.groups for seat in group.seats)
+        for seat in self._intake.seats.values():
             if not seat.number:
                 self.numbered += 1
                 seat.number = self.numbered
@@ -134,21 +132,15 @@ class Engine:
 
     def seat(self, axis: str) -> Seat | None:
         """Of an axis by its name."""
-        return self._seats.get(axis)
+        return self._intake.seats.get(axis)
 
     def process(self, batch: Sequence[Delivery]) -> None:
         """Puts deliveries in order, steps what can be stepped, and gives out what that says."""
-        begun, active, found = monotonic(), dict[Seat, None](), list[Found]()
+        begun = monotonic()
         self.changes += 1
-        for delivery in batch:
-            for item in delivery.items:
-                try:
-                    self._take(item, delivery, active, found)
-                except (TypeError, ValueError, ArithmeticError) as error:  # it would come again and again
-                    problem = f"{type(error).__name__}: {error}; it is left out"
-                    self._refuse(delivery.source, Unusable("error", problem))
+        ordered = self._intake.take(batch)
         crash_point("engine.ordered")
-        self._step(active, found)
+        self._step(ordered)
         self._count(batch, begun)
         for delivery in batch:
             if delivery.mark is not None:
@@ -156,64 +148,11 @@ class Engine:
             if delivery.done is not None:
                 self.keeper.taken(delivery.done)
 
-    def _take(self, item: Item, delivery: Delivery, active: dict[Seat, None], found: list[Found]) -> None:
-        self._turn += 1
-        if isinstance(item, Unusable):
-            self._refuse(delivery.source, item)
-            return
-        seat = self._seats.get(item.axis)
-        if seat is None:
-            problem = f"there is no axis {item.axis!r} in this plant; add it to PLANT.toml, or correct the sender"
-            self._refuse(delivery.source, Unusable("axis", problem, item.axis))
-            return
-        verdict = self._ordered(seat, item, delivery.received)
-        if seat.queue:
-            active[seat] = None
-        if verdict is not None:
-            self._judge(seat, verdict, found)
-
-    def _ordered(self, seat: Seat, item: Block | Lines, received: float) -> Verdict | None:
-        if isinstance(item, Block):
-            return seat.order.take(item, received, self._turn, seat.queue)
-        timed = any(line.time == line.time for line in item.lines)
-        return seat.lines(timed or bool(seat.group.prepared.axis.record.time)).take(
-            item, received, self._turn, seat.queue
-        )
-
-    def _refuse(self, source: str, item: Unusable) -> None:
-        self.counters.add("pmfid_unusable_total", source=source, reason=item.reason)
-        if (source, item.reason) in self._unusable:
-            return
-        self._unusable.add((source, item.reason))
-        self.tell({"event": "unusable", "source": source, "reason": item.reason, "problem": item.problem})
-
-    def _judge(self, seat: Seat, verdict: Verdict, found: list[Found]) -> None:
-        """Counts what came to nothing, and keeps what there is to tell for its turn."""
-        group = seat.group.kindred.config
-        for reason in ("duplicate", "late", "refused"):
-            if number := getattr(verdict, reason):
-                self.counters.add("pmfid_samples_dropped_total", number, reason=reason, group=group)
-        for kind, number in verdict.lines.items():
-            self.counters.add("pmfid_lines_dropped_total", number, reason=kind, group=group)
-        if verdict.late and seat.may_tell("late"):
-            problem = f"{verdict.late} samples came too late, when the samples behind them had been taken"
-            self.tell({"event": "late", "samples": verdict.late, "problem": problem}, seat.name)
-        for what in verdict.told:
-            self.counters.add("pmfid_events_total", event=str(what["event"]), group=group)
-            if what["event"] == "gap":
-                self.counters.add("pmfid_samples_missing_total", float(what["missing"]), group=group)  # type: ignore[arg-type]
-            if seat.may_tell(str(what["event"])):
-                found.append(Found(self._turn, -1, seat, what))
-
-    def _step(self, active: dict[Seat, None], found: list[Found]) -> None:
-        by_group: dict[int, list[Seat]] = {}
-        for seat in active:
-            by_group.setdefault(id(seat.group), []).append(seat)
-        followed = self.followed()
-        for seats in by_group.values():
-            group = seats[0].group
-            done = step(group, seats, followed)
-            self.counters.add("pmfid_samples_total", done.samples, group=group.kindred.config)
+    def _step(self, ordered: Ordered) -> None:
+        found, followed = ordered.found, self.followed()
+        for waiting in ordered.rounds:
+            done = step(waiting, followed)
+            self.counters.add("pmfid_samples_total", done.samples, group=waiting.group.kindred.config)
             found += [one for one in done.found if self._wanted(one)]
             for rows in done.rows:
                 for outlet in self.outlets:
@@ -263,7 +202,7 @@ class Engine:
         self.notices.own(alarm.axis, {"event": "acknowledged", "alarm": command.number, "note": command.note})
 
     def _refer(self, command: Refer) -> None:
-        seat = self._seats.get(command.axis)
+        seat = self._intake.seats.get(command.axis)
         if seat is None:
             return
         group, index = seat.group, seat.index

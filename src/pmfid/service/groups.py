@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.monitor.fleet import MonitorFleet
-from pmfid.service.order import Order, Piece
+from pmfid.service.order import Order
 from pmfid.service.outcome import Kindred
+from pmfid.service.positions import Place, Positions
 from pmfid.service.timed import Timed
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.monitored.setup import Setup, set_up
@@ -58,19 +59,26 @@ class Pace:
 
 
 class Seat:
-    """One axis in its group. index: its place there; order, timed: of its blocks and its lines; queue: pieces that
-    wait for the next step; number: its own in the service, 0 while it has none; notices: how many there were of it;
-    told: how many there were of a kind that is not always told."""
+    """One axis in its group. order, timed: of its blocks and its lines; number: its own in the service, 0 while it has
+    none; notices: how many there were of it; told: how many there were of a kind that is not always told."""
 
-    __slots__ = ("group", "index", "name", "notices", "number", "order", "queue", "timed", "told")
+    __slots__ = ("_place", "group", "name", "notices", "number", "order", "timed", "told")
 
     def __init__(self, group: Group, index: int, name: str) -> None:
-        self.group, self.index, self.name = group, index, name
-        self.order = Order(group.dt, round(group.pace.window / group.dt))
+        self.group, self.name, self._place = group, name, Place(group.positions, index)
+        self.order = Order(group.dt, round(group.pace.window / group.dt), self._place)
         self.timed: Timed | None = None
-        self.queue: list[Piece] = []
         self.number, self.notices = 0, 0
         self.told: dict[str, int] = {}
+
+    @property
+    def index(self) -> int:
+        """Its place in the group."""
+        return self._place.index
+
+    def move(self, index: int) -> None:
+        """Others are gone, and it is another one now."""
+        self._place.index = index
 
     def lines(self, timed: bool) -> Timed:
         """What makes samples of its lines; timed: the first of them has a time."""
@@ -88,12 +96,14 @@ class Seat:
 
 @dataclass
 class Group:
-    """Axes of one configuration. seats: by number; numbers: (axes,) samples of each so far."""
+    """Axes of one configuration. seats: by number; numbers: (axes,) samples of each so far; positions: where the
+    numbers and clocks of their senders stand."""
 
     prepared: Prepared
     pace: Pace
     seats: list[Seat] = field(default_factory=list, init=False)
     numbers: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64), init=False)
+    positions: Positions = field(default_factory=lambda: Positions.fresh(0), init=False)
 
     def __post_init__(self) -> None:
         self.dt = self.prepared.dt
@@ -108,6 +118,7 @@ class Group:
             return
         start = len(self.seats)
         self.fleet.add(len(fresh))
+        self.positions.add(len(fresh))
         self.seats += [Seat(self, start + k, name) for k, name in enumerate(fresh)]
         self.numbers = np.concatenate([self.numbers, np.zeros(len(fresh), np.int64)])
         self.kindred = self._kindred()
@@ -120,13 +131,15 @@ class Group:
         left = set(gone)
         self.seats = [seat for seat in self.seats if seat.index not in left]
         self.numbers = np.delete(self.numbers, list(gone))
+        self.positions.remove(gone)
         for k, seat in enumerate(self.seats):
-            seat.index = k
+            seat.move(k)
         self.kindred = self._kindred()
 
     def restore(self, names: Sequence[str], state: bytes) -> None:
         """Goes on with axes from the saved states of their fleet. Raises UsageError for those of others."""
         self.fleet.set_state(state)
+        self.positions.add(len(names))
         self.seats = [Seat(self, k, name) for k, name in enumerate(names)]
         self.numbers = np.array(self.fleet.samples(), np.int64)
         self.kindred = self._kindred()

@@ -35,7 +35,7 @@ class Inbox:
             if not self._open:
                 return False
             self._waiting.append(delivery)
-            self._items += len(delivery.items)
+            self._items += delivery.size
             if len(self._waiting) == 1 or self._full:
                 self._changed.notify_all()
         crash_point("inbox.taken")

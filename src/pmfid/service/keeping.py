@@ -1,4 +1,4 @@
-"""When checkpoints are made and by whom they are written: the engine only makes the bytes, a thread writes them."""
+"""When checkpoints are made and by whom they are written: the engine only copies, a thread does all the rest."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from threading import Condition, Thread
 from time import monotonic
 from typing import Any
 
-from pmfid.service.checkpoint import snapshot
+from pmfid.service.checkpoint import Draft, Room, draft, state_size
 from pmfid.service.counters import Counters
 from pmfid.service.crash import crash_point
 from pmfid.service.engine import Engine
@@ -22,13 +22,20 @@ MOST = 50_000
 #: it has hundreds of MB, and its checksum and its copies cost the time of a processor.
 REST = 4.0
 
+#: New memory of more bytes is made by the writer's thread before the first checkpoint that needs it: it is much slower
+#: than a copy to memory that was used before, and the engine would stand still for seconds.
+LARGE = 2**24
+
 Done = Callable[[], None]
 
 
 @dataclass
 class _Job:
-    chunks: list[bytes]
-    done: list[Done]
+    """room: bytes that are wanted for the next one, and no checkpoint."""
+
+    draft: Draft | None = None
+    done: list[Done] = field(default_factory=list)
+    room: int = 0
 
 
 @dataclass
@@ -51,7 +58,7 @@ class Checkpoints:
     _closing: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
-        self._changed = Condition()
+        self._changed, self._room = Condition(), Room()
         self._next, self._rested, self._made_at = monotonic() + self.period, 0.0, -1
         self._thread = Thread(target=self._run, name="checkpoints", daemon=True)
         self._thread.start()
@@ -76,17 +83,23 @@ class Checkpoints:
         if last:
             self._close(engine)
         elif self._job is None and (monotonic() >= max(self._next, self._rested) or engine.urgent):
-            self._next = monotonic() + self.period
-            if engine.changes != self._made_at:
+            if engine.changes == self._made_at:
+                self._next = monotonic() + self.period
+            elif (size := state_size(engine)) > max(self._room.size, LARGE):
+                self._hand_over(_Job(room=size))
+            else:
+                self._next = monotonic() + self.period
                 self._make(engine)
 
     def _make(self, engine: Engine) -> None:
         begun = monotonic()
         self._made_at, engine.urgent = engine.changes, False
-        job, self._undone = _Job(snapshot(engine), self._undone), []
+        job, self._undone = _Job(draft(engine, self._room), self._undone), []
         crash_point("checkpoint.made")
-        self.counters.put("pmfid_checkpoint_bytes", sum(map(len, job.chunks)))
         self.counters.put("pmfid_checkpoint_made_seconds", monotonic() - begun)
+        self._hand_over(job)
+
+    def _hand_over(self, job: _Job) -> None:
         with self._changed:
             self._job = job
             self._changed.notify_all()
@@ -111,21 +124,26 @@ class Checkpoints:
                 job = self._job
             if job is None:
                 return
-            self._write(job)
+            if job.draft is None:
+                self._room.grow(job.room)
+            else:
+                self._write(job.draft, job.done)
             with self._changed:
                 self._job = None
                 self._changed.notify_all()
 
-    def _write(self, job: _Job) -> None:
+    def _write(self, made: Draft, done: list[Done]) -> None:
         begun = monotonic()
         try:
-            self.vault.write(job.chunks)
+            chunks = made.chunks()
+            self.counters.put("pmfid_checkpoint_bytes", sum(map(len, chunks)))
+            self.vault.write(chunks)
         except OSError as error:
             self._failed(error)
         else:
             self._succeeded(monotonic() - begun)
         self._rested = monotonic() + REST * (monotonic() - begun)
-        self._call(job.done)
+        self._call(done)
 
     def _failed(self, error: OSError) -> None:
         self.counters.add("pmfid_checkpoint_errors_total")

@@ -12,23 +12,19 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from pmfid.service.clock import Clock, fits
 from pmfid.service.delivery import Block
+from pmfid.service.positions import Column, Place, Positions
 from pmfid.types import Counts, Floats
 
-__all__ = ["ANEW", "Clock", "Order", "Piece", "Verdict"]
+__all__ = ["ANEW", "Order", "Piece", "Verdict"]
 
 #: In place of a number of missing samples: the sender began anew, nobody knows what lies between.
 ANEW = -1
 #: Between two epochs more is not a gap [s], and between two numbers no drive has more [samples].
 LONGEST_GAP, MOST_MISSING = 3600.0, 2**40
-#: A clock that is off by more was set [s]: stamps may be those of whole seconds.
-SET = 1.5
-#: Rate of the sender's clock against its numbers: over so many samples and so much time [s], by how much it may differ.
-RATE_SAMPLES, RATE_TIME, RATE = 500, 60.0, 0.005
 #: Gaps that are remembered, to tell what is late from what came twice.
 GAPS = 32
-#: The sender's sample period may differ from that of the configuration by such a part.
-PERIOD = 1e-3
 
 
 class Piece(NamedTuple):
@@ -60,76 +56,53 @@ class Verdict:
     told: list[dict[str, object]] = field(default_factory=list)
 
 
-@dataclass
-class Clock:
-    """The sender's clock against its numbers. expected: time of sample `number` [s], NaN while unknown; start, first:
-    a time and its number from where the rate is measured; told: that it is another one."""
-
-    dt: float
-    expected: float = math.nan
-    number: int = 0
-    start: float = math.nan
-    first: int = 0
-    told: bool = False
-
-    def look(self, first: int, end: int, time: float) -> dict[str, object] | None:
-        """At a block in its place. What there is to tell: the clock was set, or goes at another rate."""
-        if math.isnan(time):
-            return None
-        off = time - self.expected - (first - self.number) * self.dt
-        self.expected, self.number = time + (end - first) * self.dt, end
-        if abs(off) > SET or math.isnan(off):
-            self.start, self.first = time, first
-            return None if math.isnan(off) else {"event": "clock", "time": time, "jump": off}
-        if first - self.first >= RATE_SAMPLES and time - self.start >= RATE_TIME:
-            return self._rate(first, time)
-        return None
-
-    def _rate(self, first: int, time: float) -> dict[str, object] | None:
-        rate = (time - self.start) / ((first - self.first) * self.dt)
-        self.start, self.first = time, first
-        wrong, known = abs(rate - 1) > RATE, self.told
-        self.told = wrong
-        if not wrong or known:
-            return None
-        period = rate * self.dt
-        problem = f"by the sender's clock a sample takes {period:.6g} s, by its configuration {self.dt:.6g} s"
-        return {"event": "clock", "time": time, "jump": 0.0, "rate": rate, "problem": problem}
-
-
 class Order:
-    """Blocks of one axis. dt: sample period [s]; window: samples that what comes too early waits for.
+    """Blocks of one axis. dt: sample period [s]; window: samples that what comes too early waits for; place: where its
+    numbers are kept, left out: on its own.
 
-    epoch, expected: of the next sample, epoch -1 before the first; held: blocks that wait.
+    epoch, expected: of the next sample, epoch -1 before the first; held: blocks that wait, by epoch and number.
     """
 
-    __slots__ = ("clock", "dt", "epoch", "expected", "gaps", "held", "window", "wrong_period")
+    __slots__ = ("_held", "clock", "dt", "gaps", "place", "window")
+    epoch, expected = Column[int]("epoch"), Column[int]("expected")
+    wrong_period, _waiting = Column[bool]("wrong_period"), Column[bool]("waits")
 
-    def __init__(self, dt: float, window: int) -> None:
+    def __init__(self, dt: float, window: int, place: Place | None = None) -> None:
         self.dt, self.window = dt, window
-        self.epoch, self.expected = -1, 0
-        self.held: list[Block] = []
+        self.place = place or Place(Positions.fresh(1), 0)
+        self._held: list[Block] = []
         self.gaps: list[tuple[int, int]] = []
-        self.clock = Clock(dt)
-        self.wrong_period = False
+        self.clock = Clock(dt, self.place)
+
+    @property
+    def held(self) -> tuple[Block, ...]:
+        return tuple(self._held)
+
+    def hold(self, at: int, block: Block) -> None:
+        """Has a block wait as number `at` of those that do."""
+        self._held.insert(at, block)
+        self._waiting = True
 
     def take(self, block: Block, received: float, turn: int, pieces: list[Piece]) -> Verdict | None:
         """Appends to `pieces` what can be stepped; None for the block that was expected."""
         n = block.counts.size
-        if n and block.epoch == self.epoch and block.first == self.expected and not self.held and self._fits(block):
+        if (
+            n
+            and block.epoch == self.epoch
+            and block.first == self.expected
+            and not self._held
+            and fits(block.dt, self.dt)
+        ):
             self.expected = block.first + n
             pieces.append(Piece(0, False, block.u, block.counts, block.time, 0, received, turn))
             told = self.clock.look(block.first, self.expected, block.time)
             return None if told is None else Verdict(told=[told])
         return self._sorted(block, received, turn, pieces)
 
-    def _fits(self, block: Block) -> bool:
-        return abs(block.dt - self.dt) <= PERIOD * self.dt
-
     def _sorted(self, block: Block, received: float, turn: int, pieces: list[Piece]) -> Verdict:
         verdict = Verdict()
         n = block.counts.size
-        if not self._fits(block):
+        if not fits(block.dt, self.dt):
             return self._refuse(block, verdict)
         if n == 0:
             return verdict
@@ -163,23 +136,24 @@ class Order:
     def _hold(self, block: Block, verdict: Verdict) -> bool:
         """Puts a block among those that wait, by epoch and number; False for one that waits there already."""
         key = (block.epoch, block.first)
-        at = len(self.held)
-        while at and (self.held[at - 1].epoch, self.held[at - 1].first) > key:
+        at = len(self._held)
+        while at and (self._held[at - 1].epoch, self._held[at - 1].first) > key:
             at -= 1
-        before = self.held[at - 1] if at else None
+        before = self._held[at - 1] if at else None
         if before is not None and before.epoch == block.epoch and before.end >= block.end:
             verdict.duplicate += block.counts.size
             return False
-        self.held.insert(at, block)
+        self.hold(at, block)
         return True
 
     def _release(self, received: float, turn: int, pieces: list[Piece], verdict: Verdict) -> None:
-        while self.held:
-            block = self.held[0]
+        while self._held:
+            block = self._held[0]
             lead = self._lead(block)
             if lead is None:
                 return
-            del self.held[0]
+            del self._held[0]
+            self._waiting = bool(self._held)
             self._give(block, lead, received, turn, pieces, verdict)
 
     def _lead(self, block: Block) -> int | None:
@@ -198,7 +172,7 @@ class Order:
         if not self.window:
             return False
         start, end, epoch = block.first, block.end, block.epoch
-        for other in self.held:
+        for other in self._held:
             if other.epoch != epoch:
                 start, end, epoch = other.first, other.end, other.epoch
             end = max(end, other.end)
@@ -238,4 +212,4 @@ class Order:
             verdict.told.append({"event": "epoch", "epoch": block.epoch, "time": block.time, "jump": jump})
         self.epoch, self.expected = block.epoch, block.first
         self.gaps = [(0, block.first)] if block.first else []
-        self.clock = Clock(self.dt)
+        self.clock.reset()

@@ -96,7 +96,7 @@ class Vault:
     def _places(self) -> tuple[Path, Path]:
         return self.folder / "checkpoint-0", self.folder / "checkpoint-1"
 
-    def write(self, chunks: Sequence[bytes]) -> None:
+    def write(self, chunks: Sequence[bytes | memoryview]) -> None:
         """A new checkpoint in place of the older one; it is durable when this returns. Raises OSError."""
         sequence = self.sequence + 1
         part = self.folder / "checkpoint.part"
@@ -122,7 +122,7 @@ class Vault:
         self._lock.close()
 
 
-def _put(file: IO[bytes], sequence: int, chunks: Sequence[bytes]) -> None:
+def _put(file: IO[bytes], sequence: int, chunks: Sequence[bytes | memoryview]) -> None:
     rest = _REST.pack(sequence, sum(map(len, chunks)))
     checksum = zlib.crc32(rest)
     for chunk in chunks:

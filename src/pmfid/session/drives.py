@@ -83,7 +83,8 @@ class Drives(Kind[Record]):
         known = believed_of(data, axis).record
         either = [at_gain(axis, 1.0), at_gain(axis, -1.0)] if finds_gain(axis) else [axis]
         models = [one.model.make() for one in either]
-        cutoff = choose_cutoff(models, axis.encoder.made(data.resolution), data.dt, known.u, known.counts)
+        encoder, forgetting = axis.encoder.made(data.resolution), axis.estimator.forgetting
+        cutoff = choose_cutoff(models, encoder, data.dt, known.u, known.counts, forgetting)
         return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
 
     def completed(self, data: Record, axis: Axis) -> Record:

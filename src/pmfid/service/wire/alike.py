@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 import zlib
+from functools import lru_cache
 
 import numpy as np
 
-from pmfid.service.delivery import Block
+from pmfid.service.delivery import Table
 from pmfid.service.wire.layout import HEADER, LONGEST_NAME, MAGIC, MOST_NUMBER, MOST_SAMPLES, VERSION, block_type
 from pmfid.session.monitored.reading import MAX_COUNT, MOST_TIME
 from pmfid.types import Flags
@@ -19,11 +20,13 @@ __all__ = ["alike"]
 
 #: So many blocks are worth the trouble.
 FEWEST = 4
+#: Names are the same in each message of a gateway: so many lists of at most so many names are remembered.
+LISTS, NAMES = 1024, 256
 #: Bytes of the header that blocks have in common: magic, version, flags, samples; and the name's length.
 _COMMON, _LETTERS = slice(0, 8), 12
 
 
-def alike(data: bytes) -> list[Block] | None:
+def alike(data: bytes) -> Table | None:
     """The blocks of a message where all have the same form and nothing is wrong with any; None otherwise."""
     if len(data) < HEADER.size or not data.startswith(MAGIC):
         return None
@@ -38,7 +41,7 @@ def alike(data: bytes) -> list[Block] | None:
     same = (whole[:, _COMMON] == whole[0, _COMMON]).all() and (whole[:, _LETTERS] == letters).all()
     if not (same and _sums_fit(data, rows) and _fine(rows, samples)):
         return None
-    names = _names(rows, letters)
+    names = (_names if rows.size <= NAMES else _names.__wrapped__)(rows["name"].tobytes(), letters)
     return None if names is None else _made(rows, names)
 
 
@@ -59,9 +62,11 @@ def _fine(rows: np.ndarray, samples: int) -> bool:
     )
 
 
-def _names(rows: np.ndarray, letters: int) -> list[str] | None:
+@lru_cache(LISTS)
+def _names(text: bytes, letters: int) -> tuple[str, ...] | None:
+    """Names of so many bytes each, which stand behind one another; None where one is none."""
     try:
-        names = [name.decode() for name in rows["name"].tolist()]
+        names = tuple(text[k : k + letters].rstrip(b"\0").decode() for k in range(0, len(text), letters))
     except UnicodeDecodeError:
         return None
     # what ends in zeros is shorter than it says
@@ -69,7 +74,8 @@ def _names(rows: np.ndarray, letters: int) -> list[str] | None:
     return names if whole else None
 
 
-def _made(rows: np.ndarray, names: list[str]) -> list[Block]:
-    u, counts = rows["u"].astype(np.float64), rows["counts"].astype(np.int64)
-    columns = (rows[key].tolist() for key in ("epoch", "first", "time", "dt"))
-    return [Block(*row) for row in zip(names, *columns, u, counts, strict=True)]
+def _made(rows: np.ndarray, names: tuple[str, ...]) -> Table:
+    # copies: they are aligned, and do not keep the whole message
+    epoch, first, counts = (rows[key].astype(np.int64) for key in ("epoch", "first", "counts"))
+    time, dt, u = (rows[key].astype(np.float64) for key in ("time", "dt", "u"))
+    return Table(names, epoch, first, time, dt, u, counts)

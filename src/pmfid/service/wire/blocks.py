@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.service.delivery import Block, Unusable
+from pmfid.service.delivery import Block, Table, Unusable
 from pmfid.service.wire.alike import alike
 from pmfid.service.wire.layout import (
     COUNTS,
@@ -32,7 +32,7 @@ from pmfid.service.wire.layout import (
 from pmfid.session.monitored.reading import MAX_COUNT, MOST_TIME
 from pmfid.types import Counts, Floats
 
-__all__ = ["BlockStream", "decode", "encode", "problem_of"]
+__all__ = ["BlockStream", "decode", "encode", "items", "problem_of"]
 
 #: How often in one message a block is looked for by MAGIC alone: each may cost the checksum of a whole block.
 _MOST_SEARCHES = 16
@@ -63,10 +63,17 @@ def encode(block: Block) -> bytes:
     return body + CRC.pack(zlib.crc32(body))
 
 
-def decode(data: bytes) -> list[Block | Unusable]:
-    """What a message says: its blocks in order, and in place of each that cannot be used the reason."""
+def items(data: bytes) -> list[Table] | list[Block | Unusable]:
+    """What a message says: its blocks in order, and in place of each that cannot be used the reason; one table where
+    all are alike."""
     found = alike(data)
-    return [*found] if found is not None else _blocks(data, whole=True)[0]
+    return [found] if found is not None else _blocks(data, whole=True)[0]
+
+
+def decode(data: bytes) -> list[Block | Unusable]:
+    """The same without tables."""
+    found = alike(data)
+    return [*found.blocks()] if found is not None else _blocks(data, whole=True)[0]
 
 
 @dataclass

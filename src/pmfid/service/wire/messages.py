@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from pmfid.service.delivery import Block, Item, Unusable
+from pmfid.service.delivery import Block, Item, Lines, Unusable, one_by_one
 from pmfid.service.wire import blocks, json_lines, line_protocol
 from pmfid.service.wire.layout import MAGIC
 from pmfid.service.wire.line_protocol import Precision
@@ -34,7 +34,8 @@ class Messages:
             return [Unusable("oversized", f"a message of {len(data)} bytes, more than {self.largest}", axis[:64])]
         form = self._form(data) if self.form == "auto" else self.form
         if form == "block":
-            return [_of(item, axis) for item in blocks.decode(data)]
+            found = blocks.items(data)
+            return [_of(item, axis) for item in one_by_one(found)] if axis else found
         if form == "json":
             return self.readers.items(json_lines.decode(data, axis))
         return self.readers.items(line_protocol.decode(data, axis, self.tag, self.precision))
@@ -45,8 +46,8 @@ class Messages:
         return "json" if data.lstrip()[:1] in (b"{", b"[") else "line"
 
 
-def _of(item: Block | Unusable, axis: str) -> Block | Unusable:
+def _of(item: Block | Lines | Unusable, axis: str) -> Block | Lines | Unusable:
     """A block by the topic of one axis must not be another's: who may write to the first might not to the second."""
-    if axis and isinstance(item, Block) and item.axis != axis:
+    if isinstance(item, Block) and item.axis != axis:
         return Unusable("name", f"a block of {item.axis!r} that came as one of {axis[:64]!r}", axis[:64])
     return item

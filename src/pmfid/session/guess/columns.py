@@ -16,7 +16,7 @@ from pmfid.session.checks.view import MASS, View, best_view
 from pmfid.session.guess.lattice import is_whole
 from pmfid.session.guess.names import Role, role_of
 from pmfid.session.tables import Table, column, times
-from pmfid.session.units import OUTPUTS, column_unit
+from pmfid.session.units import OUTPUTS, Unit, column_unit
 from pmfid.session.wrap import wrap_of
 from pmfid.types import Floats
 
@@ -34,6 +34,8 @@ AGAINST = 3.0
 
 #: Part of the rows of a time column that follow the one before by nearly the same step, and how nearly.
 MOSTLY, EVEN = 0.9, 0.2
+#: Part of its range, and how often each way, through which a column jumps that is no motion.
+JUMP, FEW_JUMPS = 0.4, 3
 #: Correlation with the change of the output from which on a column is its velocity, and no input.
 SAME = 0.99
 
@@ -91,6 +93,7 @@ def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
     outputs = next(
         (found for role in OUTPUT_ROLES if (found := [name for name in columns if roles[name] == role])), None
     ) or [name for name in columns if roles[name] in ("", "input")]
+    outputs = _moving(columns, outputs) or outputs
     inputs = [name for name in columns if roles[name] == "input"] or [name for name in columns if roles[name] == ""]
     tried = [
         one
@@ -109,11 +112,32 @@ def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
     return Pair(best.input, best.output, best.kind, best.turned, best.explained, reason)
 
 
+def _moving(columns: Mapping[str, Floats], outputs: list[str]) -> list[str]:
+    """Those of the outputs that a mass can have: none that jumps, and no rate of one of the others."""
+    smooth = [name for name in outputs if role_of(name) or not _jumps(columns[name])]
+    rates = {a for a in smooth for b in smooth if a != b and not role_of(a) and _is_rate(columns[a], columns[b])}
+    return [name for name in smooth if name not in rates]
+
+
+def _jumps(values: Floats) -> bool:
+    """Does a column (n,) go through much of its range within a sample, to and fro, as a relay does and no mass? A
+    counter that wraps moves before it jumps, and the other way."""
+    change = np.diff(values)
+    at = np.flatnonzero(np.abs(change) > JUMP * np.ptp(values))
+    at = at[at > 0]
+    if min(np.sum(change[at] > 0), np.sum(change[at] < 0)) < FEW_JUMPS:
+        return False
+    wraps = change[at - 1] * change[at] < 0
+    return bool(np.mean(wraps) < 0.8)
+
+
 def _tried(columns: Mapping[str, Floats], name: str, output: str, role: Role, dt: float) -> Pair | None:
-    """A pair of columns, as what it explains most; None of a column and its own velocity."""
+    """A pair of columns, as what it explains most; None of a column and its own velocity, either way around."""
     if role != "velocity" and _is_rate(columns[name], columns[output]):
         return None
-    kinds = (role,) if role == "velocity" else ("position",) if role == "counts" else ("position", "velocity")
+    if _is_rate(columns[output], columns[name]):
+        return None
+    kinds = _kinds(role, column_unit(output, OUTPUTS))
     found = [(kind, _view(columns[name], columns[output], kind, dt)) for kind in kinds]
     seen = [(kind, view) for kind, view in found if view is not None]
     if not seen:
@@ -122,6 +146,14 @@ def _tried(columns: Mapping[str, Floats], name: str, output: str, role: Role, dt
     kind, view = min(seen, key=lambda pair: _cost(pair[1]) * (AGAINST if role and pair[0] != role else 1.0))
     explained = max(0.0, 1 - _cost(view))
     return Pair(name, output, _whole(output, columns[output], kind), is_turned(view), explained, "")
+
+
+def _kinds(role: Role, unit: Unit | None) -> tuple[str, ...]:
+    """What a column may be by its name and by the unit that stands there."""
+    if role == "velocity":
+        return ("velocity",)
+    travel = role == "counts" or (unit is not None and unit.of in ("length", "angle"))
+    return ("position",) if travel else ("position", "velocity")
 
 
 def _is_rate(values: Floats, output: Floats) -> bool:

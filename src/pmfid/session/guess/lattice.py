@@ -10,6 +10,8 @@ __all__ = ["is_whole", "step_of"]
 
 #: Values that are looked at; part of the steps that must be whole multiples, and how exactly.
 MOST, PART, EXACT = 20_000, 0.98, 0.02
+#: Part of a step that a log's rounding may have: with more of it any steps would do.
+MOST_ROUNDED = 0.15
 #: A column without steps is taken to be as fine as so many in its range.
 FINE = 2**20
 
@@ -22,7 +24,8 @@ def is_whole(values: Floats) -> bool:
 def step_of(values: Floats) -> tuple[float, bool]:
     """The smallest step of which all others are multiples, and whether there is one; values: (n,), finite.
 
-    Steps up to a billionth of the range are rounding. Where there is none, a millionth of the range.
+    Steps up to a billionth of the range are rounding, and a log may have rounded each value to so many decimals. Where
+    there is none, a millionth of the range.
     """
     found = np.unique(values[:MOST])
     reach = float(np.ptp(found))
@@ -31,15 +34,26 @@ def step_of(values: Floats) -> tuple[float, bool]:
     steps = np.diff(found)
     steps = steps[steps > 1e-9 * reach]
     step = float(steps.min())
-    for _ in range(3):  # more digits with every turn: small multiples first
+    for most in (4, 16, 64, 256, 1000):  # more digits with every turn: small multiples first
         times = np.rint(steps / step)
-        near = (times > 0) & (times < 1000) & (np.abs(steps / step - times) < 0.25)
+        near = (times > 0) & (times < most) & (np.abs(steps / step - times) < 0.25)
         step = float(np.sum(steps[near]) / np.sum(times[near]))
     off = np.abs(steps / step - np.rint(steps / step))
     exact = steps / step < EXACT / 1e-6
-    if found.size > 3 and np.mean(off[exact] < EXACT) > PART and reach / step < FINE:
+    rounded = rounding_of(found) / step
+    allowed = max(EXACT, 1.01 * rounded if rounded < MOST_ROUNDED else 0.0)
+    if found.size > 3 and np.mean(off[exact] < allowed) > PART and reach / step < FINE:
         return _rounded(step), True
     return reach / FINE, False
+
+
+def rounding_of(values: Floats) -> float:
+    """The power of ten of which all values (n,) are multiples; 0.0 where there is none of six and more digits."""
+    for digits in range(10):
+        scaled = values * 10.0**digits
+        if np.all(np.abs(scaled - np.rint(scaled)) < 1e-6) and np.ptp(scaled) < 1e9:
+            return 10.0**-digits
+    return 0.0
 
 
 def _rounded(step: float) -> float:

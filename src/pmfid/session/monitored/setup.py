@@ -75,7 +75,8 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
         raise UsageError(
             f"the record has dt = {record.dt:g} s, the reference {normal.dt:g} s; take a reference with the same"
         )
-    estimator = _estimator(_at_normal_gain(kind_of(axis).prepared(source, axis), source), source, wraps=record is None)
+    on_line = kind_of(axis).prepared(source, _on_line(axis, source.dt))
+    estimator = _estimator(_at_normal_gain(on_line, source), source, wraps=record is None)
     known = known_of(axis, estimator)
     nominal = _nominal(estimator, config.nominal, source, known)
     if isinstance(estimator, RIV):
@@ -119,19 +120,25 @@ def check_monitored(axis: Axis) -> None:
         )
 
 
-def _estimator(axis: Axis, source: Record, wraps: bool) -> RecursiveEstimator:
-    """The recursive method that is asked for, `riv` for auto; wraps: the counter's bits matter, as in a pipe."""
+def _on_line(axis: Axis, dt: float) -> Axis:
+    """With a recursive method, `riv` for auto, and a memory where none is given."""
     method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
+    forgetting = axis.estimator.forgetting
+    if forgetting == 1:
+        forgetting = max(0.5, 1 - dt / DEFAULT_MEMORY)
+    changed = axis.estimator.model_copy(update={"method": method, "forgetting": forgetting})
+    return axis.model_copy(update={"estimator": changed})
+
+
+def _estimator(axis: Axis, source: Record, wraps: bool) -> RecursiveEstimator:
+    """The recursive method that is asked for; wraps: the counter's bits matter, as in a pipe."""
+    method = axis.estimator.method
     if not issubclass(ESTIMATORS[method], RecursiveEstimator) or issubclass(ESTIMATORS[method], RLS):
         usable = [
             name for name, cls in ESTIMATORS.items() if issubclass(cls, RecursiveEstimator) and not issubclass(cls, RLS)
         ]
         raise UsageError(f"[estimator] method = {method!r} does not run sample by sample without bias: use {usable}")
-    forgetting = axis.estimator.forgetting
-    if forgetting == 1:
-        forgetting = max(0.5, 1 - source.dt / DEFAULT_MEMORY)
-    changed = axis.estimator.model_copy(update={"method": method, "forgetting": forgetting})
-    estimator = make_estimator(axis.model_copy(update={"estimator": changed}), source)
+    estimator = make_estimator(axis, source)
     if not isinstance(estimator, RecursiveEstimator):
         raise UsageError(f"{method} is an off-line method")
     if wraps and axis.encoder.bits is not None and axis.record.output_kind == "counts":

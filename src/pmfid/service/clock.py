@@ -1,0 +1,81 @@
+"""The clocks of senders against the numbers of their samples: set, at another rate, or quiet."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.service.positions import Column, Place
+from pmfid.types import Flags, Floats
+
+__all__ = ["Clock", "due", "fits", "runs"]
+
+#: A clock that is off by more was set [s]: stamps may be those of whole seconds.
+SET = 1.5
+#: Rate of the sender's clock against its numbers: over so many samples and so much time [s], by how much it may differ.
+RATE_SAMPLES, RATE_TIME, RATE = 500, 60.0, 0.005
+#: The sender's sample period may differ from that of the configuration by such a part.
+PERIOD = 1e-3
+
+#: What is asked of one block is asked of those of many axes in the same words: a number, or one for each.
+Real = float | Floats
+Whole = int | NDArray[np.int64]
+Answer = bool | Flags
+
+
+def fits(period: Real, dt: float) -> Answer:
+    """Whether a sender has the sample period of the configuration."""
+    return (period - dt <= PERIOD * dt) & (dt - period <= PERIOD * dt)
+
+
+def runs(off: Real) -> Answer:
+    """Whether a clock that is off by so much [s] was not set; False for one of which nothing is known."""
+    return (off <= SET) & (-off <= SET)
+
+
+def due(samples: Whole, time: Real) -> Answer:
+    """Whether after so many samples and so much time [s] the rate of a clock is looked at."""
+    return (samples >= RATE_SAMPLES) & (time >= RATE_TIME)
+
+
+class Clock:
+    """The sender's clock against its numbers, dt: between two [s]. expected: time of sample `number` [s], NaN while
+    unknown; start, first: a time and its number from where the rate is measured; told: that it is another one."""
+
+    __slots__ = ("dt", "place")
+    expected, number = Column[float]("time"), Column[int]("number")
+    start, first = Column[float]("start"), Column[int]("first")
+    told = Column[bool]("told")
+
+    def __init__(self, dt: float, place: Place) -> None:
+        self.dt, self.place = dt, place
+
+    def reset(self) -> None:
+        """Nothing is known of it any more."""
+        self.expected, self.number, self.start, self.first, self.told = math.nan, 0, math.nan, 0, False
+
+    def look(self, first: int, end: int, time: float) -> dict[str, object] | None:
+        """At a block in its place. What there is to tell: the clock was set, or goes at another rate."""
+        if math.isnan(time):
+            return None
+        off = time - self.expected - (first - self.number) * self.dt
+        self.expected, self.number = time + (end - first) * self.dt, end
+        if not runs(off):
+            self.start, self.first = time, first
+            return None if math.isnan(off) else {"event": "clock", "time": time, "jump": off}
+        if due(first - self.first, time - self.start):
+            return self._rate(first, time)
+        return None
+
+    def _rate(self, first: int, time: float) -> dict[str, object] | None:
+        rate = (time - self.start) / ((first - self.first) * self.dt)
+        self.start, self.first = time, first
+        wrong, known = abs(rate - 1) > RATE, self.told
+        self.told = wrong
+        if not wrong or known:
+            return None
+        period = rate * self.dt
+        problem = f"by the sender's clock a sample takes {period:.6g} s, by its configuration {self.dt:.6g} s"
+        return {"event": "clock", "time": time, "jump": 0.0, "rate": rate, "problem": problem}

@@ -1,0 +1,182 @@
+"""What came, put in order: each sample to its axis, what cannot be used counted and told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.service.counters import Counters
+from pmfid.service.delivery import Block, Delivery, Lines, Table, Unusable
+from pmfid.service.expected import take_expected
+from pmfid.service.groups import Group, Seat
+from pmfid.service.order import Piece, Verdict
+from pmfid.service.seating import Seating, Seatings, Tables
+from pmfid.service.stepping import Found
+from pmfid.service.waiting import Batch, Waiting
+from pmfid.types import Flags, Floats
+
+__all__ = ["Intake", "Ordered"]
+
+
+@dataclass
+class Ordered:
+    """What became of some deliveries. rounds: to be stepped one after the other; found: what there is to tell."""
+
+    rounds: list[Waiting] = field(default_factory=list)
+    found: list[Found] = field(default_factory=list)
+    _last: dict[int, Waiting] = field(default_factory=dict)
+
+    def put(self, group: Group, batch: Batch) -> None:
+        """Blocks of a table, each of another axis."""
+        waiting = self._of(group)
+        if not waiting.may_put(batch.index):
+            del self._last[id(group)]
+            waiting = self._of(group)
+        waiting.put(batch)
+
+    def queue(self, seat: Seat, pieces: list[Piece]) -> None:
+        """Pieces of an axis."""
+        self._of(seat.group).queue(seat, pieces)
+
+    def _of(self, group: Group) -> Waiting:
+        if id(group) not in self._last:
+            self._last[id(group)] = Waiting(group)
+            self.rounds.append(self._last[id(group)])
+        return self._last[id(group)]
+
+
+@dataclass
+class Intake:
+    """tell: takes what there is to say of a source, or of an axis."""
+
+    counters: Counters
+    tell: Callable[[dict[str, Any], str], None]
+    seats: dict[str, Seat] = field(default_factory=dict, init=False)
+    _seatings: Seatings = field(default_factory=lambda: Seatings({}), init=False)
+    _unusable: set[tuple[str, str]] = field(default_factory=set, init=False)
+    _turn: int = field(default=0, init=False)
+
+    def arranged(self, seats: Iterable[Seat]) -> None:
+        """These are all the axes from now on."""
+        self.seats = {seat.name: seat for seat in seats}
+        self._seatings = Seatings(self.seats)
+
+    def take(self, deliveries: Iterable[Delivery]) -> Ordered:
+        """Puts them in order."""
+        ordered, tables = Ordered(), Tables()
+        for delivery in deliveries:
+            for item in delivery.items:
+                if isinstance(item, Table) and tables.may_put(item):
+                    tables.put(item, delivery)
+                    continue
+                self._settle(tables, ordered)
+                tables = Tables()
+                if isinstance(item, Table):
+                    tables.put(item, delivery)
+                else:
+                    self._turn += 1
+                    self._single(item, delivery, self._turn, ordered)
+        self._settle(tables, ordered)
+        return ordered
+
+    # --- tables -------------------------------------------------------------------------------------------------------
+
+    def _settle(self, tables: Tables, ordered: Ordered) -> None:
+        """Tables that follow one another, all at once where no axis comes twice."""
+        if not tables.tables:
+            return
+        seating = self._seatings.of([table.axes for table in tables.tables])
+        if seating is not None or len(tables.tables) == 1:
+            self._table(tables, seating or [], ordered)
+            return
+        for one in tables.one_by_one():
+            self._settle(one, ordered)
+
+    def _table(self, tables: Tables, seating: Seating, ordered: Ordered) -> None:
+        """What was expected at once, the rest block by block; each block counts as an item."""
+        table, size = Table.joined(tables.tables), tables.size
+        turns = np.arange(self._turn + 1, self._turn + 1 + size)
+        received = np.repeat([one.received for one in tables.deliveries], [len(one.axes) for one in tables.tables])
+        self._turn += size
+        rest = np.ones(size, np.bool_)
+        for group, index in seating:
+            taken = take_expected(group.positions, group.dt, index, table)
+            if taken.any():
+                ordered.put(group, _batch(table, taken, index, turns, received))
+                rest &= ~taken
+        left = np.flatnonzero(rest).tolist()
+        deliveries = tables.by_block() if left else []
+        for row in left:
+            self._single(table.block(row), deliveries[row], int(turns[row]), ordered)
+
+    # --- one by one ---------------------------------------------------------------------------------------------------
+
+    def _single(self, item: Block | Lines | Unusable, delivery: Delivery, turn: int, ordered: Ordered) -> None:
+        try:
+            self._one(item, delivery, turn, ordered)
+        except (TypeError, ValueError, ArithmeticError) as error:  # it would come again and again
+            problem = f"{type(error).__name__}: {error}; it is left out"
+            self._refuse(delivery.source, Unusable("error", problem))
+
+    def _one(self, item: Block | Lines | Unusable, delivery: Delivery, turn: int, ordered: Ordered) -> None:
+        if isinstance(item, Unusable):
+            self._refuse(delivery.source, item)
+            return
+        seat = self.seats.get(item.axis)
+        if seat is None:
+            problem = f"there is no axis {item.axis!r} in this plant; add it to PLANT.toml, or correct the sender"
+            self._refuse(delivery.source, Unusable("axis", problem, item.axis))
+            return
+        pieces = list[Piece]()
+        try:
+            verdict = _ordered(seat, item, delivery.received, turn, pieces)
+        finally:  # what an order has given out it does not give again
+            if pieces:
+                ordered.queue(seat, pieces)
+        if verdict is not None:
+            self._judge(seat, verdict, turn, ordered.found)
+
+    def _refuse(self, source: str, item: Unusable) -> None:
+        self.counters.add("pmfid_unusable_total", source=source, reason=item.reason)
+        if (source, item.reason) in self._unusable:
+            return
+        self._unusable.add((source, item.reason))
+        self.tell({"event": "unusable", "source": source, "reason": item.reason, "problem": item.problem}, "")
+
+    def _judge(self, seat: Seat, verdict: Verdict, turn: int, found: list[Found]) -> None:
+        """Counts what came to nothing, and keeps what there is to tell for its turn."""
+        group = seat.group.kindred.config
+        for reason in ("duplicate", "late", "refused"):
+            if number := getattr(verdict, reason):
+                self.counters.add("pmfid_samples_dropped_total", number, reason=reason, group=group)
+        for kind, number in verdict.lines.items():
+            self.counters.add("pmfid_lines_dropped_total", number, reason=kind, group=group)
+        if verdict.late and seat.may_tell("late"):
+            problem = f"{verdict.late} samples came too late, when the samples behind them had been taken"
+            self.tell({"event": "late", "samples": verdict.late, "problem": problem}, seat.name)
+        for what in verdict.told:
+            self.counters.add("pmfid_events_total", event=str(what["event"]), group=group)
+            if what["event"] == "gap":
+                self.counters.add("pmfid_samples_missing_total", float(what["missing"]), group=group)  # type: ignore[arg-type]
+            if seat.may_tell(str(what["event"])):
+                found.append(Found(turn, -1, seat, what))
+
+
+def _ordered(seat: Seat, item: Block | Lines, received: float, turn: int, pieces: list[Piece]) -> Verdict | None:
+    if isinstance(item, Block):
+        return seat.order.take(item, received, turn, pieces)
+    timed = any(line.time == line.time for line in item.lines)
+    lines = seat.lines(timed or bool(seat.group.prepared.axis.record.time))
+    return lines.take(item, received, turn, pieces)
+
+
+def _batch(table: Table, taken: Flags, index: NDArray[np.int64], turns: NDArray[np.int64], received: Floats) -> Batch:
+    """Some blocks of a table."""
+    rows = slice(None) if taken.all() else np.flatnonzero(taken)
+    at = index[rows]
+    offset = np.zeros(at.size, np.int64)
+    return Batch(at, table.u[rows], table.counts[rows], table.time[rows], offset, turns[rows], received[rows])

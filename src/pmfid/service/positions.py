@@ -1,0 +1,79 @@
+"""Where the numbers and the clocks of many axes stand: a column for each, so that many are looked at at once.
+
+There is one copy of it: `Order` and `Clock` of an axis read and write the row of that axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.types import Flags, Floats
+
+__all__ = ["Column", "Place", "Positions"]
+
+T = TypeVar("T", int, float, bool)
+
+
+@dataclass
+class Positions:
+    """Columns (axes,). epoch, expected: of the next sample, epoch -1 before the first; time: of sample `number` by the
+    sender's clock [s], NaN while unknown; start, first: a time and its number from where the rate of that clock is
+    measured; told: that it has another one; wrong_period: what came with another period was told; waits: some blocks
+    came too early."""
+
+    epoch: NDArray[np.int64]
+    expected: NDArray[np.int64]
+    time: Floats
+    number: NDArray[np.int64]
+    start: Floats
+    first: NDArray[np.int64]
+    told: Flags
+    wrong_period: Flags
+    waits: Flags
+
+    @classmethod
+    def fresh(cls, axes: int) -> Positions:
+        """Of axes of which nothing came yet."""
+        zeros, unknown, no = np.zeros(axes, np.int64), np.full(axes, np.nan), np.zeros(axes, np.bool_)
+        clock = unknown, zeros.copy(), unknown.copy(), zeros.copy()
+        return cls(zeros - 1, zeros, *clock, no, no.copy(), no.copy())
+
+    def add(self, axes: int) -> None:
+        """So many more."""
+        for name, column in vars(Positions.fresh(axes)).items():
+            setattr(self, name, np.concatenate([getattr(self, name), column]))
+
+    def remove(self, index: Sequence[int]) -> None:
+        """Without these; the others move up in their order."""
+        for one in fields(self):
+            setattr(self, one.name, np.delete(getattr(self, one.name), list(index)))
+
+
+class Place:
+    """The row of an axis. It moves when others go."""
+
+    __slots__ = ("index", "positions")
+
+    def __init__(self, positions: Positions, index: int) -> None:
+        self.positions, self.index = positions, index
+
+
+class Column(Generic[T]):
+    """An attribute of something with a `place`, kept in a column of its positions."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, one: object, kind: type | None = None) -> T:
+        place: Place = one.place  # type: ignore[attr-defined]
+        found: T = getattr(place.positions, self._name).item(place.index)
+        return found
+
+    def __set__(self, one: object, value: T) -> None:
+        place: Place = one.place  # type: ignore[attr-defined]
+        getattr(place.positions, self._name)[place.index] = value

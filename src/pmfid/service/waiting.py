@@ -1,0 +1,101 @@
+"""What was put in order and waits to be stepped: a table's blocks as they came, and pieces of single axes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.service.groups import Group, Seat
+from pmfid.service.order import Piece
+from pmfid.types import Counts, Flags, Floats
+
+__all__ = ["Batch", "Waiting"]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Samples of k axes to be stepped at once. index: (k,) numbers of the axes, each once; u, counts: (k, n); time,
+    offset, turn: (k,) as of `Piece`; received: (k,); pieces: (k,) where they came as pieces, else empty: then nothing
+    is missing before any, and none has times of its own."""
+
+    index: NDArray[np.int64]
+    u: Floats
+    counts: Counts
+    time: Floats
+    offset: NDArray[np.int64]
+    turn: NDArray[np.int64]
+    received: Floats
+    pieces: tuple[Piece, ...] = ()
+
+    @classmethod
+    def of(cls, pairs: Sequence[tuple[Seat, Piece]]) -> Batch:
+        """Pieces of the same length."""
+        pieces = tuple(piece for _, piece in pairs)
+        return cls(
+            np.array([seat.index for seat, _ in pairs], np.int64),
+            np.stack([piece.u for piece in pieces]),
+            np.stack([piece.counts for piece in pieces]),
+            np.array([piece.time for piece in pieces], np.float64),
+            np.array([piece.offset for piece in pieces], np.int64),
+            np.array([piece.turn for piece in pieces], np.int64),
+            np.array([piece.received for piece in pieces], np.float64),
+            pieces,
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Batch]) -> Batch:
+        """Batches of other axes each, without pieces, as one."""
+        if len(parts) == 1:
+            return parts[0]
+        return cls(
+            np.concatenate([part.index for part in parts]),
+            np.concatenate([part.u for part in parts]),
+            np.concatenate([part.counts for part in parts]),
+            np.concatenate([part.time for part in parts]),
+            np.concatenate([part.offset for part in parts]),
+            np.concatenate([part.turn for part in parts]),
+            np.concatenate([part.received for part in parts]),
+        )
+
+
+@dataclass
+class Waiting:
+    """Of one group. Batches of tables are stepped first: none may be put that has an axis of which something waits
+    already."""
+
+    group: Group
+    _tables: dict[int, list[Batch]] = field(default_factory=dict, init=False)
+    _queues: dict[Seat, list[Piece]] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        self._busy: Flags = np.zeros(len(self.group.seats), np.bool_)
+
+    def may_put(self, index: NDArray[np.int64]) -> bool:
+        """Whether nothing waits for any of these axes (k,)."""
+        return not self._busy[index].any()
+
+    def put(self, batch: Batch) -> None:
+        """Blocks of a table."""
+        self._busy[batch.index] = True
+        self._tables.setdefault(batch.counts.shape[1], []).append(batch)
+
+    def queue(self, seat: Seat, pieces: Sequence[Piece]) -> None:
+        """Pieces behind all that waits for this axis."""
+        self._busy[seat.index] = True
+        self._queues.setdefault(seat, []).extend(pieces)
+
+    def batches(self) -> Iterator[Batch]:
+        """All of it, as few as there can be, those of each axis in its order."""
+        for parts in self._tables.values():
+            yield Batch.joined(parts)
+        depth, left = 0, list(self._queues.items())
+        while left:
+            by_length: dict[int, list[tuple[Seat, Piece]]] = {}
+            for seat, queue in left:
+                by_length.setdefault(queue[depth].counts.size, []).append((seat, queue[depth]))
+            yield from map(Batch.of, by_length.values())
+            depth += 1
+            left = [one for one in left if len(one[1]) > depth]
