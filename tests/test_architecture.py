@@ -55,7 +55,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "export": JUDGE | {"pmfid"},
     "session": SESSION,
     "service": SESSION | {"session"},
-    "fleet": SESSION | {"session", "door", "pmfid"},
+    "fleet": SESSION | {"session", "service", "door", "pmfid"},
     "report": SESSION | {"session", "fleet"},
     "demo": JUDGE | {"simulation", "report"},
     "paper": JUDGE | {"judge", "design", "simulation", "report", "demo"},

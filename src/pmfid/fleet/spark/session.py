@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 #: Any of these says that somebody has set up a Spark, or runs within one: its settings stay.
 SET_UP = ("SPARK_REMOTE", "SPARK_HOME", "SPARK_CONF_DIR", "PYSPARK_GATEWAY_PORT", "PYSPARK_SUBMIT_ARGS")
 LOOPBACK = "127.0.0.1"
-NO_PYSPARK = "the engine spark needs PySpark 4.1 or later: pip install 'pmfid[spark]'"
+NO_PYSPARK = "the engine spark needs PySpark 4.2 or later: pip install 'pmfid[spark]'"
 NO_JAVA = (
     "Spark needs a Java runtime, 17 or later, and finds none: apt install openjdk-17-jre-headless, or set JAVA_HOME"
 )
