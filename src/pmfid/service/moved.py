@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from pmfid.errors import UsageError
 from pmfid.monitor.fleet import MonitorFleet
+from pmfid.monitor.monitor import Monitor
 from pmfid.service.board.alarms import Standing
 from pmfid.service.checkpoint import HELD, Saved, Snapshot, snapshot
 from pmfid.service.counters import Counters
 from pmfid.service.engine import Engine
 from pmfid.service.groups import Group, Pace, Prepared
 
-__all__ = ["body_of", "joined", "only"]
+__all__ = ["body_from", "body_of", "joined", "only"]
 
 _LENGTH = struct.Struct("<Q")
 
@@ -71,4 +72,19 @@ def body_of(
     here = [alarm for alarm in alarms if alarm.axis in names]
     Snapshot(0.0, numbered, {}, [], here, {}, []).restore(engine)
     engine.arranged([only(saved.restored(prepared, pace), names)])
+    return b"".join(snapshot(engine))
+
+
+def body_from(monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -> bytes:
+    """The body of a checkpoint in which axes go on with these monitors; whatever number comes first of each is the one
+    behind. Raises ValueError for monitors of another configuration."""
+    fleet, group = MonitorFleet(prepared.setup.monitor, 0), Group(prepared, pace)
+    try:
+        for monitor in monitors.values():
+            fleet.join(monitor.get_state())
+        group.restore(list(monitors), fleet.get_state())
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+    engine = Engine(Counters())
+    engine.arranged([group])
     return b"".join(snapshot(engine))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.fleet.stream.shard import Plan, shard_of
 from pmfid.service.checkpoint import Saved, Snapshot, read_snapshot
-from pmfid.service.moved import body_of, joined
+from pmfid.service.moved import body_from, body_of, joined
 from pmfid.service.vault import Vault
 
 if TYPE_CHECKING:
@@ -37,6 +37,15 @@ class States:
         if not found.groups:
             raise UsageError("the states are of another configuration; give the AXIS.toml that they were made with")
         return found
+
+    @classmethod
+    def of_monitors(cls, monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -> States:
+        """Of axes that were watched one by one, or whose estimator has a state from firmware: then the watch of such an
+        axis begins anew, for firmware has none. Raises UsageError for monitors of another configuration."""
+        try:
+            return cls.of({0: body_from(monitors, prepared, pace)}, prepared.digest)
+        except ValueError as error:
+            raise UsageError(f"{error}") from None
 
     @classmethod
     def from_folder(cls, folder: Path, digest: str) -> States:
