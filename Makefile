@@ -80,13 +80,13 @@ test-long: .venv/tools firmware-tools service-tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark \
 	-m long
 
-# The service killed without notice, at named points and at random; every state and row must be as without.
-KILLS ?= 1000
 # An hour of a hundred axes at their full rate: memory, latency and open files over time.
 soak: .venv/tools service-tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m studies.service.load --axes 100 --seconds 3600 \
 	--out docs/service_soak.md --image docs/images/service_soak.png
 
+# The service killed without notice, at named points and at random; every state and row must be as without.
+KILLS ?= 1000
 kills: .venv/tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.service.kill_campaign --kills $(KILLS)
 
