@@ -112,6 +112,7 @@ _SENTENCES: dict[str, Callable[[Told], str]] = {
     "epoch": _epoch,
     "period": _period,
     "late": _period,
+    "paused": _period,
     "clock": _clock,
     "acknowledged": _acknowledged,
     "reference": _reference,

@@ -36,6 +36,7 @@ HELP: dict[str, str] = {
     "pmfid_page_refused_total": "Requests to the page that were refused, by reason.",
     "pmfid_page_rows_dropped_total": "Rows of an axis shown live that a browser was too slow for.",
     "pmfid_page_rows_missed_total": "Rows of an axis shown live that a browser did not get.",
+    "pmfid_paused_seconds_total": "Time in which the whole process stood still, in seconds.",
     "pmfid_refused_total": "Rows and notices that a sink could not take whatever was tried.",
     "pmfid_samples_dropped_total": "Samples of blocks that came twice or too late.",
     "pmfid_samples_missing_total": "Samples that never came: gaps.",

@@ -24,6 +24,7 @@ from pmfid.service.plant import Plant, page_config
 from pmfid.service.running import Sources
 from pmfid.service.signals import Signals
 from pmfid.service.sinks.queued import Queued
+from pmfid.service.standing import Standing
 from pmfid.service.systemd import notify
 from pmfid.service.vault import Vault
 from pmfid.service.web.server import Page
@@ -246,9 +247,10 @@ class Service:
             self._engine.inbox.close()
 
     def _watch(self) -> None:
-        alive = time.monotonic()
+        alive, standing = time.monotonic(), Standing(self._engine.tell, self.counters)
         while not self._signals.stop and self._thread.is_alive():
             time.sleep(LOOK)
+            standing.look()
             if self._signals.reload:
                 self._signals.reload = False
                 self._reload()

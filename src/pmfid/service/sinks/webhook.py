@@ -22,7 +22,7 @@ __all__ = ["WebhookSection", "WebhookSink"]
 EVENTS = (
     *("alarm", "acknowledged", "settled", "state", "outlier", "gap", "clock", "epoch", "period", "late", "duplicate"),
     *("unusable", "bad line", "repeated line", "reference", "anew", "source", "sink", "dropped", "checkpoint"),
-    *("configuration", "calibration", "reload", "serving", "ended"),
+    *("configuration", "calibration", "reload", "serving", "paused", "ended"),
 )
 #: Notices that are remembered as delivered, while others of the same time are tried again.
 REMEMBERED = 2048

@@ -13,6 +13,7 @@ const SENTENCES = {
   outlier: (what) => `${what.signal} that no motion explains, left out`,
   anew: () => "its next samples are taken whatever their numbers",
   late: (what) => what.problem,
+  paused: (what) => what.problem,
   reference: (what) => (what.problem ? `cannot become the reference: ${what.problem}` : "what it is now is the reference"),
 };
 

@@ -1,0 +1,41 @@
+"""A process that was stopped and goes on says so."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from tests.service.test_serve import PLANT, folder  # noqa: F401 a fixture
+
+#: `pmfid serve` that calls a pause of half a second one.
+PROGRAM = """
+import sys
+from pmfid.service import standing
+from pmfid.session.monitored import setup
+standing.STOOD = 0.5
+setup.simulated_hours = lambda hours: 0.5
+from pmfid.cli.main import main
+main(["serve", sys.argv[1], "--json"])
+"""
+
+
+def test_a_process_that_was_stopped_says_for_how_long(folder: Path) -> None:  # noqa: F811
+    plant = folder / "paused.toml"
+    plant.write_text(PLANT)
+    with subprocess.Popen([sys.executable, "-c", PROGRAM, plant], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        told = (json.loads(line) for line in process.stdout)
+        assert any(one["event"] == "alarm" for one in told), "it works"
+        os.kill(process.pid, signal.SIGSTOP)
+        time.sleep(1.0)
+        os.kill(process.pid, signal.SIGCONT)
+        paused = next(one for one in told if one["event"] == "paused")
+        os.kill(process.pid, signal.SIGTERM)
+        assert [one["event"] for one in told][-1] == "ended"
+    assert 0.9 < paused["seconds"] < 60
+    assert "stopped" in paused["problem"]
