@@ -7,7 +7,7 @@ PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.py' -o -name '*.py[ix]' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.j2' \
     -o -path '*/static/*')
 
-.PHONY: demo test test-long kills soak check format bench study hostile firmware firmware-tools service-tools \
+.PHONY: demo test test-long kills broker-kills service-faults soak check format bench study hostile firmware firmware-tools service-tools \
     images clean
 
 # What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. Not compiled to
@@ -68,6 +68,17 @@ soak: .venv/tools service-tools
 
 kills: .venv/tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.service.kill_campaign --kills $(KILLS)
+
+# The broker killed with the whole service behind it, and the service in between.
+BROKER_KILLS ?= 50
+SERVICE_KILLS ?= 20
+broker-kills: .venv/tools service-tools
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.service.broker_campaign \
+	--kills $(BROKER_KILLS) --service-kills $(SERVICE_KILLS)
+
+# The service when something else fails: messages, disks, browsers, the process itself. Wants a broker, and root for disks.
+service-faults: .venv/tools service-tools
+	.venv/bin/python -m studies.service.faults --out docs/service_faults.md
 
 KERNEL = $(wildcard csrc/*.[ch] csrc/many/*.[ch] csrc/wire/*.[ch])
 

@@ -64,8 +64,8 @@ def main() -> None:
     begin, epoch, dt = time.monotonic(), int(time.time()), carts[0].dt
     print(f"{AXES} carts send to {options.topic}; the load of cart-{LOADED:02d} steps after {options.step:g} s")
     for first in range(0, carts[0].counts.size - SAMPLES + 1, SAMPLES):
-        sent = client.publish(options.topic, message(carts, epoch, first), qos=1)
         time.sleep(max(0.0, begin + (first + SAMPLES) * dt / options.speed - time.monotonic()))
+        sent = client.publish(options.topic, message(carts, epoch, first), qos=1)
     sent.wait_for_publish(30)
     client.disconnect()
 

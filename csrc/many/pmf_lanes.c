@@ -20,7 +20,7 @@
 #include "../pmf_auxiliary.c"
 #include "../pmf_verdicts.c"
 #include "../pmf_encoder.c"
-#include "pmf_many.h"
+#include "pmf_scores.h"
 #include "../pmf_network.c"
 #include "../pmf_recursion.c"
 #include "../pmf_step.c"
@@ -41,35 +41,45 @@ static uint32_t axis_of(uint32_t lane, uint32_t axes)
     return lane < axes ? lane : axes - 1U;
 }
 
+/* Word by word: all lanes of a vector one after the other. */
 static void load(const pmf_layout_t *layout, uint32_t axes, const unsigned char *packed, pmf_state_t *state)
 {
-    const pmf_word_t *word = layout->word;
-    uint32_t lane, i;
+    const unsigned char *own[PMF_LANES];
+    const pmf_word_t *word = layout->word, *reals = word + layout->reals, *end = word + layout->words;
+    uint32_t lane;
     for (lane = 0; lane < PMF_LANES; ++lane) {
-        const unsigned char *own = packed + axis_of(lane, axes) * (uint64_t)layout->packed_size;
-        for (i = 0; i < layout->reals; ++i) {
-            lane_real_t *to = (lane_real_t *)state + word[i].lane * PMF_LANES + lane;
-            *to = *(const scalar_t *)(const void *)(own + word[i].packed);
+        own[lane] = packed + axis_of(lane, axes) * (uint64_t)layout->packed_size;
+    }
+    for (; word != reals; ++word) {
+        lane_real_t *to = (lane_real_t *)state + word->lane * PMF_LANES;
+        for (lane = 0; lane < PMF_LANES; ++lane) {
+            to[lane] = *(const scalar_t *)(const void *)(own[lane] + word->packed);
         }
-        for (; i < layout->words; ++i) {
-            lane_word_t *to = (lane_word_t *)state + word[i].lane * PMF_LANES + lane;
-            *to = *(const uint32_t *)(const void *)(own + word[i].packed);
+    }
+    for (; word != end; ++word) {
+        lane_word_t *to = (lane_word_t *)state + word->lane * PMF_LANES;
+        for (lane = 0; lane < PMF_LANES; ++lane) {
+            to[lane] = *(const uint32_t *)(const void *)(own[lane] + word->packed);
         }
     }
 }
 
 static void store(const pmf_layout_t *layout, uint32_t axes, const pmf_state_t *state, unsigned char *packed)
 {
-    const pmf_word_t *word = layout->word;
-    uint32_t lane, i;
-    for (lane = 0; lane < axes; ++lane) {
-        unsigned char *own = packed + lane * (uint64_t)layout->packed_size;
-        for (i = 0; i < layout->reals; ++i) {
-            *(scalar_t *)(void *)(own + word[i].packed) = ((const lane_real_t *)state)[word[i].lane * PMF_LANES + lane];
+    const pmf_word_t *word = layout->word, *reals = word + layout->reals, *end = word + layout->words;
+    uint32_t lane;
+    for (; word != reals; ++word) {
+        const lane_real_t *from = (const lane_real_t *)state + word->lane * PMF_LANES;
+        unsigned char *own = packed + word->packed;
+        for (lane = 0; lane < axes; ++lane, own += layout->packed_size) {
+            *(scalar_t *)(void *)own = from[lane];
         }
-        for (; i < layout->words; ++i) {
-            *(uint32_t *)(void *)(own + word[i].packed) =
-                (uint32_t)((const lane_word_t *)state)[word[i].lane * PMF_LANES + lane];
+    }
+    for (; word != end; ++word) {
+        const lane_word_t *from = (const lane_word_t *)state + word->lane * PMF_LANES;
+        unsigned char *own = packed + word->packed;
+        for (lane = 0; lane < axes; ++lane, own += layout->packed_size) {
+            *(uint32_t *)(void *)own = (uint32_t)from[lane];
         }
     }
 }
@@ -115,15 +125,19 @@ static void keep_lane(const pmf_config_t *config, const pmf_state_t *state, cons
     many->status[row] = (uint32_t)state->status[lane];
 }
 
-static void run(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
-                uint32_t axes, unsigned char *packed)
+/* How many axes the next group has; 0 where so few are left that they had better be computed one by one. */
+static uint32_t group_of(uint64_t left)
+{
+    return left >= PMF_LANES ? PMF_LANES : 4U * left >= PMF_LANES ? (uint32_t)left : 0U;
+}
+
+static void run_group(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
+                      uint32_t axes, unsigned char *packed, pmf_state_t *state)
 {
     uint64_t sample, row = first * many->kept, until = many->every;
-    pmf_state_t state;
     tile_t tile;
     uint32_t lane, k;
-    pmf_clear(&state, (uint32_t)sizeof state);
-    load(layout, axes, packed, &state);
+    load(layout, axes, packed, state);
     for (sample = 0; sample < many->samples; sample += TILE) {
         uint32_t samples = many->samples - sample < TILE ? (uint32_t)(many->samples - sample) : TILE;
         for (lane = 0; lane < PMF_LANES; ++lane) {
@@ -132,17 +146,30 @@ static void run(const pmf_config_t *config, const pmf_layout_t *layout, const pm
             take_counts(&many->counts, axis, sample, samples, (lane_word_t *)tile.count + lane);
         }
         for (k = 0; k < samples; ++k) {
-            (void)pmf_step(config, &state, tile.input[k], tile.count[k]);
+            (void)pmf_step(config, state, tile.input[k], tile.count[k]);
             if (--until == 0U || sample + k + 1U == many->samples) {
                 for (lane = 0; lane < axes; ++lane) {
-                    keep_lane(config, &state, many, lane, row + lane * many->kept);
+                    keep_lane(config, state, many, lane, row + lane * many->kept);
                 }
                 ++row;
                 until = many->every;
             }
         }
     }
-    store(layout, axes, &state, packed);
+    store(layout, axes, state, packed);
+}
+
+/* What is not in use is cleared once: it is a good part of a state, and all groups leave it as it is. */
+static uint64_t run(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
+                    uint64_t end, unsigned char *packed)
+{
+    pmf_state_t state;
+    uint32_t axes;
+    pmf_clear(&state, (uint32_t)sizeof state);
+    for (; (axes = group_of(end - first)) != 0U; first += axes) {
+        run_group(config, layout, many, first, axes, packed + first * layout->packed_size, &state);
+    }
+    return first;
 }
 
 /* A table without gaps. */
@@ -152,17 +179,79 @@ static pmf_rows_t table_of(const void *start, uint64_t samples)
     return rows;
 }
 
-static void score(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
-                  const pmf_scored_t *many, uint64_t first, uint32_t axes, unsigned char *packed)
+#define WIDTH (PMF_MAX_PARAMETERS * (1 + 2 * PMF_MAX_PARAMETERS))
+
+typedef int64_t sum_truth_t __attribute__((vector_size(PMF_LANES * 8)));
+
+/* The blocks of some axes under way. */
+typedef struct {
+    pmf_sum_t theta[PMF_MAX_PARAMETERS], sums[WIDTH];
+} scores_t;
+
+static void load_scores(const pmf_scored_t *many, uint32_t p, uint64_t first, uint32_t axes, scores_t *scores)
+{
+    uint32_t width = p * (1U + 2U * p), lane, i;
+    for (lane = 0; lane < PMF_LANES; ++lane) {
+        uint64_t axis = first + axis_of(lane, axes);
+        for (i = 0; i < p; ++i) {
+            scores->theta[i][lane] = many->theta[axis * p + i];
+        }
+        for (i = 0; i < width; ++i) {
+            scores->sums[i][lane] = many->sums[axis * width + i];
+        }
+    }
+}
+
+/* The axes for which the truth does not hold keep their sums. */
+static void add_samples(uint32_t p, truth_t where, const real_t *phi, scores_t *scores)
+{
+    pmf_sum_t kept[WIDTH];
+    sum_truth_t wide = __builtin_convertvector(where, sum_truth_t);
+    uint32_t width = p * (1U + 2U * p), i;
+    if (PMF_ALL(where)) {
+        pmf_add_sample(p, scores->theta, phi, scores->sums);
+    } else if (PMF_ANY(where)) {
+        for (i = 0; i < width; ++i) {
+            kept[i] = scores->sums[i];
+        }
+        pmf_add_sample(p, scores->theta, phi, scores->sums);
+        for (i = 0; i < width; ++i) {
+            scores->sums[i] = (pmf_sum_t)(((sum_truth_t)scores->sums[i] & wide) | ((sum_truth_t)kept[i] & ~wide));
+        }
+    }
+}
+
+static void take_sums(uint32_t width, const scores_t *scores, uint32_t lane, double *sums)
+{
+    uint32_t i;
+    for (i = 0; i < width; ++i) {
+        sums[i] = scores->sums[i][lane];
+    }
+}
+
+static void end_block_of(const pmf_scoring_t *scoring, const pmf_scored_t *many, uint32_t *progress, uint32_t lane,
+                         uint64_t row, scores_t *scores)
+{
+    uint32_t width = scoring->parameters * (1U + 2U * scoring->parameters), i;
+    double sums[WIDTH];
+    take_sums(width, scores, lane, sums);
+    many->lost[row] = (unsigned char)pmf_end_block(scoring, sums, progress, many->blocks + row * width);
+    for (i = 0; i < width; ++i) {
+        scores->sums[i][lane] = sums[i];
+    }
+}
+
+static void score_group(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
+                        const pmf_scored_t *many, uint64_t first, uint32_t axes, unsigned char *packed,
+                        pmf_state_t *state)
 {
     pmf_rows_t input = table_of(many->input, many->samples), counts = table_of(many->counts, many->samples);
-    uint32_t numbers = 2U * scoring->parameters + 1U, lane, k, i;
+    uint32_t p = scoring->parameters, width = p * (1U + 2U * p), lane, k;
     uint64_t sample, row[PMF_LANES] = {0};
-    scalar_t own[2 * PMF_MAX_PARAMETERS + 1];
-    pmf_state_t state;
+    scores_t scores;
     tile_t tile;
-    pmf_clear(&state, (uint32_t)sizeof state);
-    load(layout, axes, packed, &state);
+    load(layout, axes, packed, state);
+    load_scores(many, p, first, axes, &scores);
     for (sample = 0; sample < many->samples; sample += TILE) {
         uint32_t samples = many->samples - sample < TILE ? (uint32_t)(many->samples - sample) : TILE;
         for (lane = 0; lane < PMF_LANES; ++lane) {
@@ -170,16 +259,34 @@ static void score(const pmf_config_t *config, const pmf_layout_t *layout, const 
             take_counts(&counts, first + axis_of(lane, axes), sample, samples, (lane_word_t *)tile.count + lane);
         }
         for (k = 0; k < samples; ++k) {
-            whole_t status = pmf_filter(config, &state, tile.input[k], tile.count[k]);
+            whole_t status = pmf_filter(config, state, tile.input[k], tile.count[k]);
+            add_samples(p, (status & scoring->left_out) == 0U, &state->network.column[scoring->first], &scores);
             for (lane = 0; lane < axes; ++lane) {
-                for (i = 0; i < numbers; ++i) {
-                    own[i] = state.network.column[scoring->first + i][lane];
+                uint32_t *progress = many->progress + 2U * (first + lane);
+                if (pmf_count_sample(scoring, (uint32_t)status[lane], progress) != 0U) {
+                    end_block_of(scoring, many, progress, lane, (first + lane) * many->kept + row[lane], &scores);
+                    ++row[lane];
                 }
-                pmf_score_one(scoring, many, first + lane, (uint32_t)status[lane], own, &row[lane]);
             }
         }
     }
-    store(layout, axes, &state, packed);
+    for (lane = 0; lane < axes; ++lane) {
+        take_sums(width, &scores, lane, many->sums + (first + lane) * width);
+    }
+    store(layout, axes, state, packed);
+}
+
+static uint64_t score(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
+                      const pmf_scored_t *many, uint64_t end, unsigned char *packed)
+{
+    pmf_state_t state;
+    uint64_t first = 0U;
+    uint32_t axes;
+    pmf_clear(&state, (uint32_t)sizeof state);
+    for (; (axes = group_of(end - first)) != 0U; first += axes) {
+        score_group(config, layout, scoring, many, first, axes, packed + first * layout->packed_size, &state);
+    }
+    return first;
 }
 
 #if PMF_LANE_BYTES == 64

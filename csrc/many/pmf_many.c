@@ -90,21 +90,15 @@ void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const 
                   uint64_t end, unsigned char *packed)
 {
     const pmf_lanes_t *lanes = pmf_lanes_for(many->way, layout, many->samples);
-    uint64_t axis = first, left;
+    uint64_t axis = lanes != 0 ? lanes->run(config, layout, many, first, end, packed) : first;
     pmf_state_t state;
-    pmf_clear(&state, (uint32_t)sizeof state);
-    while (axis < end) {
+    if (axis < end) { /* it takes as long as some samples */
+        pmf_clear(&state, (uint32_t)sizeof state);
+    }
+    for (; axis < end; ++axis) {
         unsigned char *own = packed + axis * layout->packed_size;
-        left = end - axis;
-        if (lanes != 0 && 4U * left >= lanes->lanes) {
-            uint32_t axes = left < lanes->lanes ? (uint32_t)left : lanes->lanes;
-            lanes->run(config, layout, many, axis, axes, own);
-            axis += axes;
-        } else {
-            pmf_unpack(layout, own, &state);
-            run_one(config, many, axis, &state);
-            pmf_pack(layout, &state, own);
-            ++axis;
-        }
+        pmf_unpack(layout, own, &state);
+        run_one(config, many, axis, &state);
+        pmf_pack(layout, &state, own);
     }
 }

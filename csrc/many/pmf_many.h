@@ -66,12 +66,13 @@ typedef struct {
     unsigned char *lost; /* 1: the block had none but disturbed samples */
 } pmf_scored_t;
 
-/* Axes `first` to `first + axes`, no more than there are lanes, through all samples; packed: their states. */
-typedef void pmf_lanes_run_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many,
-                             uint64_t first, uint32_t axes, unsigned char *packed);
-/* The same for block scores, of axes `first` on. */
-typedef void pmf_lanes_score_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
-                               const pmf_scored_t *many, uint64_t first, uint32_t axes, unsigned char *packed);
+/* Axes `first` to `end` through all samples, in groups; packed: the states of all axes. Returns the axis behind the
+ * last group: those from there on are too few. */
+typedef uint64_t pmf_lanes_run_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many,
+                                 uint64_t first, uint64_t end, unsigned char *packed);
+/* The same for block scores, of axes 0 to `end`. */
+typedef uint64_t pmf_lanes_score_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
+                                   const pmf_scored_t *many, uint64_t end, unsigned char *packed);
 typedef struct {
     uint32_t lanes, words; /* vectors in a state */
     pmf_lanes_run_t *run;
@@ -80,14 +81,10 @@ typedef struct {
 /* Null where this build has no such way, the processor has not, or it does not pay for so few samples. */
 const pmf_lanes_t *pmf_lanes_for(uint32_t way, const pmf_layout_t *layout, uint64_t samples);
 
-/* Adds a sample to a block of an axis, own: phi, z, zeta; 1: the block has all its samples. */
-uint32_t pmf_add_score(const pmf_scoring_t *scoring, uint32_t status, const scalar_t *own, const double *theta,
-                       double *sums, uint32_t *progress);
+/* A sample more in the block of an axis; 1: the block has all its samples. */
+uint32_t pmf_count_sample(const pmf_scoring_t *scoring, uint32_t status, uint32_t *progress);
 /* The block, and the next one begins; 1: all its samples were disturbed. */
 uint32_t pmf_end_block(const pmf_scoring_t *scoring, double *sums, uint32_t *progress, double *block);
-/* Both, for a sample of an axis of many; row: of its next block. */
-void pmf_score_one(const pmf_scoring_t *scoring, const pmf_scored_t *many, uint64_t axis, uint32_t status,
-                   const scalar_t *own, uint64_t *row);
 
 extern const pmf_lanes_t pmf_lanes_16, pmf_lanes_32, pmf_lanes_64;
 

@@ -229,10 +229,14 @@ cdef inline double _sum_about_mean(const Rule *rule, const double *x, const doub
     return _two_sided(apart, allowed, state, state + p, p)
 
 
+#: By more than rounding.
+cdef double SMALLER = 1 - 1e-12
+
+
 cdef inline double _best_start(const Rule *rule, const double *x, const double *w, const double *tolerance, double *state) noexcept nogil:
     cdef Py_ssize_t p = rule.p, rows = rule.window * p, r, k, i
     cdef double *weights = state + rows
-    cdef double most = 0.0, beyond
+    cdef double most = 0.0, beyond, known
     memmove(state + p, state, (rows - p) * sizeof(double))
     memmove(weights + p, weights, (rows - p) * sizeof(double))
     for i in range(p):
@@ -244,7 +248,9 @@ cdef inline double _best_start(const Rule *rule, const double *x, const double *
             weights[k + i] += w[i]
             beyond = fabs(state[k + i]) - tolerance[i] * weights[k + i]
             beyond = 0.0 if beyond < 0 else beyond
-            most = _larger(most, beyond * beyond / (weights[k + i] + _EDGE))
+            beyond, known = beyond * beyond, weights[k + i] + _EDGE
+            if not beyond < SMALLER * most * known:  # else the division, which takes long, gives less
+                most = _larger(most, beyond / known)
     return most / 2
 
 

@@ -50,6 +50,13 @@ def follow_many(
 def last_flags(
     status: NDArray[np.uint32], u: NDArray[np.float64], flagged: NDArray[np.uint32], mask: int
 ) -> NDArray[np.int64]: ...
+def bars(
+    factor: NDArray[np.float64],
+    variance: NDArray[np.float64],
+    inflation: NDArray[np.float64],
+    found: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]: ...
+def put_rows(table: NDArray[Any], index: NDArray[np.int64], rows: NDArray[Any]) -> None: ...
 def waiting_after(lost: bool, waiting: int, wait: int) -> int: ...
 
 class Norms:

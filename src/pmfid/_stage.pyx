@@ -3,7 +3,7 @@
 
 from cpython.long cimport PyLong_AsUnsignedLongLongMask
 from cpython.number cimport PyNumber_Index
-from libc.math cimport fabs, isfinite
+from libc.math cimport INFINITY, fabs, isfinite
 from libc.stdint cimport int64_t, uint64_t
 cimport numpy as cnp
 import numpy as np
@@ -248,3 +248,36 @@ def last_flags(cnp.ndarray[uint32_t, ndim=2, mode="c"] status not None, cnp.ndar
                     flagged[axis] = status[axis, k]
                     found[axis] |= status[axis, k] & mask != 0
     return np.flatnonzero(found)
+
+
+def bars(cnp.ndarray factor not None, cnp.ndarray variance not None, cnp.ndarray inflation not None, found=None):
+    """Standard deviations (..., p) by variance factors (..., p), scaled by the inflation (..., p) once it is known, and
+    variances (...,) of innovations; infinite where there are none yet. found: to be filled with them, None: a new one.
+    Raises ValueError for other shapes, and for arrays with gaps."""
+    std = np.empty(np.shape(factor)) if found is None else found
+    shape = np.shape(factor)
+    cdef const double *factors = <double *> _table(factor, np.float64, shape)
+    cdef const double *inflations = <double *> _table(inflation, np.float64, shape)
+    cdef const double *variances = <double *> _table(variance, np.float64, shape[: factor.ndim - 1])
+    cdef double *bar = <double *> _table(std, np.float64, shape)
+    cdef Py_ssize_t n = variance.size, p = factor.shape[factor.ndim - 1], k, i
+    with nogil:
+        for k in range(n):
+            for i in range(k * p, (k + 1) * p):
+                bar[i] = sqrt(factors[i] * variances[k] * (inflations[i] if inflations[i] > 0 else 1.0)) if variances[k] > 0 else INFINITY
+    return std
+
+
+def put_rows(cnp.ndarray table not None, cnp.ndarray index not None, cnp.ndarray rows not None):
+    """Other numbers for some rows `index` (k,) of a table, from rows (k, ...) of the same type. Raises ValueError for
+    other shapes or places, and for arrays with gaps."""
+    cdef Py_ssize_t size = rows.shape[0], n = table.shape[0], k
+    cdef const int64_t *places = <int64_t *> _table(index, np.int64, (size,))
+    shape = np.shape(rows)[1:]
+    cdef char *to = <char *> _table(table, rows.dtype, (n, *shape))
+    cdef const char *start = <char *> _table(rows, rows.dtype, (size, *shape))
+    cdef Py_ssize_t row = rows.nbytes // size if size else 0
+    _check(_fit(index, n))
+    with nogil:
+        for k in range(size):
+            memcpy(to + places[k] * row, start + k * row, row)

@@ -306,8 +306,8 @@ cdef class Watcher:
         """Pieces of n samples of k quiet axes, the rows index (k,) of what is known of all. scored: blocks
         (k, most, width) and lost (k, most) of `ManyKernel.score`; status: (k, n); samples: (k,) before the piece;
         filled: (k,) samples of the block under way then; size: of a block. Returns (k, most) the states behind each
-        block and why, as places in `watching.REASONS`, and (k,) which axes crossed the threshold: of these nothing
-        that is known has changed. Releases the interpreter meanwhile."""
+        block, the last one again where an axis has fewer, and why, as places in `watching.REASONS`; and (k,) which axes
+        crossed the threshold: of these nothing that is known has changed. Releases the interpreter meanwhile."""
         blocks, lost = scored
         k, n, most = len(index), np.shape(status)[1], np.shape(lost)[1]
         cdef Own all = self._hold(watched)
@@ -326,7 +326,7 @@ cdef class Watcher:
         cdef uint8_t *over = <uint8_t *> _table(crossed, np.bool_, (k,))
         cdef double *kept = <double *> _table(room, np.float64, room.shape)
         _check(size > 0 and _fit(index, len(watched.state)) and _fit(filled, size) and (k == 0 or (filled.max() + n) // size <= most))
-        cdef Py_ssize_t axes = k, length = n, places = most, row
+        cdef Py_ssize_t axes = k, length = n, places = most, row, block
         piece.dt, piece.size = dt, size
         with nogil:
             for row in range(axes):
@@ -334,6 +334,8 @@ cdef class Watcher:
                 piece.status, piece.samples = own_status + row * length, begins[row]
                 piece.place, piece.whole = size - 1 - fills[row], (fills[row] + length) // size
                 over[row] = _run(&self.plan, &all, &ring, rows[row], &piece, states + row * places, reasons + row * places, kept)
+                for block in range(piece.whole, places):
+                    states[row * places + block] = all.state[rows[row]]
         return wanted, reason, crossed
 
 

@@ -56,15 +56,15 @@ def use_of(pid: int) -> Use:
 
 
 @contextmanager
-def broker(folder: Path) -> Iterator[tuple[int, int]]:
-    """Mosquitto on a free port of this machine alone; port and number of the process."""
+def broker(folder: Path, limits: str = BROKER) -> Iterator[tuple[int, int]]:
+    """Mosquitto on a free port of this machine alone; port and number of the process. limits: its configuration."""
     import shutil
 
     program = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
     if program is None:
         raise UsageError("mosquitto is not installed; on Debian: apt-get install mosquitto")
     port = free_port()
-    (folder / "mosquitto.conf").write_text(BROKER.format(port=port))
+    (folder / "mosquitto.conf").write_text(limits.format(port=port))
     process = subprocess.Popen([program, "-c", folder / "mosquitto.conf"], stderr=subprocess.DEVNULL)
     try:
         _until(lambda: _listens(port), process)

@@ -136,7 +136,16 @@ class FakePlant:
         return True
 
     def refer(self, axis: str) -> bool:
-        self.tell(axis, event="reference", time=self.samples * DT)
+        group = self.board.group_of(axis)
+        rows = self.board.history(axis)
+        if group is None or rows is None:
+            return False
+        normal = dict(zip(group.names, rows["theta"][-1].tolist(), strict=True))
+        self.tell(axis, event="reference", time=self.samples * DT, nominal=normal)
+        return True
+
+    def begin_anew(self, axis: str) -> bool:
+        self.tell(axis, event="anew", dropped=0)
         return True
 
     def reference(self, axis: str) -> Record | None:

@@ -239,12 +239,14 @@ def test_set_as_reference_makes_what_is_normal_for_one_axis() -> None:
     layout = board.layout
     board.notice(Notice("a", 1, 0.0, {"event": "reference", "problem": "nothing is known yet"}))
     assert board.layout == layout
-    board.notice(Notice("a", 2, 0.0, {"event": "reference"}))
+    board.notice(Notice("a", 2, 0.0, {"event": "reference", "nominal": {"mass": 2.5, "friction": 5.0}}))
     assert board.layout > layout, "pages read the plant again"
     assert board.referred() == [{0: [2.5, 5.0]}]
     assert board.news().groups[0].deviation.tolist() == pytest.approx([0.0, 0.25])
     board.arrange([kindred("b", "a")])
     assert board.referred() == [{1: [2.5, 5.0]}]
+    board.arrange([kindred("b", "a")], {"b": (3.0, 6.0)})
+    assert board.referred() == [{0: [3.0, 6.0]}], "what the engine says of all of them"
 
 
 def test_an_engine_and_readers_in_other_threads_do_not_disturb_each_other() -> None:

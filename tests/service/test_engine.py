@@ -197,3 +197,4 @@ def test_an_input_that_is_no_number_is_a_lost_sample(
     engine.process([Delivery("a", blocks_of("x1", (inputs, counts), 50))])
     rows, _ = monitored(prepared, (Sample(k * CART_DT, float(inputs[k]), int(counts[k])) for k in range(600)))
     assert [bits for _, bits in outlet.of("x1")] == rows
+    assert engine.counters.values()["pmfid_samples_without_input_total", (("group", "axis.toml"),)] == 3

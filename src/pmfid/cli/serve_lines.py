@@ -115,5 +115,6 @@ _SENTENCES: dict[str, Callable[[Told], str]] = {
     "clock": _clock,
     "acknowledged": _acknowledged,
     "reference": _reference,
+    "anew": lambda what: "begins anew: its next samples are taken whatever their numbers",
     "ended": lambda what: "ended",
 }

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid._stage import bars
 from pmfid.errors import place_of
 from pmfid.shown import Parameters, Shown, Summary, plain, remarks_of
 from pmfid.status import Status, status_names
@@ -35,11 +36,7 @@ class Track(Shown):
     @cached_property
     def theta_std(self) -> NDArray[np.float64]:
         """(n, p) standard deviations, infinite until there is an estimate; scaled by the inflation once it is known."""
-        scale = np.where(self.inflation > 0, self.inflation, 1.0)
-        with np.errstate(over="ignore", invalid="ignore"):  # infinite is right where nothing is known
-            std = np.sqrt(self.variance_factor * self.innovation_variance[..., None] * scale)
-        std[~(self.innovation_variance > 0)] = np.inf
-        return np.asarray(std)
+        return bars(*map(np.ascontiguousarray, (self.variance_factor, self.innovation_variance, self.inflation)))
 
     def with_bars(
         self,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid._stage import ALONE, CHANGED, FRESH, KNOWN, LOST, POWER, SAME, SAMPLES, USUAL
+from pmfid._stage import ALONE, CHANGED, FRESH, KNOWN, LOST, POWER, SAME, SAMPLES, USUAL, put_rows
 from pmfid.monitor.scores import width_of
 from pmfid.types import Floats, Places
 
@@ -26,27 +27,25 @@ class Rows:
 
     def parts(self, saved_only: bool = False) -> Iterator[tuple[str, NDArray[np.generic]]]:
         """The arrays by name."""
-        for one in fields(self):  # type: ignore[arg-type]
-            if one.metadata.get("saved", True) or not saved_only:
-                yield one.name, getattr(self, one.name)
+        return ((name, getattr(self, name)) for name in _names(type(self), saved_only))  # type: ignore[arg-type]  # a class has a hash
 
     def taken(self, index: Places | slice) -> Self:
         """Some rows: copies by their numbers, the rows themselves as a slice."""
-        return type(self)(**{name: part[index] for name, part in self.parts()})
+        if isinstance(index, slice):
+            return type(self)(**{name: part[index] for name, part in self.parts()})
+        return type(self)(**{name: part.take(index, axis=0) for name, part in self.parts()})
 
     def put(self, index: Places | slice, rows: Self) -> None:
         """Other numbers for some rows."""
         for name, part in self.parts():
-            part[index] = getattr(rows, name)
+            if isinstance(index, slice):
+                part[index] = getattr(rows, name)
+            else:
+                put_rows(part, index, getattr(rows, name))
 
-    def selected(self, index: Places) -> Self:
-        """Some rows in their order; all of them are the rows themselves."""
-        return self if index.size == len(next(self.parts())[1]) else self.taken(index)
-
-    def put_selected(self, index: Places, rows: Self) -> None:
-        """What became of `selected`."""
-        if rows is not self:
-            self.put(index, rows)
+    def copied(self) -> Self:
+        """The same rows by themselves."""
+        return type(self)(**{name: part.copy() for name, part in self.parts()})
 
     def repeated(self, times: int) -> Self:
         """All rows, so many times."""
@@ -55,6 +54,11 @@ class Rows:
     def joined(self, other: Self) -> Self:
         """The rows of another one behind these."""
         return type(self)(**{name: np.concatenate([part, getattr(other, name)]) for name, part in self.parts()})
+
+
+@cache
+def _names(kind: type[Rows], saved_only: bool) -> tuple[str, ...]:
+    return tuple(one.name for one in fields(kind) if one.metadata.get("saved", True) or not saved_only)  # type: ignore[arg-type]
 
 
 @dataclass

@@ -63,7 +63,9 @@ class MonitorFleet:
     def _run(self, index: Places, u: Floats, counts: Counts, rows: FleetRows, part: tuple[slice, slice]) -> None:
         """A piece of a group of axes: the quiet ones at once, the others one after the other."""
         quiet = self._quiet.may_run(self._all.watched, index)
-        if quiet.any():
+        if quiet.all():
+            quiet = self._run_quiet(index, u, counts, rows, part, np.arange(index.size))
+        elif quiet.any():
             quiet[quiet] = self._run_quiet(index[quiet], u[quiet], counts[quiet], rows, part, np.flatnonzero(quiet))
         for k in np.flatnonzero(~quiet).tolist():
             single = self._with(int(index[k]), partial(Monitor.run, u=u[k], counts=counts[k]))
@@ -73,13 +75,31 @@ class MonitorFleet:
         self, index: Places, u: Floats, counts: Counts, rows: FleetRows, part: tuple[slice, slice], at: Places
     ) -> Flags:
         """Whether each stayed so, (k,); of those that did the states and rows are as they should be."""
-        every, (group, time) = self._all, part
-        sampled = every.sampled.taken(index)
-        piece = self._quiet.run(every, index, sampled, u, counts)
-        kept = ~piece.crossed
-        staying = np.flatnonzero(kept)
-        every.sampled.put(index[staying], sampled.selected(staying))
-        rows.take(piece.rows, group.start + at, time, kept)
+        group, time = part
+        u, counts = np.ascontiguousarray(u), np.ascontiguousarray(counts)
+        own = rows.part(group)
+        if own.status.shape != u.shape:  # not all axes of the group, or not all samples
+            found = FleetRows.empty(u.shape[0], u.shape[1], len(self.names))
+            kept = self._run_rows(index, u, counts, found)
+            rows.take(found, group.start + at, time, kept)
+        else:
+            kept = self._run_rows(index, u, counts, own)
+            rows.tell(own, group.start + at, time, kept)
+        return kept
+
+    def _run_rows(self, index: Places, u: Floats, counts: Counts, rows: FleetRows) -> Flags:
+        """The same with rows for these axes alone. Axes that follow one another are computed in their place."""
+        every = self._all
+        if index[-1] - index[0] == index.size - 1 and (np.diff(index) == 1).all():
+            sampled = every.sampled.taken(slice(int(index[0]), int(index[-1]) + 1))
+            before = sampled.copied()
+            kept = self._quiet.run(every, index, sampled, u, counts, rows)
+            back = np.flatnonzero(~kept)
+            sampled.put(back, before.taken(back))
+        else:
+            sampled = every.sampled.taken(index)
+            kept = self._quiet.run(every, index, sampled, u, counts, rows)
+            every.sampled.put(index[kept], sampled if kept.all() else sampled.taken(np.flatnonzero(kept)))
         return kept
 
     def _with(self, axis: int, action: Callable[[Monitor], T]) -> T:
@@ -106,7 +126,7 @@ class MonitorFleet:
             raise UsageError(f"index must be numbers of axes (k,), got {places.dtype} {places.shape}")
         if places.size and not (places.min() >= 0 and places.max() < self.axes):
             raise UsageError(f"there are {self.axes} axes, from 0 on; got {places.min()} to {places.max()}")
-        if np.unique(places).size < places.size:
+        if not (np.diff(places) > 0).all() and not np.diff(np.sort(places)).all():
             raise UsageError("an axis comes twice in index: its samples follow one another, in two calls")
         return places.astype(np.int64)
 

@@ -7,13 +7,11 @@ estimator's memory in the middle: what was computed of it is thrown away, and it
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid._stage import follow_many, last_flags
-from pmfid.estimators.track import Tracks
+from pmfid._stage import bars, follow_many, last_flags
 from pmfid.models.equation import ESTIMATE
 from pmfid.monitor.arrays import Sampled, Watched
 from pmfid.monitor.events import SETTLING, SUSPICIOUS, Event, Outlier, StateChange
@@ -27,57 +25,54 @@ from pmfid.types import Counts, Flags, Floats, Places
 UNEASY = (STATES.index(SUSPICIOUS), STATES.index(SETTLING))
 
 
-@dataclass
-class Piece:
-    """What a piece of samples made of k quiet axes. rows: as if all had stayed quiet; crossed: (k,) those that did
-    not."""
-
-    rows: FleetRows
-    crossed: Flags
-
-
 class Quiet:
     """Runs pieces of quiet axes with the configuration of a monitor."""
 
     def __init__(self, monitor: Monitor) -> None:
-        self._watching, self._names, self._units = monitor.watching, monitor.names, monitor.units
+        self._watching = monitor.watching
         self._estimator, self._filter = monitor.packers
         self._scoring, self._dt = monitor.scoring, monitor.estimator.dt
-        self._alone = monitor.known is not None  # put together with each estimate by itself
+        alone = monitor.known is not None  # put together with each estimate by itself
+        self._calm = np.array([state not in UNEASY and not alone for state in range(len(STATES))])
+        self._memory = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0))
         self._one_reference = monitor.estimator.equation.dead_time == ESTIMATE  # the kernel is configured with it
         self._theta = monitor.calibration.theta
 
     def may_run(self, watched: Watched, index: Places) -> Flags:
         """(k,) which of these axes can be run here."""
-        quiet = ~np.isin(watched.state[index], UNEASY) & (not self._alone)
+        quiet = self._calm[watched.state[index]]
         return quiet & np.all(watched.theta[index] == self._theta, axis=1) if self._one_reference else quiet
 
-    def run(self, every: Saved, index: Places, sampled: Sampled, u: Floats, counts: Counts) -> Piece:
+    def run(self, every: Saved, index: Places, sampled: Sampled, u: Floats, counts: Counts, rows: FleetRows) -> Flags:
         """A piece u, counts: (k, n), n >= 1, of k axes, the rows `index` (k,) of every. sampled: of these axes alone,
-        which goes on; what is watched of those that stay quiet goes on in its place."""
+        which goes on; what is watched of those that stay quiet goes on in its place. rows: to be filled, as if all
+        stayed quiet. Returns (k,) whether they do."""
         samples, filled = sampled.samples.copy(), sampled.progress[:, 0].astype(np.int64)
         own = follow_many(sampled.whole, sampled.real, u, counts)
-        tracks = self._tracks(sampled, u, own)
-        state = np.repeat(every.watched.state[index][:, None], u.shape[1], axis=1)
-        events = list(self._outliers(sampled, tracks.status, u, samples))
-        rows = FleetRows(tracks.theta, tracks.theta_std, tracks.innovation, tracks.status, state, events)
+        self._estimates(sampled, u, own, rows)
+        rows.state[:] = every.watched.state[index][:, None]
+        rows.events.extend(self._outliers(sampled, rows.status, u, samples))
         self._filter.hold(sampled.filter)
         theta = every.watched.theta[index]
         scored = self._filter.score(u, own, self._scoring.numbers, theta, sampled.sums, sampled.progress)
         wanted, reason, crossed = self._watching.watcher.run(
-            every.watched, every.disturbed, index, scored, tracks.status, samples, filled, self._scoring.size, self._dt
+            every.watched, every.disturbed, index, scored, rows.status, samples, filled, self._scoring.size, self._dt
         )
         self._changes(rows, wanted, reason, filled, samples)
-        return Piece(rows, crossed)
+        return ~crossed
 
-    def _tracks(self, sampled: Sampled, u: Floats, counts: Counts) -> Tracks:
-        k, n, p = *u.shape, len(self._names)
-        theta, factor, inflation = (np.empty((k, n, p)) for _ in range(3))
-        innovation, variance, status = np.empty((k, n)), np.empty((k, n)), np.empty((k, n), np.uint32)
-        results = theta, factor, inflation, innovation, variance, status
+    def _estimates(self, sampled: Sampled, u: Floats, counts: Counts, rows: FleetRows) -> None:
+        factor, inflation, variance = self._room(*rows.theta.shape)
+        results = rows.theta, factor, inflation, rows.innovation, variance, rows.status
         self._estimator.hold(sampled.estimator)
-        self._estimator.run(u, counts, 0, k, 1, results, self._estimator.fastest_way)
-        return Tracks(self._names, self._units, *results, np.arange(n))
+        self._estimator.run(u, counts, 0, len(u), 1, results, self._estimator.fastest_way)
+        bars(factor, variance, inflation, rows.std)
+
+    def _room(self, k: int, n: int, p: int) -> tuple[Floats, Floats, Floats]:
+        """For what is not given out; the same memory again and again."""
+        if self._memory[0].shape != (k, n, p):
+            self._memory = np.empty((k, n, p)), np.empty((k, n, p)), np.empty((k, n))
+        return self._memory
 
     def _outliers(
         self, sampled: Sampled, status: NDArray[np.uint32], u: Floats, samples: Places
@@ -91,11 +86,11 @@ class Quiet:
         self, rows: FleetRows, wanted: NDArray[np.uint8], reason: NDArray[np.uint8], filled: Places, samples: Places
     ) -> None:
         """The states behind the blocks, (k, most), where they are other ones than before."""
-        size, n = self._scoring.size, rows.state.shape[1]
+        if (wanted == rows.state[:, :1]).all():
+            return
         before = np.concatenate([rows.state[:, :1], wanted[:, :-1]], axis=1)
-        whole = np.arange(wanted.shape[1]) < ((filled + n) // size)[:, None]
-        for k, block in np.argwhere((wanted != before) & whole).tolist():
-            place = (block + 1) * size - 1 - int(filled[k])
+        for k, block in np.argwhere(wanted != before).tolist():
+            place = (block + 1) * self._scoring.size - 1 - int(filled[k])
             time = (int(samples[k]) + place) * self._dt
             rows.state[k, place:] = wanted[k, block]
             rows.events.append((k, place, StateChange(time, STATES[wanted[k, block]], REASONS[reason[k, block]])))

@@ -34,6 +34,11 @@ class FleetRows:
         theta, std = np.empty((*shape, parameters)), np.empty((*shape, parameters))
         return cls(theta, std, np.empty(shape), np.empty(shape, np.uint32), np.empty(shape, np.uint8), [])
 
+    def part(self, rows: slice) -> FleetRows:
+        """Some rows themselves, without events."""
+        theta, std, innovation = self.theta[rows], self.std[rows], self.innovation[rows]
+        return FleetRows(theta, std, innovation, self.status[rows], self.state[rows], [])
+
     def take(self, part: FleetRows, rows: NDArray[np.int64], time: slice, kept: Flags | None = None) -> None:
         """A part becomes that of these rows (k,), which rise, and of a time; kept: (k,) which of them, None: all."""
         taken = np.ones(rows.size, np.bool_) if kept is None else kept
@@ -41,6 +46,10 @@ class FleetRows:
         place, source = (slice(rows[0], rows[-1] + 1), slice(None)) if whole else (rows[taken], taken)
         for name in ("theta", "std", "innovation", "status", "state"):
             getattr(self, name)[place, time] = getattr(part, name)[source]
+        self.tell(part, rows, time, taken)
+
+    def tell(self, part: FleetRows, rows: NDArray[np.int64], time: slice, kept: Flags) -> None:
+        """The events of a part, as in `take`."""
         for row, sample, event in part.events:
-            if taken[row]:
+            if kept[row]:
                 self.events.append((int(rows[row]), time.start + sample, event))

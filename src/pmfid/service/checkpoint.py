@@ -156,6 +156,8 @@ def _rare(seat: Seat) -> dict[str, Any]:
         found["told"] = seat.told
     if seat.timed is not None:
         found["timed"] = seat.timed.saved()
+    if seat.referred is not None:
+        found["referred"] = seat.referred
     return found
 
 
@@ -258,6 +260,8 @@ def _standing(raw: Mapping[str, Any]) -> Standing:
 def _restore_rare(seat: Seat, rare: Mapping[str, Any]) -> None:
     seat.order.gaps = [(int(a), int(b)) for a, b in rare.get("gaps", ())]
     seat.told = {str(kind): int(times) for kind, times in rare.get("told", {}).items()}
+    if "referred" in rare:
+        seat.referred = tuple(map(float, rare["referred"]))
     if "timed" in rare:
         seat.lines(bool(rare["timed"]["timed"])).restore(rare["timed"])
 

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 from threading import Lock
 
-__all__ = ["Acknowledge", "Command", "Commands", "Refer"]
+__all__ = ["Acknowledge", "Anew", "Command", "Commands", "Refer"]
 
 #: Commands that wait at most, and the longest note [characters].
 MOST, LONGEST_NOTE = 1000, 2000
@@ -27,7 +27,14 @@ class Refer:
     axis: str
 
 
-Command = Acknowledge | Refer
+@dataclass(frozen=True)
+class Anew:
+    """The sender of the axis began anew without an epoch that says so: its next samples are taken as they are."""
+
+    axis: str
+
+
+Command = Acknowledge | Refer | Anew
 
 
 class Commands:
@@ -44,6 +51,10 @@ class Commands:
     def refer(self, axis: str) -> bool:
         """False where the engine has no room for more at the moment."""
         return self._put(Refer(axis))
+
+    def begin_anew(self, axis: str) -> bool:
+        """False where the engine has no room for more at the moment."""
+        return self._put(Anew(axis))
 
     def _put(self, command: Command) -> bool:
         with self._lock:

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.service.commands import Acknowledge, Command, Commands, Refer
+from pmfid.service.commands import Acknowledge, Anew, Command, Commands, Refer
 from pmfid.service.counters import Counters
 from pmfid.service.crash import crash_point
 from pmfid.service.delivery import Delivery, Mark
@@ -153,6 +153,7 @@ class Engine:
         for waiting in ordered.rounds:
             done = step(waiting, followed)
             self.counters.add("pmfid_samples_total", done.samples, group=waiting.group.kindred.config)
+            self.counters.add("pmfid_samples_without_input_total", done.lost, group=waiting.group.kindred.config)
             found += [one for one in done.found if self._wanted(one)]
             for rows in done.rows:
                 for outlet in self.outlets:
@@ -193,6 +194,17 @@ class Engine:
             self._acknowledge(command)
         elif isinstance(command, Refer):
             self._refer(command)
+        else:
+            self._begin_anew(command)
+
+    def _begin_anew(self, command: Anew) -> None:
+        seat = self.seat(command.axis)
+        if seat is None:
+            return
+        dropped, events = seat.begin_anew()
+        self.notices.own(seat.name, {"event": "anew", "dropped": dropped})
+        for event in events:
+            self.notices.found(seat, event_object(event, seat.group.kindred.names))
 
     def _acknowledge(self, command: Acknowledge) -> None:
         alarm = self.notices.alarms.get(command.number)
@@ -202,7 +214,7 @@ class Engine:
         self.notices.own(alarm.axis, {"event": "acknowledged", "alarm": command.number, "note": command.note})
 
     def _refer(self, command: Refer) -> None:
-        seat = self._intake.seats.get(command.axis)
+        seat = self.seat(command.axis)
         if seat is None:
             return
         group, index = seat.group, seat.index
@@ -211,9 +223,12 @@ class Engine:
         except UsageError as error:
             self.notices.own(seat.name, {"event": "reference", "problem": str(error)})
             return
-        self.notices.own(seat.name, {"event": "reference", "samples": int(group.numbers[index])})
-        for event in events:
-            self.notices.found(seat, event_object(event, group.kindred.names))
+        told = [event_object(event, group.kindred.names) for event in events]
+        normal = {name: value["value"] for name, value in told[0]["parameters"].items()}
+        seat.referred = tuple(normal.values())
+        self.notices.own(seat.name, {"event": "reference", "samples": int(group.numbers[index]), "nominal": normal})
+        for what in told:
+            self.notices.found(seat, what)
 
     def _speak(self) -> None:
         """What other threads had to say."""

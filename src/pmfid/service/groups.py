@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.monitor.events import Event
 from pmfid.monitor.fleet import MonitorFleet
 from pmfid.service.order import Order
 from pmfid.service.outcome import Kindred
@@ -60,9 +61,10 @@ class Pace:
 
 class Seat:
     """One axis in its group. order, timed: of its blocks and its lines; number: its own in the service, 0 while it has
-    none; notices: how many there were of it; told: how many there were of a kind that is not always told."""
+    none; notices: how many there were of it; told: how many there were of a kind that is not always told; referred:
+    (q,) what someone made normal for it by hand, None: what its configuration says."""
 
-    __slots__ = ("_place", "group", "name", "notices", "number", "order", "timed", "told")
+    __slots__ = ("_place", "group", "name", "notices", "number", "order", "referred", "timed", "told")
 
     def __init__(self, group: Group, index: int, name: str) -> None:
         self.group, self.name, self._place = group, name, Place(group.positions, index)
@@ -70,6 +72,7 @@ class Seat:
         self.timed: Timed | None = None
         self.number, self.notices = 0, 0
         self.told: dict[str, int] = {}
+        self.referred: tuple[float, ...] | None = None
 
     @property
     def index(self) -> int:
@@ -85,6 +88,17 @@ class Seat:
         if self.timed is None:
             self.timed = Timed(self.group.dt, self.group.pace.window, timed)
         return self.timed
+
+    def begin_anew(self) -> tuple[int, list[Event]]:
+        """Whatever numbers come next are the first, and nothing is known between them and those before. How many
+        samples waited and are dropped, and what the monitor has to tell."""
+        dropped = sum(block.counts.size for block in self.order.held)
+        self._place.positions.forget(self.index)
+        self.order = Order(self.group.dt, self.order.window, self._place)
+        if not self.group.numbers[self.index]:
+            return dropped, []
+        self.group.numbers[self.index] += 1
+        return dropped, self.group.fleet.skip(self.index, 1)
 
     def may_tell(self, kind: str) -> bool:
         """Whether another notice of a kind is to be told, or only counted; by their number alone, so that it is the

@@ -155,8 +155,10 @@ class Intake:
                 self.counters.add("pmfid_samples_dropped_total", number, reason=reason, group=group)
         for kind, number in verdict.lines.items():
             self.counters.add("pmfid_lines_dropped_total", number, reason=kind, group=group)
-        if verdict.late and seat.may_tell("late"):
-            problem = f"{verdict.late} samples came too late, when the samples behind them had been taken"
+        if verdict.again or (verdict.late and seat.may_tell("late")):
+            problem = verdict.stale or (
+                f"{verdict.late} samples came too late, when the samples behind them had been taken"
+            )
             self.tell({"event": "late", "samples": verdict.late, "problem": problem}, seat.name)
         for what in verdict.told:
             self.counters.add("pmfid_events_total", event=str(what["event"]), group=group)

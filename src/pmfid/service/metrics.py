@@ -40,6 +40,7 @@ HELP: dict[str, str] = {
     "pmfid_samples_dropped_total": "Samples of blocks that came twice or too late.",
     "pmfid_samples_missing_total": "Samples that never came: gaps.",
     "pmfid_samples_total": "Samples that went through a monitor.",
+    "pmfid_samples_without_input_total": "Samples whose input was lost: NaN.",
     "pmfid_sink_errors_total": "Attempts to write that a sink failed in; what it was given was tried again.",
     "pmfid_sink_rows_total": "Rows that a sink has written.",
     "pmfid_sink_waiting_rows": "Rows that wait for a sink.",

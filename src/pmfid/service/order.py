@@ -25,6 +25,14 @@ ANEW = -1
 LONGEST_GAP, MOST_MISSING = 3600.0, 2**40
 #: Gaps that are remembered, to tell what is late from what came twice.
 GAPS = 32
+#: A sender that for so long has nothing new [s] is told: no broker has as much to send again.
+NOTHING_NEW = 120.0
+#: What helps a sender whose numbers began anew where nobody could know it.
+REMEDY = (
+    "Old ones that come again do no harm. If the sender began anew, let it send a higher epoch, as the time of day in "
+    'whole seconds; or use "Begin anew" on the page of the axis (POST /api/axis/NAME/anew): then its next samples are '
+    "taken, whatever their epoch"
+)
 
 
 class Piece(NamedTuple):
@@ -47,23 +55,27 @@ class Piece(NamedTuple):
 @dataclass
 class Verdict:
     """What became of an item, beside pieces. duplicate, late: samples that were dropped; refused: that have another
-    period; lines: that are no samples, by what they are; told: objects for notices."""
+    period; lines: that are no samples, by what they are; told: objects for notices; stale: what to do about a sender
+    all of whose samples are dropped; again: that is to be told however often something was."""
 
     duplicate: int = 0
     late: int = 0
     refused: int = 0
     lines: dict[str, int] = field(default_factory=dict)
     told: list[dict[str, object]] = field(default_factory=list)
+    stale: str = ""
+    again: bool = False
 
 
 class Order:
     """Blocks of one axis. dt: sample period [s]; window: samples that what comes too early waits for; place: where its
     numbers are kept, left out: on its own.
 
-    epoch, expected: of the next sample, epoch -1 before the first; held: blocks that wait, by epoch and number.
+    epoch, expected: of the next sample, epoch -1 before the first; held: blocks that wait, by epoch and number;
+    idle: samples in a row of which none was new, and what was expected meanwhile.
     """
 
-    __slots__ = ("_held", "clock", "dt", "gaps", "place", "window")
+    __slots__ = ("_held", "clock", "dt", "gaps", "idle", "place", "window")
     epoch, expected = Column[int]("epoch"), Column[int]("expected")
     wrong_period, _waiting = Column[bool]("wrong_period"), Column[bool]("waits")
 
@@ -73,6 +85,7 @@ class Order:
         self._held: list[Block] = []
         self.gaps: list[tuple[int, int]] = []
         self.clock = Clock(dt, self.place)
+        self.idle = 0, 0
 
     @property
     def held(self) -> tuple[Block, ...]:
@@ -108,9 +121,11 @@ class Order:
             return verdict
         if block.epoch < self.epoch:
             verdict.late += n
+            verdict.stale = f"{n} samples of epoch {block.epoch} came when epoch {self.epoch} had begun. {REMEDY}"
             return verdict
         if block.epoch == self.epoch and block.end <= self.expected:
             self._old(block.first, block.end, verdict)
+            self._repeated(block, verdict)
             return verdict
         if self._hold(block, verdict):
             self._release(received, turn, pieces, verdict)
@@ -132,6 +147,18 @@ class Order:
         late = sum(max(0, min(end, b) - max(first, a)) for a, b in self.gaps)
         verdict.late += late
         verdict.duplicate += end - first - late
+
+    def _repeated(self, block: Block, verdict: Verdict) -> None:
+        """A sender that sends known numbers for long is told that, then and each time that is doubled."""
+        before = self.idle[0] if self.idle[1] == self.expected else 0
+        now, most = before + block.counts.size, NOTHING_NEW / self.dt
+        self.idle = now, self.expected
+        verdict.again = int(now / most).bit_length() > int(before / most).bit_length()
+        if verdict.again:
+            verdict.stale = (
+                f"{now * self.dt:.0f} s of samples in a row that were there before: number {block.first} of epoch "
+                f"{block.epoch}, and {self.expected} is the next. {REMEDY}"
+            )
 
     def _hold(self, block: Block, verdict: Verdict) -> bool:
         """Puts a block among those that wait, by epoch and number; False for one that waits there already."""

@@ -48,6 +48,11 @@ class Positions:
         for name, column in vars(Positions.fresh(axes)).items():
             setattr(self, name, np.concatenate([getattr(self, name), column]))
 
+    def forget(self, index: int) -> None:
+        """Of this one nothing came yet."""
+        for name, column in vars(Positions.fresh(1)).items():
+            getattr(self, name)[index] = column[0]
+
     def remove(self, index: Sequence[int]) -> None:
         """Without these; the others move up in their order."""
         for one in fields(self):

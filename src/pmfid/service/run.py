@@ -143,7 +143,9 @@ class Service:
         made, fresh = arranged(groups, self._axes, self._pace)
         self._engine.arranged(made)
         self._remember()
-        self._board.arrange([group.kindred for group in self._engine.groups])
+        seats = [seat for group in self._engine.groups for seat in group.seats]
+        referred = {seat.name: seat.referred for seat in seats if seat.referred is not None}
+        self._board.arrange([group.kindred for group in self._engine.groups], referred)
         return fresh
 
     def _remember(self) -> None:

@@ -32,11 +32,12 @@ class Found:
 
 @dataclass
 class Stepped:
-    """What a step of a group gave."""
+    """What a step of a group gave; lost: samples without an input, among all."""
 
     rows: list[Rows] = field(default_factory=list)
     found: list[Found] = field(default_factory=list)
     samples: int = 0
+    lost: int = 0
 
 
 def step(waiting: Waiting, followed: frozenset[str] = frozenset()) -> Stepped:
@@ -56,6 +57,7 @@ def _run(group: Group, batch: Batch, followed: frozenset[str], done: Stepped) ->
     rows = group.fleet.run(index, batch.u, batch.counts)
     group.numbers[index] += n
     done.samples += batch.counts.size
+    done.lost += int(np.count_nonzero(~np.isfinite(batch.u)))
     events = [(row, 0, event) for row, events in before for event in events]
     for row, k, event in [*events, *rows.events]:
         done.found.append(_found(group, batch, row, k, int(start[row]), event))

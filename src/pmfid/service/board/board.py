@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from threading import Lock
 
@@ -57,8 +57,9 @@ class Board:
 
     # --- for the engine ---
 
-    def arrange(self, groups: Sequence[Kindred]) -> None:
-        """The groups that there are from now on; what is known of an axis stays where its parameters are the same."""
+    def arrange(self, groups: Sequence[Kindred], referred: Mapping[str, Sequence[float]] | None = None) -> None:
+        """The groups that there are from now on; what is known of an axis stays where its parameters are the same.
+        referred: axis -> (q,) what is normal for it, where that is not what its group has; None: as it was."""
         share = self._budget / max(1, sum(len(group.axes) * row_bytes(group) for group in groups))
         panels = [Panel(group, int(share), self.every) for group in groups]
         with self._lock:
@@ -66,6 +67,8 @@ class Board:
             for panel in panels:
                 for old in self._panels:
                     panel.adopt(old, self._version)
+                if referred is not None:
+                    panel.refer_only(referred)
             self._panels, self._layout = panels, self._layout + 1
             self._by_group = {id(panel.group): panel for panel in panels}
             self._by_axis = {name: panel for panel in panels for name in panel.place}
@@ -109,12 +112,12 @@ class Board:
             self._notices.append((self._version, notice))
             self._changed.extend((self._version, alarm.number) for alarm in self._alarms.take(notice))
             if notice.what.get("event") == "reference" and "problem" not in notice.what:
-                self._refer(notice.axis)
+                self._refer(notice.axis, notice.what.get("nominal", {}))
 
-    def _refer(self, axis: str) -> None:
+    def _refer(self, axis: str, normal: Mapping[str, float]) -> None:
         panel = self._by_axis.get(axis)
-        if panel is not None:
-            panel.refer(panel.place[axis])
+        if panel is not None and normal.keys() == set(panel.group.names):
+            panel.refer(panel.place[axis], [normal[name] for name in panel.group.names])
             self._layout += 1
 
     def followed(self) -> frozenset[str]:

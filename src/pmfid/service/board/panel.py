@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,10 +89,15 @@ class Panel:
         usable = np.flatnonzero(self.group.nominal)
         return int(usable[0]) if usable.size else 0
 
-    def refer(self, axis: int) -> None:
-        """What the axis is now is normal; where nothing is known of it, what was normal stays."""
-        row = self.last[axis]
-        self.nominal[axis] = np.where(np.isfinite(row["std"]), row["theta"], self.nominal[axis])
+    def refer(self, axis: int, normal: Sequence[float]) -> None:
+        """(q,) is normal for an axis from now on."""
+        self.nominal[axis] = normal
+
+    def refer_only(self, referred: Mapping[str, Sequence[float]]) -> None:
+        """(q,) by axis is normal for these, for all others what the group has."""
+        self.nominal[:] = self.group.nominal
+        for name in referred.keys() & self.place.keys():
+            self.refer(self.place[name], referred[name])
 
     def referred(self) -> dict[int, list[float]]:
         """Axes whose normal values are not those of the group, and these."""

@@ -21,7 +21,7 @@ __all__ = ["WebhookSection", "WebhookSink"]
 #: All events that a service tells: one that is misspelt would never be sent.
 EVENTS = (
     *("alarm", "acknowledged", "settled", "state", "outlier", "gap", "clock", "epoch", "period", "late", "duplicate"),
-    *("unusable", "bad line", "repeated line", "reference", "source", "sink", "dropped", "checkpoint"),
+    *("unusable", "bad line", "repeated line", "reference", "anew", "source", "sink", "dropped", "checkpoint"),
     *("configuration", "calibration", "reload", "serving", "ended"),
 )
 #: Notices that are remembered as delivered, while others of the same time are tried again.

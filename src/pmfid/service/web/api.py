@@ -56,6 +56,7 @@ class Api:
             Route("/api/axis/{axis:path}/history", self.history),
             Route("/api/axis/{axis:path}/reference.csv", self.reference_csv),
             Route("/api/axis/{axis:path}/reference", self.refer, methods=["POST"]),
+            Route("/api/axis/{axis:path}/anew", self.begin_anew, methods=["POST"]),
             Route("/api/alarms/{number:int}/acknowledge", self.acknowledge, methods=["POST"]),
             Route("/metrics", self.prometheus),
             Route("/healthz", self.health),
@@ -129,6 +130,11 @@ class Api:
         axis = request.path_params["axis"]
         self._known(axis)
         return _taken(self.acts.refer(axis))
+
+    async def begin_anew(self, request: Request) -> Response:
+        axis = request.path_params["axis"]
+        self._known(axis)
+        return _taken(self.acts.begin_anew(axis))
 
     async def acknowledge(self, request: Request) -> Response:
         note = (await json_body(request)).get("note", "")

@@ -139,6 +139,7 @@ export class AxisView {
     this.back = el("button", { type: "button", onclick: () => this.zoom(null), disabled: true }, "Back from zoom");
     this.compareButton = el("button", { type: "button", "aria-pressed": "false", onclick: () => this.toggleCompare() }, "Compare with reference");
     const refer = el("button", { type: "button", onclick: () => this.refer() }, "Set as reference …");
+    const anew = el("button", { type: "button", onclick: () => this.beginAnew() }, "Begin anew …");
     this.said = el("p", { class: "fine", role: "status" });
     return el(
       "div",
@@ -149,6 +150,7 @@ export class AxisView {
       el("button", { type: "button", onclick: () => this.save() }, "Save as CSV"),
       this.compareButton,
       this.plant.may === "write" ? refer : null,
+      this.plant.may === "write" ? anew : null,
       this.said,
     );
   }
@@ -233,6 +235,11 @@ export class AxisView {
   refer() {
     const what = el("p", {}, "What ", el("strong", {}, this.axis), " is now becomes normal: deviations and alarms count from there. This cannot be taken back.");
     askFirst("Set as reference", [what], "Set as reference", () => tell(`api/axis/${encodeURIComponent(this.axis)}/reference`, {}));
+  }
+
+  beginAnew() {
+    const what = el("p", {}, "The next samples of ", el("strong", {}, this.axis), " are taken whatever their numbers: for a sender that lost them. Estimate and reference stay.");
+    askFirst("Begin anew", [what], "Begin anew", () => tell(`api/axis/${encodeURIComponent(this.axis)}/anew`, {}));
   }
 
   // --- what is shown ---

@@ -11,6 +11,8 @@ const SENTENCES = {
   gap: (what) => `${what.missing} samples are missing`,
   clock: (what) => `the clock was set by ${number(what.jump)} s`,
   outlier: (what) => `${what.signal} that no motion explains, left out`,
+  anew: () => "its next samples are taken whatever their numbers",
+  late: (what) => what.problem,
   reference: (what) => (what.problem ? `cannot become the reference: ${what.problem}` : "what it is now is the reference"),
 };
 

@@ -1,0 +1,251 @@
+"""Faults of disks and receivers: full, read-only, slow."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sqlite3
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from studies.service.finding import Finding, changes, others_unchanged, sentences, without_alarm
+from studies.service.hall import PATIENCE, Hall, Metrics, Told, hall, name_of
+from studies.service.processes import Service, free_port
+
+AXES, BEFORE, DURING, AFTER = 6, 5.0, 20.0, 10.0
+SINKS = """
+[sinks.database]
+kind = "sqlite"
+
+[sinks.table]
+kind = "arrow"
+folder = "state/rows"
+"""
+
+
+def run(*command: str | Path) -> bool:
+    """Whether a command of the system could be done."""
+    return subprocess.run(command, capture_output=True).returncode == 0
+
+
+@contextmanager
+def mounted(place: Path, *how: str | Path) -> Iterator[bool]:
+    """A file system on a folder, whether root allows it."""
+    place.mkdir(parents=True, exist_ok=True)
+    done = run("mount", *how, place)
+    try:
+        yield done
+    finally:
+        while done and run("umount", place):
+            pass
+
+
+def _small(place: Path) -> AbstractContextManager[bool]:
+    return mounted(place, "-t", "tmpfs", "-o", "size=3m", "tmpfs")
+
+
+@dataclass
+class Disk:
+    """A fault of the disk that holds state, database and table of a hall. how: in words; begin, end: the fault itself;
+    hits: counters of what it must stop."""
+
+    how: str
+    begin: Callable[[], object]
+    end: Callable[[], object]
+    hits: tuple[str, ...]
+
+
+def full(state: Path) -> Disk:
+    filler = state / "filler"
+
+    def begin() -> None:
+        with suppress(OSError), filler.open("wb", buffering=0) as file:
+            while file.write(bytes(4096)):
+                pass
+
+    return Disk("disk full (a tmpfs of 3 MB, filled)", begin, filler.unlink, ("checkpoint", "table", "database"))
+
+
+def read_only(state: Path) -> Disk:
+    """A mount over the folder: what is opened from now on is read-only, as after `mount -o remount,ro`, which itself
+    the kernel refuses while a file is open for writing."""
+    if run("mount", "--bind", state, state):
+        run("mount", "-o", "remount,ro,bind", state)
+        how = "disk read-only (mounted over, `remount,ro,bind`)"
+        return Disk(how, lambda: None, lambda: run("umount", state), ("checkpoint",))
+    how = "disk read-only (chmod, for want of root)"
+    return Disk(how, lambda: state.chmod(0o555), lambda: state.chmod(0o755), ("checkpoint",))
+
+
+def disk_fault(place: Path, make: Callable[[Path], Disk]) -> Finding:
+    """Before, during, and behind the fault, without a restart."""
+    with _small(place / "state"), hall(place, AXES, 60.0, SINKS) as there:
+        there.play(BEFORE)
+        there.through()
+        there.notices()
+        start = there.served.metrics()
+        disk = make(place / "state")
+        disk.begin()
+        there.play(DURING / 2)
+        there.post(f"/api/axis/{name_of(0)}/reference")  # a notice that must not be lost
+        there.play(DURING / 2)
+        during, told = there.through(), there.notices()
+        claims = list(_stopped(there, disk, during, told))
+        disk.end()
+        there.play(AFTER)
+        there.through()
+        after, later = _recovered(there, disk.hits), there.notices()
+        claims = [others_unchanged(there), without_alarm([*told, *later]), *claims]
+        claims += [(f"{one} works again without a restart", _works(after, one)) for one in disk.hits]
+        kept = _notices_in(place / "state" / "database.sqlite")
+        claims.append((f"reference set meanwhile is in the database ({kept} notices)", kept > 0))
+        return Finding(disk.how, [*sentences(told), "*after it:*", *sentences(later)], changes(start, during), claims)
+
+
+def _works(metrics: Metrics, what: str) -> bool:
+    name = "pmfid_checkpoint_working" if what == "checkpoint" else f'pmfid_sink_working{{sink="{what}"}}'
+    return metrics.get(name) == 1.0
+
+
+def _recovered(there: Hall, hits: tuple[str, ...]) -> Metrics:
+    """The metrics once all works again, or after a minute: pauses between attempts grow to that."""
+    end = time.monotonic() + 1.2 * PATIENCE
+    while True:
+        metrics = there.served.metrics()
+        if all(_works(metrics, one) for one in hits) or time.monotonic() > end:
+            return metrics
+        time.sleep(0.5)
+
+
+def _stopped(there: Hall, disk: Disk, during: Metrics, told: list[Told]) -> Iterator[tuple[str, bool]]:
+    said = {str(one.get("sink", one["event"])) for one in told if "problem" in one}
+    for one in disk.hits:
+        yield f"/metrics show that {one} does not work", not _works(during, one)
+        yield f"a notice says so of {one}", one in said
+    yield f"{there.accounted(during):g} of {there.sent} samples so far", there.accounted(during) == there.sent
+
+
+def _notices_in(database: Path) -> int:
+    with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as found:
+        (number,) = found.execute("SELECT count(*) FROM notices WHERE event = 'reference'").fetchone()
+    return int(number)
+
+
+def forced_read_only(place: Path) -> Finding | None:
+    """An ext4 that the kernel makes read-only for an error, whatever is open; None where root has no loop device. It
+    stays so until it is mounted anew: then the service starts again."""
+    place.mkdir(parents=True, exist_ok=True)
+    image = place / "image"
+    with image.open("wb") as file:
+        file.truncate(2**24)
+    if not run("mkfs.ext4", "-q", "-O", "^has_journal", image):
+        return None
+    how = ("-o", "loop,errors=remount-ro", image)
+    with mounted(place / "state", *how) as done:
+        if not done or not (device := _error_of(place / "state")):
+            return None
+        with hall(place, AXES, 60.0, SINKS) as there:
+            there.play(BEFORE)
+            there.through()
+            there.notices()
+            start = there.served.metrics()
+            with suppress(OSError):
+                device.write_text("1")
+            there.play(DURING)
+            during, told = there.through(), there.notices()
+            disk = Disk("", lambda: None, lambda: None, ("checkpoint", "table"))
+            claims = [others_unchanged(there), without_alarm(told), *_stopped(there, disk, during, told)]
+            at = there.at
+    with mounted(place / "state", *how):
+        claims += _again(place, at)
+    fault = "disk read-only (an ext4 that the kernel remounts for an error; mounted anew, service started again)"
+    return Finding(fault, sentences(told), changes(start, during), claims)
+
+
+def _error_of(place: Path) -> Path | None:
+    """Where an error of the file system on a folder is made."""
+    named = subprocess.run(["findmnt", "-n", "-o", "SOURCE", place], capture_output=True, text=True).stdout.strip()
+    found = Path("/sys/fs/ext4") / Path(named).name / "trigger_fs_error"
+    return found if named and os.access(found, os.W_OK) else None
+
+
+def _again(place: Path, at: int) -> Iterator[tuple[str, bool]]:
+    """The service started again on the disk as it was left; its machines go on from sample `at`."""
+    with hall(place, AXES, 60.0, SINKS) as there:
+        (told,) = [one for one in there.notices() if one["event"] == "checkpoint"]
+        went_on = told.get("restored") == AXES
+        yield f"started again from the last checkpoint ({told.get('restored', 0)} axes go on)", went_on
+        there.at = at
+        there.play(2.0)
+        time.sleep(2.0)
+        missing, number = there.total("pmfid_samples_missing_total"), int(there.rows(name_of(0))[0][-1])
+        claim = f"{missing:g} samples without a checkpoint are said to be missing, and the numbers go on at {number}"
+        yield claim, 0 < missing < AXES * at and at < number <= there.at
+
+
+# --- a receiver that is too slow --------------------------------------------------------------------------------------
+
+RATE = 1e6
+
+
+@dataclass
+class Slow:
+    """Takes lines by TCP, RATE bytes a second, and counts them by what they are."""
+
+    port: int = field(default_factory=free_port)
+    rows: int = 0
+    ended: threading.Event = field(default_factory=threading.Event)
+
+    def __post_init__(self) -> None:
+        self._server = socket.create_server(("127.0.0.1", self.port))
+        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        line, _ = self._server.accept()
+        rest = b""
+        with line:
+            while piece := line.recv(20_000):
+                *whole, rest = (rest + piece).split(b"\n")
+                self.rows += sum(one.startswith(b"pmfid,") for one in whole)
+                time.sleep(len(piece) / RATE)
+        self.ended.set()
+
+
+def slow_sink(place: Path) -> Finding:
+    """Every row of 12 axes ten times as fast as in reality, to a receiver of 1 MB/s; its queue holds 20 000 rows."""
+    receiver = Slow()
+    sink = f'\n[sinks.slow]\nkind = "line_protocol"\nto = "tcp://127.0.0.1:{receiver.port}"\nqueue_rows = 20000\n'
+    with hall(place, 12, 260.0, sink, "every = 0") as there:
+        there.play(BEFORE, speed=10.0)
+        there.through()
+        start = there.served.metrics()
+        there.play(150.0, speed=10.0)
+        there.through()
+        after, told = _drained(there), there.notices()
+        dropped = there.total("pmfid_dropped_rows_total", after)
+        slower = _slower(there.served, after, 0.5) - _slower(there.served, start, 0.5)
+        claims = [others_unchanged(there), without_alarm(told)]
+        claims.append((f"{slower:g} deliveries waited longer than 0.5 s", slower == 0))
+        claims.append((f"{dropped:g} rows are said to be dropped", dropped > 0))
+    receiver.ended.wait(PATIENCE)
+    total = receiver.rows + dropped
+    claims.append((f"{receiver.rows} rows received, {total:g} with the dropped, {there.sent} given out",
+                   total == there.sent))  # fmt: skip
+    return Finding("sink that takes 1 MB/s (line protocol by TCP)", sentences(told), changes(start, after), claims)
+
+
+def _slower(served: Service, metrics: Metrics, limit: float) -> float:
+    return metrics.get(f'pmfid_deliveries_slower_total{{than="{limit:g}"}}', 0.0)
+
+
+def _drained(there: Hall) -> Metrics:
+    end = time.monotonic() + PATIENCE
+    while (found := there.served.metrics()).get('pmfid_sink_waiting_rows{sink="slow"}') and time.monotonic() < end:
+        time.sleep(0.5)
+    return found

@@ -1,0 +1,196 @@
+"""A plant of many carts behind a broker, what it is sent, what its page and its metrics say, and what its estimates
+should be."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import time
+import urllib.request
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import paho.mqtt.client as mqtt
+from numpy.typing import NDArray
+from paho.mqtt.enums import CallbackAPIVersion
+
+from pmfid.monitor.fleet import MonitorFleet
+from pmfid.service.delivery import Block
+from pmfid.service.groups import prepare
+from pmfid.service.wire.blocks import encode
+from pmfid.simulation import make_scenario
+from pmfid.types import Floats
+from studies.service.machines import DT, NAME, write_plant
+from studies.service.processes import BROKER, Service, broker, free_port, service
+
+#: Samples of a block, and samples by which the place of an axis in the motion is behind that of the one before.
+SAMPLES, APART = 25, 37
+PAGE = '\n[page]\nport = {port}\ntoken_env = "PMFID_TOKEN"\n'
+#: Seconds that what was sent may take until it is through.
+PATIENCE = 60.0
+
+#: Bytes to send in place of a block; nothing: it is lost.
+Change = Callable[[Block], Sequence[bytes]]
+Metrics = dict[str, float]
+Told = dict[str, Any]
+
+
+def name_of(k: int) -> str:
+    """Of axis k."""
+    return NAME.format(k)
+
+
+@dataclass
+class Hall:
+    """served: the service; client: what sends; u, counts: the motion that every axis runs along; axes: their number;
+    at: samples of each that were sent; sent: samples of all; struck: numbers of axes that something was done to."""
+
+    folder: Path
+    served: Service
+    client: mqtt.Client
+    u: Floats
+    counts: NDArray[np.int64]
+    axes: int
+    at: int = field(default=0, init=False)
+    sent: int = field(default=0, init=False)
+    struck: set[int] = field(default_factory=set, init=False)
+    _seen: set[int] = field(default_factory=set, init=False)
+
+    # --- what is sent -------------------------------------------------------------------------------------------------
+
+    def play(self, seconds: float, speed: float = 5.0, changes: dict[int, Change] | None = None) -> None:
+        """So much of the motion of all axes, `speed` times as fast as in reality; changes: what is sent in place of
+        the blocks of some axes."""
+        changes, begin, start = changes or {}, time.monotonic(), self.at
+        self.struck |= changes.keys()
+        while self.at < start + seconds / DT:
+            for k in range(self.axes):
+                block = self.block(k, self.at)
+                for data in changes.get(k, _as_it_is)(block):
+                    self.publish(data)
+            self.at += SAMPLES
+            self.sent += self.axes * SAMPLES
+            time.sleep(max(0.0, begin + (self.at - start) * DT / speed - time.monotonic()))
+        self.last.wait_for_publish(PATIENCE)
+
+    def block(self, k: int, start: int) -> Block:
+        place = k * APART + start
+        part = slice(place, place + SAMPLES)
+        return Block(name_of(k), 1, start, 1e9 + start * DT, DT, self.u[part], self.counts[part])
+
+    def publish(self, data: bytes) -> None:
+        self.last = self.client.publish("load/blocks", data, qos=1)
+
+    # --- what is said -------------------------------------------------------------------------------------------------
+
+    def through(self, more: int = 0) -> Metrics:
+        """The metrics when all that was sent is through, but `more` samples: taken, missing or dropped."""
+        end = time.monotonic() + PATIENCE
+        while True:
+            metrics = self.served.metrics()
+            if self.accounted(metrics) >= self.sent - more or time.monotonic() > end:
+                return metrics
+            time.sleep(0.5)
+
+    def accounted(self, metrics: Metrics) -> float:
+        """Samples that became estimates, or that are said to be missing."""
+        return self.total("pmfid_samples_total", metrics) + self.total("pmfid_samples_missing_total", metrics)
+
+    def total(self, name: str, metrics: Metrics | None = None) -> float:
+        return self.served.total(name, metrics)
+
+    def notices(self) -> list[Told]:
+        """Those that the page got since the last time, by its stream."""
+        with self.open_stream() as answer:
+            first = json.loads(answer.readline())
+        fresh = [one for one in first["notices"] if one["number"] not in self._seen]
+        self._seen |= {one["number"] for one in fresh}
+        return fresh
+
+    def open_stream(self, query: str = "") -> Any:
+        address = f"http://127.0.0.1:{self.served.port}/api/stream{query}"
+        request = urllib.request.Request(address, headers={"Authorization": f"Bearer {self.served.token}"})
+        return urllib.request.urlopen(request, timeout=30)
+
+    def post(self, path: str) -> None:
+        """A write action of the page."""
+        headers = {"Authorization": f"Bearer {self.served.token}", "Content-Type": "application/json"}
+        address = f"http://127.0.0.1:{self.served.port}{path}"
+        urllib.request.urlopen(urllib.request.Request(address, b"{}", headers), timeout=30).close()
+
+    def rows(self, axis: str) -> tuple[NDArray[np.int64], Floats]:
+        """(numbers (m,), theta (m, p)) that the page has of an axis."""
+        history = json.loads(self.served.get(f"/api/axis/{axis}/history"))
+        theta = np.column_stack([_unpacked(column) for column in history["theta"]])
+        return _unpacked(history["number"]).astype(np.int64), theta
+
+    # --- what should be said ------------------------------------------------------------------------------------------
+
+    def compared(self, since: int = 0, axes: Sequence[int] | None = None) -> tuple[int, int]:
+        """Rows of the page behind sample `since`, and how many of them differ in a bit from those of `pmfid monitor` on
+        what was sent; axes: numbers of these, None: of all that nothing was done to."""
+        others = [k for k in range(self.axes) if k not in self.struck] if axes is None else list(axes)
+        fleet = MonitorFleet(prepare(self.folder / "cell.toml").setup.monitor, len(others))
+        places = np.array(others)[:, None] * APART + np.arange(self.at)
+        expected = fleet.run(np.arange(len(others)), self.u[places], self.counts[places]).theta
+        found = differ = 0
+        for row, k in enumerate(others):
+            numbers, theta = self.rows(name_of(k))
+            theta, numbers = theta[numbers > since], numbers[numbers > since]
+            found += numbers.size
+            wanted = expected[row, numbers - 1]
+            differ += int(np.any(theta.view(np.int64) != wanted.view(np.int64), axis=1).sum())
+        return found, differ
+
+
+def _as_it_is(block: Block) -> list[bytes]:
+    return [encode(block)]
+
+
+def _unpacked(text: str) -> Floats:
+    kind, _, data = text.partition(":")
+    return np.frombuffer(base64.b64decode(data), f"<{kind}").astype(np.float64)
+
+
+def lost(block: Block, part: slice) -> Block:
+    """With the inputs of some samples lost."""
+    u = block.u.copy()
+    u[part] = math.nan
+    return replace(block, u=u)
+
+
+@contextmanager
+def hall(
+    place: Path,
+    axes: int,
+    seconds: float,
+    more: str = "",
+    settings: str = 'state = "state"\nevery = 0.1',
+    limits: str = BROKER,
+    ready: Callable[[Path], object] = lambda place: None,
+) -> Iterator[Hall]:
+    """A hall in a folder of its own, whose machines have `seconds` of motion. more: further sections of PLANT.toml;
+    settings: lines of [service]; limits: configuration of the broker; ready: called when its files are there."""
+    run = make_scenario("moves", seed=2, duration=seconds + axes * APART * DT + 1.0)
+    place.mkdir(parents=True, exist_ok=True)
+    with broker(place, limits) as (port, _):
+        plant = write_plant(place, axes, port, settings)
+        plant.write_text(plant.read_text() + more + PAGE.format(port=free_port()))
+        ready(place)
+        prepare(place / "cell.toml")  # calibrated here, in the cache for the service
+        with service(plant, place / "log.jsonl") as served:
+            client = mqtt.Client(CallbackAPIVersion.VERSION2, "machines", protocol=mqtt.MQTTv5)
+            client.max_inflight_messages_set(1000)
+            client.connect("127.0.0.1", port, keepalive=600)
+            client.loop_start()
+            while not served.total("pmfid_axes"):
+                time.sleep(0.1)
+            time.sleep(1.0)  # the source has subscribed
+            yield Hall(place, served, client, run.motion.u, run.counts.astype(np.int64), axes)
+            client.disconnect()
+            client.loop_stop()

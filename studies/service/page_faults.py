@@ -1,0 +1,161 @@
+"""Faults of those who look, and of the process itself: a browser that stops reading, 200 of them, a process stopped."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from studies.service.finding import Finding, changes, others_unchanged, sentences, without_alarm
+from studies.service.hall import Hall, Metrics, hall, name_of
+from studies.service.processes import Use, use_of
+
+BROWSERS, LOOKING = 200, 20.0
+#: How long the process is stopped [s], in real time.
+STOPPED = 60.0
+#: A broker that holds little for a service that is away.
+SMALL = """\
+listener {port} 127.0.0.1
+allow_anonymous true
+persistence false
+max_queued_messages 500
+"""
+
+
+def _slower(metrics: Metrics) -> float:
+    """Part of the deliveries whose estimates took longer than 0.1 s."""
+    return metrics.get('pmfid_deliveries_slower_total{than="0.1"}', 0.0)
+
+
+@dataclass(frozen=True)
+class Share:
+    """Of a stretch of time: cores of the service, and the part of the deliveries that took longer than 0.1 s."""
+
+    cores: float
+    slow: float
+
+
+@contextmanager
+def shared(there: Hall) -> Iterator[Callable[[], Share]]:
+    """What a stretch of time cost."""
+    pid, begin, before = there.served.process.pid, time.monotonic(), there.served.metrics()
+    use: Use = use_of(pid)
+
+    def share() -> Share:
+        now = there.served.metrics()
+        taken = max(1.0, there.total("pmfid_deliveries_total", now) - there.total("pmfid_deliveries_total", before))
+        return Share((use_of(pid).cpu - use.cpu) / (time.monotonic() - begin), (_slower(now) - _slower(before)) / taken)
+
+    yield share
+
+
+def _no_later(share: Share, alone: Share) -> tuple[str, bool]:
+    text = f"{100 * share.slow:.1f} % of the estimates later than 0.1 s, {100 * alone.slow:.1f} % without"
+    return text, share.slow < alone.slow + 0.02
+
+
+def stuck_browser(there: Hall) -> Finding:
+    """It asks for the stream of an axis, reads nothing, and stays."""
+    before, since = there.served.metrics(), there.at
+    there.notices()
+    with shared(there) as share:
+        there.play(50.0)
+        alone = share()
+    with socket.socket() as line:
+        line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        line.connect(("127.0.0.1", there.served.port))
+        host = f"127.0.0.1:{there.served.port}"
+        request = f"GET /api/stream?axis={name_of(0)} HTTP/1.1\r\nHost: {host}\r\n"
+        line.sendall(f"{request}Authorization: Bearer {there.served.token}\r\n\r\n".encode())
+        with shared(there) as share:
+            there.play(150.0)
+            during = share()
+    after, told = there.through(), there.notices()
+    dropped = there.total("pmfid_page_browsers_dropped_total", after)
+    claims = [
+        others_unchanged(there, since),
+        without_alarm(told),
+        (f"{dropped:g} browser is said to be dropped", dropped == 1),
+        _no_later(during, alone),
+    ]
+    return Finding("a browser that stops reading", sentences(told), changes(before, after), claims)
+
+
+@dataclass
+class Looking:
+    """Browsers that read; lines: that came, by browser."""
+
+    there: Hall
+    lines: list[int] = field(default_factory=list)
+
+    def look(self, k: int, answer: object) -> None:
+        while answer.readline():  # type: ignore[attr-defined]
+            self.lines[k] += 1
+
+
+def many_browsers(there: Hall) -> Finding:
+    """BROWSERS streams, half of them of all axes, half of one axis."""
+    before, since, looking = there.served.metrics(), there.at, Looking(there)
+    there.notices()
+    with shared(there) as share:
+        there.play(LOOKING, speed=1.0)
+        alone = share()
+    with ExitStack() as streams:
+        for k in range(BROWSERS):
+            answer = streams.enter_context(there.open_stream(f"?axis={name_of(k % there.axes)}" if k % 2 else ""))
+            looking.lines.append(0)
+            threading.Thread(target=_quietly, args=(looking.look, k, answer), daemon=True).start()
+        with shared(there) as share:
+            there.play(LOOKING, speed=1.0)
+            with_them = share()
+        lines = list(looking.lines)
+    after, told = there.through(), there.notices()
+    refused = there.total("pmfid_page_refused_total", after) + there.total("pmfid_page_browsers_dropped_total", after)
+    refused -= there.total("pmfid_page_refused_total", before)
+    refused -= there.total("pmfid_page_browsers_dropped_total", before)
+    claims = [
+        others_unchanged(there, since),
+        without_alarm(told),
+        (f"each got {min(lines)} to {max(lines)} lines in {LOOKING:g} s", min(lines) > LOOKING),
+        (f"{refused:g} were refused or dropped", refused == 0),
+        (f"the service took {with_them.cores:.2f} cores, {alone.cores:.2f} alone", with_them.cores < 1),
+        _no_later(with_them, alone),
+    ]
+    return Finding(f"{BROWSERS} browsers, half of them at one axis", sentences(told), changes(before, after), claims)
+
+
+def _quietly(action: Callable[..., None], *given: object) -> None:
+    """A stream that ends while someone reads it is no error here."""
+    try:
+        action(*given)
+    except (OSError, ValueError, AttributeError):
+        return
+
+
+def stopped(place: Path, limits: str, fault: str, losing: bool) -> Finding:
+    """SIGSTOP, a minute of samples in real time, SIGCONT. losing: the broker holds less than that."""
+    with hall(place, 6, STOPPED + 40.0, limits=limits) as there:
+        there.play(5.0)
+        there.through()
+        there.notices()
+        before = there.served.metrics()
+        os.kill(there.served.process.pid, signal.SIGSTOP)
+        there.play(STOPPED, speed=1.0)
+        os.kill(there.served.process.pid, signal.SIGCONT)
+        there.play(20.0)
+        after, told = there.through(), there.notices()
+        missing = there.total("pmfid_samples_missing_total", after)
+        claims = [
+            (f"{there.sent} sent, {there.accounted(after):g} accounted for", there.accounted(after) == there.sent),
+            (f"{missing:g} are said to be missing", (missing > 0) == losing),
+            without_alarm(told),
+        ]
+        if not losing:
+            claims.append(others_unchanged(there))
+        return Finding(fault, sentences(told), changes(before, after), claims)

@@ -1,0 +1,101 @@
+"""A sender that began anew without a higher epoch: it is said, and what is said helps when it is followed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmfid.service.delivery import Block, Delivery
+from pmfid.service.groups import Prepared
+from pmfid.service.order import NOTHING_NEW
+from pmfid.session.monitored.timeline import Sample
+from pmfid.simulation import CART, CART_DT, Schedule
+from studies.monitoring.axis import INCREMENTS, changing
+from tests.service.collected import Bits, Collected, monitored
+from tests.service.fake_engine import FakePlant
+from tests.service.loopback import served
+from tests.service.test_engine import WINDOW, engine_of
+
+SAMPLES, BLOCK = 1200, 50
+
+
+@pytest.fixture(scope="module")
+def motion() -> tuple[np.ndarray, np.ndarray]:
+    return changing(Schedule(((0.0, CART),)), 3, INCREMENTS, SAMPLES * CART_DT)
+
+
+def blocks(motion: tuple[np.ndarray, np.ndarray], start: int, end: int, epoch: int, first: int) -> list[Delivery]:
+    """Samples from start to end of the motion, with numbers from `first` on."""
+    parts = (slice(k, k + BLOCK) for k in range(start, end, BLOCK))
+    made = [Block("x1", epoch, first + p.start - start, math.nan, CART_DT, motion[0][p], motion[1][p]) for p in parts]
+    return [Delivery("hall", [block]) for block in made]
+
+
+def expected(prepared: Prepared, motion: tuple[np.ndarray, np.ndarray], lost: slice) -> list[Bits]:
+    """Rows of the monitor where nobody knows what lies between the samples on both sides of those that are lost."""
+    kept = np.delete(np.arange(SAMPLES), lost)
+    samples = [Sample(k * CART_DT, float(motion[0][k]), int(motion[1][k]), 0, float(k == lost.stop)) for k in kept]
+    return monitored(prepared, samples)[0]
+
+
+@pytest.mark.parametrize("epoch", [3, 9], ids=["a lower epoch", "the same epoch"])
+@pytest.mark.parametrize("remedy", ["a higher epoch", "begin anew"])
+def test_a_sender_that_lost_its_epoch_is_told_what_helps(
+    prepared: Prepared, motion: tuple[np.ndarray, np.ndarray], epoch: int, remedy: str
+) -> None:
+    outlet = Collected()
+    engine = engine_of(prepared, outlet, axes=["x1"])
+    engine.process(blocks(motion, 0, 600, epoch=9, first=20_000))
+    engine.process(blocks(motion, 600, 700, epoch=epoch, first=0))
+    for _ in range(round(NOTHING_NEW / CART_DT / 100)):  # for two minutes
+        engine.process(blocks(motion, 600, 700, epoch=epoch, first=100))
+    engine.tick(0.0)
+    assert len(outlet.of("x1")) == 600, "none of them is believed"
+    told = outlet.events("x1", "late")
+    assert "higher epoch" in told[-1]["problem"]
+    assert "POST /api/axis/NAME/anew" in told[-1]["problem"]
+    assert len(told) < 20
+    if remedy == "begin anew":
+        assert engine.commands.begin_anew("x1")
+        engine.tick(0.0)
+    again = epoch if remedy == "begin anew" else 10
+    engine.process(blocks(motion, 700, SAMPLES, again, first=200))
+    rows = [bits for _, bits in outlet.of("x1")]
+    assert len(rows) == SAMPLES - 100, "all of what comes now"
+    assert rows == expected(prepared, motion, slice(600, 700))
+
+
+def test_what_waited_is_said_where_an_axis_begins_anew(
+    prepared: Prepared, motion: tuple[np.ndarray, np.ndarray]
+) -> None:
+    outlet = Collected()
+    engine = engine_of(prepared, outlet, axes=["x1"])
+    engine.process(blocks(motion, 0, 100, epoch=0, first=0))
+    (early,) = blocks(motion, 150, 200, epoch=0, first=150)
+    engine.process([early])
+    engine.commands.begin_anew("x1")
+    engine.tick(0.0)
+    assert [what["dropped"] for what in outlet.events("x1", "anew")] == [min(BLOCK, WINDOW)]
+
+
+def test_what_comes_again_after_a_broker_was_killed_is_no_news(
+    prepared: Prepared, motion: tuple[np.ndarray, np.ndarray]
+) -> None:
+    outlet = Collected()
+    engine = engine_of(prepared, outlet, axes=["x1"])
+    sent = blocks(motion, 0, SAMPLES, epoch=9, first=0)
+    for _ in range(3):
+        engine.process([replace(delivery) for delivery in sent])
+    engine.tick(0.0)
+    assert outlet.events("x1", "late") == []
+
+
+def test_the_page_begins_an_axis_anew() -> None:
+    plant = FakePlant(2)
+    with served(plant) as page:
+        assert page.post("/api/axis/gantry-x1/anew", {}) == 202
+        assert [notice.what["event"] for notice in plant.board.news().notices] == ["anew"]
+        assert page.post("/api/axis/nobody/anew", {}) == 404

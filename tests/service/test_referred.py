@@ -1,0 +1,47 @@
+"""What someone made normal by hand stays so over a restart: for the monitor and for the page."""
+
+from __future__ import annotations
+
+from io import StringIO
+from pathlib import Path
+
+from pmfid.service.log import Log
+from pmfid.service.plant import Plant, ServiceSection, load_plant
+from pmfid.service.run import Service
+from tests.service.test_serve import PLANT, Acting, folder  # noqa: F401 a fixture
+
+Referred = list[dict[int, list[float]]]
+
+
+def looked_at(plant: Plant, refer: bool = False) -> tuple[Referred, list[float]]:
+    """The normal values of x1 as the page has them and as the monitor has them, at the end of a record."""
+    text = StringIO()
+    service = Service(lambda: plant, Log(text))
+    found: list[tuple[Referred, list[float]]] = []
+
+    def step() -> None:
+        acting.samples(1600)
+        if refer:
+            assert service._engine.commands.refer("x1")
+            acting.until("reference")
+
+    def look() -> None:
+        acting.until("serving")
+        (group,) = service._engine.groups
+        found.append((service._board.referred(), group.fleet.references()[0].tolist()))
+
+    acting = Acting(service, text)
+    acting.run(*([step] if refer else []), look)
+    return found[0]
+
+
+def test_a_reference_set_by_hand_is_known_after_a_restart(folder: Path, tmp_path: Path) -> None:  # noqa: F811
+    (folder / "plant.toml").write_text(PLANT)
+    plant = load_plant(folder / "plant.toml")
+    kept = Plant(plant.folder, ServiceSection(state=str(tmp_path / "state"), window=0.0), plant.axes, plant.sources,
+                 page=plant.page)  # fmt: skip
+    shown, used = looked_at(kept, refer=True)
+    assert shown[0][0] == used
+    again, still = looked_at(kept)
+    assert still == used
+    assert again == shown, "the page forgot it"
