@@ -2,13 +2,14 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck clang valgrind
 SERVICE_TOOLS = mosquitto chromium
+SPARK_TOOLS = openjdk-17-jre-headless
 BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.py' -o -name '*.py[ix]' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.j2' \
     -o -path '*/static/*')
 
-.PHONY: demo test test-long kills broker-kills service-faults soak check format bench study hostile firmware firmware-tools service-tools \
-    images clean
+.PHONY: demo test test-long spark kills broker-kills service-faults soak check format bench study hostile firmware \
+    firmware-tools service-tools spark-tools images clean
 
 # What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. Not compiled to
 # bytecode before it is imported: most of it never is.
@@ -46,6 +47,26 @@ service-tools: firmware-tools
 	  $$root timeout 170 env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
 	    $(SERVICE_TOOLS) >/dev/null 2>&1 || echo "no service tools: their tests will skip"; \
 	fi
+
+# The Java runtime for the tests of the fleet on Spark, and the extra; without them those tests skip.
+spark-tools:
+	@if [ -n "$(INSTALL_TOOLS)" ] && command -v apt-get >/dev/null && ! command -v java >/dev/null; then \
+	  root=$$([ "$$(id -u)" = 0 ] || echo "sudo -n"); \
+	  $$root timeout 60 apt-get update -qq >/dev/null 2>&1; \
+	  $$root timeout 300 env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
+	    $(SPARK_TOOLS) >/dev/null 2>&1 || echo "no Java runtime: the tests on Spark will skip"; \
+	fi
+
+EXTRA = import sys, tomllib; \
+    print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"][sys.argv[1]])
+.venv/spark: pyproject.toml | .venv/tools
+	$(PIP) install -c requirements-dev.txt $$(.venv/bin/python -c '$(EXTRA)' spark)
+	touch $@
+
+# One process: a Spark in it has the other cores.
+spark: .venv/spark
+	@$(MAKE) --no-print-directory spark-tools INSTALL_TOOLS=1
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -p no:benchmark tests/spark
 
 # A process for each core with one thread each (the threads of several would only wait for each other), a file of tests
 # in one of them; benchmarks stay out, they want the machine for themselves.

@@ -37,9 +37,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     "shown": {"errors", "door"},
     "_estimate": {"errors", "shown", "status"},
     "_stage": set(),
+    "durable": {"errors"},
     "_detect": set(),
     "_watch": set(),
-    "durable": {"errors"},
     "_kernel": {"_estimate"},
     "_kernel32": {"_kernel64"},
     "_kernel64": {"_estimate"},
@@ -57,7 +57,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "export": JUDGE | {"pmfid"},
     "session": SESSION,
     "service": SESSION | {"session"},
-    "fleet": SESSION | {"session", "door", "pmfid"},
+    "fleet": SESSION | {"session", "service", "door", "pmfid"},
     "report": SESSION | {"session", "fleet"},
     "demo": JUDGE | {"simulation", "report"},
     "paper": JUDGE | {"judge", "design", "simulation", "report", "demo"},
@@ -117,6 +117,7 @@ PUBLIC = [
 SLOW_TO_IMPORT = {
     *("numpy", "scipy", "pydantic", "polars", "matplotlib", "rich"),
     *("starlette", "uvicorn", "paho", "serial", "asyncua"),
+    *("pyspark", "py4j", "pyarrow", "pandas"),
 }
 
 COMPILER = shutil.which("cc")

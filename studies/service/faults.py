@@ -17,8 +17,7 @@ from studies.service.disk_faults import disk_fault, forced_read_only, full, read
 from studies.service.finding import Finding
 from studies.service.hall import hall
 from studies.service.message_faults import message_faults, wraps
-from studies.service.page_faults import SMALL, many_browsers, stopped, stuck_browser
-from studies.service.processes import BROKER
+from studies.service.page_faults import many_browsers, stopped, stuck_browser
 
 HEAD = """# A service when something else fails
 
@@ -57,8 +56,8 @@ def of_disks(place: Path) -> Iterator[Finding]:
 
 
 def of_the_process(place: Path) -> Iterator[Finding]:
-    yield stopped(place / "held", BROKER, "SIGSTOP for a minute; the broker holds all", losing=False)
-    yield stopped(place / "lost", SMALL, "SIGSTOP for a minute; the broker holds 500 messages", losing=True)
+    yield stopped(place / "held", "SIGSTOP for a minute; the broker holds all", losing=False)
+    yield stopped(place / "lost", "SIGSTOP for a minute; the broker holds 550 messages, not the 1440", losing=True)
 
 
 PARTS: dict[str, Part] = {

@@ -14,7 +14,7 @@ from studies.service.hall import Hall, Metrics, Told
 #: Metrics that a fault may change; the others change by themselves.
 TOLD = re.compile(
     r"pmfid_(unusable|samples_(missing|dropped|without)|lines_dropped|dropped_|refused|sink_(working|errors)|events"
-    r"|checkpoint_(working|errors)|page_)"
+    r"|checkpoint_(working|errors)|page_|deliveries_slower_total\{than=.5.\})"
 )
 #: Letters of a sentence that the table shows.
 LONGEST = 240

@@ -182,7 +182,7 @@ def write_figure(runs: list[Run], path: Path) -> None:
         axes[2].plot(t, 100 * slow / np.maximum(all_of_them, 1), label=label)
     for one, text in zip(axes, ("memory [MB]", "open files", "estimates later than 0.5 s [%]"), strict=True):
         one.set_ylabel(text)
-        one.set_ylim(bottom=0)
+        one.set_ylim(0, 1.1 * one.get_ylim()[1])
         one.grid(alpha=0.3)
     axes[0].legend()
     axes[2].set_xlabel("time [s]")

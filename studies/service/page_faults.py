@@ -14,7 +14,7 @@ from pathlib import Path
 
 from studies.service.finding import Finding, changes, others_unchanged, sentences, without_alarm
 from studies.service.hall import Hall, Metrics, hall, name_of
-from studies.service.processes import Use, use_of
+from studies.service.processes import BROKER, Use, use_of
 
 BROWSERS, LOOKING = 200, 20.0
 #: How long the process is stopped [s], in real time.
@@ -26,6 +26,10 @@ allow_anonymous true
 persistence false
 max_queued_messages 500
 """
+
+
+def _as_it_is(place: Path) -> None:
+    """The plant as it was written."""
 
 
 def _slower(metrics: Metrics) -> float:
@@ -138,9 +142,16 @@ def _quietly(action: Callable[..., None], *given: object) -> None:
         return
 
 
-def stopped(place: Path, limits: str, fault: str, losing: bool) -> Finding:
+def _few_under_way(place: Path) -> None:
+    """The service asks for few messages at once, so that the others wait at the broker, not on the line."""
+    plant = place / "plant.toml"
+    plant.write_text(plant.read_text().replace('kind = "mqtt"', 'kind = "mqtt"\nreceive_maximum = 50'))
+
+
+def stopped(place: Path, fault: str, losing: bool) -> Finding:
     """SIGSTOP, a minute of samples in real time, SIGCONT. losing: the broker holds less than that."""
-    with hall(place, 6, STOPPED + 40.0, limits=limits) as there:
+    limits = SMALL if losing else BROKER
+    with hall(place, 6, STOPPED + 40.0, limits=limits, ready=_few_under_way if losing else _as_it_is) as there:
         there.play(5.0)
         there.through()
         there.notices()

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pmfid.cli.fleet_stream import state, stream
 from pmfid.cli.options import JSON, config_option
 from pmfid.cli.output import print_json
 from pmfid.cli.progress import progress
@@ -22,9 +23,13 @@ GB = 1e9
 SHOWN = 30
 
 
-@click.group(short_help="Histories of many axes: who changed, who differs.")
+@click.group(short_help="Many axes: their histories, and streams of their blocks.")
 def fleet() -> None:
-    """What many axes have been through, from data sets of any size."""
+    """What many axes have been through, from data sets of any size, and what they go through now."""
+
+
+fleet.add_command(stream)
+fleet.add_command(state)
 
 
 @fleet.command(short_help="Estimates of every axis and period of a data set.")

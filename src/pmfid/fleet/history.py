@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
+from pmfid.fleet.aside import Aside, mixed
 from pmfid.fleet.choice import choose
 from pmfid.fleet.local import Engine, Local
 from pmfid.fleet.outcome import Outcome, outcome_of
@@ -172,13 +174,26 @@ class _Run:
         """All of it."""
         length = slice_length(self.survey.rows, periods.length)
         shards = shards_of(self.survey.rows, length)
-        chosen = self._chosen(shards, length)
+        with self._aside(shards, length) as aside:
+            return self._outcome(shards, length, periods, segment, tolerance, aside)
+
+    def _outcome(
+        self,
+        shards: Sequence[Shard],
+        length: float,
+        periods: Periods,
+        segment: float | None,
+        tolerance: float,
+        aside: Aside | None,
+    ) -> History:
+        chosen = self._chosen(shards, length, aside)
         most = min(length / 2, periods.length or length)
         settings = make_settings(self.axis, chosen, most, segment)
         work = Work(settings, self.columns, length)
         before = 0 if self.store is None else self.store.reused
         names = settings.estimator.names
-        solved = self._solved(shards, work, str((self.axis.model_dump(), chosen, settings.segment, length)))
+        signature = str((self.axis.model_dump(), chosen, settings.segment, length))
+        solved = self._solved(shards, work, signature, aside)
         reused = 0 if self.store is None else self.store.reused - before
         problems = [*self.survey.problems, *(problem for one in solved for problem in one.problems)]
         groups = self._groups(shards, solved)
@@ -189,9 +204,9 @@ class _Run:
         facts = (found.samples, settings.segment, periods.name, len(shards), reused, self.engine.name)
         return History(found.periods, found.axes, found.problems, names, units, *facts)
 
-    def _chosen(self, shards: Sequence[Shard], length: float) -> Chosen:
+    def _chosen(self, shards: Sequence[Shard], length: float, aside: Aside | None) -> Chosen:
         """From the first moving axis; once it is kept, that, so that new data change nothing of the old."""
-        tables = samples_of(shards, self.parts, self.columns, length)
+        tables = samples_of(shards, self.parts, self.columns, length, aside)
         if self.store is None:
             return choose(self.axis, tables)
         key = digest("chosen", self.axis.model_dump(), self.columns)
@@ -206,19 +221,30 @@ class _Run:
         whole(path, lambda part: part.write_text(json.dumps(asdict(chosen)), encoding="utf-8"))
         return chosen
 
-    def _solved(self, shards: Sequence[Shard], work: Work, signature: str) -> list[_Solved]:
+    def _aside(self, shards: Sequence[Shard], length: float) -> AbstractContextManager[Aside | None]:
+        """Where the rows of files that mix their axes are put; an engine of many machines shuffles them itself."""
+        names = mixed(self.survey.rows, shards) if isinstance(self.engine, Local) else set()
+        if not names:
+            return nullcontext()
+        folder = None if self.store is None else self.store.folder
+        return closing(Aside({name: self.parts[name] for name in names}, shards, self.columns, length, folder))
+
+    def _solved(self, shards: Sequence[Shard], work: Work, signature: str, aside: Aside | None) -> list[_Solved]:
         """Of every shard, in their order; the rows stay on the disk where there is a folder."""
         found, done, rows = list[_Solved](), 0, sum(shard.rows for shard in shards)
-        for shard, one in zip(shards, self.engine.map(partial(self._solve, work, signature), shards), strict=True):
+        solve = partial(self._solve, work, signature, aside)
+        for shard, one in zip(shards, self.engine.map(solve, shards), strict=True):
             found.append(one)
             done += shard.rows
             self.tell(done / max(rows, 1))
         return found
 
-    def _solve(self, work: Work, signature: str, shard: Shard) -> _Solved:
+    def _solve(self, work: Work, signature: str, aside: Aside | None, shard: Shard) -> _Solved:
         stamps = [(name, self.parts[name].stamp) for name in shard.parts]
         key = digest("segments", signature, shard.axes, shard.first, shard.last, stamps)
-        kept = self._kept(key, partial(_unpacked, work.shard, shard, self.parts))
+        kept = self._kept(key, partial(_unpacked, work.shard, shard, self.parts, aside))
+        if aside is not None:
+            aside.done(shard)
         path = None if self.store is None else self.store.path(key)
         return _Solved(kept.rows if path is None else None, path, kept.problems)
 

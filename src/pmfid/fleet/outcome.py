@@ -61,6 +61,7 @@ def outcome_of(
             told = codes[axis] | ({(step.since, CHANGED)} if step is not None and step.score > CLEAR else set())
             rows += period_rows(axis, types[axis], series, names, periods, segment, told)
         frames.append(pl.DataFrame(rows, schema=_period_schema(names)))
+    problems += _others(follows.values())
     missing = [axis for axis in sorted(types) if axis not in follows]
     frames.append(pl.DataFrame(_nothing(missing, types, codes), schema=_period_schema(names)))
     everyone = [follows.get(axis) or _unknown(axis, types[axis], len(names)) for axis in sorted(types)]
@@ -77,6 +78,20 @@ def _mixed(axis: str, series: Series) -> list[Problem]:
     at = float(series.start[np.flatnonzero(series.dt != series.dt[0])[0]])
     text = f"sample periods from {low:.6g} to {high:.6g} s: each is estimated with its own"
     return [Problem(axis, "", "mixed_dt", text, at)]
+
+
+def _others(follows: Iterable[Follow]) -> list[Problem]:
+    """Axes that are sampled otherwise than most."""
+    known = [one for one in follows if one.segments]
+    if not known:
+        return []
+    usual = float(np.quantile([one.dt for one in known], 0.5, method="lower"))
+    text = "sampled every {:.6g} s, most axes every {:.6g} s: it is estimated with its own"
+    return [
+        Problem(one.axis, "", "other_dt", text.format(one.dt, usual))
+        for one in known
+        if abs(one.dt - usual) > SAME * usual
+    ]
 
 
 def _unknown(axis: str, kind: str, parameters: int) -> Follow:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
+from pmfid.fleet.aside import Aside
 from pmfid.fleet.plan import Shard
 from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, Columns, Part
 from pmfid.fleet.survey import Problem
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
 
 #: A longer step, in medians of a slice, ends a piece: what follows begins anew. Shorter gaps are the record's.
 APART = 8.5
+#: Of a file whose rows may be of before or of after; the next call does it anew, for it goes by size and time.
+REWRITTEN = "was written to while it was read: call again when it is whole"
+#: Columns of rows by their name in `source`.
+_Columns = Mapping[str, NDArray[np.generic]]
 
 
 @dataclass(frozen=True)
@@ -50,17 +55,25 @@ class Piece:
 
 
 def read_rows(
-    shard: Shard, parts: Mapping[str, Part], columns: Columns, length: float
+    shard: Shard, parts: Mapping[str, Part], columns: Columns, length: float, aside: Aside | None = None
 ) -> tuple[Rows, tuple[Problem, ...]]:
     """The rows of a shard in order, of those that stand twice one, and of those that contradict each other none;
-    length: of a slice [s]. Parts that cannot be read have problems in place of rows."""
-    frames, problems = [], list[Problem]()
+    length: of a slice [s]; aside: where the rows of some parts are. Parts that cannot be read have problems in place of
+    rows."""
+    frames, problems = list[_Columns](), list[Problem]()
+    if aside is not None:
+        aside.prepare(shard)
     for name in shard.parts:
         try:
-            with readable("data"):
-                frames.append(_read(parts[name], shard, columns, length))
+            if aside is not None and name in aside:
+                frames.append(aside.read(name, shard))
+            else:
+                with readable("data"):
+                    frames.append(_columns(_read(parts[name], shard, columns, length)))
         except UsageError as error:
             problems.append(Problem("", name, "unreadable", " ".join(str(error).split())))
+        if parts[name].rewritten:
+            problems.append(Problem("", name, "rewritten", REWRITTEN))
     rows, found = unique(_in_order(_arrays(frames, shard.axes, columns)))
     return rows, (*problems, *found)
 
@@ -78,10 +91,14 @@ def _read(part: Part, shard: Shard, columns: Columns, length: float) -> pl.DataF
     return frame.select(wanted).drop_nulls(AXIS).collect(engine="streaming")
 
 
-def _arrays(frames: Sequence[pl.DataFrame], axes: tuple[str, ...], columns: Columns) -> Rows:
+def _columns(frame: pl.DataFrame) -> _Columns:
+    return {name: frame[name].to_numpy() for name in frame.columns}
+
+
+def _arrays(frames: Sequence[_Columns], axes: tuple[str, ...], columns: Columns) -> Rows:
     def of(name: str) -> Floats:
-        parts = [frame[name].to_numpy() for frame in frames]
-        return np.concatenate(parts) if parts else np.empty(0)
+        parts = [frame[name] for frame in frames]
+        return np.asarray(np.concatenate(parts) if parts else np.empty(0))
 
     named = columns.named
     others = {named[own]: of(own) for own in (INPUT, OUTPUT, *([MASK] if columns.mask else []))}
@@ -95,16 +112,23 @@ def rows_of(frame: pl.DataFrame, columns: Columns) -> tuple[Rows, tuple[Problem,
     axes = tuple(sorted(frame[AXIS].drop_nulls().unique().to_list()))
     named = pl.col(AXIS).cast(pl.Enum(list(axes))).to_physical()
     known = frame.filter(pl.col(TIME).is_finite()).drop_nulls(AXIS).with_columns(named)
-    return unique(_in_order(_arrays([known], axes, columns)))
+    return unique(_in_order(_arrays([_columns(known)], axes, columns)))
 
 
 def _in_order(rows: Rows) -> Rows:
     """By axis, time, and then by all that there is, so that no order of files shows."""
-    same, step = np.diff(rows.axis.astype(np.int64)), np.diff(rows.time)
-    if np.all((same > 0) | ((same == 0) & (step > 0))):
+    if _increasing(rows):
         return rows
+    by_axis = rows[np.argsort(rows.axis, kind="stable")]  # enough for axes that are mixed, each in order
+    if _increasing(by_axis):
+        return by_axis
     keys: list[Floats] = [*rows.others.values(), rows.time, rows.axis.astype(np.float64)]
     return rows[np.lexsort(keys)]
+
+
+def _increasing(rows: Rows) -> bool:
+    same, step = np.diff(rows.axis.astype(np.int64)), np.diff(rows.time)
+    return bool(np.all((same > 0) | ((same == 0) & (step > 0))))
 
 
 def unique(rows: Rows) -> tuple[Rows, tuple[Problem, ...]]:

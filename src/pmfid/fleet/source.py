@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
 from pmfid.errors import UsageError
+from pmfid.fleet.lake import check_no_table, delta_files, is_delta
 from pmfid.session.clock import UNITS, time_factor
 from pmfid.session.config import Axis
 from pmfid.session.formats.reading import ENDINGS, READERS, read_table
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 
 #: Names of the columns of every frame that leaves this module.
 AXIS, TIME, INPUT, OUTPUT, MASK, TYPE = "axis", "time", "input", "output", "mask", "type"
-#: Where Delta Lake lists which of the files beside it count.
-DELTA = "_delta_log"
 _NANOSECOND = 1e-9
 #: Of a period [s].
 SHORTEST, LONGEST = 1.0, 1e9
@@ -68,12 +67,18 @@ class Columns:
 @dataclass(frozen=True)
 class Part:
     """One file, or one frame in memory. name: for people; stamp: changes with the content; constants: what the folders
-    around it say of all its rows."""
+    around it say of all its rows; stamp_now: the stamp as it is by now, None: of what cannot change."""
 
     name: str
     stamp: str
     open: Callable[[], pl.LazyFrame] = field(repr=False, compare=False)
     constants: Mapping[str, str] = field(default_factory=dict)
+    stamp_now: Callable[[], str] | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def rewritten(self) -> bool:
+        """Has it been written to since it was listed?"""
+        return self.stamp_now is not None and self.stamp_now() != self.stamp
 
     def rows(self, columns: Columns) -> pl.LazyFrame:
         """Its rows with the columns of this module: axis and type as text, time [s] and the others as float64. Raises
@@ -107,15 +112,25 @@ def _cast(own: str, name: str, kind: pl.DataType, factor: float, value: pl.Expr 
 
     column = pl.col(name) if value is None else value
     if own in (AXIS, TYPE):
-        whole = column.cast(pl.Int64, strict=False) if kind.is_float() else column
-        return whole.cast(pl.String).alias(own)
+        return _name(column, kind).alias(own)
     if own == TIME and kind == pl.Datetime:
         return (column.dt.epoch("ns").cast(pl.Float64) * _NANOSECOND).alias(own)
-    if not (kind.is_numeric() or kind in (pl.String, pl.Boolean)):
+    if not (kind.is_numeric() or kind == pl.String or (kind == pl.Boolean and own not in (TIME, OUTPUT))):
         raise UsageError(f"the column {name!r} is of type {kind}, which is no number")
     scale = factor if own == TIME else 1.0
     number = column.cast(pl.Float64, strict=False)
     return (number if scale == 1 else number * scale).alias(own)
+
+
+def _name(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
+    """As text; 7.0, as tables write an integer beside missing ones, is 7, and 7.5 is not; no text is no name."""
+    import polars as pl
+
+    text = column.cast(pl.String)
+    if kind.is_float():
+        whole = column.cast(pl.Int64, strict=False)
+        return pl.when(column == whole).then(whole.cast(pl.String)).otherwise(text)
+    return pl.when(text != "").then(text)
 
 
 def parts_of(source: object, out: Path | None = None) -> list[Part]:
@@ -140,11 +155,9 @@ def _files(source: Path, out: Path | None) -> list[Part]:
         raise UsageError(f"{source}: there is no such file or folder; give that of the data set")
     if source.is_file():
         return [_part(source, source.parent)]
-    if (source / DELTA).exists():
-        raise UsageError(
-            f"{source}: a Delta table has files that no longer count; give a Polars frame in Python, "
-            "pl.scan_delta(...), or write the table as plain Parquet"
-        )
+    if is_delta(source):
+        return [_part(path, source, said) for path, said in delta_files(source)]
+    check_no_table(source)
     known = {*READERS, *ENDINGS}
     paths = (path for path in source.rglob("*") if path.suffix.lower() in known and path.is_file())
     own = None if out is None else out.resolve()
@@ -160,11 +173,21 @@ def _hidden(path: Path) -> bool:
     return any(part.startswith((".", "_")) for part in path.parts)
 
 
-def _part(path: Path, root: Path) -> Part:
-    inside, stat = path.relative_to(root), path.stat()
+def _part(path: Path, root: Path, said: Mapping[str, str] | None = None) -> Part:
+    """said: of all rows of the file, beside what its folders say."""
+    inside, stamp = path.relative_to(root), _stamp(path)
     pairs = (part.partition("=") for part in inside.parent.parts if "=" in part)
     constants = {unquote(key): unquote(value) for key, _, value in pairs}
-    return Part(inside.as_posix(), f"{stat.st_size}-{stat.st_mtime_ns}", lambda: _opened(path), constants)
+    return Part(inside.as_posix(), stamp, lambda: _opened(path), constants | dict(said or {}), lambda: _stamp(path))
+
+
+def _stamp(path: Path) -> str:
+    """Empty where there is no such file any more."""
+    try:
+        stat = path.stat()
+    except OSError:
+        return ""
+    return f"{stat.st_size}-{stat.st_mtime_ns}"
 
 
 def _opened(path: Path) -> pl.LazyFrame:

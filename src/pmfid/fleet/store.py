@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from hashlib import sha256
@@ -19,7 +20,9 @@ if TYPE_CHECKING:
     import polars as pl
 
 #: To be raised with every change of what a segment is, or of these files.
-VERSION = 1
+VERSION = 2
+#: Of the folders in which rows are put aside during a call.
+ASIDE = "aside-"
 
 
 def digest(*parts: object) -> str:
@@ -28,24 +31,26 @@ def digest(*parts: object) -> str:
 
 
 class Store:
-    """A table and its problems for each key; reused: how many were there already. Raises UsageError where the folder is
-    a file or holds something else."""
+    """A table and its problems for each key; folder: where they are; reused: how many were there already. Raises
+    UsageError where the folder is a file or holds something else."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder / "work"
+        self.folder = folder / "work"
         self.reused = 0
         if folder.exists() and not folder.is_dir():
             raise UsageError(f"{folder}: is a file; give a folder for the history")
         strangers = [path.name for path in folder.iterdir() if path.name not in OWN] if folder.is_dir() else []
-        if strangers and not self._folder.is_dir():
+        if strangers and not self.folder.is_dir():
             raise UsageError(f"{folder}: holds other files, {strangers[0]} among them; give a new or empty folder")
-        self._folder.mkdir(parents=True, exist_ok=True)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        for left in self.folder.glob(f"{ASIDE}*"):  # by a call that was killed
+            remove(left)
 
     def table(self, key: str, make: Callable[[], tuple[pl.DataFrame, tuple[Problem, ...]]]) -> Survey:
         """What lies under a key, made if it does not yet. Raises UsageError where the disk is full."""
         import polars as pl
 
-        rows, told = self.path(key), self._folder / f"{key}.json"
+        rows, told = self.path(key), self.folder / f"{key}.json"
         try:
             problems = tuple(Problem(**raw) for raw in json.loads(told.read_text(encoding="utf-8")))
             found = Survey(pl.read_parquet(rows, hive_partitioning=False), problems)
@@ -60,14 +65,22 @@ class Store:
 
     def path(self, key: str) -> Path:
         """Where the table lies."""
-        return self._folder / f"{key}.parquet"
+        return self.folder / f"{key}.parquet"
 
     def keep(self, keys: Iterable[str]) -> None:
         """Removes all others: of parts that are gone, of other configurations, and what a killed call left half."""
         kept = set(keys)
-        for path in self._folder.iterdir():
+        for path in self.folder.iterdir():
             if path.name.partition(".")[0] not in kept or path.suffix == ".part":
-                path.unlink(missing_ok=True)
+                remove(path)
+
+
+def remove(path: Path) -> None:
+    """A file or a folder that may be gone already."""
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 #: Files that a history writes into its folder.

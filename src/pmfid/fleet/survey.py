@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 #: [s].
 DAY = 86_400.0
-PART, ROWS, FIRST, LAST = "part", "rows", "first", "last"
+PART, ROWS, FIRST, LAST, EXTENT = "part", "rows", "first", "last", "extent"
+_PLACE = "place in the part"
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class Problem:
 @dataclass(frozen=True)
 class Survey:
     """rows: a row for each axis and day in each part, with the part's name, number of rows, first and last time [s],
-    and type; problems: parts that are left out, and what is odd of others."""
+    type, and over how many rows of the part they reach; problems: parts that are left out, and what is odd of
+    others."""
 
     rows: pl.DataFrame
     problems: tuple[Problem, ...]
@@ -48,7 +50,7 @@ def surveyed(part: Part, columns: Columns) -> Survey:
 
     try:
         with readable("data"):
-            frame = part.rows(columns)
+            frame = part.rows(columns).with_row_index(_PLACE)
             known = pl.col(AXIS).is_not_null() & pl.col(TIME).is_finite()
             kind = pl.col(TYPE).min() if columns.type else pl.lit("")
             found = (
@@ -59,6 +61,7 @@ def surveyed(part: Part, columns: Columns) -> Survey:
                     pl.col(TIME).filter(pl.col(TIME).is_finite()).min().alias(FIRST),
                     pl.col(TIME).filter(pl.col(TIME).is_finite()).max().alias(LAST),
                     kind.fill_null("").alias(TYPE),
+                    (pl.col(_PLACE).max() - pl.col(_PLACE).min() + 1).cast(pl.Int64).alias(EXTENT),
                 )
                 .sort(AXIS, "day", nulls_last=True)
                 .collect(engine="streaming")
@@ -66,11 +69,13 @@ def surveyed(part: Part, columns: Columns) -> Survey:
             odd = [Problem("", part.name, "type", text) for text in part.other_types(columns)]
     except UsageError as error:
         return Survey(_empty(), (Problem("", part.name, "unreadable", " ".join(str(error).split())),))
+    if not found.height:
+        odd.append(Problem("", part.name, "empty", "it has no rows"))
     lost = int(found["lost"].sum())
     if lost:
         odd.append(Problem("", part.name, "rows_lost", f"{lost} rows have no axis, or no number for a time: left out"))
     found = found.filter(pl.col(AXIS).is_not_null() & (pl.col(ROWS) > 0)).drop("lost")
-    return Survey(found.select(pl.lit(part.name).alias(PART), AXIS, ROWS, FIRST, LAST, TYPE), tuple(odd))
+    return Survey(found.select(pl.lit(part.name).alias(PART), AXIS, ROWS, FIRST, LAST, TYPE, EXTENT), tuple(odd))
 
 
 def joined(surveys: Sequence[Survey]) -> Survey:
@@ -84,5 +89,5 @@ def joined(surveys: Sequence[Survey]) -> Survey:
 def _empty() -> pl.DataFrame:
     import polars as pl
 
-    kinds = {PART: pl.String, AXIS: pl.String, ROWS: pl.Int64, FIRST: pl.Float64, LAST: pl.Float64, TYPE: pl.String}
-    return pl.DataFrame(schema=kinds)
+    kinds = {PART: pl.String, AXIS: pl.String, ROWS: pl.Int64, FIRST: pl.Float64, LAST: pl.Float64}
+    return pl.DataFrame(schema=kinds | {TYPE: pl.String, EXTENT: pl.Int64})

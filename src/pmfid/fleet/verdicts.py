@@ -30,7 +30,8 @@ CHANGED, DRIFTS, DIFFERS, UNKNOWN = "changed", "drifts", "differs", "no estimate
 
 @dataclass(frozen=True)
 class Follow:
-    """What one axis says by itself. theta, std: (p,) at the end, since its last step; segments: usable ones."""
+    """What one axis says by itself. theta, std: (p,) at the end, since its last step; segments: usable ones; dt: the
+    median [s]."""
 
     axis: str
     type: str
@@ -39,6 +40,7 @@ class Follow:
     std: Floats
     step: Step | None
     trend: Trend | None
+    dt: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,8 @@ def followed(axis: str, kind: str, series: Series, names: Sequence[str], toleran
     step, trend = step_of(used, names, tolerance), trend_of(used, tolerance)
     late = used if step is None or not step.score > 0 else used[used.start >= step.settled]
     theta, std = mean_of(late if late.start.size else used)
-    return Follow(axis, kind, int(used.start.size), theta, std, step, trend)
+    dt = float(np.median(used.dt)) if used.dt.size else math.nan
+    return Follow(axis, kind, int(used.start.size), theta, std, step, trend, dt)
 
 
 def judged(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[Verdict]:

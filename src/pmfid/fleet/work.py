@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
+from pmfid.fleet.aside import Aside
 from pmfid.fleet.plan import Shard
-from pmfid.fleet.rows import pieces_of, read_rows, rows_of
+from pmfid.fleet.rows import Piece, pieces_of, read_rows, rows_of
 from pmfid.fleet.segments import Segments, solve
 from pmfid.fleet.settings import Settings
 from pmfid.fleet.source import Columns, Part
@@ -29,9 +32,9 @@ class Work:
     columns: Columns
     length: float
 
-    def shard(self, shard: Shard, parts: Mapping[str, Part]) -> Segments:
-        """The segments of a shard, from the files that have its rows."""
-        rows, problems = read_rows(shard, parts, self.columns, self.length)
+    def shard(self, shard: Shard, parts: Mapping[str, Part], aside: Aside | None = None) -> Segments:
+        """The segments of a shard, from the files that have its rows, or from where these are put aside."""
+        rows, problems = read_rows(shard, parts, self.columns, self.length, aside)
         found = solve(pieces_of(rows, self.columns, self.length), self.settings)
         return Segments(found.rows, (*problems, *found.problems))
 
@@ -43,17 +46,18 @@ class Work:
         return Segments(found.rows, (*problems, *found.problems))
 
 
-def samples_of(shards: Sequence[Shard], parts: Mapping[str, Part], columns: Columns, length: float) -> Iterator[Table]:
-    """The longest piece of each slice of the first axes, a table for each."""
+def samples_of(
+    shards: Sequence[Shard], parts: Mapping[str, Part], columns: Columns, length: float, aside: Aside | None = None
+) -> Iterator[Table]:
+    """The longest piece of the first slice of each of the first axes, a table for each."""
     for shard in shards[:TRIED]:
-        for axis in shard.axes[:TRIED]:
-            for place in range(shard.first, shard.last):
-                one = Shard((axis,), place, place + 1, shard.parts, 0)
-                rows, _ = read_rows(one, parts, columns, length)
-                pieces = list(pieces_of(rows, columns, length))
-                if pieces:
-                    yield max(pieces, key=lambda piece: len(piece.table[columns.time])).table  # type: ignore[arg-type]
-                    break
+        rows, _ = read_rows(shard, parts, columns, length, aside)
+        slices: dict[str, dict[int, list[Piece]]] = defaultdict(lambda: defaultdict(list))
+        for piece in pieces_of(rows, columns, length):
+            slices[piece.axis][math.floor(piece.start / length)].append(piece)
+        for axis in sorted(slices)[:TRIED]:
+            first = slices[axis][min(slices[axis])]
+            yield max(first, key=lambda piece: len(piece.table[columns.time])).table  # type: ignore[arg-type]
 
 
 def check_columns(columns: Columns, parts: Sequence[Part], found: int) -> None:

@@ -17,7 +17,7 @@ from pmfid.monitor.events import Event
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.quiet import Quiet
 from pmfid.monitor.rows import FleetRows
-from pmfid.monitor.saved import checked, pieces, read, unsealed, written
+from pmfid.monitor.saved import Saved, checked, pieces, read, unsealed, written
 from pmfid.types import Counts, Flags, Floats, Places
 
 T = TypeVar("T")
@@ -183,6 +183,12 @@ class MonitorFleet:
         self._all = self._all.joined(self._first.repeated(more))
         return range(before, self.axes)
 
+    def join(self, state: bytes) -> range:
+        """The axes of saved states behind those that are there; their numbers. Raises UsageError as `set_state`."""
+        before = self.axes
+        self._all = self._all.joined(self._read(state))
+        return range(before, self.axes)
+
     def remove(self, index: ArrayLike) -> NDArray[np.int64]:
         """Without these axes; the others move up in their order. Returns (axes before,) their new numbers, -1 of those
         that are gone. Raises UsageError for one that is not there or comes twice."""
@@ -209,7 +215,10 @@ class MonitorFleet:
     def set_state(self, state: bytes) -> None:
         """Goes on from saved states, of as many axes as they are of. Raises UsageError, and stays as it was, for those
         of another configuration, damaged ones, and numbers that no sample could have made."""
-        self._all = checked(self._scratch, read(state, self._first, self._source.configuration_number))
+        self._all = self._read(state)
+
+    def _read(self, state: bytes) -> Saved:
+        return checked(self._scratch, read(state, self._first, self._source.configuration_number))
 
 
 def _like(source: Monitor) -> Monitor:

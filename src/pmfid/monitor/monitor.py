@@ -28,6 +28,10 @@ from pmfid.status import Status
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel, ManyKernel
+    from pmfid.estimators.known import Known
+    from pmfid.estimators.recursive import RecursiveEstimator
+    from pmfid.monitor.calibration import Calibration
+    from pmfid.monitor.events import Watch
 
 #: What a flagged sample is told as.
 OUTLIERS = {int(Status.COUNT_JUMP): "counts", int(Status.INVALID_INPUT): "input"}
@@ -248,6 +252,10 @@ class Monitor(Axis, Shown):
         from it."""
         return written(self.saved(), self.configuration_number)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Copies and pickles are made from the configuration and the saved state."""
+        return _resumed, (self.estimator, self.calibration, self.watch, self.known, self.get_state())
+
     def set_state(self, state: bytes) -> None:
         """Goes on from a saved state. Raises UsageError, and stays as it was, for one of another configuration, a
         damaged one, and numbers that no sample could have made."""
@@ -255,6 +263,14 @@ class Monitor(Axis, Shown):
         if found.axes != 1:
             raise UsageError(f"these bytes are the states of {found.axes} axes; a monitor is of one")
         self.go_on(found, 0)
+
+
+def _resumed(
+    estimator: RecursiveEstimator, calibration: Calibration, watch: Watch, known: Known | None, state: bytes
+) -> Monitor:
+    monitor = Monitor(estimator, calibration, watch, known)
+    monitor.set_state(state)
+    return monitor
 
 
 def _packed(many: ManyKernel, kernel: Kernel) -> NDArray[np.uint8]:

@@ -82,6 +82,11 @@ class BlockStream:
 
     _rest: bytes = field(default=b"", init=False)
 
+    @property
+    def waiting(self) -> int:
+        """Bytes of a block that has only begun."""
+        return len(self._rest)
+
     def feed(self, data: bytes) -> list[Block | Unusable]:
         """What is known after some more bytes; a block that has only begun waits for the others."""
         taken = self._rest + data

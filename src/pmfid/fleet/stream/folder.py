@@ -1,0 +1,133 @@
+"""The folder that a stream writes: a file of each kind for each batch, so that a batch that comes again takes the place
+of itself."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+from uuid import uuid4
+
+from pmfid.errors import UsageError
+from pmfid.fleet.store import whole
+from pmfid.fleet.stream.tables import COUNTS, ESTIMATE, NOTICE
+from pmfid.service.crash import crash_point
+
+if TYPE_CHECKING:
+    import polars as pl
+
+__all__ = ["Folder", "Settings", "opened"]
+
+SETTINGS, STREAM = "pmfid.json", "stream.json"
+#: What a user can do where a setting is not that of the checkpoint.
+REMEDIES = {
+    "config": "give the configuration and the reference of before, or new folders for --checkpoint and --out",
+    "shards": "the state is shared out by it; give it as before",
+    "window": "give it as before, or new folders for --checkpoint and --out",
+    "every": "give it as before, or new folders for --checkpoint and --out",
+    "source": "where it stands holds for that one only; give it, or new folders for --checkpoint and --out",
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What may not change between two starts. config: digest of the configuration; window, every: [s]."""
+
+    config: str
+    shards: int
+    window: float
+    every: float
+    source: str
+
+
+def opened(checkpoint: Path, out: Path, settings: Settings) -> Folder:
+    """The folder of results that belongs to a checkpoint; both begun where they are new. Raises UsageError where one
+    of them is of another stream, or of one with other settings."""
+    number = _begun(checkpoint, settings)
+    known = _read(out / STREAM)
+    if known is None and out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError(f"{out}: holds something else; give a new or empty folder for the results")
+    if known is not None and known.get("stream") != number:
+        raise UsageError(
+            f"{out}: holds the results of another stream; give a new folder, or the checkpoint of that one"
+        )
+    for kind in Folder.KINDS:
+        (out / kind).mkdir(parents=True, exist_ok=True)
+        for part in (out / kind).glob("*.part"):  # of a process that was killed
+            part.unlink(missing_ok=True)
+    if known is None:
+        whole(out / STREAM, lambda path: path.write_text(json.dumps({"stream": number, **asdict(settings)})))
+    return Folder(out)
+
+
+def _begun(checkpoint: Path, settings: Settings) -> str:
+    """The number of the stream of a checkpoint."""
+    known = _read(checkpoint / SETTINGS)
+    if known is None:
+        if checkpoint.exists() and (not checkpoint.is_dir() or any(checkpoint.iterdir())):
+            raise UsageError(f"{checkpoint}: is no checkpoint of pmfid fleet stream; give a new or empty folder")
+        checkpoint.mkdir(parents=True, exist_ok=True)
+        known = {"stream": uuid4().hex, **asdict(settings)}
+        whole(checkpoint / SETTINGS, lambda path: path.write_text(json.dumps(known)))
+    for name, value in asdict(settings).items():
+        if known.get(name) != value:
+            shown = "" if name == "config" else f" (now {value}, then {known.get(name)})"
+            raise UsageError(f"{checkpoint}: was begun with another {name}{shown}: {REMEDIES[name]}")
+    return str(known["stream"])
+
+
+def _read(path: Path) -> dict[str, object] | None:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except NotADirectoryError:
+        return None
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path}: cannot be read: {error}; give another folder") from None
+    return found if isinstance(found, dict) else {}
+
+
+@dataclass(frozen=True)
+class Folder:
+    """estimates/, notices/: a Parquet file for each batch; batches/: its counts as JSON, written last: what has none is
+    not yet whole."""
+
+    path: Path
+    KINDS = ("estimates", "notices", "batches")
+
+    def write(self, batch: int, table: pl.DataFrame) -> None:
+        """The rows of a batch, in place of those from before. Raises UsageError where the disk takes none."""
+        import polars as pl
+
+        crash_point("stream.given")
+        order = pl.col("axis", "number", "told")
+        estimates = table.filter(pl.col("row") == ESTIMATE).drop("row", "told").sort("axis", "number")
+        notices = table.filter(pl.col("row") == NOTICE).select("axis", "number", "time", "told").sort(order)
+        self._put("estimates", batch, ".parquet", estimates.write_parquet)
+        crash_point("stream.half")
+        self._put("notices", batch, ".parquet", notices.write_parquet)
+        told = {"batch": batch, "estimates": estimates.height, "notices": notices.height, **_counts(table)}
+        self._put("batches", batch, ".json", lambda path: path.write_text(json.dumps(told)))
+        crash_point("stream.written")
+
+    def _put(self, kind: str, batch: int, suffix: str, write: Callable[[Path], object]) -> None:
+        def durable(path: Path) -> None:
+            write(path)
+            crash_point("stream.part")
+            with open(path, "rb+") as file:
+                os.fsync(file.fileno())
+
+        whole(self.path / kind / f"batch-{batch:010d}{suffix}", durable)
+
+
+def _counts(table: pl.DataFrame) -> dict[str, int]:
+    """Sums over the shards."""
+    found: dict[str, int] = {}
+    for text in table.filter(table["row"] == COUNTS)["told"].to_list():
+        for name, value in json.loads(text).items():
+            found[name] = found.get(name, 0) + int(value)
+    return found

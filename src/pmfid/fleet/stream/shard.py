@@ -1,0 +1,156 @@
+"""A shard: some of many axes, stepped by the engine of `pmfid serve`, with a checkpoint of that as its state.
+
+What a batch gives follows from the state before and the blocks of the batch alone, in whatever order these come: so a
+batch that is done again gives the same, and so do batches that are cut otherwise.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Any
+
+from pmfid.service.checkpoint import read_snapshot, snapshot
+from pmfid.service.counters import Counters
+from pmfid.service.delivery import Block, Delivery, Item, Table, Unusable
+from pmfid.service.engine import Engine
+from pmfid.service.groups import Group, Pace, Prepared
+from pmfid.service.outcome import Notice, Rows
+from pmfid.service.wire import blocks
+from pmfid.service.wire.layout import HEADER, MAGIC
+
+__all__ = ["Outcomes", "Plan", "Shard", "shard_of"]
+
+SOURCE = "stream"
+
+
+def shard_of(axis: str, shards: int) -> int:
+    """The shard of an axis: CRC-32 of its name in UTF-8, modulo the number of shards."""
+    return zlib.crc32(axis.encode("utf-8", "replace")) % shards
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What all shards have in common. shards: how many there are."""
+
+    prepared: Prepared
+    pace: Pace
+    shards: int
+
+
+@dataclass
+class Outcomes:
+    """What a batch gave, as an outlet."""
+
+    estimates: list[Rows] = field(default_factory=list)
+    notices: list[Notice] = field(default_factory=list)
+
+    def rows(self, rows: Rows) -> None:
+        self.estimates.append(rows)
+
+    def notice(self, notice: Notice) -> None:
+        self.notices.append(notice)
+
+
+class Shard:
+    """Shard `number` of a plan behind the batch whose state is `body`, None before the first. Raises ValueError for
+    bytes that no shard of this plan has saved."""
+
+    def __init__(self, plan: Plan, number: int, body: bytes | None = None) -> None:
+        self.plan, self.number = plan, number
+        self.outcomes, self.counters = Outcomes(), Counters()
+        self._engine = Engine(self.counters, [self.outcomes])
+        self._group = Group(plan.prepared, plan.pace)
+        if body is not None:
+            self._go_on(body)
+
+    def _go_on(self, body: bytes) -> None:
+        found = read_snapshot(body)
+        own = [group for group in found.groups if group.digest == self.plan.prepared.digest]
+        if len(own) != len(found.groups) or len(own) > 1:
+            raise ValueError("the state is of another configuration")
+        found.restore(self._engine)
+        self._group = own[0].restored(self.plan.prepared, self.plan.pace) if own else self._group
+        self._engine.arranged([self._group])
+
+    def take(self, messages: Iterable[bytes]) -> None:
+        """The blocks of a batch, each message one or several of them in binary; axes that come for the first time
+        begin."""
+        items = [item for data in _in_order(messages) for item in blocks.items(data)]
+        checked = self._checked(items)
+        self._add(checked)
+        self._engine.process([Delivery(SOURCE, checked)])
+        self._engine.tick(0.0)
+
+    def _checked(self, items: Sequence[Item]) -> list[Item]:
+        """An axis that came by the name of another one would have a state in two shards."""
+        wrong = {name for name in _names(items) if shard_of(name, self.plan.shards) != self.number}
+        if not wrong:
+            return list(items)
+        single = [block for item in items for block in (item.blocks() if isinstance(item, Table) else [item])]
+        return [_misnamed(one) if isinstance(one, Block) and one.axis in wrong else one for one in single]
+
+    def _add(self, items: Sequence[Item]) -> None:
+        """Numbers of new axes are those of no other shard."""
+        fresh = sorted(name for name in _names(items) if self._engine.seat(name) is None)
+        if not fresh:
+            return
+        known = len(self._group.seats)
+        self._group.add(fresh)
+        last, shards = self._engine.numbered, self.plan.shards
+        last += (self.number + 1 - last) % shards or shards
+        for k, seat in enumerate(self._group.seats[known:]):
+            seat.number = last + k * shards
+        self._engine.numbered = self._group.seats[-1].number
+        self._engine.arranged([self._group])
+
+    def saved(self) -> bytes:
+        """The state: the body of a checkpoint of `pmfid serve`."""
+        return b"".join(snapshot(self._engine))
+
+    def counted(self) -> dict[str, float]:
+        """Samples of this batch that were stepped, and that were not, by the reason."""
+        found: dict[str, float] = {}
+        for (name, labels), value in self.counters.values().items():
+            kind = next((text for label, text in labels if label in ("reason", "event")), "")
+            if name in _COUNTED:
+                key = _COUNTED[name] + kind
+                found[key] = found.get(key, 0) + value
+        return found
+
+
+#: Counters that are told of a batch, and by which name.
+_COUNTED = {
+    "pmfid_samples_total": "samples",
+    "pmfid_samples_missing_total": "missing",
+    "pmfid_samples_dropped_total": "dropped_",
+    "pmfid_unusable_total": "unusable_",
+}
+
+
+def _names(items: Sequence[Item]) -> set[str]:
+    found = set[str]()
+    for item in items:
+        found.update(item.axes if isinstance(item, Table) else [item.axis] if isinstance(item, Block) else [])
+    return found
+
+
+def _misnamed(block: Block) -> Unusable:
+    problem = f"a block of {block.axis[:64]!r} came in a row of another axis; write its own name into the column axis"
+    return Unusable("name", problem, block.axis[:64])
+
+
+def _in_order(messages: Iterable[bytes]) -> list[bytes]:
+    """By epoch and first number, then those of one form behind one another, so that they are read at once."""
+    keyed = sorted((_key(data), data) for data in messages)
+    return [b"".join(data for _, data in some) for _, some in groupby(keyed, lambda pair: pair[0])]
+
+
+def _key(data: bytes) -> tuple[Any, ...]:
+    """Of a message; of one that is no block its own bytes, for nobody knows where it ends."""
+    if len(data) < HEADER.size or not data.startswith(MAGIC):
+        return (2**64, 0, 0, 0, 0, 0, data)
+    _, version, flags, samples, epoch, letters, first, _, _ = HEADER.unpack_from(data)
+    return (epoch, first, version, flags, samples, letters, len(data).to_bytes(8, "big"))

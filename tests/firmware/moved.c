@@ -1,0 +1,53 @@
+/* Goes on from a saved state, if there is one, with a file of samples; writes theta behind each, then the saved state:
+ * moved SAMPLES STATE THETA SAVED, STATE "-" for none.
+ */
+#include EXPORT_HEADER
+
+#include <stdio.h>
+
+typedef struct {
+    real_t u;
+    uint32_t count;
+} input_t;
+
+static pmf_state_t axis;
+static pmf_saved_t saved;
+
+static int resume(const char *name)
+{
+    FILE *file;
+    size_t n;
+    pmf_init(&EXPORT_CONFIG, &axis);
+    if (name[0] == '-') {
+        return 1;
+    }
+    file = fopen(name, "rb");
+    if (file == NULL) {
+        return 0;
+    }
+    n = fread(&saved, sizeof saved, 1, file);
+    (void)fclose(file);
+    return n == 1U && pmf_load(&EXPORT_CONFIG, &saved, &axis) == PMF_LOADED;
+}
+
+int main(int argc, char **argv)
+{
+    FILE *in, *theta, *out;
+    input_t input;
+    if (argc != 5 || pmf_arithmetic() != 0U || !resume(argv[2])) {
+        return 2;
+    }
+    in = fopen(argv[1], "rb");
+    theta = fopen(argv[3], "wb");
+    out = fopen(argv[4], "wb");
+    if (in == NULL || theta == NULL || out == NULL) {
+        return 3;
+    }
+    while (fread(&input, sizeof input, 1, in) == 1U) {
+        (void)pmf_step(&EXPORT_CONFIG, &axis, input.u, input.count);
+        (void)fwrite(pmf_estimate(&EXPORT_CONFIG, &axis)->theta, sizeof(real_t), pmf_parameters(&EXPORT_CONFIG), theta);
+    }
+    pmf_save(&EXPORT_CONFIG, &axis, &saved);
+    (void)fwrite(&saved, sizeof saved, 1, out);
+    return fclose(theta) == 0 && fclose(out) == 0 ? 0 : 4;
+}

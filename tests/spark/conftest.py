@@ -1,0 +1,44 @@
+"""One Spark session of two cores for all tests here; they skip where PySpark or Java is missing."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from pyspark.sql import SparkSession
+
+HERE = os.path.dirname(__file__)
+MISSING = (
+    "PySpark is not installed: make spark"
+    if find_spec("pyspark") is None
+    else "there is no Java runtime: make spark INSTALL_TOOLS=1"
+    if shutil.which("java") is None and "JAVA_HOME" not in os.environ
+    else ""
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """PySpark leaves sockets and processes to the collector, and warns of pandas 3, which is not used here."""
+    for item in items:
+        if str(item.path).startswith(HERE):
+            item.add_marker(pytest.mark.filterwarnings("ignore::ResourceWarning"))
+            item.add_marker(pytest.mark.filterwarnings("ignore:PySpark does not yet fully support pandas"))
+            item.add_marker(pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"))
+
+
+@pytest.fixture(scope="session")
+def spark() -> Iterator[SparkSession]:
+    """local[2], within this process."""
+    if MISSING:
+        pytest.skip(MISSING)
+    from pmfid.fleet.spark.session import session_of
+
+    session = session_of("local[2]", {"spark.sql.shuffle.partitions": "4", "spark.driver.memory": "1g"})
+    yield session
+    session.stop()

@@ -1,0 +1,40 @@
+"""One process of a stream, for those who kill it: `python -m tests.spark.incarnation FOLDER SHARDS`.
+
+FOLDER: `axis.toml` and its calibration, made by who calls; blocks in `in`, results in `out`, checkpoint in `checkpoint`.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from pmfid.fleet.stream.shard import Plan
+from pmfid.service.groups import Pace, prepare
+from pmfid.session.monitored import setup
+
+#: Of simulated normal work: enough for thresholds that nobody relies on.
+HOURS = 0.5
+PACE = Pace(window=0.6, every=0.1)
+#: A session that starts quickly.
+QUICK = {"spark.driver.memory": "700m", "spark.default.parallelism": "2"}
+
+
+def plan_of(folder: Path, shards: int) -> Plan:
+    """The plan of the stream in a folder."""
+    setup.simulated_hours = lambda hours: HOURS
+    os.environ["PMFID_CACHE"] = str(folder / "cache")
+    return Plan(prepare(folder / "axis.toml"), PACE, shards)
+
+
+def main(folder: Path, shards: int) -> None:
+    """Does all that is there, a file in a batch."""
+    from pmfid.fleet.spark.stream import Pacing, stream_files
+
+    pacing = Pacing(files=1, once=True)
+    places = folder / "in", plan_of(folder, shards), folder / "checkpoint", folder / "out"
+    stream_files(*places, pacing, master="local[2]", settings=QUICK)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]))

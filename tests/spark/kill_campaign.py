@@ -1,0 +1,158 @@
+"""A stream on Spark killed again and again, the driver with all of its process group, at named points and at random:
+`python -m tests.spark.kill_campaign --kills 20`.
+
+Behind the last restart the states of all axes must be those of one process without Spark, bit by bit, and the files of
+the results must hold each of its estimates once and no others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import polars as pl
+
+from pmfid.fleet.spark.stream import SPARK, states_of
+from pmfid.fleet.stream.shard import Plan
+from pmfid.fleet.stream.states import States
+from pmfid.service.crash import CRASH_AT
+from studies.monitoring.pipe import write_axis
+from tests.spark.incarnation import PACE, plan_of
+from tests.spark.streams import Row, essence, estimates_of, in_one_process, parts_of, rows_of, write_parts
+
+REPOSITORY = Path(__file__).parents[2]
+SHARDS = 2
+#: Of the driver's own: the rows of a batch are there, a file is half on its way, half of the files, all of them.
+NAMED = ("stream.given", "stream.part", "stream.half", "stream.written")
+#: Seen from outside: Spark has noted what a batch will be, and that it is done.
+NOTED = ("offsets", "commits")
+#: A driver takes no longer for the work of a campaign [s].
+LONGEST = 900.0
+
+
+@dataclass
+class Campaign:
+    """kills: so many; at: what it was that killed."""
+
+    kills: int = 0
+    at: Counter[str] = field(default_factory=Counter)
+
+
+def started(folder: Path, setting: str) -> subprocess.Popen[bytes]:
+    """A driver in a process group of its own."""
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1", CRASH_AT: setting}
+    environment["JAVA_TOOL_OPTIONS"] = "-XX:TieredStopAtLevel=1 -XX:+UseSerialGC"
+    command = [sys.executable, "-m", "tests.spark.incarnation", str(folder), str(SHARDS)]
+    with open(folder / "said", "ab") as said:
+        return subprocess.Popen(
+            command, cwd=REPOSITORY, env=environment, start_new_session=True, stderr=said, stdout=said
+        )
+
+
+def kill_once(folder: Path, rng: random.Random) -> str | None:
+    """How a driver was killed; None where it had done all before. Raises AssertionError where it ended with an error."""
+    point = rng.choice([*NAMED, *NOTED, "random", "random"])
+    driver = started(folder, f"{point}:{rng.randint(1, 4)}" if point in NAMED else "")
+    watched = point if point in NOTED else "offsets"
+    before, more = _noted(folder, watched), rng.randint(1, 2)
+    delay = rng.uniform(0.0, 2.5) if point == "random" else 0.0
+    end = time.monotonic() + LONGEST
+    while driver.poll() is None and time.monotonic() < end:
+        if point not in NAMED and _noted(folder, watched) >= before + more:
+            time.sleep(delay)
+            break
+        time.sleep(0.01)
+    code = driver.poll()
+    _kill(driver)
+    assert code in (None, 0, -signal.SIGKILL), f"a driver ended with {code}: {(folder / 'said').read_text()[-2000:]}"
+    return None if code == 0 else point
+
+
+def _noted(folder: Path, kind: str) -> int:
+    """So many batches, those of which Spark has cleared its notes among them."""
+    place = folder / "checkpoint" / SPARK / kind
+    numbers = [int(path.name) for path in place.iterdir() if path.name.isdigit()] if place.is_dir() else []
+    return 1 + max(numbers, default=-1)
+
+
+def _kill(driver: subprocess.Popen[bytes]) -> None:
+    """The whole group: the driver, and Java."""
+    with suppress(ProcessLookupError):
+        os.killpg(driver.pid, signal.SIGKILL)
+    driver.wait()
+
+
+def finish(folder: Path) -> None:
+    """The last driver does what is left."""
+    driver = started(folder, "")
+    assert driver.wait(LONGEST) == 0, (folder / "said").read_text()[-2000:]
+    _kill(driver)
+
+
+def assert_same(folder: Path, plan: Plan, rows: Sequence[Row]) -> tuple[int, int]:
+    """Whether the stream ended as one process does; how many axes and estimates were compared."""
+    bodies, table = in_one_process(plan, [rows])
+    expected = States.of(bodies, plan.prepared.digest)
+    states = states_of(folder / "checkpoint", plan.prepared.digest, "local[2]")
+    assert states.axes == expected.axes
+    for name in states.axes:
+        one, other = (some.monitor(name, plan.prepared, PACE).get_state() for some in (states, expected))
+        assert one == other, f"the state of {name} differs"
+    for one, other in zip(states.groups, expected.groups, strict=True):
+        assert essence(one) == essence(other), "the order of the blocks differs"
+    given = pl.read_parquet(folder / "out" / "estimates" / "*.parquet").sort("axis", "number")
+    assert given.select("axis", "number").is_duplicated().sum() == 0, "an estimate is there twice"
+    wanted = estimates_of(table).select(given.columns)
+    assert given.height == wanted.height, f"{given.height} estimates, not {wanted.height}"
+    assert given.equals(wanted, null_equal=True), "an estimate differs"
+    assert not list((folder / "out").glob("*/*.part"))
+    whole = {path.stem for path in (folder / "out" / "batches").iterdir()}
+    assert whole == {path.stem for path in (folder / "out" / "estimates").iterdir()}
+    return len(states.axes), given.height
+
+
+def campaign(folder: Path, kills: int, axes: int, seconds: float, files: int, seed: int = 0) -> Campaign:
+    """So many kills while files come; raises AssertionError where one of them left a trace."""
+    write_axis(folder, 60.0)
+    plan, rows, done, rng = plan_of(folder, SHARDS), rows_of(axes, seconds), Campaign(), random.Random(seed)
+    write_parts(folder / "in", parts_of(rows, files))
+    while done.kills < kills:
+        point = kill_once(folder, rng)
+        if point is None:
+            break
+        done.kills += 1
+        done.at[point] += 1
+        print(f"{done.kills} kills, the last at {point}; {_noted(folder, 'commits')} batches", flush=True)
+    finish(folder)
+    compared = assert_same(folder, plan, rows)
+    print(f"{compared[0]} states and {compared[1]} estimates as in one process")
+    return done
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Prints how many kills there were of each kind."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--axes", type=int, default=12)
+    parser.add_argument("--seconds", type=float, default=120.0)
+    parser.add_argument("--files", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as name:
+        done = campaign(Path(name), given.kills, given.axes, given.seconds, given.files, given.seed)
+    print(f"{done.kills} kills: {dict(sorted(done.at.items()))}")
+
+
+if __name__ == "__main__":
+    main()

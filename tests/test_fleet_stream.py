@@ -1,0 +1,194 @@
+"""A shard of a stream: the bits of a monitor alone, whatever batches there are; its state on the way."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import polars as pl
+import pytest
+
+from pmfid.errors import UsageError
+from pmfid.fleet.stream.folder import Settings, opened
+from pmfid.fleet.stream.shard import Plan, Shard, shard_of
+from pmfid.fleet.stream.states import States
+from pmfid.fleet.stream.tables import table_of
+from pmfid.monitor.fleet import MonitorFleet
+from pmfid.service.checkpoint import read_snapshot
+from pmfid.service.groups import Pace, Prepared, prepare
+from pmfid.service.wire.blocks import encode
+from studies.monitoring.pipe import write_axis
+from tests.spark.streams import block_of, estimates_of, in_one_process, parts_of, rows_of
+
+PACE = Pace(window=0.6, every=0.1)
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Prepared]:
+    place = tmp_path_factory.mktemp("axis")
+    write_axis(place, 60.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PMFID_CACHE", str(place / "cache"))
+        patch.setattr("pmfid.session.monitored.setup.simulated_hours", lambda hours: 0.5)
+        yield prepare(place / "axis.toml")
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[tuple[str, bytes]]:
+    return rows_of(4, 12.0)
+
+
+def restarted(plan: Plan, batches: list[list[tuple[str, bytes]]]) -> tuple[dict[int, bytes], pl.DataFrame]:
+    """As `in_one_process`, with a new shard from the bytes for each batch, whose blocks come in any order."""
+    bodies, tables = dict[int, bytes](), list[pl.DataFrame]()
+    for k, batch in enumerate(batches):
+        mixed = Random(k).sample(batch, len(batch))
+        for number in sorted({shard_of(name, plan.shards) for name, _ in mixed}):
+            shard = Shard(plan, number, bodies.get(number))
+            shard.take([data for name, data in mixed if shard_of(name, plan.shards) == number])
+            bodies[number] = shard.saved()
+            tables.append(table_of(shard))
+    return bodies, pl.concat(tables)
+
+
+def test_restarts_and_other_batches_give_the_same_bits(prepared: Prepared, rows: list[tuple[str, bytes]]) -> None:
+    whole, expected = in_one_process(Plan(prepared, PACE, 1), [rows])
+    for shards, files in ((1, 7), (3, 4)):
+        bodies, table = restarted(Plan(prepared, PACE, shards), parts_of(rows, files))
+        assert estimates_of(table).equals(estimates_of(expected), null_equal=True)
+        ours = States.of(bodies, prepared.digest)
+        theirs = States.of(whole, prepared.digest)
+        assert ours.axes == theirs.axes
+        for name in ours.axes:
+            one, other = (s.monitor(name, prepared, PACE).get_state() for s in (ours, theirs))
+            assert one == other, name
+
+
+def test_a_batch_that_comes_again_changes_nothing(prepared: Prepared, rows: list[tuple[str, bytes]]) -> None:
+    plan = Plan(prepared, PACE, 1)
+    first = Shard(plan, 0)
+    first.take([data for _, data in rows])
+    again = Shard(plan, 0, first.saved())
+    again.take([data for _, data in rows])
+    assert "samples" not in again.counted()
+    assert again.counted()["dropped_duplicate"] > 0
+    assert read_snapshot(again.saved()).groups[0].state == read_snapshot(first.saved()).groups[0].state
+
+
+def test_what_is_no_block_is_counted_and_the_rest_is_done(prepared: Prepared) -> None:
+    plan = Plan(prepared, PACE, 1)
+    shard = Shard(plan, 0)
+    good = encode(block_of("good"))
+    bad = bytearray(encode(block_of("bad")))
+    bad[-9] ^= 1
+    shard.take([b"", b"rubbish", bytes(bad), good, good[:30]])
+    counted = shard.counted()
+    assert counted["samples"] == 100
+    assert counted["unusable_crc"] == 1
+    assert sum(value for name, value in counted.items() if name.startswith("unusable")) >= 3
+
+
+def test_an_axis_by_the_name_of_another_one_is_refused(prepared: Prepared) -> None:
+    plan = Plan(prepared, PACE, 5)
+    own = next(f"a{k}" for k in range(99) if shard_of(f"a{k}", 5) == 2)
+    other = next(f"a{k}" for k in range(99) if shard_of(f"a{k}", 5) == 3)
+    shard = Shard(plan, 2)
+    shard.take([encode(block_of(own)), encode(block_of(other))])
+    assert shard.counted() == {"samples": 100.0, "unusable_name": 1.0}
+    assert read_snapshot(shard.saved()).groups[0].axes == (own,)
+
+
+def test_numbers_of_axes_are_those_of_no_other_shard(prepared: Prepared) -> None:
+    plan = Plan(prepared, PACE, 3)
+    names = [f"a{k}" for k in range(12)]
+    bodies, _ = restarted(plan, [[(n, encode(block_of(n))) for n in part] for part in (names[:5], names)])
+    numbers = np.concatenate([read_snapshot(body).groups[0].seats["seat"] for body in bodies.values()])
+    assert np.unique(numbers).size == len(names)
+    assert numbers.min() > 0
+
+
+def test_states_go_through_a_service_and_back(
+    prepared: Prepared, rows: list[tuple[str, bytes]], tmp_path: Path
+) -> None:
+    """Out of 3 shards into the folder of a service, from there into 2 others, and on: as without the moves."""
+    before, after = parts_of(rows, 2)
+    straight, _ = in_one_process(Plan(prepared, PACE, 1), [before, after])
+    bodies, _ = in_one_process(Plan(prepared, PACE, 3), [before])
+    States.of(bodies, prepared.digest).write(tmp_path / "state", prepared, PACE)
+    found = States.from_folder(tmp_path / "state", prepared.digest)
+    plan = Plan(prepared, PACE, 2)
+    begun = found.bodies(plan)
+    ended = dict[int, bytes]()
+    for number in range(2):
+        shard = Shard(plan, number, begun.get(number))
+        shard.take([data for name, data in after if shard_of(name, 2) == number])
+        ended[number] = shard.saved()
+    moved, stayed = States.of(ended, prepared.digest), States.of(straight, prepared.digest)
+    assert moved.axes == stayed.axes == [f"axis-{k}" for k in range(4)]
+    for name in moved.axes:
+        states = [states.monitor(name, prepared, PACE).get_state() for states in (moved, stayed)]
+        assert states[0] == states[1], name
+
+
+def test_some_axes_alone_are_written(prepared: Prepared, rows: list[tuple[str, bytes]], tmp_path: Path) -> None:
+    bodies, _ = in_one_process(Plan(prepared, PACE, 3), [rows])
+    states = States.of(bodies, prepared.digest)
+    assert states.write(tmp_path / "state", prepared, PACE, ["axis-2"]) == 1
+    assert States.from_folder(tmp_path / "state", prepared.digest).axes == ["axis-2"]
+    with pytest.raises(UsageError, match="no axis 'axis-22'"):
+        states.write(tmp_path / "state", prepared, PACE, ["axis-22"])
+    with pytest.raises(UsageError, match="another configuration"):
+        States.from_folder(tmp_path / "state", "0" * 64)
+
+
+def test_a_changed_configuration_is_refused_with_a_remedy(tmp_path: Path) -> None:
+    settings = Settings("digest", 4, 0.5, 1.0, "blocks")
+    opened(tmp_path / "checkpoint", tmp_path / "out", settings)
+    opened(tmp_path / "checkpoint", tmp_path / "out", settings)
+    for changed in (replace(settings, config="other"), replace(settings, shards=5), replace(settings, source="there")):
+        with pytest.raises(UsageError, match=r"was begun with another .*give"):
+            opened(tmp_path / "checkpoint", tmp_path / "out", changed)
+    with pytest.raises(UsageError, match="results of another stream"):
+        opened(tmp_path / "new", tmp_path / "out", settings)
+    with pytest.raises(UsageError, match="holds something else"):
+        opened(tmp_path / "checkpoint", tmp_path / "checkpoint", settings)
+
+
+def test_a_batch_written_again_replaces_itself(prepared: Prepared, tmp_path: Path) -> None:
+    folder = opened(tmp_path / "checkpoint", tmp_path / "out", Settings("digest", 1, 0.5, 1.0, "blocks"))
+    shard = Shard(Plan(prepared, PACE, 1), 0)
+    shard.take([encode(block_of("a"))])
+    (tmp_path / "out" / "estimates" / "batch-0000000000.parquet.7.part").write_bytes(b"half")
+    for _ in range(2):
+        folder.write(0, table_of(shard))
+    opened(tmp_path / "checkpoint", tmp_path / "out", Settings("digest", 1, 0.5, 1.0, "blocks"))
+    files = sorted(path.name for path in (tmp_path / "out" / "estimates").iterdir())
+    assert files == ["batch-0000000000.parquet"]
+    assert pl.read_parquet(tmp_path / "out" / "estimates" / files[0]).height == 10
+
+
+def test_a_monitor_is_copied_and_pickled_with_its_state(prepared: Prepared) -> None:
+    block = block_of("a", 20.0)
+    monitor = copy.deepcopy(prepared.setup.monitor)
+    monitor.run(block.u[:1000], block.counts[:1000])
+    other = pickle.loads(pickle.dumps(monitor))
+    assert other.get_state() == monitor.get_state()
+    a, b = (one.run(block.u[1000:], block.counts[1000:]) for one in (monitor, other))
+    assert a.theta.tobytes() == b.theta.tobytes()
+    assert other.configuration_number == prepared.setup.monitor.configuration_number
+
+
+def test_fleets_are_joined_from_their_states(prepared: Prepared) -> None:
+    monitor, block = prepared.setup.monitor, block_of("a", 3.0)
+    one, other = MonitorFleet(monitor, 1), MonitorFleet(monitor, 2)
+    one.run([0], block.u[None], block.counts[None])
+    assert other.join(one.get_state()) == range(2, 3)
+    assert other.monitor(2).get_state() == one.monitor(0).get_state()
+    with pytest.raises(UsageError):
+        other.join(b"rubbish")
+    assert other.axes == 3
