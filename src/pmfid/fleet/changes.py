@@ -90,10 +90,16 @@ def _sized(series: Series, k: int, names: Sequence[str], tolerance: float) -> St
     relative = (new - old) / size
     scores = (np.abs(relative) - tolerance) / bars
     cause, change, std = explained(relative, bars, _correlation(rest), names)
-    times = float(series.start[k]), float(series.end[k]), float(series.start[later])
+    times = _since(series, k), float(series.end[k]), float(series.start[later])
     whole = np.where(np.arange(n)[:, None] < k, old, new)
     misfit = float(np.sum(((series.theta - whole) / series.std) ** 2))
     return Step(cause, change, std, *times, float(np.max(scores)), relative, bars, misfit)
+
+
+def _since(series: Series, k: int) -> float:
+    """From when on the step at place k may have come [s]: in the segment, or in those before that say nothing."""
+    start, before = float(series.start[k]), float(series.end[k - 1])
+    return before if start - before > 0.5 * (float(series.end[k]) - start) else start
 
 
 def _correlation(rest: Floats) -> Floats:
@@ -130,8 +136,10 @@ def _onset(series: Series, k: int) -> int:
     old, new = mean_of(series[: max(SIDE, k - BACK)])[0], mean_of(series[k:])[0]
     whole = np.abs(new - old)
     for place in range(max(SIDE, k - BACK), k):
+        before = series[:place]
+        moves = np.sqrt(np.mean((before.theta - old) ** 2, axis=0))  # friction that breathes with the temperature
         apart = np.abs(series.theta[place] - old)
-        if np.any((apart > PART * whole) & (apart > SURE * series.std[:place].max(axis=0))):
+        if np.any((apart > PART * whole) & (apart > SURE * np.maximum(moves, before.std.max(axis=0)))):
             return place
     return k
 
