@@ -46,7 +46,8 @@ class Step:
 @dataclass(frozen=True)
 class Trend:
     """parameter: index of the one that moves most clearly; slope, std: relative [1/s]; span: [s] of the history; score:
-    of the change over the span beyond the tolerance, in standard deviations; misfit: as of a `Step`."""
+    of the change over the span beyond the tolerance, in standard deviations; misfit: as of a `Step`; slopes, bars: (p,)
+    of all parameters, relative [1/s]."""
 
     parameter: int
     slope: float
@@ -54,6 +55,8 @@ class Trend:
     span: float
     score: float
     misfit: float
+    slopes: Floats
+    bars: Floats
 
 
 def step_of(series: Series, names: Sequence[str], tolerance: float) -> Step | None:
@@ -162,4 +165,5 @@ def trend_of(series: Series, tolerance: float) -> Trend | None:
     scores = (np.abs(slope) * span - tolerance * size) / (bars * span)
     i = int(np.argmax(scores))
     misfit = float(np.sum(rest**2))
-    return Trend(i, float(slope[i] / size[i]), float(bars[i] / size[i]), span, float(scores[i]), misfit)
+    slopes, bars = slope / size, bars / size
+    return Trend(i, float(slopes[i]), float(bars[i]), span, float(scores[i]), misfit, slopes, bars)
