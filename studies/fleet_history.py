@@ -48,9 +48,12 @@ minute, and the same rows give the same bytes whatever files, threads or earlier
 named where its change, drift or distance from its type goes beyond `[monitor] tolerance` by more than chance makes
 of the whole fleet.
 
-What it does not do: files in which very many axes are mixed row by row are read once for each shard of about four
-million rows that has some of them; write such data by axis, or by hour, first. Where the model lacks something of
-the machine, the bars do not hold that (`unmodelled` in the findings); changes are then still found against the
+Files in which many axes are mixed row by row are read once, and their rows put aside on the disk by shard (28 bytes
+each, in the folder of `--out`, else in that for temporary files; gone when the last shard that needs them is done): in
+9, 18 and 36 million rows in shards of half a million 2.6, 5.3 and 9.7 s of processor time and 460 MiB, where reading
+them for each shard anew took 3.7, 7.9 and 26 s. A Delta table is read by its log (`pip install 'pmfid[delta]'`);
+memory is that of a shard for each thread, and of the row group of a file. Where the model lacks something of the
+machine, the bars do not hold that (`unmodelled` in the findings); changes are then still found against the
 axis's own past.
 
 """.splitlines()

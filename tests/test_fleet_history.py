@@ -6,6 +6,7 @@ import json
 import pickle
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from pmfid import fleet
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
 from pmfid.fleet.history import History
+from pmfid.report.fleet import write_fleet
 from studies.fleet_data import AXIS_TOML, DT, Change, Machine, machines, rows
 
 AXES, SAMPLES, HALF = 12, 60_000, 300.0
@@ -319,6 +321,24 @@ def test_the_command_prints_and_writes(log: pl.DataFrame, plain: History, tmp_pa
     told = json.loads(again.stdout)
     assert (told["shards"], told["reused"]) == (1, 1)
     assert {one["axis"] for one in told["attention"]} == set(plain.named["axis"].to_list())
+
+
+def test_the_report_draws_any_name_and_has_the_trends(plain: History, tmp_path: Path) -> None:
+    """Control characters, formulas and names of any length had reached the figures and the terminal."""
+    names = {"axis-0002": "<b>$x_{\x1b[31m", "axis-0005": "x" * 400}
+    axes, periods = (
+        one.with_columns(pl.col("axis").replace(names).alias("axis")) for one in (plain.axes, plain.periods)
+    )
+    found = replace(plain, axes=axes, periods=periods)
+    write_fleet(tmp_path, found, "lake")
+    page = (tmp_path / "fleet.html").read_text()
+    assert "<b>" not in page
+    assert "Trend of those that need attention" in page
+    assert "\x1b" not in str(found)
+    quiet = plain.axes.filter(~pl.col("named"))
+    apart = quiet["mass_slope"] / quiet["mass_slope_std"]
+    assert apart.abs().max() < 5  # type: ignore[operator]
+    assert plain.axes.filter(pl.col("axis") == "axis-0002")["mass_slope"].item() > 0
 
 
 def test_nobody_moves_is_exit_code_3(log: pl.DataFrame, config: Path, tmp_path: Path) -> None:

@@ -46,7 +46,8 @@ class Step:
 @dataclass(frozen=True)
 class Trend:
     """parameter: index of the one that moves most clearly; slope, std: relative [1/s]; span: [s] of the history; score:
-    of the change over the span beyond the tolerance, in standard deviations; misfit: as of a `Step`."""
+    of the change over the span beyond the tolerance, in standard deviations; misfit: as of a `Step`; slopes, bars: (p,)
+    of all parameters, relative [1/s]."""
 
     parameter: int
     slope: float
@@ -54,6 +55,8 @@ class Trend:
     span: float
     score: float
     misfit: float
+    slopes: Floats
+    bars: Floats
 
 
 def step_of(series: Series, names: Sequence[str], tolerance: float) -> Step | None:
@@ -90,10 +93,16 @@ def _sized(series: Series, k: int, names: Sequence[str], tolerance: float) -> St
     relative = (new - old) / size
     scores = (np.abs(relative) - tolerance) / bars
     cause, change, std = explained(relative, bars, _correlation(rest), names)
-    times = float(series.start[k]), float(series.end[k]), float(series.start[later])
+    times = _since(series, k), float(series.end[k]), float(series.start[later])
     whole = np.where(np.arange(n)[:, None] < k, old, new)
     misfit = float(np.sum(((series.theta - whole) / series.std) ** 2))
     return Step(cause, change, std, *times, float(np.max(scores)), relative, bars, misfit)
+
+
+def _since(series: Series, k: int) -> float:
+    """From when on the step at place k may have come [s]: in the segment, or in those before that say nothing."""
+    start, before = float(series.start[k]), float(series.end[k - 1])
+    return before if start - before > 0.5 * (float(series.end[k]) - start) else start
 
 
 def _correlation(rest: Floats) -> Floats:
@@ -130,8 +139,10 @@ def _onset(series: Series, k: int) -> int:
     old, new = mean_of(series[: max(SIDE, k - BACK)])[0], mean_of(series[k:])[0]
     whole = np.abs(new - old)
     for place in range(max(SIDE, k - BACK), k):
+        before = series[:place]
+        moves = np.sqrt(np.mean((before.theta - old) ** 2, axis=0))  # friction that breathes with the temperature
         apart = np.abs(series.theta[place] - old)
-        if np.any((apart > PART * whole) & (apart > SURE * series.std[:place].max(axis=0))):
+        if np.any((apart > PART * whole) & (apart > SURE * np.maximum(moves, before.std.max(axis=0)))):
             return place
     return k
 
@@ -154,4 +165,5 @@ def trend_of(series: Series, tolerance: float) -> Trend | None:
     scores = (np.abs(slope) * span - tolerance * size) / (bars * span)
     i = int(np.argmax(scores))
     misfit = float(np.sum(rest**2))
-    return Trend(i, float(slope[i] / size[i]), float(bars[i] / size[i]), span, float(scores[i]), misfit)
+    slopes, bars = slope / size, bars / size
+    return Trend(i, float(slopes[i]), float(bars[i]), span, float(scores[i]), misfit, slopes, bars)

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pmfid.errors import UsageError
+from pmfid.errors import UsageError, printable
 from pmfid.fleet.aside import Aside, mixed
 from pmfid.fleet.choice import choose
 from pmfid.fleet.local import Engine, Local
@@ -82,7 +82,7 @@ class History:
         return f"{named} of {many} axes need{'s' * (named == 1)} attention"
 
     def __str__(self) -> str:
-        lines = [f"  {row['axis']}: {row['why']}" for row in self.named.head(8).iter_rows(named=True)]
+        lines = [f"  {printable(row['axis'])}: {row['why']}" for row in self.named.head(8).iter_rows(named=True)]
         return "\n".join([self.title, *lines, *(["  ..."] if self.named.height > 8 else [])])
 
     def to_json(self) -> dict[str, object]:

@@ -14,7 +14,7 @@ from pmfid.fleet.periods import SAME, Periods, period_rows
 from pmfid.fleet.said import sentence
 from pmfid.fleet.series import Series, series_of
 from pmfid.fleet.source import AXIS
-from pmfid.fleet.survey import Problem
+from pmfid.fleet.survey import DAY, Problem
 from pmfid.fleet.verdicts import CHANGED, CLEAR, Follow, Verdict, followed, judged, ranking
 
 if TYPE_CHECKING:
@@ -142,6 +142,8 @@ def _axes(follows: Sequence[Follow], verdicts: Sequence[Verdict], names: Sequenc
             changed = math.nan if one.step is None else float(one.step.relative[i])
             row |= {name: float(one.theta[i]), f"{name}_std": float(one.std[i])}
             row |= {f"{name}_deviation": deviation, f"{name}_change": changed}
+            slope, bar = (math.nan, math.nan) if one.trend is None else (one.trend.slopes[i], one.trend.bars[i])
+            row |= {f"{name}_slope": float(slope) * DAY, f"{name}_slope_std": float(bar) * DAY}
         rows.append(row)
     return pl.DataFrame(rows, infer_schema_length=None)
 

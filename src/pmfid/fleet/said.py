@@ -38,7 +38,10 @@ def sentence(verdict: Verdict) -> str:
     if verdict.kind == CHANGED:
         return f"{what} {size:+.1f} % ± {std:.1f} % {between(verdict.since, verdict.until)}"
     if verdict.kind == DRIFTS:
-        return f"{what} drifts by {size:+.2g} % ± {std:.1g} % per day"
+        if verdict.days >= 1:
+            return f"{what} drifts by {size:+.2g} % ± {std:.1g} % per day"
+        span = when(verdict.days * 86_400.0)
+        return f"{what} drifts by {size * verdict.days:+.2g} % ± {std * verdict.days:.1g} % within {span}"
     if verdict.kind == DIFFERS:
         return f"{what} {size:+.0f} % from the median of its type"
     return "no estimate: see its findings" if verdict.kind == UNKNOWN else ""

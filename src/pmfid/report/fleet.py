@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from pmfid.fleet.history import History
 from pmfid.fleet.said import when
+from pmfid.fleet.survey import DAY
 from pmfid.report.files import write_json
-from pmfid.report.fleet_figures import ROWS, map_figure, spread_figure
+from pmfid.report.fleet_figures import QUIET, ROWS, TRENDS, map_figure, spread_figure, trend_figure
 from pmfid.report.html import Cell, Section, Table, svg, write_report
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ def write_fleet(out: Path, found: History, name: str) -> None:
     """Writes fleet.html and fleet.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "fleet.json", found.to_json())
-    sections = [_attention(found), _spread(found), _map(found), _unused(found), _how(found)]
+    sections = [_attention(found), _trends(found), _spread(found), _map(found), _unused(found), _how(found)]
     write_report(out / "fleet.html", f"{name}: {found.title}", [one for one in sections if one is not None])
 
 
@@ -58,6 +59,30 @@ def _strength(score: float) -> str:
     return f"{score:.1f} ×" if score < 10 else f"{score:.0f} ×" if score < 100 else "over 100 ×"
 
 
+def _trends(found: History) -> Section | None:
+    named = found.named.head(TRENDS)
+    if not named.height:
+        return None
+    text = (
+        "What the periods of an axis say, with bars of 1.96 standard deviations, the first as 100 %; in the table the "
+        "straight line through all: its slope with one standard deviation. Those of all axes, per day, are in "
+        "axes.parquet."
+    )
+    first, last = found.periods["first"].min(), found.periods["last"].max()
+    days = min(1.0, (float(last or 0.0) - float(first or 0.0)) / DAY)  # type: ignore[arg-type]
+    unit = "%/day" if days == 1 else f"% within {when(DAY * days)}"
+    header = ("axis", *(f"{name.replace('_', ' ')} [{unit}]" for name in found.names))
+    rows: list[list[Cell]] = [
+        [row["axis"], *(_slope(days * row[f"{name}_slope"], days * row[f"{name}_slope_std"]) for name in found.names)]
+        for row in named.iter_rows(named=True)
+    ]
+    return Section("Trend of those that need attention", text, (header, rows), svg=svg(trend_figure(found)))
+
+
+def _slope(slope: float, std: float) -> str:
+    return f"{100 * slope:+.3g} ± {100 * std:.2g}" if math.isfinite(slope) else ""
+
+
 def _spread(found: History) -> Section | None:
     if not found.axes.height or found.unknown.height == found.axes.height:
         return None
@@ -72,8 +97,8 @@ def _map(found: History) -> Section | None:
     if not found.periods.height:
         return None
     text = "A row for each axis, those that need attention at the top; a column for each period."
-    if found.axes.height > ROWS:
-        text += f" The first {ROWS} of {found.axes.height}, by attention and by how many periods are in doubt."
+    if found.axes.height > QUIET:
+        text += f" Of the others the first {QUIET}, by how many periods are in doubt; {ROWS} rows at most."
     return Section("Map of findings", text, svg=svg(map_figure(found)))
 
 

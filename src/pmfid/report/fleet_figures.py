@@ -10,6 +10,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from pmfid.errors import printable
 from pmfid.fleet.history import History
 from pmfid.fleet.said import when
 from pmfid.report.figures import COLOURS, GREY, WIDTH, figure_style
@@ -20,6 +21,8 @@ KINDS = {"changed": COLOURS[1], "drifts": COLOURS[3], "differs": COLOURS[0]}
 MAP = {"change": COLOURS[1], "none": "#333333", "doubt": COLOURS[3], "good": "#cfe8dc", "no data": "#f4f4f4"}
 #: Names that are written into a panel, and of a change of so much [%]; rows of the map, and periods of it.
 NAMES, SHOWN, ROWS, COLUMNS = 6, 2.0, 50, 400
+#: Axes whose trend is drawn; letters of a name; rows of the map in which nothing is the matter, to compare with.
+TRENDS, LONGEST, QUIET = 6, 24, 10
 
 
 def spread_figure(found: History) -> Figure:
@@ -49,7 +52,7 @@ def _panel(panel: Axes, found: History, name: str) -> None:
         panel.plot(x[which], y[which], "o", color=colour, ms=4)
     most = np.where(kinds == "differs", np.abs(x), np.abs(y))
     for k in _apart(x, y, [int(k) for k in np.argsort(-most, kind="stable") if not quiet[k] and most[k] > SHOWN]):
-        panel.annotate(axes["axis"][k], (x[k], y[k]), (4, 3), textcoords="offset points", fontsize=7)
+        panel.annotate(label_of(axes["axis"][k]), (x[k], y[k]), (4, 3), textcoords="offset points", fontsize=7)
     panel.margins(x=0.15)
     panel.set_title(name.replace("_", " "))
     panel.set_xlabel("from the median in %")
@@ -63,6 +66,42 @@ def _apart(x: Floats, y: Floats, places: Sequence[int]) -> list[int]:
         if all(abs(x[k] - x[j]) > 0.4 * width or abs(y[k] - y[j]) > 0.06 * height for j in found):
             found.append(k)
     return found[:NAMES]
+
+
+def trend_figure(found: History) -> Figure:
+    """A panel for each of the first named axes: every parameter by period, relative to its first, with bars."""
+    import polars as pl
+
+    named = found.named["axis"].to_list()[:TRENDS]
+    with figure_style():
+        rows = -(-len(named) // 3)
+        figure = Figure(figsize=(WIDTH, 1.0 + 1.9 * rows), layout="constrained")
+        panels = figure.subplots(rows, 3, squeeze=False).ravel()
+        for panel, axis in zip(panels, named, strict=False):
+            own = found.periods.filter((pl.col("axis") == axis) & (pl.col("quality") != "none"))
+            for colour, name in zip(COLOURS, found.names, strict=False):
+                middle, theta, std = (own[key].to_numpy() for key in ("period", name, f"{name}_std"))
+                if theta.size and theta[0]:
+                    scale = 100 / theta[0]
+                    panel.errorbar(middle, scale * theta, 1.96 * abs(scale) * std, fmt=".-", color=colour, lw=1, ms=4)
+            panel.set_title(label_of(axis))
+            ticks = np.unique(own["period"].to_numpy()[[0, -1]]) if own.height else np.empty(0)
+            panel.set_xticks(ticks, [when(float(tick)).partition(" ")[0] for tick in ticks])
+        for panel in panels[len(named) :]:
+            panel.set_axis_off()
+        panels[0].set_ylabel("in % of the first")
+        handles = [
+            Patch(color=colour, label=name.replace("_", " "))
+            for colour, name in zip(COLOURS, found.names, strict=False)
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    return figure
+
+
+def label_of(axis: str) -> str:
+    """A name as it can be drawn: short, without control characters, and no formula."""
+    text = printable(axis).replace("\n", " ").replace("$", r"\$")
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
 
 
 def map_figure(found: History) -> Figure:
@@ -98,11 +137,12 @@ def _order(found: History) -> list[str]:
     doubts = dict(periods.iter_rows())
     rows = enumerate(found.axes.select("axis", "kind").iter_rows())
     ranked = sorted((kind == "", -doubts.get(axis, 0) if kind == "" else 0, k, axis) for k, (axis, kind) in rows)
-    return [axis for *_, axis in ranked][:ROWS]
+    told = sum(not quiet or doubts < 0 for quiet, doubts, *_ in ranked)
+    return [axis for *_, axis in ranked][: min(ROWS, told + QUIET)]
 
 
 def _labels(axes: Axes, order: list[str], edges: np.ndarray) -> None:
-    axes.set_yticks(range(len(order)), order, fontsize=7)
+    axes.set_yticks(range(len(order)), [label_of(axis) for axis in order], fontsize=7)
     columns = range(0, edges.size, -(-edges.size // 6))
     axes.set_xticks(list(columns), [when(float(edges[column])).partition(" ")[0] for column in columns])
     axes.grid(visible=False)

@@ -1,0 +1,64 @@
+"""Where a step is put when something else moves as well, on segments that are written down."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pmfid.fleet.changes import step_of
+from pmfid.fleet.said import sentence
+from pmfid.fleet.series import Series
+from pmfid.fleet.verdicts import CHANGED, DRIFTS, Verdict, followed, judged
+from pmfid.types import Floats
+
+NAMES = ("mass", "viscous_friction", "coulomb_friction")
+SEGMENT, N = 60.0, 16
+
+
+def series(theta: Floats, std: Floats) -> Series:
+    """Of usable segments."""
+    n = len(theta)
+    start = SEGMENT * np.arange(n)
+    counts = np.full(n, 3000)
+    return Series(start, start + SEGMENT, counts, np.zeros(n), np.full(n, 0.02), np.zeros(n, np.uint32), theta, std)
+
+
+def breathing(rng: np.random.Generator, place: int, factor: float, phase: float) -> Series:
+    """Mass and bars of a step, friction that goes up and down by 3 % with the temperature; the segment of the step has
+    some of both sides, and says so."""
+    wave = 0.03 * np.sin(2 * np.pi * 1.3 * np.arange(N) / N + phase)
+    std = np.tile([5e-3, 0.08, 0.01], (N, 1)) * np.exp(0.3 * rng.standard_normal((N, 1)))
+    theta = np.stack([np.full(N, 90.0), 120 * (1 + wave), 18 * (1 + 0.3 * wave)], axis=1)
+    theta[place:, 0] *= factor
+    theta[place - 1, 0] *= 1 + 0.6 * (factor - 1)
+    std[place - 1] *= 300
+    return series(theta + std * rng.standard_normal((N, 3)), std)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_step_beside_friction_that_breathes_is_a_step(seed: int) -> None:
+    """The friction's own motion had been taken for the beginning of the step, and then a drift explained more."""
+    rng = np.random.default_rng(seed)
+    place, factor = int(rng.integers(5, 12)), float(rng.choice([0.85, 1.2]))
+    one = breathing(rng, place, factor, rng.uniform(0, 2 * np.pi))
+    step = step_of(one, NAMES, 0.02)
+    assert step is not None
+    assert step.since in (SEGMENT * (place - 1), SEGMENT * place)
+    verdict = judged([followed("a", "", one, NAMES, 0.02)], NAMES, 0.02)[0]
+    assert verdict.kind == CHANGED
+    assert abs(step.relative[0] - (factor - 1)) < 0.005
+
+
+def test_a_step_in_a_segment_that_says_nothing_came_there() -> None:
+    """It had been told of the segment after, in which nothing happened."""
+    rng = np.random.default_rng(5)
+    whole = breathing(rng, 9, 1.2, 0.0)
+    step = step_of(whole[np.arange(N) != 8], NAMES, 0.02)
+    assert step is not None
+    assert (step.since, step.until) == (SEGMENT * 8, SEGMENT * 10)
+
+
+def test_a_drift_of_minutes_is_not_told_per_day() -> None:
+    quick = Verdict(DRIFTS, 2.0, "mass", size=27.0, std=5.0, days=0.01)
+    assert sentence(quick) == "mass drifts by +27 % ± 5 % within 0:14:24"
+    assert "per day" in sentence(Verdict(DRIFTS, 2.0, "mass", size=0.01, std=0.001, days=9.0))
