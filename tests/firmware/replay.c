@@ -1,5 +1,6 @@
 /* Replays a file of samples through an export and writes what comes out, sample by sample, then the state.
- * Compiled with -DEXPORT_HEADER='"NAME.h"' -DEXPORT_CONFIG=NAME_config.
+ * Compiled with -DEXPORT_HEADER='"NAME.h"' -DEXPORT_CONFIG=NAME_config, and -DGAPS=400,900 where samples were lost before
+ * those of these numbers.
  */
 #include EXPORT_HEADER
 
@@ -22,6 +23,20 @@ static pmf_state_t axis;
 static input_t input[BLOCK];
 static output_t output[BLOCK];
 
+#ifdef GAPS
+static const size_t gaps[] = {GAPS};
+
+static void gap(size_t sample, uint32_t count)
+{
+    size_t i;
+    for (i = 0; i < sizeof gaps / sizeof gaps[0]; ++i) {
+        if (gaps[i] == sample) {
+            pmf_gap(&EXPORT_CONFIG, &axis, count);
+        }
+    }
+}
+#endif
+
 static void step(const input_t *in, output_t *out)
 {
     const pmf_estimate_t *estimate;
@@ -41,6 +56,9 @@ int main(int argc, char **argv)
 {
     FILE *in, *out;
     size_t n, k;
+#ifdef GAPS
+    size_t sample = 0;
+#endif
     if (argc != 3 || pmf_arithmetic() != 0U) {
         return 2;
     }
@@ -52,6 +70,9 @@ int main(int argc, char **argv)
     pmf_init(&EXPORT_CONFIG, &axis);
     while ((n = fread(input, sizeof input[0], BLOCK, in)) > 0U) {
         for (k = 0; k < n; ++k) {
+#ifdef GAPS
+            gap(sample++, input[k].count);
+#endif
             step(&input[k], &output[k]);
         }
         if (fwrite(output, sizeof output[0], n, out) != n) {

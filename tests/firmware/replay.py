@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +18,35 @@ from tests.firmware.build import HERE, Target, compiled, run
 PREFIX = "axis"
 
 
-def exported(estimator: RecursiveEstimator, folder: Path, u: NDArray[np.float64], counts: NDArray[np.int64]) -> Path:
-    """Exports, with a file of samples in.bin and what Python makes of them, expected.bin."""
+def exported(
+    estimator: RecursiveEstimator,
+    folder: Path,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    gaps: Sequence[int] = (),
+) -> Path:
+    """Exports, with a file of samples in.bin and what Python makes of them, expected.bin. gaps: numbers of the samples
+    before which others were lost; replay.c is then compiled with -DGAPS of the same."""
     export_firmware(estimator, folder, prefix=PREFIX)
     real = np.float32 if estimator.precision == "float32" else np.float64
     samples = np.zeros(u.size, np.dtype([("u", real), ("count", np.uint32)], align=True))
     samples["u"], samples["count"] = u, counts.astype(np.uint32)
     (folder / "in.bin").write_bytes(samples.tobytes())
-    (folder / "expected.bin").write_bytes(expected(estimator, u, counts))
+    (folder / "expected.bin").write_bytes(expected(estimator, u, counts, gaps))
     return folder
 
 
-def expected(estimator: RecursiveEstimator, u: NDArray[np.float64], counts: NDArray[np.int64]) -> bytes:
+def expected(
+    estimator: RecursiveEstimator, u: NDArray[np.float64], counts: NDArray[np.int64], gaps: Sequence[int] = ()
+) -> bytes:
     """What replay.c writes: status and estimate after each sample, then the state."""
     kernel = estimator.make_kernel(estimator.forgetting)
-    theta, factor, inflation, innovation, variance, status = kernel.run(u, counts)
+    parts = []
+    for first, last in pairwise((0, *gaps, u.size)):
+        if first > 0:
+            kernel.gap(int(counts[first]))
+        parts.append(kernel.run(u[first:last], counts[first:last]))
+    theta, factor, inflation, innovation, variance, status = map(np.concatenate, zip(*parts, strict=True))
     real = np.dtype(kernel.dtype)
     shape = shape_of(configuration(kernel, estimator.precision))
     columns = (shape.max_parameters,)

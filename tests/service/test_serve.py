@@ -136,6 +136,25 @@ REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
         lambda text: text.replace('"file"', '"fil"'),
         r"\[sources.a\] kind = 'fil' is none of .*'file'",
     ),
+    "an AXIS.toml in its place": (
+        lambda text: '[record]\ninput = "u"\n[model]\nkind = "drive"\n',
+        "this is an AXIS.toml, of one axis: give --from RECORD",
+    ),
+    "axes without names": (lambda text: '[axes]\nconfig = "axis.toml"\n', r"under no name; write \[axes.NAME\]"),
+    "axes in double brackets": (lambda text: '[[axes]]\nconfig = "axis.toml"\n', r"\[axes.NAME\] .* single brackets"),
+    "no kind": (lambda text: text.replace('kind = "file"', ""), r"\[sources.a\] kind is missing; give one of .*mqtt"),
+    "an URL of a broker": (
+        lambda text: text + '[sources.b]\nkind = "mqtt"\nhost = "mqtt://hall"\ntopics = ["a"]\n',
+        r"\[sources.b\] host = 'mqtt://hall': .*without mqtt://",
+    ),
+    "a port in the address": (
+        lambda text: text + '[sinks.b]\nkind = "mqtt"\nhost = "10.0.0.1:1883"\n',
+        r"\[sinks.b\] host = '10.0.0.1:1883': .*key of its own, port",
+    ),
+    "a topic that is no list": (
+        lambda text: text + '[sources.b]\nkind = "mqtt"\ntopics = "a"\n',
+        "topics = 'a': it should be a list in brackets",
+    ),
     "no axis": (
         lambda text: text.replace("[axes.x1]", "[fleets]").replace('config = "axis.toml"', ""),
         "no axis is named",

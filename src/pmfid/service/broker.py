@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from pmfid.errors import UsageError
 from pmfid.session.toml_file import FileSection
@@ -37,6 +37,16 @@ class BrokerSection(FileSection):
     ca: Text | None = Field(None, description="the file of the certificates that are trusted; it asks for TLS, too")
     cert: Text | None = Field(None, description="the file of this client's own certificate, with key")
     key: Text | None = Field(None, description="the file of the key of cert")
+
+    @field_validator("host")
+    @classmethod
+    def _only_a_name(cls, host: str) -> str:
+        """Without this an address would be looked up for ever, as a name that nobody has."""
+        if "/" in host or any(mark.isspace() for mark in host):
+            raise ValueError("it should be a name or an address alone, without mqtt:// and path; tls = true is TLS")
+        if host.count(":") == 1:
+            raise ValueError("it should be a name or an address alone; the port has a key of its own, port")
+        return host
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

@@ -153,15 +153,24 @@ _KNOWN = ("service", "page", "axes", "fleets", "sources", "sinks")
 
 
 def _check_tables(raw: Mapping[str, Any]) -> None:
+    if {"record", "model"} & set(raw) and not set(raw) & set(_KNOWN):
+        raise UsageError(
+            "this is an AXIS.toml, of one axis: give --from RECORD with it, or - for standard input; or write "
+            'a PLANT.toml with [axes.NAME] and config = "AXIS.toml"'
+        )
     for key, table in raw.items():
         if key not in _KNOWN:
             raise UsageError(f"[{key}] is an unknown section; known are {', '.join(_KNOWN)}{did_you_mean(key, _KNOWN)}")
+        named = key in _KNOWN[2:]
         if not isinstance(table, dict):
-            raise UsageError(f"[{key}] must be a section of keys")
-        for name, part in table.items() if key in _KNOWN[2:] else ():
+            label = f"[{key}.NAME]" if named else f"[{key}]"
+            raise UsageError(f"{key} must be a section; write {label} above its keys, in single brackets")
+        for name, part in table.items() if named else ():
             _check_name(key, name)
             if not isinstance(part, dict):
-                raise UsageError(f"[{key}] {name} = {part!r} must be a section; write [{key}.{name}] above its keys")
+                raise UsageError(
+                    f"[{key}] {name} = {part!r} stands under no name; write [{key}.NAME] above it, with a name of yours"
+                )
     if not (raw.get("axes") or raw.get("fleets")):
         raise UsageError('no axis is named; add a section [axes.NAME] with config = "AXIS.toml"')
 
@@ -214,7 +223,9 @@ def _of_kind(
     where: str, name: str, table: Mapping[str, Any], kinds: Mapping[str, Callable[[], type[Section]]]
 ) -> Section:
     """A source or a sink: `kind` says which section it is."""
-    kind = str(table.get("kind"))
+    if "kind" not in table:
+        raise UsageError(f"[{where}.{name}] kind is missing; give one of {', '.join(kinds)}")
+    kind = str(table["kind"])
     if kind not in kinds:
         raise UsageError(f"[{where}.{name}] kind = {kind!r} is none of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
     return _section(f"{where}.{name}", kinds[kind](), table)

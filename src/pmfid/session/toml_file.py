@@ -102,6 +102,7 @@ def _problem(
         return f"{label} is missing; give {field.description}"
     table = raw[section]
     message = error["msg"].removeprefix("Value error, ").replace("Input should", "it should")
+    message = message.replace("be a valid tuple", "be a list in brackets")
     if not rest:
         return f"{label}: {message}" if isinstance(table, dict) else f"{label} must be a section of keys"
     value = table[rest[0]] if isinstance(table, dict) else None
