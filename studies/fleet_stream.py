@@ -1,4 +1,6 @@
-"""How many axes `pmfid fleet stream` keeps up with on this machine: `python -m studies.fleet_stream --out docs/fleet_stream.md`.
+"""How many axes `pmfid fleet stream` keeps up with on this machine.
+
+python -m studies.fleet_stream --out docs/fleet_stream.md
 
 A gateway writes a Parquet file with a block of each axis every so many seconds; the stream runs as a process of its
 own. It holds a rate if it is not further behind at the end than two of its batches were long.
@@ -212,8 +214,8 @@ def page(runs: Sequence[Run], shards: int, interval: float) -> str:
         "between batches. A rate holds if the stream is at the end not further behind than two batches and a second, "
         "and no sample is missing or double.",
         "",
-        "| axes | seconds | samples/s | holds | behind at the end | a batch takes | all done after | processors | memory "
-        "| states written with a batch |",
+        "| axes | seconds | samples/s | holds | behind at the end | a batch takes | all done after | processors "
+        "| memory | states written with a batch |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     lines += map(_row, runs)
