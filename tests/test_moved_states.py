@@ -1,5 +1,5 @@
-"""A state on its way through firmware, an estimator, a watched fleet, a service and a fleet, back into firmware: what is
-estimated is what it is without the moves."""
+"""A state on its way through firmware, an estimator, a watched fleet, a service and a fleet, back into firmware: what
+is estimated is what it is without the moves."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """One process of a stream, for those who kill it: `python -m tests.spark.incarnation FOLDER SHARDS`.
 
-FOLDER: `axis.toml` and its calibration, made by who calls; blocks in `in`, results in `out`, checkpoint in `checkpoint`.
+FOLDER: `axis.toml` and its calibration, made by who calls; blocks in `in`, results in `out`, state in `checkpoint`.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ def started(folder: Path, setting: str) -> subprocess.Popen[bytes]:
 
 
 def kill_once(folder: Path, rng: random.Random) -> str | None:
-    """How a driver was killed; None where it had done all before. Raises AssertionError where it ended with an error."""
+    """How a driver was killed; None where all was done before. Raises AssertionError where it ended with an error."""
     point = rng.choice([*NAMED, *NOTED, "random", "random"])
     driver = started(folder, f"{point}:{rng.randint(1, 4)}" if point in NAMED else "")
     watched = point if point in NOTED else "offsets"

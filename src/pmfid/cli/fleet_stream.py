@@ -61,11 +61,12 @@ def stream(
 
     Exit code 0: all done; 2: wrong usage, unreadable input, or another configuration than that of the checkpoint.
     """
-    from pmfid.fleet.spark.stream import Pacing, stream_files
+    from pmfid.fleet.spark.stream import Pacing, kind_of, stream_files
     from pmfid.fleet.stream.shard import Plan
     from pmfid.fleet.stream.states import States
     from pmfid.service.groups import Pace
 
+    kind_of(source)  # before anything takes long
     prepared = _prepared(config)
     plan = Plan(prepared, Pace(window, every), shards)
     begin = None if state is None else States.from_folder(state, prepared.digest)
@@ -85,9 +86,10 @@ def state(checkpoint: Path, config: Path, axes: tuple[str, ...], out: Path, mast
 
     Exit code 0: written; 2: no states, of another configuration, or no such axis.
     """
-    from pmfid.fleet.spark.stream import states_of
+    from pmfid.fleet.spark.stream import check_states, states_of
     from pmfid.service.groups import Pace
 
+    check_states(checkpoint)  # before anything takes long
     prepared = _prepared(config)
     written = states_of(checkpoint, prepared.digest, master).write(out, prepared, Pace(), axes)
     click.echo(f"states of {written} axes: {out}")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pyspark.sql import DataFrame, SparkSession
     from pyspark.sql.streaming.query import StreamingQuery
 
-__all__ = ["SETTINGS", "SPARK", "Pacing", "states_of", "stream_files", "watched"]
+__all__ = ["SETTINGS", "SPARK", "Pacing", "check_states", "kind_of", "states_of", "stream_files", "watched"]
 
 _STORE = "spark.sql.streaming.stateStore"
 #: What the session of a stream needs.
@@ -173,8 +173,7 @@ def _wait(query: StreamingQuery) -> None:
 def states_of(checkpoint: Path, prepared_digest: str, master: str | None = None) -> States:
     """The states of all axes in the checkpoint of a stream, behind its last batch. Raises UsageError where there is
     none, or of another configuration."""
-    if not (checkpoint / SPARK / "state").is_dir():
-        raise UsageError(f"{checkpoint}: has no states yet; give the --checkpoint of a stream that has done a batch")
+    check_states(checkpoint)
     from pmfid.fleet.spark.processor import STATE
 
     with _said_into(checkpoint / LOG):
@@ -187,6 +186,12 @@ def states_of(checkpoint: Path, prepared_digest: str, master: str | None = None)
     except PySparkException as error:
         raise UsageError(problem_of(error)) from None
     return States.of({row[0]: bytes(row[1]) for row in rows}, prepared_digest)
+
+
+def check_states(checkpoint: Path) -> None:
+    """Raises UsageError where no stream has kept its states."""
+    if not (checkpoint / SPARK / "state").is_dir():
+        raise UsageError(f"{checkpoint}: has no states yet; give the --checkpoint of a stream that has done a batch")
 
 
 def problem_of(error: Exception) -> str:
