@@ -142,7 +142,7 @@ def _fleet(rng: Rng, folder: Path) -> Case:
     by = str(rng.choice(["t", "u", "counts", "machine", ""]))
     source = str(rng.choice([name, ".", "nowhere", "axis.toml"]))
     chosen = options(rng, 0.2, period=["day", "run", "shift", "10min", "1e9"], segment=["60", "5"], workers=["1", "2"])
-    chosen += [*options(rng, 0.1, engine=["local"], type=["u"]), *_flags(rng, 0.6, "--json")]
+    chosen += [*options(rng, 0.1, engine=["local"], master=["local[1]", "x"], type=["u"]), *_flags(rng, 0.6, "--json")]
     return Case(("fleet", "history", source, "--config", "axis.toml", "--axis", by, "--out", "out", *chosen), files)
 
 

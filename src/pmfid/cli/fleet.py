@@ -10,10 +10,11 @@ import click
 from pmfid.cli.options import JSON, config_option
 from pmfid.cli.output import print_json
 from pmfid.cli.progress import progress
-from pmfid.errors import NotIdentifiableError, printable
+from pmfid.errors import NotIdentifiableError, UsageError, printable
 
 if TYPE_CHECKING:
     from pmfid.fleet.history import History
+    from pmfid.fleet.local import Engine
 
 #: Axes that are printed.
 SHOWN = 30
@@ -33,7 +34,14 @@ def fleet() -> None:
 @click.option("--type", "kind", metavar="COLUMN", help="Column of the axes' type: spread is judged within one.")
 @click.option("--period", default="day", show_default=True, metavar="P", help="day, shift, run, or a duration: 10min.")
 @click.option(
-    "--engine", type=click.Choice(["local"]), default="local", show_default=True, help="Where the work is done."
+    "--engine",
+    type=click.Choice(["local", "spark"]),
+    default="local",
+    show_default=True,
+    help="Where the work is done.",
+)
+@click.option(
+    "--master", metavar="URL", envvar="SPARK_MASTER", help="Of Spark: local[4], spark://host:7077; or SPARK_MASTER."
 )
 @click.option("--workers", type=int, metavar="N", help="Threads; default: as many as there are processors.")
 @click.option("--segment", type=float, metavar="S", help="Length of one estimate [s], by which changes are found.")
@@ -52,6 +60,7 @@ def history(
     kind: str | None,
     period: str,
     engine: str,
+    master: str | None,
     workers: int | None,
     segment: float | None,
     out: Path,
@@ -66,13 +75,12 @@ def history(
     Exit code 0: a result; 2: wrong usage or unreadable input; 3: no axis can be identified.
     """
     from pmfid.fleet.history import estimate
-    from pmfid.fleet.local import Local
     from pmfid.report.fleet import write_fleet
 
     with progress(str(source), quiet=as_json) as tell:
         found = estimate(
-            source, axis=config, by=by, period=period, type=kind, engine=Local(workers), out=out, segment=segment,
-            progress=tell,
+            source, axis=config, by=by, period=period, type=kind, out=out, segment=segment,
+            engine=_engine(engine, master, workers), progress=tell,
         )  # fmt: skip
     write_fleet(out, found, source.name)
     if as_json:
@@ -83,6 +91,17 @@ def history(
         told = found.problems.filter(found.problems["code"] != "type")["text"]
         reason = next(iter(told), "too little motion for every parameter")
         raise NotIdentifiableError(f"no axis of {source} can be identified: {printable(reason)}")
+
+
+def _engine(name: str, master: str | None, workers: int | None) -> Engine:
+    from pmfid.fleet.local import Local
+    from pmfid.fleet.spark.engine import Spark
+
+    if name == Local.name:
+        return Local(workers)
+    if workers is not None:
+        raise UsageError("--workers is of the engine local; Spark takes what its master has: --master 'local[4]'")
+    return Spark(master)
 
 
 def _print(found: History, out: Path) -> None:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 #: Names of the columns of every frame that leaves this module.
 AXIS, TIME, INPUT, OUTPUT, MASK, TYPE = "axis", "time", "input", "output", "mask", "type"
+#: Name of a part that is no file.
+FRAME = "the frame"
 #: Where Delta Lake lists which of the files beside it count.
 DELTA = "_delta_log"
 _NANOSECOND = 1e-9
@@ -67,8 +69,8 @@ class Columns:
 
 @dataclass(frozen=True)
 class Part:
-    """One file, or one frame in memory. name: for people; stamp: changes with the content; constants: what the folders
-    around it say of all its rows."""
+    """One file, or one frame in memory. name: for people; stamp: changes with the content, empty: that of a frame;
+    constants: what the folders around it say of all its rows."""
 
     name: str
     stamp: str
@@ -118,6 +120,13 @@ def _cast(own: str, name: str, kind: pl.DataType, factor: float, value: pl.Expr 
     return (number if scale == 1 else number * scale).alias(own)
 
 
+def is_spark(source: object) -> bool:
+    """Whether it is a DataFrame of Spark, or of Spark Connect."""
+    import narwhals.stable.v2.dependencies as known
+
+    return bool(known.is_pyspark_dataframe(source) or known.is_pyspark_connect_dataframe(source))
+
+
 def parts_of(source: object, out: Path | None = None) -> list[Part]:
     """The parts of a file, of a folder with files in folders, or of a frame of pandas, Polars or Arrow, lazy or not.
     out: a folder whose files are results, where it lies in the other.
@@ -130,9 +139,9 @@ def parts_of(source: object, out: Path | None = None) -> list[Part]:
         return _files(Path(source), out)
     if isinstance(source, pl.LazyFrame):
         lazy = source
-        return [Part("the frame", "", lambda: lazy)]
+        return [Part(FRAME, "", lambda: lazy)]
     whole = pl.DataFrame(dict(table_of(source)))
-    return [Part("the frame", "", whole.lazy)]
+    return [Part(FRAME, "", whole.lazy)]
 
 
 def _files(source: Path, out: Path | None) -> list[Part]:
@@ -164,12 +173,15 @@ def _part(path: Path, root: Path) -> Part:
     inside, stat = path.relative_to(root), path.stat()
     pairs = (part.partition("=") for part in inside.parent.parts if "=" in part)
     constants = {unquote(key): unquote(value) for key, _, value in pairs}
-    return Part(inside.as_posix(), f"{stat.st_size}-{stat.st_mtime_ns}", lambda: _opened(path), constants)
+    there = path.absolute()  # of an executor that works elsewhere
+    return Part(inside.as_posix(), f"{stat.st_size}-{stat.st_mtime_ns}", lambda: _opened(there), constants)
 
 
 def _opened(path: Path) -> pl.LazyFrame:
     import polars as pl
 
+    if not path.exists():
+        raise UsageError(f"{path} is not there for the process that reads it; all that work need it under this name")
     kind = ENDINGS.get(path.suffix.lower(), path.suffix.lower())
     if kind == ".parquet":
         return pl.scan_parquet(path, hive_partitioning=False, glob=False)
