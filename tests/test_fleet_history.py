@@ -190,6 +190,20 @@ def test_a_second_call_does_what_is_new_alone(log: pl.DataFrame, config: Path, t
     assert not half.exists()
 
 
+@pytest.mark.parametrize("lazy", [False, True])
+def test_another_frame_is_not_taken_for_the_one_before(
+    log: pl.DataFrame, config: Path, tmp_path: Path, lazy: bool
+) -> None:
+    """A frame has no date that tells it from another of the same axes and times."""
+    few = log.head(SAMPLES // 4)
+    for factor, reused in ((1.0, 0), (1.0, 1), (0.5, 0)):
+        frame = few.with_columns(pl.col("u") * factor)
+        data = frame.lazy() if lazy else frame
+        found = fleet.estimate(data, axis=config, by="machine", out=tmp_path / "out")
+        assert found.reused == reused
+        assert found.periods["mass"][0] == pytest.approx(factor * 1.07, rel=0.2)
+
+
 def test_results_within_the_data_are_no_data(log: pl.DataFrame, config: Path, tmp_path: Path) -> None:
     log.head(SAMPLES).write_parquet(tmp_path / "data.parquet")
     for _ in range(2):

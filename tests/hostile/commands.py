@@ -146,7 +146,7 @@ def _fleet(rng: Rng, folder: Path) -> Case:
     if rng.random() < 0.3:
         return Case(_fleet_stream(rng, name), files)
     chosen = options(rng, 0.2, period=["day", "run", "shift", "10min", "1e9"], segment=["60", "5"], workers=["1", "2"])
-    chosen += [*options(rng, 0.1, engine=["local"], type=["u"]), *_flags(rng, 0.6, "--json")]
+    chosen += [*options(rng, 0.1, engine=["local"], master=["local[1]", "x"], type=["u"]), *_flags(rng, 0.6, "--json")]
     return Case(("fleet", "history", source, "--config", "axis.toml", "--axis", by, "--out", "out", *chosen), files)
 
 

@@ -12,10 +12,11 @@ from pmfid.cli.options import JSON, config_option
 from pmfid.cli.output import print_json
 from pmfid.cli.progress import progress
 from pmfid.cli.tables import print_bills
-from pmfid.errors import NotIdentifiableError, printable
+from pmfid.errors import NotIdentifiableError, UsageError, printable
 
 if TYPE_CHECKING:
     from pmfid.fleet.history import History
+    from pmfid.fleet.local import Engine
 
 #: Bytes of a GB, as machines are sold.
 GB = 1e9
@@ -41,7 +42,14 @@ fleet.add_command(state)
 @click.option("--type", "kind", metavar="COLUMN", help="Column of the axes' type: spread is judged within one.")
 @click.option("--period", default="day", show_default=True, metavar="P", help="day, shift, run, or a duration: 10min.")
 @click.option(
-    "--engine", type=click.Choice(["local"]), default="local", show_default=True, help="Where the work is done."
+    "--engine",
+    type=click.Choice(["local", "spark"]),
+    default="local",
+    show_default=True,
+    help="Where the work is done.",
+)
+@click.option(
+    "--master", metavar="URL", envvar="SPARK_MASTER", help="Of Spark: local[4], spark://host:7077; or SPARK_MASTER."
 )
 @click.option("--workers", type=int, metavar="N", help="Threads; default: as many as there are processors.")
 @click.option("--segment", type=float, metavar="S", help="Length of one estimate [s], by which changes are found.")
@@ -60,6 +68,7 @@ def history(
     kind: str | None,
     period: str,
     engine: str,
+    master: str | None,
     workers: int | None,
     segment: float | None,
     out: Path,
@@ -74,13 +83,12 @@ def history(
     Exit code 0: a result; 2: wrong usage or unreadable input; 3: no axis can be identified.
     """
     from pmfid.fleet.history import estimate
-    from pmfid.fleet.local import Local
     from pmfid.report.fleet import write_fleet
 
     with progress(str(source), quiet=as_json) as tell:
         found = estimate(
-            source, axis=config, by=by, period=period, type=kind, engine=Local(workers), out=out, segment=segment,
-            progress=tell,
+            source, axis=config, by=by, period=period, type=kind, out=out, segment=segment,
+            engine=_engine(engine, master, workers), progress=tell,
         )  # fmt: skip
     write_fleet(out, found, source.name)
     if as_json:
@@ -118,6 +126,17 @@ def cost(axes: int, rate: float, block: float, cores: int, memory: float, as_jso
     print_bills(bills, f"{axes} axes at {rate:g} Hz, machines of {cores} cores and {memory:g} GB")
     for line in said:
         click.echo(line)
+
+
+def _engine(name: str, master: str | None, workers: int | None) -> Engine:
+    from pmfid.fleet.local import Local
+    from pmfid.fleet.spark.engine import Spark
+
+    if name == Local.name:
+        return Local(workers)
+    if workers is not None:
+        raise UsageError("--workers is of the engine local; Spark takes what its master has: --master 'local[4]'")
+    return Spark(master)
 
 
 def _print(found: History, out: Path) -> None:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pmfid.fleet.local import Local as Local
     from pmfid.fleet.segments import Segments as Segments
     from pmfid.fleet.source import Columns as Columns
+    from pmfid.fleet.spark.engine import Spark as Spark
     from pmfid.fleet.work import Work as Work
 
 _PUBLIC = {
@@ -22,6 +23,7 @@ _PUBLIC = {
     "History": "history",
     "Local": "local",
     "Segments": "segments",
+    "Spark": "spark.engine",
     "Work": "work",
     "estimate": "history",
 }

@@ -92,6 +92,12 @@ class Aside:
                     if name not in self._laid:
                         self._laid[name] = self._lay(name)
 
+    def only(self, shards: Sequence[Shard]) -> None:
+        """The rows of no other shard will be asked for."""
+        wanted = set(shards)
+        for one in {shard for waiting in self._waiting.values() for shard in waiting} - wanted:
+            self.done(one)
+
     def done(self, shard: Shard) -> None:
         """Removes what this shard was the last to need."""
         for name in shard.parts:

@@ -5,26 +5,23 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError, printable
-from pmfid.fleet.aside import Aside, mixed
 from pmfid.fleet.choice import choose
+from pmfid.fleet.data import Data, Parts
+from pmfid.fleet.keep import Keep, Kept
 from pmfid.fleet.local import Engine, Local
 from pmfid.fleet.outcome import Outcome, outcome_of
 from pmfid.fleet.periods import Periods
 from pmfid.fleet.plan import Shard, shards_of, slice_length
-from pmfid.fleet.segments import Segments
 from pmfid.fleet.settings import Chosen, make_settings
-from pmfid.fleet.source import AXIS, TYPE, Columns, Part, parts_of
+from pmfid.fleet.source import AXIS, TYPE, Columns, is_spark, parts_of
 from pmfid.fleet.store import Store, digest, whole
-from pmfid.fleet.survey import Problem, Survey, joined, surveyed
 from pmfid.fleet.verdicts import UNKNOWN
-from pmfid.fleet.work import Work, check_columns, samples_of
+from pmfid.fleet.work import Work
 from pmfid.session.config import Axis, load_axis
 
 if TYPE_CHECKING:
@@ -102,6 +99,20 @@ class History:
         }
 
 
+def data_of(data: object, columns: Columns, engine: Engine | None, out: Path | None) -> Data:
+    """Where the rows are. Raises UsageError for an engine that cannot go there."""
+    if is_spark(data):
+        from pmfid.fleet.spark.frame import SparkRows
+
+        return SparkRows(data, columns, engine)
+    if engine is not None and engine.name != Local.name and not isinstance(data, str | Path):
+        raise UsageError(
+            f"a frame in memory stays on this machine, and the engine {engine.name} would send it elsewhere: leave out "
+            "the engine, or give a folder of files or a Spark DataFrame"
+        )
+    return Parts(parts_of(data, out), columns, engine or Local())
+
+
 def _plain(row: Mapping[str, object]) -> dict[str, object]:
     """Numbers that JSON knows."""
     return {key: None if isinstance(value, float) and value - value != 0 else value for key, value in row.items()}
@@ -123,12 +134,13 @@ def estimate(
     """Estimates of every axis and period of a data set, and which axes need attention.
 
     data: a folder of Parquet or Arrow files, partitioned in any way, a file of any format, or a frame of pandas, Polars
-    (lazy, too) or Arrow; in it a row for each sample of each axis, in any order. axis: an AXIS.toml or its path, which
-    names the columns of time, input and counts, and what all axes have in common; by: the column, or the key of the
-    folders, that tells the axes. period: "day", "shift", "run" or a duration, "10min". type: the column of the axes'
-    type: spread is judged within one. engine: None: this machine, `Local()`. out: a folder where what is done is kept:
-    a second call does what is new or changed alone. segment: [s] of one estimate, by which changes are found; None:
-    60 s, or by [estimator] forgetting. tolerance: relative deviation that is none; None: that of [monitor].
+    (lazy, too), Arrow or Spark; in it a row for each sample of each axis, in any order. axis: an AXIS.toml or its path,
+    which names the columns of time, input and counts, and what all axes have in common; by: the column, or the key of
+    the folders, that tells the axes. period: "day", "shift", "run" or a duration, "10min". type: the column of the
+    axes' type: spread is judged within one. engine: None: this machine, `Local()`; of a Spark DataFrame, its session.
+    out: a folder where what is done is kept: a second call does what is new or changed alone. segment: [s] of one
+    estimate, by which changes are found; None: 60 s, or by [estimator] forgetting. tolerance: relative deviation that
+    is none; None: that of [monitor].
 
     Axes, times and files that cannot be used are among the `problems` and the findings of the periods; the rest is
     done. Raises UsageError where nothing can be: for other columns, methods that are not recursive, no moving axis.
@@ -136,10 +148,10 @@ def estimate(
     own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
     columns, periods = Columns.of(own, by, type), Periods.of(period)
     tolerance = own.monitor.tolerance if tolerance is None else tolerance
-    parts = parts_of(data, None if out is None else Path(out))
+    there = data_of(data, columns, engine, None if out is None else Path(out))
     store = None if out is None else Store(Path(out))
     tell = progress or (lambda done: None)
-    run = _Run(own, columns, parts, store, engine or Local(), tell)
+    run = _Run(own, columns, there, store, tell)
     found = run.outcome(periods, segment, tolerance)
     if out is not None:
         for name in ("periods", "axes", "problems"):
@@ -151,66 +163,45 @@ def estimate(
 class _Run:
     """One call: what is surveyed and planned, and where it is kept."""
 
-    def __init__(
-        self, axis: Axis, columns: Columns, parts: Sequence[Part], store: Store | None, engine: Engine, tell: Progress
-    ) -> None:
-        self.axis, self.columns, self.store, self.engine, self.tell = axis, columns, store, engine, tell
-        self.parts = {part.name: part for part in parts}
-        self.keys: list[str] = []
-        self.survey = joined(list(engine.map(self._surveyed, parts)))
-        check_columns(columns, parts, self.survey.rows.height)
-
-    def _surveyed(self, part: Part) -> Survey:
-        key = digest("survey", part.name, part.stamp, self.columns)
-        return self._kept(key, partial(_unpacked, surveyed, part, self.columns))
-
-    def _kept(self, key: str, make: Callable[[], tuple[pl.DataFrame, tuple[Problem, ...]]]) -> Survey:
-        if self.store is None:
-            return Survey(*make())
-        self.keys.append(key)
-        return self.store.table(key, make)
+    def __init__(self, axis: Axis, columns: Columns, data: Data, store: Store | None, tell: Progress) -> None:
+        self.axis, self.columns, self.data, self.store, self.tell = axis, columns, data, store, tell
+        self.keep = Keep(store)
+        self.survey = data.survey(self.keep)
 
     def outcome(self, periods: Periods, segment: float | None, tolerance: float) -> History:
         """All of it."""
         length = slice_length(self.survey.rows, periods.length)
         shards = shards_of(self.survey.rows, length)
-        with self._aside(shards, length) as aside:
-            return self._outcome(shards, length, periods, segment, tolerance, aside)
+        folder = None if self.store is None else self.store.folder
+        with self.data.prepared(shards, self.survey, length, folder):
+            return self._outcome(shards, length, periods, segment, tolerance)
 
     def _outcome(
-        self,
-        shards: Sequence[Shard],
-        length: float,
-        periods: Periods,
-        segment: float | None,
-        tolerance: float,
-        aside: Aside | None,
+        self, shards: Sequence[Shard], length: float, periods: Periods, segment: float | None, tolerance: float
     ) -> History:
-        chosen = self._chosen(shards, length, aside)
+        chosen = self._chosen(shards, length)
         most = min(length / 2, periods.length or length)
         settings = make_settings(self.axis, chosen, most, segment)
         work = Work(settings, self.columns, length)
-        before = 0 if self.store is None else self.store.reused
-        names = settings.estimator.names
-        signature = str((self.axis.model_dump(), chosen, settings.segment, length))
-        solved = self._solved(shards, work, signature, aside)
-        reused = 0 if self.store is None else self.store.reused - before
+        before, names = self.keep.reused, settings.estimator.names
+        solved = self._solved(shards, work, str((self.axis.model_dump(), chosen, settings.segment, length)))
         problems = [*self.survey.problems, *(problem for one in solved for problem in one.problems)]
         groups = self._groups(shards, solved)
         found: Outcome = outcome_of(groups, self._types(), problems, names, periods, settings.segment, tolerance)
         if self.store is not None:
-            self.store.keep(self.keys)
+            self.store.keep(self.keep.keys)
         units = settings.estimator.units
-        facts = (found.samples, settings.segment, periods.name, len(shards), reused, self.engine.name)
+        reused = self.keep.reused - before
+        facts = (found.samples, settings.segment, periods.name, len(shards), reused, self.data.engine)
         return History(found.periods, found.axes, found.problems, names, units, *facts)
 
-    def _chosen(self, shards: Sequence[Shard], length: float, aside: Aside | None) -> Chosen:
+    def _chosen(self, shards: Sequence[Shard], length: float) -> Chosen:
         """From the first moving axis; once it is kept, that, so that new data change nothing of the old."""
-        tables = samples_of(shards, self.parts, self.columns, length, aside)
+        tables = self.data.tables(shards, length)
         if self.store is None:
             return choose(self.axis, tables)
         key = digest("chosen", self.axis.model_dump(), self.columns)
-        self.keys.append(key)
+        self.keep.keys.append(key)
         path = self.store.path(key).with_suffix(".json")
         try:
             raw = json.loads(path.read_text(encoding="utf-8"))
@@ -221,34 +212,21 @@ class _Run:
         whole(path, lambda part: part.write_text(json.dumps(asdict(chosen)), encoding="utf-8"))
         return chosen
 
-    def _aside(self, shards: Sequence[Shard], length: float) -> AbstractContextManager[Aside | None]:
-        """Where the rows of files that mix their axes are put; an engine of many machines shuffles them itself."""
-        names = mixed(self.survey.rows, shards) if isinstance(self.engine, Local) else set()
-        if not names:
-            return nullcontext()
-        folder = None if self.store is None else self.store.folder
-        return closing(Aside({name: self.parts[name] for name in names}, shards, self.columns, length, folder))
-
-    def _solved(self, shards: Sequence[Shard], work: Work, signature: str, aside: Aside | None) -> list[_Solved]:
+    def _solved(self, shards: Sequence[Shard], work: Work, signature: str) -> list[Kept]:
         """Of every shard, in their order; the rows stay on the disk where there is a folder."""
-        found, done, rows = list[_Solved](), 0, sum(shard.rows for shard in shards)
-        solve = partial(self._solve, work, signature, aside)
-        for shard, one in zip(shards, self.engine.map(solve, shards), strict=True):
+        found, done, rows = list[Kept](), 0, sum(shard.rows for shard in shards)
+        keys = [
+            digest("segments", signature, one.axes, one.first, one.last, self.data.stamp(one, work.length))
+            for one in shards
+        ]
+        kept = self.keep.through(keys, lambda missing: self.data.segments(work, [shards[k] for k in missing]))
+        for shard, one in zip(shards, kept, strict=True):
             found.append(one)
             done += shard.rows
             self.tell(done / max(rows, 1))
         return found
 
-    def _solve(self, work: Work, signature: str, aside: Aside | None, shard: Shard) -> _Solved:
-        stamps = [(name, self.parts[name].stamp) for name in shard.parts]
-        key = digest("segments", signature, shard.axes, shard.first, shard.last, stamps)
-        kept = self._kept(key, partial(_unpacked, work.shard, shard, self.parts, aside))
-        if aside is not None:
-            aside.done(shard)
-        path = None if self.store is None else self.store.path(key)
-        return _Solved(kept.rows if path is None else None, path, kept.problems)
-
-    def _groups(self, shards: Sequence[Shard], solved: Sequence[_Solved]) -> Iterator[pl.DataFrame]:
+    def _groups(self, shards: Sequence[Shard], solved: Sequence[Kept]) -> Iterator[pl.DataFrame]:
         """The segments of some axes at a time, in the order of axes and time."""
         import polars as pl
 
@@ -268,27 +246,3 @@ class _Run:
         import polars as pl
 
         return dict(self.survey.rows.group_by(AXIS).agg(pl.col(TYPE).min()).sort(AXIS).iter_rows())
-
-
-@dataclass(frozen=True)
-class _Solved:
-    """Segments of a shard, here or on the disk."""
-
-    here: pl.DataFrame | None
-    path: Path | None
-    problems: tuple[Problem, ...]
-
-    def rows(self) -> pl.DataFrame:
-        import polars as pl
-
-        if self.here is not None:
-            return self.here
-        if self.path is None:
-            raise UsageError("the segments are gone; run it again")
-        return pl.read_parquet(self.path, hive_partitioning=False)
-
-
-def _unpacked(make: Callable[..., Survey | Segments], *arguments: object) -> tuple[pl.DataFrame, tuple[Problem, ...]]:
-    """Rows and problems of either."""
-    found = make(*arguments)
-    return found.rows, found.problems

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 #: Names of the columns of every frame that leaves this module.
 AXIS, TIME, INPUT, OUTPUT, MASK, TYPE = "axis", "time", "input", "output", "mask", "type"
+#: Name of a part that is no file.
+FRAME = "the frame"
 _NANOSECOND = 1e-9
 #: Of a period [s].
 SHORTEST, LONGEST = 1.0, 1e9
@@ -66,8 +68,9 @@ class Columns:
 
 @dataclass(frozen=True)
 class Part:
-    """One file, or one frame in memory. name: for people; stamp: changes with the content; constants: what the folders
-    around it say of all its rows; stamp_now: the stamp as it is by now, None: of what cannot change."""
+    """One file, or one frame in memory. name: for people; stamp: changes with the content, empty: of a frame;
+    constants: what the folders around it say of all its rows; stamp_now: the stamp as it is by now, None: of what
+    cannot change."""
 
     name: str
     stamp: str
@@ -133,6 +136,13 @@ def _name(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
     return pl.when(text != "").then(text)
 
 
+def is_spark(source: object) -> bool:
+    """Whether it is a DataFrame of Spark, or of Spark Connect."""
+    import narwhals.stable.v2.dependencies as known
+
+    return bool(known.is_pyspark_dataframe(source) or known.is_pyspark_connect_dataframe(source))
+
+
 def parts_of(source: object, out: Path | None = None) -> list[Part]:
     """The parts of a file, of a folder with files in folders, or of a frame of pandas, Polars or Arrow, lazy or not.
     out: a folder whose files are results, where it lies in the other.
@@ -145,9 +155,9 @@ def parts_of(source: object, out: Path | None = None) -> list[Part]:
         return _files(Path(source), out)
     if isinstance(source, pl.LazyFrame):
         lazy = source
-        return [Part("the frame", "", lambda: lazy)]
+        return [Part(FRAME, "", lambda: lazy)]
     whole = pl.DataFrame(dict(table_of(source)))
-    return [Part("the frame", "", whole.lazy)]
+    return [Part(FRAME, "", whole.lazy)]
 
 
 def _files(source: Path, out: Path | None) -> list[Part]:
@@ -178,7 +188,8 @@ def _part(path: Path, root: Path, said: Mapping[str, str] | None = None) -> Part
     inside, stamp = path.relative_to(root), _stamp(path)
     pairs = (part.partition("=") for part in inside.parent.parts if "=" in part)
     constants = {unquote(key): unquote(value) for key, _, value in pairs}
-    return Part(inside.as_posix(), stamp, lambda: _opened(path), constants | dict(said or {}), lambda: _stamp(path))
+    there = path.absolute()  # of an executor that works elsewhere
+    return Part(inside.as_posix(), stamp, lambda: _opened(there), constants | dict(said or {}), lambda: _stamp(there))
 
 
 def _stamp(path: Path) -> str:
@@ -193,6 +204,8 @@ def _stamp(path: Path) -> str:
 def _opened(path: Path) -> pl.LazyFrame:
     import polars as pl
 
+    if not path.exists():
+        raise UsageError(f"{path} is not there for the process that reads it; all that work need it under this name")
     kind = ENDINGS.get(path.suffix.lower(), path.suffix.lower())
     if kind == ".parquet":
         return pl.scan_parquet(path, hive_partitioning=False, glob=False)

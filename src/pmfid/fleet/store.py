@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
@@ -31,12 +31,11 @@ def digest(*parts: object) -> str:
 
 
 class Store:
-    """A table and its problems for each key; folder: where they are; reused: how many were there already. Raises
-    UsageError where the folder is a file or holds something else."""
+    """A table and its problems for each key; folder: where they are. Raises UsageError where the folder is a file or
+    holds something else."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder / "work"
-        self.reused = 0
         if folder.exists() and not folder.is_dir():
             raise UsageError(f"{folder}: is a file; give a folder for the history")
         strangers = [path.name for path in folder.iterdir() if path.name not in OWN] if folder.is_dir() else []
@@ -46,22 +45,26 @@ class Store:
         for left in self.folder.glob(f"{ASIDE}*"):  # by a call that was killed
             remove(left)
 
-    def table(self, key: str, make: Callable[[], tuple[pl.DataFrame, tuple[Problem, ...]]]) -> Survey:
-        """What lies under a key, made if it does not yet. Raises UsageError where the disk is full."""
+    def get(self, key: str) -> Survey | None:
+        """What lies under a key; None: nothing, or nothing that this version writes."""
         import polars as pl
 
-        rows, told = self.path(key), self.folder / f"{key}.json"
         try:
-            problems = tuple(Problem(**raw) for raw in json.loads(told.read_text(encoding="utf-8")))
-            found = Survey(pl.read_parquet(rows, hive_partitioning=False), problems)
-            self.reused += 1
-            return found
-        except Exception:  # not there, or not what this version writes: made anew
-            pass
-        frame, problems = make()
-        whole(told, lambda path: path.write_text(json.dumps([asdict(one) for one in problems]), encoding="utf-8"))
-        whole(rows, lambda path: frame.write_parquet(path))
-        return Survey(frame, problems)
+            told = json.loads(self._told(key).read_text(encoding="utf-8"))
+            return Survey(
+                pl.read_parquet(self.path(key), hive_partitioning=False), tuple(Problem(**raw) for raw in told)
+            )
+        except Exception:  # not there, or damaged: made anew
+            return None
+
+    def put(self, key: str, rows: pl.DataFrame, problems: Sequence[Problem]) -> None:
+        """Lays a table and its problems down. Raises UsageError where the disk is full."""
+        text = json.dumps([asdict(one) for one in problems])
+        whole(self._told(key), lambda path: path.write_text(text, encoding="utf-8"))
+        whole(self.path(key), lambda path: rows.write_parquet(path))
+
+    def _told(self, key: str) -> Path:
+        return self.folder / f"{key}.json"
 
     def path(self, key: str) -> Path:
         """Where the table lies."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
-from pmfid.fleet.source import AXIS, TIME, TYPE, Columns, Part
+from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, TYPE, Columns, Part
 from pmfid.session.formats.safety import readable
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 #: [s].
 DAY = 86_400.0
-PART, ROWS, FIRST, LAST, EXTENT = "part", "rows", "first", "last", "extent"
+PART, ROWS, LOST, FIRST, LAST, EXTENT = "part", "rows", "lost", "first", "last", "extent"
 _PLACE = "place in the part"
 
 
@@ -48,34 +48,70 @@ def surveyed(part: Part, columns: Columns) -> Survey:
     """What one part has; a part that cannot be read has no rows and a problem."""
     import polars as pl
 
+    extent = (pl.col(_PLACE).max() - pl.col(_PLACE).min() + 1).cast(pl.Int64).alias(EXTENT)
     try:
         with readable("data"):
-            frame = part.rows(columns).with_row_index(_PLACE)
-            known = pl.col(AXIS).is_not_null() & pl.col(TIME).is_finite()
-            kind = pl.col(TYPE).min() if columns.type else pl.lit("")
-            found = (
-                frame.group_by(AXIS, (pl.col(TIME) / DAY).floor().alias("day"))
-                .agg(
-                    known.sum().cast(pl.Int64).alias(ROWS),
-                    (~known | known.is_null()).sum().cast(pl.Int64).alias("lost"),
-                    pl.col(TIME).filter(pl.col(TIME).is_finite()).min().alias(FIRST),
-                    pl.col(TIME).filter(pl.col(TIME).is_finite()).max().alias(LAST),
-                    kind.fill_null("").alias(TYPE),
-                    (pl.col(_PLACE).max() - pl.col(_PLACE).min() + 1).cast(pl.Int64).alias(EXTENT),
-                )
-                .sort(AXIS, "day", nulls_last=True)
-                .collect(engine="streaming")
-            )
-            odd = [Problem("", part.name, "type", text) for text in part.other_types(columns)]
+            rows = counted(part.rows(columns).with_row_index(_PLACE), columns, extent)
+            found = rows.sort(AXIS, "day", nulls_last=True).collect(engine="streaming")
+            odd = part.other_types(columns)
     except UsageError as error:
         return Survey(_empty(), (Problem("", part.name, "unreadable", " ".join(str(error).split())),))
+    return survey_of(part.name, found, odd)
+
+
+def counted(rows: pl.LazyFrame, columns: Columns, *more: pl.Expr) -> pl.LazyFrame:
+    """How many rows each axis has on each day, how many of them are lost, the first and last time, the type, and what
+    more is asked for; rows: of `Part.rows`."""
+    import polars as pl
+
+    known = pl.col(AXIS).is_not_null() & pl.col(TIME).is_finite()
+    kind = pl.col(TYPE).min() if columns.type else pl.lit("")
+    return rows.group_by(AXIS, (pl.col(TIME) / DAY).floor().alias("day")).agg(
+        known.sum().cast(pl.Int64).alias(ROWS),
+        (~known | known.is_null()).sum().cast(pl.Int64).alias(LOST),
+        pl.col(TIME).filter(pl.col(TIME).is_finite()).min().alias(FIRST),
+        pl.col(TIME).filter(pl.col(TIME).is_finite()).max().alias(LAST),
+        kind.fill_null("").alias(TYPE),
+        *more,
+    )
+
+
+def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str]) -> Survey:
+    """Of what was counted in the part of this name, where it has no order without how far each axis reaches; odd: what
+    is odd of its columns."""
+    import polars as pl
+
+    problems = [Problem("", name, "type", text) for text in odd]
     if not found.height:
-        odd.append(Problem("", part.name, "empty", "it has no rows"))
-    lost = int(found["lost"].sum())
+        problems.append(Problem("", name, "empty", "it has no rows"))
+    if EXTENT not in found.columns:
+        found = found.with_columns(pl.col(ROWS).alias(EXTENT))
+    lost = int(found[LOST].sum())
     if lost:
-        odd.append(Problem("", part.name, "rows_lost", f"{lost} rows have no axis, or no number for a time: left out"))
-    found = found.filter(pl.col(AXIS).is_not_null() & (pl.col(ROWS) > 0)).drop("lost")
-    return Survey(found.select(pl.lit(part.name).alias(PART), AXIS, ROWS, FIRST, LAST, TYPE, EXTENT), tuple(odd))
+        problems.append(Problem("", name, "rows_lost", f"{lost} rows have no axis, or no number for a time: left out"))
+    found = found.filter(pl.col(AXIS).is_not_null() & (pl.col(ROWS) > 0))
+    return Survey(found.select(pl.lit(name).alias(PART), AXIS, ROWS, FIRST, LAST, TYPE, EXTENT), tuple(problems))
+
+
+def mixture(columns: Columns) -> pl.Expr:
+    """A number for each row of `Part.rows`, whose sum over rows changes with what stands in them, not with their
+    order; 32 bits, so that a sum of rows stays whole."""
+    import polars as pl
+
+    names = [AXIS, TIME, INPUT, OUTPUT, *([MASK] if columns.mask else []), *([TYPE] if columns.type else [])]
+    return (pl.struct(names).hash() // 2**32).cast(pl.Int64)
+
+
+def content(part: Part, columns: Columns) -> str:
+    """The stamp of a part that has no date: of all its rows. Empty where it cannot be read."""
+    import polars as pl
+
+    try:
+        with readable("data"):
+            found = part.rows(columns).select(pl.len(), mixture(columns).sum().alias("sum")).collect(engine="streaming")
+    except UsageError:
+        return ""
+    return f"{found.item(0, 0)}-{found.item(0, 1)}"
 
 
 def joined(surveys: Sequence[Survey]) -> Survey:

@@ -15,6 +15,7 @@ from pmfid.fleet.rows import Piece, pieces_of, read_rows, rows_of
 from pmfid.fleet.segments import Segments, solve
 from pmfid.fleet.settings import Settings
 from pmfid.fleet.source import Columns, Part
+from pmfid.fleet.survey import Survey
 from pmfid.session.tables import Table
 
 if TYPE_CHECKING:
@@ -57,16 +58,33 @@ def samples_of(
             slices[piece.axis][math.floor(piece.start / length)].append(piece)
         for axis in sorted(slices)[:TRIED]:
             first = slices[axis][min(slices[axis])]
-            yield max(first, key=lambda piece: len(piece.table[columns.time])).table  # type: ignore[arg-type]
+            yield longest(first, columns)
 
 
-def check_columns(columns: Columns, parts: Sequence[Part], found: int) -> None:
+def first_table(frame: pl.DataFrame, columns: Columns, length: float) -> Table | None:
+    """That of the rows of one axis which an engine has brought together; None: there is no piece."""
+    rows, _ = rows_of(frame, columns)
+    pieces = list(pieces_of(rows, columns, length))
+    return (
+        longest([one for one in pieces if one.start // length == pieces[0].start // length], columns)
+        if pieces
+        else None
+    )
+
+
+def longest(pieces: Sequence[Piece], columns: Columns) -> Table:
+    """The table of the longest piece."""
+    return max(pieces, key=lambda piece: len(piece.table[columns.time])).table  # type: ignore[arg-type]
+
+
+def check_columns(columns: Columns, parts: Sequence[Part], found: Survey) -> None:
     """Raises UsageError where no part has rows with the columns that are named."""
-    if found:
+    if found.rows.height:
         return
     for part in parts[:1]:
         try:
             part.rows(columns)
         except UsageError as error:
             raise UsageError(f"{part.name}: {error}") from None
-    raise UsageError("no file of the data set could be read; see the problems of each: run pmfid check on one")
+    told = next((f": {one.part}: {one.text}" for one in found.problems if one.code == "unreadable"), "")
+    raise UsageError(f"no file of the data set could be read{told}; run pmfid check on one")

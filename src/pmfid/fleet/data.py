@@ -1,0 +1,123 @@
+"""Where the rows of a history are, and what is asked of them there: files and frames, whose parts an engine takes; a
+Spark DataFrame answers for itself (`spark.frame`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from pmfid.fleet.aside import Aside, mixed
+from pmfid.fleet.keep import Keep
+from pmfid.fleet.local import Engine, Local
+from pmfid.fleet.plan import Shard
+from pmfid.fleet.segments import Segments
+from pmfid.fleet.source import Columns, Part
+from pmfid.fleet.store import digest
+from pmfid.fleet.survey import Survey, content, joined, surveyed
+from pmfid.fleet.work import Work, check_columns, samples_of
+from pmfid.session.tables import Table
+
+
+class Data(Protocol):
+    """The rows of a fleet, wherever they are."""
+
+    @property
+    def engine(self) -> str:
+        """Name of what does the work."""
+        ...
+
+    def survey(self, keep: Keep) -> Survey:
+        """Which axes there are, and when; called first. Raises UsageError where nothing can be read."""
+        ...
+
+    def prepared(
+        self, shards: Sequence[Shard], survey: Survey, length: float, folder: Path | None
+    ) -> AbstractContextManager[None]:
+        """Around all that is asked of these shards, those of the survey; length: of a slice [s]; folder: where rows may
+        lie meanwhile, None: that for temporary files."""
+        ...
+
+    def stamp(self, shard: Shard, length: float) -> object:
+        """Changes with the rows of a shard; length: of a slice [s]."""
+        ...
+
+    def tables(self, shards: Sequence[Shard], length: float) -> Iterator[Table]:
+        """The longest piece of the first slice that has any, of the first axes; length: of a slice [s]."""
+        ...
+
+    def segments(self, work: Work, shards: Sequence[Shard]) -> Iterator[Segments]:
+        """Of each shard, in their order."""
+        ...
+
+
+class Parts:
+    """Files, or frames in memory, each a part."""
+
+    def __init__(self, parts: Sequence[Part], columns: Columns, engine: Engine) -> None:
+        self._parts = {part.name: part for part in parts}
+        self._columns, self._engine = columns, engine
+        self._aside: Aside | None = None
+
+    @property
+    def engine(self) -> str:
+        """Name of what does the work."""
+        return self._engine.name
+
+    def survey(self, keep: Keep) -> Survey:
+        """Of all parts; those that cannot be read are problems. Raises UsageError where none can."""
+        if keep.lasting:
+            self._parts = {name: self._stamped(part) for name, part in self._parts.items()}
+        parts = list(self._parts.values())
+        keys = [digest("survey", part.name, part.stamp, self._columns) for part in parts]
+        work = partial(_surveyed, self._columns)
+        kept = keep.through(keys, lambda missing: self._engine.map(work, [parts[k] for k in missing]), here=True)
+        found = joined([Survey(one.rows(), one.problems) for one in kept])
+        check_columns(self._columns, parts, found)
+        return found
+
+    def _stamped(self, part: Part) -> Part:
+        """A frame has no date: its stamp is what stands in it."""
+        return part if part.stamp else replace(part, stamp=content(part, self._columns))
+
+    @contextmanager
+    def prepared(self, shards: Sequence[Shard], survey: Survey, length: float, folder: Path | None) -> Iterator[None]:
+        """Files that mix their axes are put aside; an engine of many machines shuffles them itself."""
+        names = mixed(survey.rows, shards) if isinstance(self._engine, Local) else set()
+        if not names:
+            yield
+            return
+        parts = {name: self._parts[name] for name in names}
+        with closing(Aside(parts, shards, self._columns, length, folder)) as self._aside:
+            yield
+        self._aside = None
+
+    def stamp(self, shard: Shard, length: float) -> object:
+        """Of the parts that have its rows."""
+        return [(name, self._parts[name].stamp) for name in shard.parts]
+
+    def tables(self, shards: Sequence[Shard], length: float) -> Iterator[Table]:
+        """Read here, one by one."""
+        return samples_of(shards, self._parts, self._columns, length, self._aside)
+
+    def segments(self, work: Work, shards: Sequence[Shard]) -> Iterator[Segments]:
+        """By the engine; no others will be asked for."""
+        items = [(shard, {name: self._parts[name] for name in shard.parts}) for shard in shards]
+        if self._aside is not None:
+            self._aside.only(shards)
+        return self._engine.map(partial(_solved, work, self._aside), items)
+
+
+def _surveyed(columns: Columns, part: Part) -> Survey:
+    return surveyed(part, columns)
+
+
+def _solved(work: Work, aside: Aside | None, item: tuple[Shard, dict[str, Part]]) -> Segments:
+    shard, parts = item
+    found = work.shard(shard, parts, aside)
+    if aside is not None:
+        aside.done(shard)
+    return found

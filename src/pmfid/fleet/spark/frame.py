@@ -1,0 +1,215 @@
+"""The rows of a Spark DataFrame: surveyed where they are, then brought together, a shard in a partition, by Arrow."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from functools import cached_property, partial
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from pmfid import __version__
+from pmfid.errors import UsageError
+from pmfid.fleet.keep import Keep
+from pmfid.fleet.local import Engine
+from pmfid.fleet.plan import Shard
+from pmfid.fleet.segments import Segments
+from pmfid.fleet.source import AXIS, FRAME, INPUT, MASK, OUTPUT, TIME, TYPE, Columns, Part
+from pmfid.fleet.spark.engine import Spark
+from pmfid.fleet.spark.plan import Plan, carried, jobs_of
+from pmfid.fleet.spark.tasks import NUMBER, RETURNED, answered, arrow_of, collected, merged, returned
+from pmfid.fleet.survey import FIRST, LAST, LOST, ROWS, Survey, counted, mixture, survey_of
+from pmfid.fleet.work import TRIED, Work, check_columns, first_table
+from pmfid.session.tables import Table
+
+if TYPE_CHECKING:
+    import polars as pl
+    import pyarrow as pa
+    from pyspark.sql import Column, DataFrame
+
+#: Sum of what stands in the rows of an axis on a day.
+MIXED = "mixed"
+_DAY = "day"
+
+
+class SparkRows:
+    """A DataFrame whose rows stay in Spark; engine: None or Spark. Raises UsageError for another."""
+
+    def __init__(self, frame: object, columns: Columns, engine: Engine | None) -> None:
+        if engine is not None and not isinstance(engine, Spark):
+            raise UsageError(
+                f"a Spark DataFrame is estimated where it is, not by the engine {engine.name}: leave out the engine, "
+                "or give frame.toArrow() if it fits this machine's memory"
+            )
+        self._whole, self._columns = cast("DataFrame", frame), columns
+        mask, kind = (MASK if columns.mask else None), (TYPE if columns.type else None)
+        self._own = Columns(AXIS, TIME, INPUT, OUTPUT, mask, kind, columns.factor)
+
+    @property
+    def engine(self) -> str:
+        """Name of what does the work."""
+        return Spark.name
+
+    def survey(self, keep: Keep) -> Survey:
+        """In one pass, nothing kept: the stamps come from it. Raises UsageError for columns that are not there."""
+        try:
+            odd = self._part.other_types(self._columns)
+            self._part.rows(self._columns)
+        except UsageError as error:
+            raise UsageError(f"the DataFrame: {error}") from None
+        found = survey_of(FRAME, self._counts, odd)
+        check_columns(self._columns, [self._part], found)
+        return found
+
+    def prepared(
+        self, shards: Sequence[Shard], survey: Survey, length: float, folder: Path | None
+    ) -> AbstractContextManager[None]:
+        """Nothing is to be done."""
+        return nullcontext()
+
+    def stamp(self, shard: Shard, length: float) -> object:
+        """What stands in the days of its axes."""
+        low, high = shard.first * length, shard.last * length
+        days = [day for axis in shard.axes for day in self._days.get(axis, ())]
+        return [day for day in days if day[0] < high and day[1] >= low]
+
+    def tables(self, shards: Sequence[Shard], length: float) -> Iterator[Table]:
+        """Shard by shard, as they are asked for."""
+        for shard in shards[:TRIED]:
+            yield from islice(self._first_tables(shard, length), TRIED)
+
+    def _first_tables(self, shard: Shard, length: float) -> Iterator[Table]:
+        """Of its axes that have any, some at a time."""
+        axes, work = sorted(shard.axes), partial(first_table, columns=self._columns, length=length)
+        for start in range(0, len(axes), TRIED):
+            some = [Shard((axis,), shard.first, shard.last, shard.parts, 0) for axis in axes[start : start + TRIED]]
+            yield from (cast(Table, found) for found in self._brought(some, length, work) if found is not None)
+
+    def segments(self, work: Work, shards: Sequence[Shard]) -> Iterator[Segments]:
+        """Some blocks of time a job, each reading its times alone where the files are in their order."""
+        for job in jobs_of(shards):
+            yield from (cast(Segments, found) for found in self._brought(job, work.length, work.frame))
+
+    @cached_property
+    def _days(self) -> dict[str, list[tuple[float, float, int, int]]]:
+        """First and last time [s], number of rows and what stands in them, of each day of each axis."""
+        found = defaultdict(list)
+        for axis, *day in self._counts.drop_nulls([AXIS, FIRST]).select(AXIS, FIRST, LAST, ROWS, MIXED).iter_rows():
+            found[axis].append(tuple(day))
+        return dict(found)
+
+    @cached_property
+    def _frame(self) -> DataFrame:
+        """The columns that are needed, under their own names: Spark takes a dot in a name for something else."""
+        from pyspark.sql import functions as sql
+
+        return self._whole.select([sql.col(_quoted(name)).alias(own) for own, name in self._columns.named.items()])
+
+    @cached_property
+    def _part(self) -> Part:
+        """Its columns without rows."""
+        import polars as pl
+
+        nothing = cast(pl.DataFrame, pl.from_arrow(arrow_of(self._whole.limit(0))))
+        return Part(FRAME, "", nothing.lazy)
+
+    @cached_property
+    def _counts(self) -> pl.DataFrame:
+        """Of each axis and day."""
+        import polars as pl
+        from pyspark.sql import functions as sql
+
+        kinds = f"{AXIS} string, {_DAY} double, {ROWS} long, {LOST} long, {FIRST} double, {LAST} double, "
+        partly = self._frame.mapInArrow(_counter(self._own), f"{kinds}{TYPE} string, {MIXED} long")
+        sums = [sql.sum(name).alias(name) for name in (ROWS, LOST, MIXED)]
+        ends = [sql.min(FIRST).alias(FIRST), sql.max(LAST).alias(LAST), sql.min(TYPE).alias(TYPE)]
+        found = pl.from_arrow(arrow_of(partly.groupBy(AXIS, _DAY).agg(*sums, *ends)))
+        return cast(pl.DataFrame, found).sort(AXIS, _DAY, nulls_last=True)
+
+    def _brought(self, shards: Sequence[Shard], length: float, work: Callable[[pl.DataFrame], object]) -> list[object]:
+        """What work finds in the rows of each shard; all of a shard are together, in any order."""
+        if not shards:
+            return []
+        plan = Plan.of(shards, length)
+        near = self._frame.where(self._within(plan.edges[0], plan.edges[-1]))
+        kinds = ", ".join(f"{name} {'string' if name == AXIS else 'double'}" for name in carried(self._columns))
+        tagged = near.mapInArrow(_tagger(self._own, plan), f"{NUMBER} int, {kinds}")
+        together = tagged.repartitionById(len(shards), NUMBER)
+        found = collected(together.mapInArrow(_worker(work, __version__), RETURNED))
+        nothing = Plan.of([], length).tagged(self._part.rows(self._columns), self._columns)
+        return [found[k] if k in found else work(nothing) for k in range(len(shards))]
+
+    def _within(self, first: float, last: float) -> Column:
+        """For Spark to leave out files by their times: a margin more than what is needed, which is chosen later."""
+        from pyspark.sql import functions as sql
+        from pyspark.sql.types import NumericType, TimestampType
+
+        kind, time = self._frame.schema[TIME].dataType, sql.col(TIME)
+        if isinstance(kind, NumericType):
+            low, high = first / self._columns.factor, last / self._columns.factor
+            return time.between(low - abs(low) * 1e-9 - 1, high + abs(high) * 1e-9 + 1)
+        if isinstance(kind, TimestampType) and abs(first) < 1e11 and abs(last) < 1e11:
+            return time.between(sql.timestamp_seconds(sql.lit(first - 1)), sql.timestamp_seconds(sql.lit(last + 1)))
+        return sql.lit(True)
+
+
+def _quoted(name: str) -> str:
+    """A column whose name may have dots in it."""
+    return "`" + name.replace("`", "``") + "`"
+
+
+def _rows(table: pa.Table, columns: Columns) -> pl.LazyFrame:
+    import polars as pl
+
+    frame = cast(pl.DataFrame, pl.from_arrow(table))
+    return Part(FRAME, "", frame.lazy).rows(columns)
+
+
+def _batches(frame: pl.DataFrame) -> Iterator[pa.RecordBatch]:
+    """With the types that Spark knows: it has one kind of text."""
+    import pyarrow as pa
+
+    table = frame.to_arrow()
+    kinds = {pa.large_string(): pa.string(), pa.string_view(): pa.string()}
+    schema = pa.schema([(field.name, kinds.get(field.type, field.type)) for field in table.schema])
+    yield from table.cast(schema).to_batches()
+
+
+Task = Callable[[Iterator["pa.RecordBatch"]], Iterator["pa.RecordBatch"]]
+
+
+def _counter(columns: Columns) -> Task:
+    def count(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+        import polars as pl
+
+        for table in merged(batches):
+            rows = _rows(table, columns).with_columns(mixture(columns).alias(MIXED))
+            found = counted(rows, columns, pl.col(MIXED).sum()).collect()
+            yield from _batches(found.select(AXIS, _DAY, ROWS, LOST, FIRST, LAST, TYPE, MIXED))
+
+    return count
+
+
+def _tagger(columns: Columns, plan: Plan) -> Task:
+    def tag(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+        for table in merged(batches):
+            yield from _batches(plan.tagged(_rows(table, columns), columns))
+
+    return tag
+
+
+def _worker(work: Callable[[pl.DataFrame], object], version: str) -> Task:
+    def act(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+        import polars as pl
+        import pyarrow as pa
+
+        there = list(batches)
+        if not there:
+            return
+        rows = cast(pl.DataFrame, pl.from_arrow(pa.Table.from_batches(there)))
+        for (number,), shard in rows.partition_by(NUMBER, as_dict=True, include_key=False).items():
+            yield returned([number], [answered(partial(work, shard), version)])
+
+    return act

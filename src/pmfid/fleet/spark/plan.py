@@ -1,0 +1,77 @@
+"""Which shard each row belongs to, as a table that the executors join with their rows."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pmfid.fleet.plan import BLOCK, Shard
+from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, Columns
+from pmfid.fleet.spark.tasks import NUMBER
+from pmfid.types import Floats
+
+if TYPE_CHECKING:
+    import polars as pl
+
+#: Jobs at most: what each has found is kept when it is done, but each reads the times that it needs anew.
+JOBS = 16
+_PLACE = "place"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """edges: (n,) [s], all times at which shards begin or end, in order; places: which shard an axis is in, from each
+    edge on."""
+
+    edges: Floats
+    places: pl.DataFrame
+
+    @classmethod
+    def of(cls, shards: Sequence[Shard], length: float) -> Plan:
+        """Of shards that share no row, by their place in the sequence; length: of a slice [s]."""
+        import polars as pl
+
+        ends = np.array([[one.first * length, one.last * length] for one in shards]).reshape(-1, 2)
+        edges = np.unique(ends)
+        low, high = np.searchsorted(edges, ends).T
+        rows = [
+            (axis, place, number)
+            for number, one in enumerate(shards)
+            for axis in one.axes
+            for place in range(low[number], high[number])
+        ]
+        kinds = {AXIS: pl.String, _PLACE: pl.Int64, NUMBER: pl.Int32}
+        return cls(edges, pl.DataFrame(rows, schema=kinds, orient="row"))
+
+    def tagged(self, rows: pl.LazyFrame, columns: Columns) -> pl.DataFrame:
+        """The rows that are in a shard, with its number; rows: of `Part.rows`."""
+        import polars as pl
+
+        known = rows.select(carried(columns)).drop_nulls([AXIS, TIME]).collect()
+        place = np.searchsorted(self.edges, known[TIME].to_numpy(), side="right") - 1
+        joined = known.with_columns(pl.Series(_PLACE, place, pl.Int64)).join(self.places, on=[AXIS, _PLACE])
+        return joined.select(NUMBER, *carried(columns))
+
+
+def carried(columns: Columns) -> list[str]:
+    """What an estimate takes of a row, by the names of `source`."""
+    return [AXIS, TIME, INPUT, OUTPUT, *([MASK] if columns.mask else [])]
+
+
+def jobs_of(shards: Sequence[Shard]) -> list[list[Shard]]:
+    """The shards of some blocks of time together, in their order."""
+    blocks: dict[int, list[Shard]] = defaultdict(list)
+    for shard in shards:
+        blocks[shard.first // BLOCK].append(shard)
+    jobs: list[list[Shard]] = []
+    enough = sum(shard.rows for shard in shards) / JOBS
+    for block in sorted(blocks):
+        if jobs and sum(shard.rows for shard in jobs[-1]) < enough:
+            jobs[-1] += blocks[block]
+        else:
+            jobs.append(blocks[block])
+    return jobs
