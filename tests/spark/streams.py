@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,8 @@ from tests.service.orders import made
 
 #: Disorder of the blocks [samples].
 WINDOW = 60
+#: When the first file was written, in s since 1970: before now, as Spark leaves out what is much older than the newest.
+EARLIER = 1_700_000_000
 
 Row = tuple[str, bytes]
 
@@ -52,11 +55,13 @@ def parts_of(rows: Sequence[Row], files: int) -> list[list[Row]]:
 
 
 def write_parts(folder: Path, parts: Sequence[Sequence[Row]]) -> None:
-    """A Parquet file for each."""
+    """A Parquet file for each, a second older than the next: Spark takes them by their age in ms, not by their name."""
     folder.mkdir(parents=True, exist_ok=True)
     for k, part in enumerate(parts):
         frame = pl.DataFrame({"axis": [name for name, _ in part], "block": [data for _, data in part]})
-        frame.write_parquet(folder / f"part-{k:04d}.parquet")
+        path = folder / f"part-{k:04d}.parquet"
+        frame.write_parquet(path)
+        os.utime(path, (EARLIER + k, EARLIER + k))
 
 
 def in_one_process(plan: Plan, batches: Sequence[Sequence[Row]]) -> tuple[dict[int, bytes], pl.DataFrame]:
