@@ -79,6 +79,7 @@ def test_nothing_to_identify_is_said_once(tmp_path):
     assert result.stderr.count("does not move") == 1
 
 
+@pytest.mark.long
 def test_a_transfer_function_by_every_method(tmp_path):
     record, config = tmp_path / "second_order.csv", CONFIG.with_name("second_order.toml")
     write(record)

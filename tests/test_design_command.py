@@ -119,6 +119,7 @@ def test_one_parameter_has_no_ellipse(tmp_path: Path) -> None:
     assert (tmp_path / "report.html").read_text().count("<svg") == 2
 
 
+@pytest.mark.long
 def test_the_report_has_the_encoders_own_deviations_where_there_is_one(tmp_path: Path) -> None:
     noisy = changed(tmp_path, ("resolution = 22.75e-6", "noise_std = 1e-5"))
     for path, there in ((EXAMPLE, True), (noisy, False)):
@@ -231,6 +232,7 @@ def test_a_recorded_run_is_estimated_and_the_next_one_designed(tmp_path: Path, f
     assert "every wanted deviation is reached" in run("commission", EXAMPLE, path, "--want", "mass=0.01").stdout
 
 
+@pytest.mark.long
 def test_all_rounds_on_a_simulated_axis() -> None:
     options = ("--truth", "mass=1.8", "--want", "mass=1e-9", "--rounds", "2", "--starts", "3")
     result = run("commission", EXAMPLE, *options, "--json")

@@ -170,6 +170,7 @@ def test_a_strong_prior_is_the_encoders_limit() -> None:
     assert covariance.diagonal() == pytest.approx(np.full(3, 1e-12), rel=0.05)
 
 
+@pytest.mark.long
 def test_a_robust_design_says_what_that_costs_and_is_judged_over_its_scenarios() -> None:
     scenarios = ({"mass": 1.2}, {"mass": 1.8})
     robust = replace(case("m"), scenarios=scenarios, end_tolerance=(0.01, 0.01), average="worst")

@@ -30,7 +30,7 @@ def plain(y: np.ndarray) -> Experiment:
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in range(1, 4))])
 def test_noise_alone_is_no_process(n, seed):
     y = np.random.default_rng(seed).standard_normal(PLANT.samples)
     with pytest.raises(pmfid.NotIdentifiableError):
@@ -87,6 +87,7 @@ def test_what_can_be_doubted_is_said():
     assert any("of the output, no more" in note for note in weak.notes)
 
 
+@pytest.mark.long
 def test_a_search_does_not_take_coloured_noise_for_poles():
     rng = np.random.default_rng(3)
     noise = np.zeros(1500)

@@ -122,7 +122,10 @@ def test_every_configuration_is_exported(variant: str, cls: type[RecursiveEstima
 
 
 @pytest.mark.parametrize("variant", ["shapes", "behind a lag", "late by how much", "late, within the counts"])
-@pytest.mark.parametrize("target", [pytest.param(t, marks=needs(t), id=t.name) for t in (CLANG, M4F, M7)])
+@pytest.mark.parametrize(
+    "target",
+    [pytest.param(t, marks=[needs(t), *([pytest.mark.long] if t is M4F else [])], id=t.name) for t in (CLANG, M4F, M7)],
+)
 def test_shapes_and_dead_times_have_the_bits_of_python_everywhere(target: Target, variant: str, tmp_path: Path) -> None:
     """Its two recursions have different sizes: no compiler may find code for a third one."""
     estimator = make(pmfid.RIV, "float32", **VARIANTS[variant])
@@ -158,10 +161,10 @@ def gaps_differ(estimator: RecursiveEstimator, folder: Path, u: np.ndarray, coun
     ("cls", "variant", "precision"),
     [
         (pmfid.RIV, "plain", "float32"),
-        (pmfid.RIV, "plain", "float64"),
-        (pmfid.RIV, "late by how much", "float32"),
-        (pmfid.BCRLS, "plain", "float32"),
-        (pmfid.RLS, "directional", "float64"),
+        pytest.param(pmfid.RIV, "plain", "float64", marks=pytest.mark.long),
+        pytest.param(pmfid.RIV, "late by how much", "float32", marks=pytest.mark.long),
+        pytest.param(pmfid.BCRLS, "plain", "float32", marks=pytest.mark.long),
+        pytest.param(pmfid.RLS, "directional", "float64", marks=pytest.mark.long),
     ],
 )
 def test_lost_samples_have_the_bits_of_python(
@@ -340,7 +343,7 @@ MISRA = set(re.findall(r"^\| (\d+\.\d+) \|", FIRMWARE_PAGE.read_text(encoding="u
 
 
 @needs(Target("", "cppcheck"))
-@pytest.mark.parametrize("kind", ["drive", "process"])
+@pytest.mark.parametrize("kind", ["drive", pytest.param("process", marks=pytest.mark.long)])
 def test_misra_finds_only_what_is_justified(kind: str, tmp_path: Path) -> None:
     """The drive with the most code and the process with the most, each with the macros of its export alone."""
     pmfid.export_firmware(make(pmfid.RIV) if kind == "drive" else process_estimator("window", "float32"), tmp_path)

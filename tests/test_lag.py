@@ -89,6 +89,7 @@ def test_beside_a_dead_time() -> None:
     np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.003)
 
 
+@pytest.mark.long
 def test_the_body_is_not_taken_for_its_lag() -> None:
     """In the linear part of the motion the two poles may change places; the drive is the faster one."""
     axis = AXES_OF_STUDIES["cart"]

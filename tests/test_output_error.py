@@ -88,6 +88,7 @@ def test_directional_friction_and_offset(cls, offset):
     assert fit.units == ("kg", "N s/m", "N", "N")
 
 
+@pytest.mark.long
 def test_output_error_is_no_worse_than_instrumental_variables():
     assert mass_std("oe", 256) <= 1.1 * mass_std("iv", 256)
 
@@ -106,6 +107,7 @@ def test_the_likelihood_of_the_counts_beats_every_method_for_white_noise(increme
     assert oe == pytest.approx(bound, rel=0.5), text
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["oe", "interval"])
 def test_no_bias_beyond_chance(method):
     errors = relative_errors(method, 128)

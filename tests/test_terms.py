@@ -132,6 +132,7 @@ def test_gravity_is_looked_for_where_a_turn_is_given() -> None:
     assert "gravity" not in searched(record).added
 
 
+@pytest.mark.long
 def test_the_pitch_of_a_cogging_force_is_found() -> None:
     record = made(cogging=0.012, cogging_pitch=1.3, cogging_phase=1.0)
     found = searched(record, scan=True)
@@ -215,6 +216,7 @@ def test_a_friction_that_drives_is_not_proposed() -> None:
     assert not keys & negative
 
 
+@pytest.mark.long
 def test_a_term_that_another_has_made_superfluous_is_dropped() -> None:
     """A spring at a shifted zero looks like a load to begin with."""
     record = made("stop-and-go", stiffness=0.01)

@@ -124,6 +124,7 @@ def test_a_bomb_is_refused_before_it_goes_off(tmp_path: Path, name: str) -> None
     assert size < 350e6
 
 
+@pytest.mark.long
 def test_a_packed_csv_is_read_and_no_bomb_of_it(tmp_path: Path) -> None:
     (tmp_path / "run.csv.gz").write_bytes(gzip.compress(b"u,y\n") + gzip.compress(b"0.5,3\n" * 1000))
     assert taken(tmp_path / "run.csv.gz", "u")[1] == ""
