@@ -60,7 +60,7 @@ def _reload(what: Told) -> str:
 
 def _problem(what: Told) -> str:
     name = what.get("source") or what.get("sink") or ""
-    return f"{what['event']} {name}: {what.get('problem', what.get('state', 'works'))}".replace(" :", ":")
+    return f"{what['event']} {name}: {what.get('problem') or what.get('state', 'works')}".replace(" :", ":")
 
 
 def _epoch(what: Told) -> str:
