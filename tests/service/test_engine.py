@@ -198,3 +198,10 @@ def test_an_input_that_is_no_number_is_a_lost_sample(
     rows, _ = monitored(prepared, (Sample(k * CART_DT, float(inputs[k]), int(counts[k])) for k in range(600)))
     assert [bits for _, bits in outlet.of("x1")] == rows
     assert engine.counters.values()["pmfid_samples_without_input_total", (("group", "axis.toml"),)] == 3
+
+
+def test_what_a_source_says_of_itself_stays_as_a_level(prepared: Prepared) -> None:
+    engine = engine_of(prepared, Collected())
+    for problem, level in (("no connection", 0.0), ("", 1.0), ("refused", 0.0)):
+        engine.tell({"event": "source", "source": "hall", "problem": problem})
+        assert engine.counters.values()["pmfid_source_working", (("source", "hall"),)] == level

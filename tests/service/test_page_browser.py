@@ -64,6 +64,26 @@ def test_what_needs_someone_stands_first_and_a_new_alarm_comes_by_itself(browser
         assert violations(page) == []
 
 
+def test_what_does_not_work_stands_on_the_overview_until_it_works(browser: Any) -> None:
+    plant = troubled(2)
+    with served(plant) as there, tab(browser) as page:
+        at_overview(page, there)
+        for name, value in (("pmfid_source_working", 0), ("pmfid_sink_working", 1), ("pmfid_checkpoint_working", 0)):
+            plant.counters.put(name, value, **({"source": "hall"} if "source" in name else {}))
+        told = "document.querySelector('.overview > .problem')"
+        plant.run(1.0)
+        assert until(page, f"{told}.textContent.startsWith('Not working: ')")
+        said = page.inner_text(".overview > .problem")
+        assert "source hall" in said
+        assert "checkpoint" in said
+        assert "sink" not in said
+        assert violations(page) == []
+        plant.counters.put("pmfid_source_working", 1, source="hall")
+        plant.counters.put("pmfid_checkpoint_working", 1)
+        plant.run(1.0)
+        assert until(page, f"{told}.hidden")
+
+
 @pytest.mark.long
 def test_the_token_leaves_the_address_at_once_and_survives_a_reload(browser: Any, page: Served) -> None:
     with tab(browser) as there:

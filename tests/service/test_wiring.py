@@ -25,3 +25,18 @@ def test_where_lines_go_to_standard_output_the_log_does_not(tmp_path: Path, sect
     place = tmp_path / "plant.toml"
     place.write_text(AXIS + section)
     assert load_plant(place).speaks is speaks
+
+
+def test_the_sections_that_a_reload_leaves_as_they_were_are_named(tmp_path: Path) -> None:
+    place = tmp_path / "plant.toml"
+    place.write_text(AXIS + '[sources.log]\nkind = "file"\npath = "a.csv"\naxis = "x1"\n[sinks.db]\nkind = "sqlite"\n')
+    before = load_plant(place)
+    place.write_text(
+        AXIS.replace("x1", "x2")
+        + '[page]\nport = 0\n[sources.log]\nkind = "file"\npath = "b.csv"\naxis = "x1"\n[sinks.db]\nkind = "sqlite"\n'
+        + '[sinks.lines]\nkind = "line_protocol"\nto = "stdout"\n'
+    )
+    assert load_plant(place).unlike(before) == ["[page]", "[sources.log]", "[sinks.lines]"]
+    assert load_plant(place).unlike(load_plant(place)) == []
+    place.write_text(AXIS.replace("x1", "x2") + "[page]\n")
+    assert load_plant(place).unlike(load_plant(place)) == []

@@ -49,14 +49,18 @@ def _calibration(what: Told) -> str:
     return f"{what['config']}: calibration {100 * what['part']:.0f} %"
 
 
+def _axes(count: int) -> str:
+    return "1 axis" if count == 1 else f"{count} axes"
+
+
 def _reload(what: Told) -> str:
-    changes = ", ".join(f"{what[key]} axes {key}" for key in ("added", "changed", "removed") if key in what)
+    changes = ", ".join(f"{_axes(what[key])} {key}" for key in ("added", "changed", "removed") if key in what)
     return "read again: " + "; ".join(part for part in (changes, what.get("problem", "")) if part)
 
 
 def _problem(what: Told) -> str:
     name = what.get("source") or what.get("sink") or ""
-    return f"{what['event']} {name}: {what.get('problem', what.get('state', 'works'))}".replace(" :", ":")
+    return f"{what['event']} {name}: {what.get('problem') or what.get('state', 'works')}".replace(" :", ":")
 
 
 def _epoch(what: Told) -> str:
@@ -94,8 +98,8 @@ def _checkpoint(what: Told) -> str:
     if "works" in what:
         return "checkpoints are written again"
     if "made" not in what:
-        return f"no checkpoint yet: {what['fresh']} axes start anew"
-    text = f"from the last checkpoint: {what['restored']} axes go on, {what['fresh']} start anew"
+        return f"no checkpoint to go on from: {_axes(what['fresh'])} anew"
+    text = f"from the last checkpoint: {_axes(what['restored'])} as before, {what['fresh']} anew"
     changed = what.get("changed", ())
     return text + (f", of these with a changed configuration: {', '.join(changed)}" if changed else "")
 

@@ -91,7 +91,10 @@ class Engine:
     # --- from any thread ----------------------------------------------------------------------------------------------
 
     def tell(self, what: dict[str, Any], axis: str = "") -> None:
-        """What the service has to say of itself, as a notice of the next tick."""
+        """What the service has to say of itself, as a notice of the next tick. What a source says of itself is a level,
+        too, for a notice is soon past."""
+        if what.get("event") == "source":
+            self.counters.put("pmfid_source_working", float(not what.get("problem")), source=what["source"])
         self._said.append((axis, what))
 
     def ask(self, change: Callable[[], None]) -> None:

@@ -46,6 +46,7 @@ HELP: dict[str, str] = {
     "pmfid_sink_rows_total": "Rows that a sink has written.",
     "pmfid_sink_waiting_rows": "Rows that wait for a sink.",
     "pmfid_sink_working": "1 while the last thing that a sink was given could be written, else 0.",
+    "pmfid_source_working": "1 while a source that had a problem works again, 0 while it has one.",
     "pmfid_unusable_total": "What came and was no sample, by reason.",
     "process_cpu_seconds_total": "CPU time of the process, in seconds.",
     "process_open_fds": "Open files and connections of the process.",

@@ -98,6 +98,20 @@ class Plant:
         """The folder of the checkpoints."""
         return None if self.service.state is None else self.folder / self.service.state
 
+    def unlike(self, other: Plant) -> list[str]:
+        """The sections, as in PLANT.toml, that differ from the other's; those of the axes are left out."""
+        single = [
+            f"[{name}]"
+            for name in ("service", "page")
+            if (getattr(self, name) or None) != (getattr(other, name) or None)
+        ]
+        return single + [
+            f"[{kind}.{name}]"
+            for kind, ours, theirs in (("sources", self.sources, other.sources), ("sinks", self.sinks, other.sinks))
+            for name in dict.fromkeys([*ours, *theirs])
+            if ours.get(name) != theirs.get(name)
+        ]
+
 
 Section = TypeVar("Section", bound=FileSection)
 

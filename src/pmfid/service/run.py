@@ -286,14 +286,9 @@ class Service:
         gone = sum(name not in axes for name in before)
         changed = sum(name in before for name in fresh)
         told = {"event": "reload", "added": len(fresh) - changed, "changed": changed, "removed": gone}
-        same = (plant.service, plant.sources, plant.sinks, plant.page) == (
-            self._plant.service,
-            self._plant.sources,
-            self._plant.sinks,
-            self._plant.page,
-        )
-        if not same:
-            told["problem"] = "only axes and fleets are read again; for the other sections start the service again"
+        if left := plant.unlike(self._plant):
+            rest = ", ".join(left[:MOST_NAMES])
+            told["problem"] = f"{rest} as before: only axes and fleets are read again; start the service again for that"
         self._engine.tell(told)
 
     # --- end ----------------------------------------------------------------------------------------------------------

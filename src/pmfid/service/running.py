@@ -32,6 +32,7 @@ class Running:
     failed: PmfidError | None = field(default=None, init=False)
     ended: bool = field(default=False, init=False)
     _mark: Mark | None = field(default=None, init=False)
+    _broken: bool = field(default=False, init=False)
     _stopped: Event = field(default_factory=Event, init=False)
 
     def start(self) -> None:
@@ -40,6 +41,9 @@ class Running:
         self._thread.start()
 
     def _take(self, delivery: Delivery) -> bool:
+        if self._broken:
+            self._broken = False
+            self.tell({"event": "source", "source": self.source.name, "problem": ""})
         taken = self.inbox.put(delivery)
         if taken and delivery.mark is not None:
             self._mark = delivery.mark  # where it goes on if it has to begin again: the engine is behind
@@ -58,6 +62,7 @@ class Running:
             except Exception as error:
                 place = traceback.extract_tb(error.__traceback__)[-1]
                 problem = f"{type(error).__name__}: {error} ({place.name}, line {place.lineno}); it begins again"
+                self._broken = True
                 self.tell({"event": "source", "source": self.source.name, "problem": problem})
                 self._stopped.wait(pause)
                 pause = min(2 * pause, LONGEST_PAUSE)

@@ -250,7 +250,7 @@ class Follower:
                 continue
             offset += len(chunk)
             lines = text.take(chunk)
-            self._problem = ""
+            self._complain("")
             said = text.header.decode("utf-8", "surrogateescape")
             behind: Mark = {"file": number, "offset": offset - text.unfinished, "header": said}
             if lines and not take(
@@ -267,10 +267,11 @@ class Follower:
         return status.st_ino != number or status.st_size < offset
 
     def _complain(self, problem: str) -> None:
-        """Once for each problem."""
+        """Tells a problem once, and its end."""
         if problem != self._problem:
             self._problem = problem
-            self.context.tell({"event": "source", "source": self.name, "problem": f"{self.path.name}: {problem}"})
+            told = f"{self.path.name}: {problem}" if problem else ""
+            self.context.tell({"event": "source", "source": self.name, "problem": told})
 
     def stop(self) -> None:
         """Ends `run`."""

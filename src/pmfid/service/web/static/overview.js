@@ -39,6 +39,7 @@ export class Overview {
     this.cards = el("ul", { class: "cards" });
     this.more = el("button", { type: "button", class: "quiet", onclick: () => this.set({ allAlarms: !this.allAlarms }) });
     this.alarms = el("section", { "aria-labelledby": "alarms-title", class: "alarms" }, el("h2", { id: "alarms-title" }, "Open alarms"), this.cards, this.more);
+    this.failing = el("p", { class: "problem", role: "status" });
     this.log = el("ol", { class: "log" });
     this.totals = el("dl", { class: "totals" });
     this.element = el(
@@ -46,6 +47,7 @@ export class Overview {
       { class: "overview" },
       el("h1", { class: "unseen" }, "All axes"),
       el("div", { class: "tiles", role: "group", "aria-label": "Axes by state; press to see these alone" }, ...this.tiles.values()),
+      this.failing,
       this.alarms,
       el(
         "section",
@@ -54,8 +56,8 @@ export class Overview {
           "div",
           { class: "tools" },
           el("h2", { id: "axes-title" }, "Axes"),
-          el("label", { for: "search" }, "Search"), search,
-          el("label", { for: "sort" }, "First"), sort,
+          el("span", { class: "labelled" }, el("label", { for: "search" }, "Search"), search),
+          el("span", { class: "labelled" }, el("label", { for: "sort" }, "First"), sort),
           this.shown,
         ),
         this.rows.element,
@@ -94,6 +96,7 @@ export class Overview {
     const kinds = this.plant.names.map((_, i) => KINDS.indexOf(this.plant.kind(i)));
     this.count(kinds);
     this.showAlarms();
+    this.showFailing();
     this.showLog();
     if (this.rows.focused && !asked) this.rows.draw(true);
     else this.rows.show(this.ordered(kinds));
@@ -140,6 +143,15 @@ export class Overview {
     this.cards.replaceChildren(...shown.map((alarm) => alarmCard(alarm, this.plant.may === "write")));
     this.more.hidden = open.length <= CARDS;
     say(this.more, this.allAlarms ? "Show the latest alone" : `Show all ${open.length} alarms`);
+  }
+
+  // Sources, sinks and checkpoints that do not work: what they said may long be out of the list of what happened.
+  showFailing() {
+    const failing = this.plant.counters
+      .filter(([name, , value]) => name.endsWith("_working") && value === 0)
+      .map(([name, labels]) => [name.slice("pmfid_".length, -"_working".length), ...Object.values(labels)].join(" "));
+    say(this.failing, failing.length ? `Not working: ${failing.join(", ")}` : "");
+    this.failing.hidden = failing.length === 0;
   }
 
   showLog() {

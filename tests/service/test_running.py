@@ -1,0 +1,38 @@
+"""A source that fails is begun again, and both are said."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from pmfid.service.delivery import Delivery, Mark
+from pmfid.service.inbox import Inbox
+from pmfid.service.running import Running
+from pmfid.service.sources import Take
+
+
+class Failing:
+    """Fails at the first call."""
+
+    name = "hall"
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def run(self, take: Take, mark: Mark | None) -> None:
+        self.calls += 1
+        if self.calls == 1:
+            raise RuntimeError("broken")
+        take(Delivery(self.name, ()))
+
+    def stop(self) -> None:
+        """It ends by itself."""
+
+
+def test_a_source_that_begins_again_is_said_to_work_once_something_comes() -> None:
+    told = list[dict[str, Any]]()
+    running = Running(Failing(), Inbox(), told.append, {})
+    running.start()
+    while not running.ended:
+        time.sleep(0.01)
+    assert [event["problem"].partition(":")[0] for event in told] == ["RuntimeError", ""]
