@@ -36,6 +36,13 @@ HISTORY = """
 | 360 M | 2.50 M | 800 |
 """
 
+ENGINES = """
+| engine | start [s] | per processor second | MiB, all processes |
+|---|---|---|---|
+| local | 0.1 | 1.06 M | 712 |
+| spark | 75.6 | 0.25 M | 1400 |
+"""
+
 
 def test_every_constant_has_a_page_that_is_there() -> None:
     for name, one in constants().items():
@@ -141,6 +148,8 @@ def test_constants_are_read_from_their_pages() -> None:
     )
     found = {name: one[0] for name, one in cost.history(HISTORY).items()}
     assert found == pytest.approx({"history_sample": 4e-7, "history_memory": 800 * 2**20})
+    found = {name: one[0] for name, one in cost.engines(ENGINES).items()}
+    assert found == pytest.approx({"spark_history_sample": 4e-6, "spark_base": 1400 * 2**20})
 
 
 @pytest.mark.parametrize("page", cost.PAGES)
