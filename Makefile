@@ -131,7 +131,7 @@ bench: .venv/peers
 firmware: .venv/tools
 	.venv/bin/python -m tests.firmware.study --out docs/footprint.md
 
-study: .venv/tools
+study: .venv/tools .venv/spark
 	.venv/bin/pmfid explain --page > docs/axis_toml.md
 	.venv/bin/python -m studies.accuracy --out docs/accuracy.md
 	.venv/bin/python -m studies.automatic --out docs/automatic.md
@@ -155,6 +155,8 @@ study: .venv/tools
 	.venv/bin/python -m studies.logs --out docs/logs.md
 	.venv/bin/python -m studies.checks --out docs/checks.md
 	.venv/bin/python -m studies.fleet_history --out docs/fleet_history.md
+	@$(MAKE) --no-print-directory spark-tools INSTALL_TOOLS=1
+	.venv/bin/python -m studies.fleet_stream --out docs/fleet_stream.md --seconds 120
 	.venv/bin/python -m studies.million --out docs/million.md
 	.venv/bin/python -m studies.cost --out docs/cost.md
 	.venv/bin/python -m tests.hostile.study --out docs/hostile.md

@@ -143,12 +143,34 @@ def history(text: str) -> dict[str, tuple[float, str, str]]:
     }
 
 
-PAGES: Mapping[str, Reader] = {"docs/service_load.md": service, "docs/fleet_history.md": history}
+def engines(text: str) -> dict[str, tuple[float, str, str]]:
+    """Of docs/fleet_engines.md: the start is in the processor time, so a short run is dearer than a long one."""
+    runs = next(one for one in tables(text) if one and "engine" in one[0])
+    run = next(one for one in runs if one["engine"] == "spark")
+    rate = 1e6 * _first(run["per processor second"])
+    return {
+        "spark_history_sample": (1 / rate, "s", "processor time of a stored sample on Spark, its start among them"),
+        "spark_base": (2**20 * _first(run["MiB, all processes"]), "bytes", "Java and Python of a machine with Spark"),
+    }
+
+
+def streamed(text: str) -> dict[str, tuple[float, str, str]]:
+    """Of docs/fleet_stream.md: the largest of the rates that hold; what a process needs without any samples, which is
+    much of a small rate, is in it."""
+    runs = next(one for one in tables(text) if one and "states written with a batch" in one[0])
+    run = max((one for one in runs if one["holds"] == "yes"), key=lambda one: _first(one["samples/s"]))
+    each = _first(run["processors"]) / _first(run["samples/s"])
+    return {"stream_sample": (each, "s", "time of a core for a sample in Structured Streaming with state")}
+
+
+PAGES: Mapping[str, Reader] = {
+    "docs/service_load.md": service,
+    "docs/fleet_history.md": history,
+    "docs/fleet_engines.md": engines,
+}
 #: What no page of the project has yet: of prototypes on two cores. A reader in `PAGES` replaces them.
 PROTOTYPES = {
     "stream_sample": (2 / 1.1e6, "s", "time of a core for a sample in Structured Streaming with state"),
-    "spark_history_sample": (2 / 3.4e6, "s", "time of a core for a sample of stored data on Spark"),
-    "spark_base": (3e9, "bytes", "Java and Python of a machine: what a driver asks for by default, and as much again"),
 }
 
 

@@ -58,7 +58,7 @@ class Run:
 
     def holds(self) -> bool:
         """Whether it keeps up, and lost nothing."""
-        return self.behind <= 2 * self.batch + 1 and self.done == self.axes * self.seconds / CART_DT
+        return self.behind <= 2 * self.batch + 1 and self.done == round(self.axes * self.seconds / CART_DT)
 
 
 class Gateway:
@@ -95,7 +95,10 @@ def stream(folder: Path, shards: int, interval: float) -> Iterator[subprocess.Po
     pace = ["--checkpoint", str(folder / "checkpoint"), "--shards", str(shards), "--interval", str(interval)]
     command = [sys.executable, "-m", "pmfid", "fleet", "stream", *places, *pace]
     environment = {**os.environ, "PMFID_CACHE": str(folder / "cache")}
-    with subprocess.Popen(command, env=environment, start_new_session=True) as process:
+    with (
+        open(folder / "said", "ab") as said,
+        subprocess.Popen(command, env=environment, start_new_session=True, stdout=said, stderr=said) as process,
+    ):
         try:
             yield process
         finally:
@@ -112,7 +115,8 @@ def measured(axes: int, seconds: int, shards: int, interval: float) -> Run:
         gateway = Gateway(folder / "in", axes, float(seconds))
         with stream(folder, shards, interval) as process:
             gateway.write(0)
-            _wait(folder, axes, 1, STARTED, process)
+            if not _wait(folder, axes, 1, STARTED, process):
+                raise RuntimeError(f"the stream has done nothing: {_end_of(folder / 'said')}")
             begun, memory, cpu = time.monotonic(), 0, _cpu(process.pid)
             for second in range(1, seconds):
                 time.sleep(max(0.0, begun + second - time.monotonic()))
@@ -135,10 +139,16 @@ def _done(folder: Path) -> int:
     return sum(int(json.loads(path.read_text()).get("samples", 0)) for path in files)
 
 
-def _wait(folder: Path, axes: int, seconds: int, longest: float, process: subprocess.Popen[bytes]) -> None:
+def _wait(folder: Path, axes: int, seconds: int, longest: float, process: subprocess.Popen[bytes]) -> bool:
+    """Whether so much was done before the time was over, or the process."""
     end = time.monotonic() + longest
     while _done(folder) < axes * seconds * BLOCK and time.monotonic() < end and process.poll() is None:
         time.sleep(0.2)
+    return _done(folder) >= axes * seconds * BLOCK
+
+
+def _end_of(path: Path) -> str:
+    return path.read_text("utf-8", "replace")[-2000:] or "it said nothing, and was given no more time"
 
 
 def _family(number: int) -> list[Path]:
@@ -204,15 +214,16 @@ def _row(run: Run) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def page(runs: Sequence[Run], shards: int, interval: float) -> str:
-    """docs/fleet_stream.md."""
+def page(runs: Sequence[Run], shards: int, interval: float, others: float) -> str:
+    """docs/fleet_stream.md; others: processes that wanted a processor before the first run, on average."""
     lines = [
         "# What a stream on Spark keeps up with",
         "",
         f"Made by `python -m studies.fleet_stream`, on {os.cpu_count()} processors that also wrote the blocks: Parquet "
         f"files of one block of {BLOCK} samples (1 s) of each axis every second, {shards} shards, {interval:g} s "
         "between batches. A rate holds if the stream is at the end not further behind than two batches and a second, "
-        "and no sample is missing or double.",
+        f"and no sample is missing or double. Other work on the machine before the first run: {others:.1f} processes "
+        "that wanted a processor, which these figures have in them.",
         "",
         "| axes | seconds | samples/s | holds | behind at the end | a batch takes | all done after | processors "
         "| memory | states written with a batch |",
@@ -234,9 +245,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--shards", type=int, default=4)
     parser.add_argument("--interval", type=float, default=10.0)
     parser.add_argument("--out", type=Path, required=True)
-    given = parser.parse_args(arguments)
+    given, others = parser.parse_args(arguments), os.getloadavg()[0]
     runs = searched(given.axes, given.seconds, given.shards, given.interval)
-    given.out.write_text(page(runs, given.shards, given.interval))
+    given.out.write_text(page(runs, given.shards, given.interval, others))
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from pmfid.cli.main import main
 from pmfid.errors import UsageError
 from pmfid.fleet.cost import HEADER, USED, WAYS, Load, Machine, advice, bill, constants, most_axes, row
 from studies import cost, million
+from studies.fleet_stream import Run, page
 from studies.sharded_runs import Cost, Kill, Spent
 
 ROOT = Path(__file__).parents[1]
@@ -34,6 +35,15 @@ HISTORY = """
 |---|---|---|
 | 45 M | 2.67 M | 926 |
 | 360 M | 2.50 M | 800 |
+"""
+
+#: Axes, and how far behind their stream is at the end [s].
+RATES = ((1000, 20.0), (700, 3.0), (490, 1.0))
+ENGINES = """
+| engine | start [s] | per processor second | MiB, all processes |
+|---|---|---|---|
+| local | 0.1 | 1.06 M | 712 |
+| spark | 75.6 | 0.25 M | 1400 |
 """
 
 
@@ -141,6 +151,11 @@ def test_constants_are_read_from_their_pages() -> None:
     )
     found = {name: one[0] for name, one in cost.history(HISTORY).items()}
     assert found == pytest.approx({"history_sample": 4e-7, "history_memory": 800 * 2**20})
+    found = {name: one[0] for name, one in cost.engines(ENGINES).items()}
+    assert found == pytest.approx({"spark_history_sample": 4e-6, "spark_base": 1400 * 2**20})
+    runs = [Run(axes, 60.0, round(6000 * axes), behind, 2.0, 9.0, 0.5, 2**30, 2**20) for axes, behind in RATES]
+    found = {name: one[0] for name, one in cost.streamed(page(runs, 4, 5.0, 1.0)).items()}
+    assert found == pytest.approx({"stream_sample": 0.5 / 70_000})
 
 
 @pytest.mark.parametrize("page", cost.PAGES)

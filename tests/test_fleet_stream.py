@@ -69,6 +69,28 @@ def test_restarts_and_other_batches_give_the_same_bits(prepared: Prepared, rows:
             assert one == other, name
 
 
+def test_what_a_wrong_order_of_files_loses_is_counted(prepared: Prepared) -> None:
+    """Spark takes files of one age in any order: in one batch that changes nothing, in a batch for each of them what
+    is out of order by more than the window is counted as late."""
+    plan = Plan(prepared, PACE, 1)
+    data = [encode(replace(block_of("x1", 1.0), first=first)) for first in (0, 100, 200)]
+    mixed = [data[0], data[2], data[1]]
+    together = Shard(plan, 0)
+    together.take(mixed)
+    assert together.counted()["samples"] == 300
+    assert "dropped_late" not in together.counted()
+
+    counted, body = dict[str, float](), None
+    for message in mixed:
+        shard = Shard(plan, 0, body)
+        shard.take([message])
+        body = shard.saved()
+        for name, value in shard.counted().items():
+            counted[name] = counted.get(name, 0) + value
+    assert counted["samples"] == 200
+    assert counted["dropped_late"] == counted["missing"] == 100
+
+
 def test_a_batch_that_comes_again_changes_nothing(prepared: Prepared, rows: list[tuple[str, bytes]]) -> None:
     plan = Plan(prepared, PACE, 1)
     first = Shard(plan, 0)
