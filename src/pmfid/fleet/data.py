@@ -4,7 +4,7 @@ Spark DataFrame answers for itself (`spark.frame`)."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,14 +12,17 @@ from typing import Protocol
 
 from pmfid.fleet.aside import Aside, mixed
 from pmfid.fleet.keep import Keep
-from pmfid.fleet.local import Engine, Local
-from pmfid.fleet.plan import Shard
+from pmfid.fleet.local import Engine, Local, Room
+from pmfid.fleet.plan import BUDGET, Shard
 from pmfid.fleet.segments import Segments
 from pmfid.fleet.source import Columns, Part
 from pmfid.fleet.store import digest
 from pmfid.fleet.survey import Survey, content, joined, surveyed
 from pmfid.fleet.work import Work, check_columns, samples_of
 from pmfid.session.tables import Table
+
+#: Full shards in memory at once on one machine: under 1.5 GiB with all that is made of them.
+FULL = 3
 
 
 class Data(Protocol):
@@ -108,16 +111,18 @@ class Parts:
         items = [(shard, {name: self._parts[name] for name in shard.parts}) for shard in shards]
         if self._aside is not None:
             self._aside.only(shards)
-        return self._engine.map(partial(_solved, work, self._aside), items)
+        room = Room(FULL * BUDGET) if isinstance(self._engine, Local) else None
+        return self._engine.map(partial(_solved, work, self._aside, room), items)
 
 
 def _surveyed(columns: Columns, part: Part) -> Survey:
     return surveyed(part, columns)
 
 
-def _solved(work: Work, aside: Aside | None, item: tuple[Shard, dict[str, Part]]) -> Segments:
+def _solved(work: Work, aside: Aside | None, room: Room | None, item: tuple[Shard, dict[str, Part]]) -> Segments:
     shard, parts = item
-    found = work.shard(shard, parts, aside)
+    with nullcontext() if room is None else room.of(shard.rows):
+        found = work.shard(shard, parts, aside)
     if aside is not None:
         aside.done(shard)
     return found

@@ -6,7 +6,9 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
+from threading import Condition
 from typing import ClassVar, Protocol, TypeVar
 
 from pmfid.errors import whole_number
@@ -27,7 +29,7 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class Local:
-    """workers: threads, each with a shard in memory; None: as many as there are processors."""
+    """workers: threads; None: as many as there are processors. How many have a shard in memory is up to `Room`."""
 
     name: ClassVar[str] = "local"
     workers: int | None = None
@@ -51,6 +53,28 @@ class Local:
             finally:
                 for future in waiting:
                     future.cancel()
+
+
+class Room:
+    """Rows that threads may have in memory together, so that memory knows no number of processors."""
+
+    def __init__(self, rows: int) -> None:
+        self._rows, self._used = rows, 0
+        self._freed = Condition()
+
+    @contextmanager
+    def of(self, rows: int) -> Iterator[None]:
+        """Waits for so much room; what is larger than all of it has it to itself."""
+        own = min(rows, self._rows)
+        with self._freed:
+            self._freed.wait_for(lambda: self._used + own <= self._rows)
+            self._used += own
+        try:
+            yield
+        finally:
+            with self._freed:
+                self._used -= own
+                self._freed.notify_all()
 
 
 def _processors() -> int:

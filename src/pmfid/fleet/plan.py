@@ -42,7 +42,7 @@ class Shard:
 
 def slice_length(rows: pl.DataFrame, period: float | None) -> float:
     """Length of a slice [s]: a part or a multiple of the period [s], None: of any; by the rate at which most axes are
-    sampled."""
+    sampled, and short enough for the rows of the fastest to fit a shard."""
     import polars as pl
 
     step = (pl.col(LAST) - pl.col(FIRST)) / (pl.col(ROWS) - 1)
@@ -50,10 +50,23 @@ def slice_length(rows: pl.DataFrame, period: float | None) -> float:
     if not steps.size:
         raise UsageError("no axis has two rows at different times; check --axis and [record] time")
     dt = float(np.median(steps))
-    longest = next((length for length in LENGTHS if length / dt <= MOST_SAMPLES), LENGTHS[-1])
+    fastest = _fastest(rows)
+    fits = (length for length in LENGTHS if length / dt <= MOST_SAMPLES and length * fastest <= BUDGET)
+    longest = next(fits, LENGTHS[-1])
     if period is None:
         return longest
     return period / math.ceil(period / longest - 1e-9) if period > longest else period * math.floor(longest / period)
+
+
+def _fastest(rows: pl.DataFrame) -> float:
+    """Rows per second of the fastest of the axes that have more rows than a shard: a few rows close together are small
+    in slices of any length."""
+    import polars as pl
+
+    span, many = (pl.col(LAST) - pl.col(FIRST)).sum(), (pl.col(ROWS) - 1).sum()
+    axes = rows.group_by(AXIS).agg(span.alias("span"), many.alias("many"))
+    large = axes.filter((pl.col("many") > BUDGET) & (pl.col("span") > 0))
+    return float(large.select((pl.col("many") / pl.col("span")).max()).item() or 0.0)
 
 
 def shards_of(rows: pl.DataFrame, length: float) -> list[Shard]:
@@ -61,7 +74,9 @@ def shards_of(rows: pl.DataFrame, length: float) -> list[Shard]:
     blocks: dict[int, dict[str, dict[str, float]]] = defaultdict(lambda: defaultdict(dict))
     for part, axis, count, first, last in rows.select(PART, AXIS, ROWS, FIRST, LAST).iter_rows():
         for block, share in _blocks(first, last, length * BLOCK):
-            blocks[block][axis][part] = count * share
+            # a block may hold several days of a part
+            own = blocks[block][axis]
+            own[part] = own.get(part, 0.0) + count * share
     found: list[Shard] = []
     for block in sorted(blocks):
         for axes in _packed(blocks[block]):
