@@ -167,6 +167,7 @@ PAGES: Mapping[str, Reader] = {
     "docs/service_load.md": service,
     "docs/fleet_history.md": history,
     "docs/fleet_engines.md": engines,
+    "docs/fleet_stream.md": streamed,
 }
 #: What no page of the project has yet: of prototypes on two cores. A reader in `PAGES` replaces them.
 PROTOTYPES = {

@@ -93,7 +93,7 @@ def stream(folder: Path, shards: int, interval: float) -> Iterator[subprocess.Po
     """`pmfid fleet stream` of the folder, ended with all of its processes."""
     places = [str(folder / "in"), "--config", str(folder / "axis.toml"), "--out", str(folder / "out")]
     pace = ["--checkpoint", str(folder / "checkpoint"), "--shards", str(shards), "--interval", str(interval)]
-    command = [sys.executable, "-m", "pmfid", "fleet", "stream", *places, *pace]
+    command = [str(Path(sys.executable).with_name("pmfid")), "fleet", "stream", *places, *pace]
     environment = {**os.environ, "PMFID_CACHE": str(folder / "cache")}
     with (
         open(folder / "said", "ab") as said,
