@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from pmfid.fleet.history import History
 from pmfid.fleet.said import when
 from pmfid.fleet.survey import DAY
+from pmfid.fleet.verdicts import LEAST_AXES
 from pmfid.report.files import write_json
 from pmfid.report.fleet_figures import QUIET, ROWS, TRENDS, map_figure, spread_figure, trend_figure
 from pmfid.report.html import Cell, Section, Table, svg, write_report
@@ -90,6 +91,13 @@ def _spread(found: History) -> Section | None:
         "Each point is an axis: across, how far its parameter lies from the median of its type; upward, how much "
         "it has changed within the history. Named axes are coloured and have their names."
     )
+    known = found.axes.filter(found.axes["segments"] > 0).select(f"{name}_deviation" for name in found.names)
+    alone = sum(all(math.isnan(value) for value in row) for row in known.iter_rows())
+    if alone:
+        text += (
+            f" {alone} axes are of a type with fewer than {LEAST_AXES}: too few to tell what is usual, so they are "
+            "drawn at 0 across and are judged by their own past alone."
+        )
     return Section("From the others, and from their own past", text, svg=svg(spread_figure(found)), first=False)
 
 
