@@ -21,7 +21,7 @@ from pmfid.fleet.survey import Survey, content, joined, surveyed
 from pmfid.fleet.work import Work, check_columns, samples_of
 from pmfid.session.tables import Table
 
-#: Full shards in memory at once on one machine: under 1.5 GiB with all that is made of them.
+#: Full shards in memory at once on one machine, however many threads it has.
 FULL = 3
 
 
