@@ -133,6 +133,7 @@ firmware: .venv/tools
 
 study: .venv/tools .venv/spark
 	.venv/bin/pmfid explain --page > docs/axis_toml.md
+	.venv/bin/pmfid explain --plant --page > docs/plant_toml.md
 	.venv/bin/python -m studies.accuracy --out docs/accuracy.md
 	.venv/bin/python -m studies.automatic --out docs/automatic.md
 	.venv/bin/python -m studies.confidence --out docs/confidence.md

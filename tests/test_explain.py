@@ -14,6 +14,8 @@ import pmfid
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
 from pmfid.judge.flags import FLAGS
+from pmfid.service.kinds import SINKS, SOURCES
+from pmfid.service.reference import plant_entries, plant_page
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.reference import entries, find, page
 from pmfid.status import Status
@@ -127,3 +129,28 @@ def test_what_is_unknown_is_refused_with_what_it_may_mean() -> None:
     )
     with pytest.raises(UsageError, match="nothing called ''"):
         find("")
+
+
+def test_the_page_of_a_plant_is_up_to_date() -> None:
+    """If it is not: pmfid explain --plant --page > docs/plant_toml.md"""
+    assert (ROOT / "docs" / "plant_toml.md").read_text(encoding="utf-8") == plant_page() == said("--plant", "--page")
+
+
+def test_every_key_of_a_plant_says_what_it_is() -> None:
+    known = plant_entries()
+    assert {entry.section for entry in known} >= {f"sources.{kind}" for kind in SOURCES} | {f"sinks.{k}" for k in SINKS}
+    assert [entry.name for entry in known if len(entry.meaning) < 6 or not entry.kind or not entry.default] == []
+
+
+@pytest.mark.parametrize(
+    ("word", "wanted"),
+    [
+        ("service.window", "[service] window: for how long"),
+        ("[sources.hall] qos", "[sources.mqtt] qos: 1, or 0"),
+        ("sources.hall.qos", "[sources.mqtt] qos: 1, or 0"),
+        ("axes.x1.config", "[axes] config: the AXIS.toml"),
+        ("sinks.sqlite.path", "[sinks.sqlite] path"),
+    ],
+)
+def test_keys_of_a_plant_are_explained_under_the_names_that_stand_there(word: str, wanted: str) -> None:
+    assert wanted in said(word)

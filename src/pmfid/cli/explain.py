@@ -1,29 +1,48 @@
-"""The command `pmfid explain`: what a key of AXIS.toml or a word of a status means."""
+"""The command `pmfid explain`: what a key of AXIS.toml or PLANT.toml, or a word of a status means."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import click
 
 from pmfid.cli.options import JSON
 
+if TYPE_CHECKING:
+    from pmfid.session.reference import Entry
+
 
 @click.command(short_help="Say what a key of AXIS.toml or a status means.")
 @click.argument("key", nargs=-1)
+@click.option("--plant", is_flag=True, help="All keys of PLANT.toml, which pmfid serve reads.")
 @click.option("--page", "as_page", is_flag=True, help="Print the page of all keys, in Markdown.")
 @JSON
-def explain(key: tuple[str, ...], as_page: bool, as_json: bool) -> None:
-    """Say what KEY means: a key of AXIS.toml as record.time_unit, a section of it, or a word of a status as
-    poor_excitation. Without KEY all of them, a line for each.
+def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> None:
+    """Say what KEY means: a key of AXIS.toml as record.time_unit, of PLANT.toml as service.window or sources.mqtt.qos,
+    a section of them, or a word of a status as poor_excitation. Without KEY all of AXIS.toml and of a status, a line
+    for each.
     """
-    from pmfid.session.reference import entries, explained, find, page
+    from pmfid.service.reference import plant_entries, plant_page
+    from pmfid.session.reference import entries, explained, page
 
     if as_page:
-        click.echo(page(), nl=False)
+        click.echo(plant_page() if plant else page(), nl=False)
         return
-    found = find(" ".join(key)) if key else entries()
+    found = _found(" ".join(key), plant) if key else plant_entries() if plant else entries()
     if as_json:
         from pmfid.cli.output import print_json
 
         print_json({"entries": [entry.to_json() for entry in found]})
     else:
         click.echo(explained(found))
+
+
+def _found(word: str, plant: bool) -> list[Entry]:
+    """plant: of PLANT.toml alone. Raises UsageError for what is nothing."""
+    from pmfid.service.reference import plant_entries, without_names
+    from pmfid.session.reference import entries, find
+
+    known = plant_entries() if plant else (*entries(), *plant_entries())
+    names = {entry.name for entry in known}
+    own = [name for name in without_names(word) if name in names]
+    return [entry for entry in known if entry.name in own] if own and word not in names else find(word, known)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from types import NoneType, UnionType
 from typing import Annotated, Literal, Union, get_args, get_origin
@@ -23,7 +23,7 @@ from pmfid.session.config import _KEYS_OF_ONE_KIND, Axis
 from pmfid.session.model_config import keys_of
 from pmfid.status import ADVICE, Status
 
-__all__ = ["Entry", "entries", "explained", "find", "page"]
+__all__ = ["Entry", "entries", "explained", "find", "keys_in", "page", "tables"]
 
 #: How descriptions name units, as the messages that end with them do.
 _UNITS = re.compile(
@@ -37,7 +37,7 @@ _KEY = "key of AXIS.toml"
 
 @dataclass(frozen=True)
 class Entry:
-    """A key of AXIS.toml, or a word of a status. name: with its section; what: one of these; kind, unit, default: of a
+    """A key of a file, or a word of a status. name: with its section; what: one of these; kind, unit, default: of a
     key, "" where it has none; models: the kinds of model that it is for, "" for all; meaning: a sentence."""
 
     name: str
@@ -60,7 +60,7 @@ class Entry:
     @property
     def text(self) -> str:
         """For people, several lines."""
-        if self.what != _KEY:
+        if not self.kind:
             return f"{self.name}: {self.what}\n  {self.meaning}"
         rows = {"type": self.kind, "unit": self.unit, "default": self.default, "only with": self.models}
         head = f"[{self.section}] {self.name.rpartition('.')[2]}: {self.meaning}"
@@ -74,27 +74,27 @@ class Entry:
 def entries() -> tuple[Entry, ...]:
     """Of all keys in the order of the file, then of all words of a status."""
     sections = ((name, field) for name, field in Axis.model_fields.items())
-    keys = [key for name, field in sections for key in _keys(name, field)]
+    keys = [key for name, field in sections for key in keys_in(name, field.annotation)]
     bits = {str(bit.name).lower(): ADVICE[bit] for bit in Status}
     words = [Entry(name, "status of a sample and of an estimate", meaning) for name, meaning in bits.items()]
     return (*keys, *words, *(Entry(name, "status of an estimate", meaning) for name, meaning in FLAGS.items()))
 
 
-def _keys(section: str, field: FieldInfo) -> Iterator[Entry]:
-    """Of a section, and of the tables inside it."""
-    for model in _models_in(field.annotation):
+def keys_in(section: str, annotation: object, what: str = _KEY) -> Iterator[Entry]:
+    """Of a section of this type, and of the tables inside it; what: that they are."""
+    for model in _models_in(annotation):
         for name, own in model.model_fields.items():
             described = own.description or ""
             yield Entry(
                 f"{section}.{name}",
-                _KEY,
+                what,
                 described,
                 _kind(own.annotation, own.metadata),
                 _unit(described),
                 _default(own),
                 _models(section, name),
             )
-            yield from _keys(f"{section}.{name}", own)
+            yield from keys_in(f"{section}.{name}", own.annotation, what)
 
 
 def _models_in(annotation: object) -> list[type[BaseModel]]:
@@ -168,11 +168,11 @@ def _models(section: str, name: str) -> str:
     return "" if len(kinds) == len(lists) else "kind = " + " or ".join(f'"{kind}"' for kind in kinds)
 
 
-def find(word: str) -> list[Entry]:
-    """What a word means: a key with its section or without, a whole section, or a word of a status, spaces for
-    underscores. Raises UsageError with what it may have meant."""
+def find(word: str, known: Sequence[Entry] | None = None) -> list[Entry]:
+    """What a word means among the known, None: those of AXIS.toml: a key with its section or without, a whole section,
+    or a word of a status, spaces for underscores. Raises UsageError with what it may have meant."""
     wanted = re.sub(r"^\[(.+)\]\s*", r"\1.", word.strip()).rstrip(".").replace(" ", "_").replace("-", "_").lower()
-    known = entries()
+    known = entries() if known is None else known
     if found := [entry for entry in known if wanted and wanted in entry.called]:
         return found
     hint = did_you_mean(wanted, dict.fromkeys(name for entry in known for name in entry.called if name))
@@ -190,13 +190,18 @@ def explained(found: Sequence[Entry]) -> str:
 def page() -> str:
     """The page of all keys, in Markdown."""
     known = entries()
-    sections = dict.fromkeys(entry.section for entry in known if entry.what == _KEY)
-    parts = [_HEAD]
-    for section in sections:
-        rows = [entry for entry in known if entry.section == section and entry.what == _KEY]
-        parts.append(f"## [{section}]\n\n{_about(section)}{_KEYS}\n" + "\n".join(map(_row, rows)) + "\n")
-    words = [f"| `{entry.name}` | {entry.what} | {entry.meaning} |" for entry in known if entry.what != _KEY]
-    return "\n".join([*parts, _STATUS, *words, ""])
+    parts = tables([entry for entry in known if entry.kind], _about)
+    words = [f"| `{entry.name}` | {entry.what} | {entry.meaning} |" for entry in known if not entry.kind]
+    return "\n".join([_HEAD, *parts, _STATUS, *words, ""])
+
+
+def tables(known: Sequence[Entry], about: Callable[[str], str]) -> list[str]:
+    """A table of the keys of each section, in Markdown; about: what stands above that of a section."""
+    found = []
+    for section in dict.fromkeys(entry.section for entry in known):
+        rows = [entry for entry in known if entry.section == section]
+        found.append(f"## [{section}]\n\n{about(section)}{_KEYS}\n" + "\n".join(map(_row, rows)) + "\n")
+    return found
 
 
 _HEAD = """\

@@ -48,7 +48,7 @@ Speed = Annotated[float, AfterValidator(_usable)]
 class FileSource(SourceSection):
     """[sources.NAME] kind = "file": lines of a file that grows, or a record that is played."""
 
-    kind: Literal["file"]
+    kind: Literal["file"] = Field(description='"file"')
     path: Name = Field(description='the file, as "logs/x1.csv"')
     axis: Name = Field(description="the name of the axis that it is of")
     speed: Speed | None = Field(
@@ -66,7 +66,7 @@ class FileSource(SourceSection):
 class StdinSource(SourceSection):
     """[sources.NAME] kind = "stdin": lines of CSV as `pmfid monitor -` takes them."""
 
-    kind: Literal["stdin"]
+    kind: Literal["stdin"] = Field(description='"stdin"')
     axis: Name = Field(description="the name of the axis that the lines are of")
 
     def make(self, name: str, context: Context) -> Source:
