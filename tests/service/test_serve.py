@@ -20,6 +20,7 @@ import pytest
 from click.testing import CliRunner
 
 from pmfid.cli.main import main
+from pmfid.service.arrangement import Configurations
 from pmfid.service.log import Log
 from pmfid.service.plant import load_plant
 from pmfid.service.run import Service
@@ -324,3 +325,26 @@ def unwrapped(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Events:
 def test_a_counter_that_wraps_changes_nothing(folder: Path, tmp_path: Path, unwrapped: Events, bits: int) -> None:
     assert wrapped(folder, tmp_path, bits, 2 ** (bits - 1) - 200) == unwrapped
     assert [event["event"] for event in unwrapped].count("alarm") == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: text.replace("[service]\n", '[service]\nstate = "axis.toml"\n'), r"\[service\] state: "),
+        (lambda text: text.replace("enabled = false", "port = 70000"), r"\[page\] port = 70000"),
+    ],
+)
+def test_what_costs_nothing_is_looked_at_before_the_calibration(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, change: Callable[[str], str], said: str
+) -> None:
+    monkeypatch.setattr(Configurations, "of", lambda *_: pytest.fail("calibrated first"))
+    plant = folder / "early.toml"
+    plant.write_text(change(PLANT))
+    assert re.search(said, called("serve", str(plant), "--until-end", code=2))
+
+
+def test_a_plant_to_which_nothing_can_come_says_so(folder: Path) -> None:
+    plant = folder / "silent.toml"
+    plant.write_text(PLANT[: PLANT.index("[sources.a]")])
+    told = called("serve", str(plant), "--until-end", "--json")
+    assert ["add [sources.NAME]" in event["problem"] for event in events(told, "source")] == [True]

@@ -17,6 +17,7 @@ from pmfid.service.context import Context
 from pmfid.service.counters import Counters
 from pmfid.service.engine import Engine
 from pmfid.service.groups import Group, Pace, Prepared
+from pmfid.service.history import remember, tell_configurations
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.log import Log
 from pmfid.service.outcome import Notice, Outlet
@@ -35,8 +36,8 @@ __all__ = ["Service"]
 
 #: How often signals are looked at, and how long sources and sinks have to end [s].
 LOOK, ENDING = 0.1, 10.0
-#: Names that a notice lists at most, and configurations that are remembered.
-MOST_NAMES, MOST_HISTORY = 100, 1000
+#: Names that a notice lists at most.
+MOST_NAMES = 100
 #: The interpreter is handed over so often [s]: the kernel works without it, and the engine should not wait for it each
 #: time as long as it may be kept by default.
 SWITCH = 2e-4
@@ -91,21 +92,32 @@ class Service:
         self._sources = Sources(self._engine.inbox, self._engine.tell, self._engine.marks)
         self._pace = Pace(plant.service.window, plant.service.every)
         self._configurations = Configurations(self._tell_now, self.record)
+        vault: Vault | None = None
         try:
+            vault = self._looked_at(plant)
             self._axes: dict[str, Prepared] = self._configurations.of(plant.axes)
             if not self._axes:
                 raise UsageError("no axis can be watched; correct what the log says of their configurations")
-            self._restore(plant)
+            self._restore(plant, vault)
         except BaseException:
+            if vault is not None:
+                vault.close()
             self._log.close(ENDING)
             raise
 
-    def _restore(self, plant: Plant) -> None:
+    def _looked_at(self, plant: Plant) -> Vault | None:
+        """What is told before axes are calibrated, which may take minutes."""
+        page_config(plant)
+        if not plant.sources:
+            problem = "no source is configured, so nothing will come: add [sources.NAME]"
+            self._tell_now({"event": "source", "source": "", "problem": problem})
+        return None if plant.state is None else Vault(plant.state)
+
+    def _restore(self, plant: Plant, vault: Vault | None) -> None:
         """Goes on from the last checkpoint, if there is one."""
-        if plant.state is None:
+        if vault is None:
             self._arrange([])
             return
-        vault = Vault(plant.state)
         found = vault.load(self._read, self._tell_now)
         engine = self._engine
         engine.keeper = Checkpoints(vault, plant.service.checkpoint, self.counters, engine.tell)
@@ -143,23 +155,11 @@ class Service:
         """Puts the axes into their groups, those of `groups` among them; names of the axes that start anew."""
         made, fresh = arranged(groups, self._axes, self._pace)
         self._engine.arranged(made)
-        self._remember()
+        remember(self._engine)
         seats = [seat for group in self._engine.groups for seat in group.seats]
         referred = {seat.name: seat.referred for seat in seats if seat.referred is not None}
         self._board.arrange([group.kindred for group in self._engine.groups], referred)
         return fresh
-
-    def _remember(self) -> None:
-        """What configurations there are since when."""
-        history = self._engine.history
-        known = {entry["digest"] for entry in history[-MOST_NAMES:]}
-        for group in self._engine.groups:
-            if group.prepared.digest not in known:
-                entry = {"wall": time.time(), "config": group.kindred.config, "digest": group.prepared.digest}
-                history.append(
-                    {**entry, "nominal": dict(zip(group.kindred.names, group.kindred.nominal.tolist(), strict=True))}
-                )
-        del history[:-MOST_HISTORY]
 
     def _start(self, plant: Plant) -> None:
         context = self._context(plant)
@@ -174,7 +174,7 @@ class Service:
             queued.start()
             self._outlets.append(queued)
         self._say_started(plant)
-        self._say_configurations()
+        tell_configurations(self._engine)
         self._thread = Thread(target=self._engine_runs, name="engine", daemon=True)
         self._problem: BaseException | None = None
         self._thread.start()
@@ -197,15 +197,6 @@ class Service:
         self._outlets.append(self._log)
         page = {} if self._page is None else {"page": self._page.start_url, "notes": list(self._page.notes)}
         self._log.notice(Notice("", number, time.time(), {**told, **page}))
-
-    def _say_configurations(self) -> None:
-        """To the sinks: they keep what differs from the time before."""
-        present = {group.prepared.digest for group in self._engine.groups}
-        for entry in self._engine.history:
-            if entry["digest"] in present:
-                self._tell_now(
-                    {"event": "configuration", **{key: entry[key] for key in ("config", "digest", "nominal")}}
-                )
 
     def _serve_page(self, plant: Plant) -> None:
         config = page_config(plant)
@@ -282,7 +273,7 @@ class Service:
         """By the engine's thread, between two ticks."""
         before, self._axes = self._axes, axes
         fresh = self._arrange(self._engine.groups)
-        self._say_configurations()
+        tell_configurations(self._engine)
         gone = sum(name not in axes for name in before)
         changed = sum(name in before for name in fresh)
         told = {"event": "reload", "added": len(fresh) - changed, "changed": changed, "removed": gone}

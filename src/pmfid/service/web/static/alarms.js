@@ -40,7 +40,7 @@ export function alarmCard(alarm, mayWrite, withAxis = true) {
         el("strong", {}, causeOf(alarm)),
       ),
       el("p", { class: "fine" }, sinceOf(alarm), settled ? `, ${settled}` : ""),
-      el("p", { class: "fine" }, `statistic ${number(alarm.statistic, 3)} of ${number(alarm.threshold, 3)}`),
+      el("p", { class: "fine" }, `statistic ${number(alarm.statistic, 3)}, an alarm above ${number(alarm.threshold, 3)}`),
       known ? el("p", { class: "fine note-text" }, `acknowledged ${wall(alarm.acknowledged)}`, alarm.note ? `: “${alarm.note}”` : "") : null,
     ),
     known || !mayWrite ? null : button,
