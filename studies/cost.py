@@ -169,15 +169,11 @@ PAGES: Mapping[str, Reader] = {
     "docs/fleet_engines.md": engines,
     "docs/fleet_stream.md": streamed,
 }
-#: What no page of the project has yet: of prototypes on two cores. A reader in `PAGES` replaces them.
-PROTOTYPES = {
-    "stream_sample": (2 / 1.1e6, "s", "time of a core for a sample in Structured Streaming with state"),
-}
 
 
 def refreshed() -> dict[str, Constant]:
-    """All constants: measured, read from their pages, or of prototypes."""
-    found = {name: Constant(*one, "prototype") for name, one in PROTOTYPES.items()}
+    """All constants: measured, or read from their pages."""
+    found = dict[str, Constant]()
     for page, read in PAGES.items():
         found |= {name: Constant(*one, page) for name, one in read(Path(page).read_text("utf-8")).items()}
     return found | measured(in_a_process(AXES))
@@ -237,7 +233,7 @@ def checked(fleet: Cost) -> list[str]:
 
 def page(fleet: Cost) -> str:
     """The page; fleet: another one than that of the constants."""
-    known = sorted(constants().values(), key=lambda one: (one.page == "prototype", one.page, one.what))
+    known = sorted(constants().values(), key=lambda one: (one.page, one.what))
     sources = [[one.what, f"{one.value:.3g} {one.unit}".strip(), one.page] for one in known]
     lines = [
         "# What a fleet costs, on paper",
@@ -268,8 +264,6 @@ def page(fleet: Cost) -> str:
         "",
         *checked(fleet),
         "## What the sums are made of",
-        "",
-        "*prototype*: of two cores, before there was a page; less certain than the others.",
         "",
         *table(("", "value", "from"), sources)[:-1],
     ]

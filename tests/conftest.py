@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,10 +12,14 @@ import numpy as np
 import pytest
 
 import pmfid
+from pmfid.service.groups import Prepared, prepare
 from pmfid.simulation.drive import quantize, simulate_drive
 from pmfid.simulation.scenarios import CART, CART_DT, resolution_of
 from pmfid.simulation.signals import prbs
+from studies.monitoring.pipe import write_axis
 
+#: Of simulated normal work: enough for thresholds that nobody relies on.
+HOURS = 0.5
 EMPS = Path(__file__).parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
 needs_emps = pytest.mark.skipif(not EMPS.exists(), reason="the EMPS record is not on this machine")
 
@@ -52,3 +57,26 @@ def unjudged() -> AbstractContextManager[object]:
     """Within it, machines are identified without what is thought of the estimate: most of the time goes into that."""
     without = {"judge": mock.Mock(return_value=()), "examined": mock.Mock(return_value=None)}
     return mock.patch.multiple("pmfid.session.drives", **without)
+
+
+@pytest.fixture(scope="session")
+def plant_place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """axis.toml and its reference, written once."""
+    place = tmp_path_factory.mktemp("plant")
+    write_axis(place, 60.0)
+    return place
+
+
+@pytest.fixture(scope="module")
+def plant_folder(plant_place: Path) -> Iterator[Path]:
+    """The same, and calibrations of a few minutes, which are kept there, for as long as a file of tests runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PMFID_CACHE", str(plant_place / "cache"))
+        patch.setattr("pmfid.session.monitored.setup.simulated_hours", lambda hours: HOURS)
+        yield plant_place
+
+
+@pytest.fixture(scope="module")
+def prepared(plant_folder: Path) -> Prepared:
+    """axis.toml, calibrated."""
+    return prepare(plant_folder / "axis.toml")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import pickle
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from random import Random
@@ -20,22 +19,11 @@ from pmfid.fleet.stream.states import States
 from pmfid.fleet.stream.tables import table_of
 from pmfid.monitor.fleet import MonitorFleet
 from pmfid.service.checkpoint import read_snapshot
-from pmfid.service.groups import Pace, Prepared, prepare
+from pmfid.service.groups import Pace, Prepared
 from pmfid.service.wire.blocks import encode
-from studies.monitoring.pipe import write_axis
 from tests.spark.streams import block_of, estimates_of, in_one_process, parts_of, rows_of
 
 PACE = Pace(window=0.6, every=0.1)
-
-
-@pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Prepared]:
-    place = tmp_path_factory.mktemp("axis")
-    write_axis(place, 60.0)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PMFID_CACHE", str(place / "cache"))
-        patch.setattr("pmfid.session.monitored.setup.simulated_hours", lambda hours: 0.5)
-        yield prepare(place / "axis.toml")
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@ is estimated is what it is without the moves."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +16,10 @@ from pmfid.fleet.stream.shard import Plan, Shard
 from pmfid.fleet.stream.states import States
 from pmfid.monitor import Monitor
 from pmfid.service.delivery import Block
-from pmfid.service.groups import Pace, Prepared, prepare
+from pmfid.service.groups import Pace, Prepared
 from pmfid.service.wire.blocks import encode
 from pmfid.simulation import CART_DT
 from pmfid.types import Counts, Floats
-from studies.monitoring.pipe import write_axis
 from tests.firmware.build import GCC, HERE, M7, Target, compiled, run
 from tests.spark.streams import block_of
 
@@ -29,16 +27,6 @@ PACE = Pace(window=0.0, every=0.0)
 PREFIX = "axis"
 #: Samples of each stop.
 LEG = 500
-
-
-@pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Prepared]:
-    place = tmp_path_factory.mktemp("axis")
-    write_axis(place, 60.0)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PMFID_CACHE", str(place / "cache"))
-        patch.setattr("pmfid.session.monitored.setup.simulated_hours", lambda hours: 0.5)
-        yield prepare(place / "axis.toml")
 
 
 def fresh(prepared: Prepared) -> RecursiveEstimator:

@@ -17,7 +17,7 @@ from pmfid.monitor.events import Event
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.quiet import Quiet
 from pmfid.monitor.rows import FleetRows
-from pmfid.monitor.saved import Saved, checked, pieces, read, unsealed, written
+from pmfid.monitor.saved import Saved, checked, read, unsealed, written
 from pmfid.types import Counts, Flags, Floats, Places
 
 T = TypeVar("T")
@@ -203,13 +203,9 @@ class MonitorFleet:
         on from them."""
         return written(self._all, self._source.configuration_number)
 
-    def state_pieces(self) -> list[memoryview]:
-        """The same one after the other and without a copy, to be written before the next sample or change."""
-        return pieces(self._all, self._source.configuration_number)
-
     def unsealed_state(self) -> list[memoryview]:
-        """The same, still without the checksum of all, which takes longer than a copy: `pmfid.monitor.saved.sealed`
-        puts it in, of a copy in any thread."""
+        """The same in pieces, most of them the arrays themselves, and without the checksum of all, which takes longer
+        than a copy: `pmfid.monitor.saved.sealed` puts it in, of a copy in any thread."""
         return unsealed(self._all, self._source.configuration_number)
 
     def set_state(self, state: bytes) -> None:

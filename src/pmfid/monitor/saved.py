@@ -91,16 +91,11 @@ class Saved:
 
 def written(saved: Saved, config: int) -> bytes:
     """The bytes of all axes; config: a checksum of whose they are."""
-    return b"".join(pieces(saved, config))
-
-
-def pieces(saved: Saved, config: int) -> list[memoryview]:
-    """The same one after the other; all but the first are the arrays themselves."""
-    return sealed(unsealed(saved, config))
+    return b"".join(sealed(unsealed(saved, config)))
 
 
 def unsealed(saved: Saved, config: int) -> list[memoryview]:
-    """The same, still without the checksum."""
+    """The same one after the other, still without the checksum; all but the first are the arrays themselves."""
     parts = [np.ascontiguousarray(array).reshape(-1).view(np.uint8).data for array in saved.arrays()]
     return [memoryview(_head(saved, config, saved.axes).tobytes()), *parts]
 

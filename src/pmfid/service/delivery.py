@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from pmfid.session.monitored.timeline import Line
 from pmfid.types import Counts, Floats
 
-__all__ = ["Block", "Delivery", "Item", "Lines", "Table", "Unusable", "one_by_one"]
+__all__ = ["Block", "Delivery", "Item", "Lines", "Table", "Unusable", "joined", "one_by_one"]
 
 #: JSON of a source by which it goes on after a restart, as the place in a file.
 Mark = dict[str, int | float | str]
@@ -42,6 +43,11 @@ class Block:
         return self.first + self.counts.size
 
 
+def joined(parts: Sequence[object], *names: str) -> list[NDArray[Any]]:
+    """The arrays of these names of each part, one behind the other."""
+    return [np.concatenate([getattr(part, name) for part in parts]) for name in names]
+
+
 @dataclass(frozen=True)
 class Table:
     """Blocks of the same number of samples as one item, as gateways send them: a row for each, in their order.
@@ -64,12 +70,7 @@ class Table:
             return tables[0]
         return cls(
             tuple(chain.from_iterable(table.axes for table in tables)),
-            np.concatenate([table.epoch for table in tables]),
-            np.concatenate([table.first for table in tables]),
-            np.concatenate([table.time for table in tables]),
-            np.concatenate([table.dt for table in tables]),
-            np.concatenate([table.u for table in tables]),
-            np.concatenate([table.counts for table in tables]),
+            *joined(tables, "epoch", "first", "time", "dt", "u", "counts"),
         )
 
     def block(self, row: int) -> Block:

@@ -6,12 +6,13 @@ There is one copy of it: `Order` and `Clock` of an axis read and write the row o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.monitor.arrays import Rows
 from pmfid.types import Flags, Floats
 
 __all__ = ["Column", "Place", "Positions"]
@@ -20,7 +21,7 @@ T = TypeVar("T", int, float, bool)
 
 
 @dataclass
-class Positions:
+class Positions(Rows):
     """Columns (axes,). epoch, expected: of the next sample, epoch -1 before the first; time: of sample `number` by the
     sender's clock [s], NaN while unknown; start, first: a time and its number from where the rate of that clock is
     measured; told: that it has another one; wrong_period: what came with another period was told; waits: some blocks
@@ -45,18 +46,16 @@ class Positions:
 
     def add(self, axes: int) -> None:
         """So many more."""
-        for name, column in vars(Positions.fresh(axes)).items():
-            setattr(self, name, np.concatenate([getattr(self, name), column]))
+        vars(self).update(vars(self.joined(Positions.fresh(axes))))
 
     def forget(self, index: int) -> None:
         """Of this one nothing came yet."""
-        for name, column in vars(Positions.fresh(1)).items():
-            getattr(self, name)[index] = column[0]
+        self.put(slice(index, index + 1), Positions.fresh(1))
 
     def remove(self, index: Sequence[int]) -> None:
         """Without these; the others move up in their order."""
-        for one in fields(self):
-            setattr(self, one.name, np.delete(getattr(self, one.name), list(index)))
+        left = np.delete(np.arange(self.epoch.size), list(index))
+        vars(self).update(vars(self.taken(left)))
 
 
 class Place:

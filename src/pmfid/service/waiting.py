@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.service.delivery import joined
 from pmfid.service.groups import Group, Seat
 from pmfid.service.order import Piece
 from pmfid.types import Counts, Flags, Floats
@@ -50,15 +51,9 @@ class Batch:
         """Batches of other axes each, without pieces, as one."""
         if len(parts) == 1:
             return parts[0]
-        return cls(
-            np.concatenate([part.index for part in parts]),
-            np.concatenate([part.u for part in parts]),
-            np.concatenate([part.counts for part in parts]),
-            np.concatenate([part.time for part in parts]),
-            np.concatenate([part.offset for part in parts]),
-            np.concatenate([part.turn for part in parts]),
-            np.concatenate([part.received for part in parts]),
-        )
+        index, u, counts, time = joined(parts, "index", "u", "counts", "time")
+        offset, turn, received = joined(parts, "offset", "turn", "received")
+        return cls(index, u, counts, time, offset, turn, received)
 
 
 @dataclass
