@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -14,6 +17,9 @@ from pmfid import fleet
 from pmfid.errors import UsageError
 from pmfid.fleet.history import History
 from pmfid.fleet.source import Part
+from pmfid.fleet.store import Store
+from pmfid.fleet.times import other_unit, seconds_of
+from pmfid.fleet.walk import RESULTS
 from studies.fleet_data import AXIS_TOML, machines, rows
 
 AXES, SAMPLES = 9, 6000
@@ -135,6 +141,112 @@ def _grows(path: Path, more: pl.DataFrame) -> Callable[[Part], bool]:
         return bool(plainly(part))
 
     return look
+
+
+# --- times ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("ahead", "ending"), [("0h", ""), ("0h", "Z"), ("1h", "+01:00"), ("-9h30m", "-0930")])
+def test_text_of_iso_8601_is_a_time(ahead: str, ending: str) -> None:
+    there = pl.Series("t", [1_772_323_200.25, 1_772_323_201.0])
+    stamps = pl.from_epoch((there * 1e6).cast(pl.Int64), time_unit="us").dt.offset_by(ahead)
+    text = (stamps.dt.strftime("%Y-%m-%dT%H:%M:%S%.6f") + ending).extend(pl.Series(["2026-03-01", "yes", None]))
+    found = pl.DataFrame({"t": text}).select(seconds_of(pl.col("t"), "t", pl.String(), 1.0))["t"]
+    assert found.to_list() == [*there.to_list(), None, None, None]
+
+
+@pytest.mark.parametrize("kind", [pl.Date(), pl.Time(), pl.Boolean()])
+def test_half_a_time_is_refused(kind: pl.DataType) -> None:
+    with pytest.raises(UsageError, match="'t' is of type"):
+        seconds_of(pl.col("t"), "t", kind, 1.0)
+
+
+def test_durations_are_seconds() -> None:
+    frame = pl.DataFrame({"t": [1500]}, schema={"t": pl.Duration("ms")})
+    assert frame.select(seconds_of(pl.col("t"), "t", frame.schema["t"], 1e-3))["t"].to_list() == [1.5]
+
+
+def test_another_unit_is_told() -> None:
+    assert 'time_unit = "ms"' in other_unit(1.7e12, 1.8e12, 1.0)
+    assert 'time_unit = "s"' in other_unit(5e9, 5.1e9, 3.0)
+    assert not other_unit(0.0, 1.8e9, 1.0)
+    assert not other_unit(0.0, 1e12, 1.0)
+
+
+# --- folders ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def lake(logs: list[pl.DataFrame], config: Path, tmp_path_factory: pytest.TempPathFactory) -> History:
+    """What is no file, or hangs on links, beside files."""
+    folder, other = tmp_path_factory.mktemp("lake"), tmp_path_factory.mktemp("other")
+    logs[0].write_parquet(folder / "a.parquet")
+    logs[1].write_parquet(other / "b.parquet")
+    logs[2].write_ipc_stream(folder / "stream.arrow")
+    (folder / "elsewhere").symlink_to(other)
+    (other / "back").symlink_to(folder)
+    (folder / "nowhere.parquet").symlink_to(folder / "gone")
+    os.mkfifo(folder / "pipe.parquet")
+    (folder / os.fsdecode(b"\xff.parquet")).write_bytes(b"")
+    for name in ("machine=said", "machine=__HIVE_DEFAULT_PARTITION__"):
+        (folder / name).mkdir()
+    logs[3].write_parquet(folder / "machine=said" / "c.parquet")
+    logs[4].drop("machine").write_parquet(folder / "machine=__HIVE_DEFAULT_PARTITION__" / "d.parquet")
+    logs[5].select("machine", "t", "u", "counts", pl.col("t").cast(pl.Float32).alias("short")).with_columns(
+        pl.col("short").alias("t")
+    ).write_parquet(folder / "short.parquet")
+    logs[6].with_columns(pl.concat_list("machine")).write_parquet(folder / "list.parquet")
+    for name in RESULTS:  # of a history that wrote there
+        (folder / "results" / name).mkdir(parents=True)
+    logs[7].write_parquet(folder / "results" / "work" / "e.parquet")
+    return estimated(folder, config)
+
+
+def test_links_are_followed_once_and_results_are_no_data(lake: History) -> None:
+    assert set(lake.axes["axis"].to_list()) == {f"axis-{k:04d}" for k in (0, 1, 2, 3, 5)}
+    assert not any("results" in name or name.startswith("elsewhere/back") for name in lake.problems["file"].to_list())
+
+
+@pytest.mark.parametrize(
+    ("file", "code", "said"),
+    [
+        ("nowhere.parquet", "unreadable", "is not there"),
+        ("pipe.parquet", "unreadable", "is no file"),
+        ("\\udcff.parquet", "unreadable", "rename it"),
+        ("machine=said/c.parquet", "type", "machine = said, its own column axis-0003"),
+        ("machine=__HIVE_DEFAULT_PARTITION__/d.parquet", "rows_lost", "6000 rows"),
+        ("short.parquet", "type", "write it as float64"),
+        ("list.parquet", "unreadable", "which is no name"),
+    ],
+)
+def test_what_is_no_data_is_named(lake: History, file: str, code: str, said: str) -> None:
+    found = lake.problems.filter((pl.col("file") == file) & (pl.col("code") == code))
+    assert said in " ".join(found["text"].to_list())
+
+
+def test_one_call_at_a_time_has_a_folder(logs: list[pl.DataFrame], config: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with closing(Store(out)), pytest.raises(UsageError, match="another call works in"):
+        estimated(logs[0], config, out)
+    assert estimated(logs[0], config, out).axes.height == 1
+    assert estimated(logs[0], config, out).reused == 1
+
+
+def test_a_folder_that_cannot_be_is_said(logs: list[pl.DataFrame], config: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "link").symlink_to(tmp_path / "gone" / "deeper")
+    for name in ("file/below", "link", "n" * 300, "a\0b"):
+        with pytest.raises(UsageError, match="folder"):
+            estimated(logs[0], config, tmp_path / name)
+    with pytest.raises(UsageError, match="file among them"):
+        estimated(tmp_path, config, tmp_path)
+
+
+@pytest.mark.parametrize(("setting", "said"), [("segment", "too short"), ("tolerance", "tolerance = nan")])
+def test_numbers_that_are_none_are_refused(logs: list[pl.DataFrame], config: Path, setting: str, said: str) -> None:
+    settings: dict[str, Any] = {setting: float("nan")}
+    with pytest.raises(UsageError, match=said):
+        fleet.estimate(logs[0], axis=config, by="machine", period="1min", **settings)
 
 
 # --- tables of a lake -------------------------------------------------------------------------------------------------

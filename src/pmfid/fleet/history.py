@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +21,7 @@ from pmfid.fleet.periods import Periods
 from pmfid.fleet.plan import Shard, shards_of, slice_length
 from pmfid.fleet.settings import Chosen, make_settings
 from pmfid.fleet.source import AXIS, TYPE, Columns, is_spark, parts_of
-from pmfid.fleet.store import Store, digest, whole
+from pmfid.fleet.store import Store, check_folder, digest, whole
 from pmfid.fleet.verdicts import UNKNOWN
 from pmfid.fleet.work import Work
 from pmfid.session.config import Axis, load_axis
@@ -148,15 +150,19 @@ def estimate(
     own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
     columns, periods = Columns.of(own, by, type), Periods.of(period)
     tolerance = own.monitor.tolerance if tolerance is None else tolerance
-    there = data_of(data, columns, engine, None if out is None else Path(out))
-    store = None if out is None else Store(Path(out))
+    if not 0 <= tolerance < math.inf:
+        raise UsageError(f"tolerance = {tolerance}: give a relative deviation of 0 or more, for example 0.05")
     tell = progress or (lambda done: None)
-    run = _Run(own, columns, there, store, tell)
-    found = run.outcome(periods, segment, tolerance)
-    if out is not None:
+    if out is None:
+        return _Run(own, columns, data_of(data, columns, engine, None), None, tell).outcome(periods, segment, tolerance)
+    out = Path(out)
+    check_folder(out)  # before anything is made
+    there = data_of(data, columns, engine, out)
+    with closing(Store(out)) as store:
+        found = _Run(own, columns, there, store, tell).outcome(periods, segment, tolerance)
         for name in ("periods", "axes", "problems"):
             frame: pl.DataFrame = getattr(found, name)
-            whole(Path(out) / f"{name}.parquet", frame.write_parquet)
+            whole(out / f"{name}.parquet", frame.write_parquet)
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -10,7 +10,7 @@ from pmfid.errors import UsageError
 from pmfid.session.formats.safety import needed, readable
 
 #: Where Delta Lake and Iceberg list the files that count.
-DELTA, ICEBERG = "_delta_log", "metadata/*.metadata.json"
+DELTA, ICEBERG, METADATA = "_delta_log", "metadata", "*.metadata.json"
 #: What a reader of plain files may leave to the log: of everything else, rows in the files may not count, or columns
 #: have other names.
 _PLAIN = {"timestampNtz", "vacuumProtocolCheck", "v2Checkpoint"}
@@ -22,10 +22,11 @@ def is_delta(folder: Path) -> bool:
     return (folder / DELTA).is_dir()
 
 
-def check_no_table(folder: Path) -> None:
-    """Raises UsageError where a folder of plain files has a table of a lake in it, or is one of Iceberg: files that no
-    longer count would be read as data."""
-    logs = [*folder.rglob(DELTA), *(path.parent for path in folder.rglob(ICEBERG))]
+def check_no_table(folders: Sequence[Path]) -> None:
+    """Raises UsageError where one of the folders of plain files is a table of a lake: files that no longer count would
+    be read as data."""
+    logs = [one for one in folders if one.name == DELTA]
+    logs += [one for one in folders if one.name == ICEBERG and any(one.glob(METADATA))]
     if not logs:
         return
     table, kind = min(log.parent for log in logs), "Delta" if logs[0].name == DELTA else "Iceberg"

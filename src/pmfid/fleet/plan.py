@@ -48,7 +48,7 @@ def slice_length(rows: pl.DataFrame, period: float | None) -> float:
     step = (pl.col(LAST) - pl.col(FIRST)) / (pl.col(ROWS) - 1)
     steps = rows.filter(pl.col(LAST) > pl.col(FIRST)).select(step.alias("dt"))["dt"].to_numpy()
     if not steps.size:
-        raise UsageError("no axis has two rows at different times; check --axis and [record] time")
+        raise UsageError("no axis has two rows at different times on a day; check --axis, [record] time and time_unit")
     dt = float(np.median(steps))
     fastest = _fastest(rows)
     fits = (length for length in LENGTHS if length / dt <= MOST_SAMPLES and length * fastest <= BUDGET)

@@ -97,7 +97,7 @@ def make_settings(axis: Axis, chosen: Chosen, most: float, segment: float | None
         plain = next((one for one in SEGMENTS if one >= SETTLED * settled), SEGMENTS[-1])
         segment = plain if config.forgetting == 1 else MEMORIES * chosen.dt / (1 - config.forgetting)
     segment, least = min(segment, most), LEAST_SETTLED * settled
-    if segment < least:
+    if not segment >= least:
         raise UsageError(
             f"segments of {segment:.3g} s are too short for the filters, which take {least:.3g} s: use longer periods "
             "or segments, or a higher cutoff"

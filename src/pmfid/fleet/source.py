@@ -11,10 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
-from pmfid.errors import UsageError
+from pmfid.errors import UsageError, did_you_mean
 from pmfid.fleet.lake import check_no_table, delta_files, is_delta
-from pmfid.session.clock import UNITS, time_factor
+from pmfid.fleet.times import seconds_of, too_coarse
+from pmfid.fleet.walk import walked
+from pmfid.session.clock import EPOCHS, UNITS, time_factor
 from pmfid.session.config import Axis
+from pmfid.session.formats.arrow_file import FILE as ARROW
 from pmfid.session.formats.reading import ENDINGS, READERS, read_table
 from pmfid.session.formats.safety import readable
 from pmfid.session.frames import table_of
@@ -26,7 +29,11 @@ if TYPE_CHECKING:
 AXIS, TIME, INPUT, OUTPUT, MASK, TYPE = "axis", "time", "input", "output", "mask", "type"
 #: Name of a part that is no file.
 FRAME = "the frame"
-_NANOSECOND = 1e-9
+_DATES = ", or as dates of ISO 8601 (UTC without an offset)"
+#: What Hive and Spark name the folder of rows that have no value.
+_NOTHING = "__HIVE_DEFAULT_PARTITION__"
+#: Columns that are listed where one is missing.
+_LISTED = 30
 #: Of a period [s].
 SHORTEST, LONGEST = 1.0, 1e9
 
@@ -98,16 +105,24 @@ class Part:
             elif name in self.constants:
                 made.append(_cast(own, name, pl.String(), columns.factor, pl.lit(self.constants[name])))
             else:
-                raise UsageError(f"there is no column {name!r}; it has {', '.join(schema)}")
+                known = [*schema, *self.constants]
+                listed = ", ".join(known[:_LISTED]) + (", ..." if len(known) > _LISTED else "")
+                raise UsageError(f"there is no column {name!r}; it has {listed}{did_you_mean(name, known)}")
         return frame.select(made)
 
     def other_types(self, columns: Columns) -> list[str]:
-        """What is written as text and should be a number, for people."""
+        """What is written as text and should be a number, or as numbers that are too short, for people."""
         import polars as pl
 
         schema = self.open().collect_schema()
-        numbers = (columns.time, columns.input, columns.output)
-        return [f"{name} is text, read as numbers" for name in numbers if schema.get(name) == pl.String]
+        texts = [name for name in (columns.time, columns.input, columns.output) if schema.get(name) == pl.String]
+        told = [
+            f"{name} is text, read as numbers{_DATES * (name == columns.time)}: what is none is missing"
+            for name in texts
+        ]
+        if schema.get(columns.time) == pl.Float32:
+            told.append(f"{columns.time} has 32 bits, of a date {too_coarse(EPOCHS[0]):.0f} s: write it as float64")
+        return told
 
 
 def _cast(own: str, name: str, kind: pl.DataType, factor: float, value: pl.Expr | None = None) -> pl.Expr:
@@ -115,21 +130,21 @@ def _cast(own: str, name: str, kind: pl.DataType, factor: float, value: pl.Expr 
 
     column = pl.col(name) if value is None else value
     if own in (AXIS, TYPE):
+        if kind.is_nested():
+            raise UsageError(f"the column {name!r} is of type {kind}, which is no name")
         return _name(column, kind).alias(own)
-    if own == TIME and kind == pl.Datetime:
-        return (column.dt.epoch("ns").cast(pl.Float64) * _NANOSECOND).alias(own)
-    if not (kind.is_numeric() or kind == pl.String or (kind == pl.Boolean and own not in (TIME, OUTPUT))):
+    if own == TIME:
+        return seconds_of(column, name, kind, factor).alias(own)
+    if not (kind.is_numeric() or kind == pl.String or (kind == pl.Boolean and own != OUTPUT)):
         raise UsageError(f"the column {name!r} is of type {kind}, which is no number")
-    scale = factor if own == TIME else 1.0
-    number = column.cast(pl.Float64, strict=False)
-    return (number if scale == 1 else number * scale).alias(own)
+    return column.cast(pl.Float64, strict=False).alias(own)
 
 
 def _name(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
     """As text; 7.0, as tables write an integer beside missing ones, is 7, and 7.5 is not; no text is no name."""
     import polars as pl
 
-    text = column.cast(pl.String)
+    text = column.cast(pl.String, strict=False)
     if kind.is_float():
         whole = column.cast(pl.Int64, strict=False)
         return pl.when(column == whole).then(whole.cast(pl.String)).otherwise(text)
@@ -167,15 +182,17 @@ def _files(source: Path, out: Path | None) -> list[Part]:
         return [_part(source, source.parent)]
     if is_delta(source):
         return [_part(path, source, said) for path, said in delta_files(source)]
-    check_no_table(source)
+    folders, paths, closed = walked(source)
+    check_no_table(folders)
     known = {*READERS, *ENDINGS}
-    paths = (path for path in source.rglob("*") if path.suffix.lower() in known and path.is_file())
     own = None if out is None else out.resolve()
-    data = (path for path in paths if own is None or own not in path.resolve().parents)
+    data = (
+        path for path in paths if path.suffix.lower() in known and (own is None or own not in path.resolve().parents)
+    )
     found = sorted(path for path in data if not _hidden(path.relative_to(source)))
-    if not found:
+    if not found and not closed:
         raise UsageError(f"{source}: no file of a known format is in it; it should hold Parquet or Arrow files")
-    return [_part(path, source) for path in found]
+    return [_part(path, source) for path in (*found, *closed)]
 
 
 def _hidden(path: Path) -> bool:
@@ -187,9 +204,10 @@ def _part(path: Path, root: Path, said: Mapping[str, str] | None = None) -> Part
     """said: of all rows of the file, beside what its folders say."""
     inside, stamp = path.relative_to(root), _stamp(path)
     pairs = (part.partition("=") for part in inside.parent.parts if "=" in part)
-    constants = {unquote(key): unquote(value) for key, _, value in pairs}
+    constants = {unquote(key): "" if value == _NOTHING else unquote(value) for key, _, value in pairs}
     there = path.absolute()  # of an executor that works elsewhere
-    return Part(inside.as_posix(), stamp, lambda: _opened(there), constants | dict(said or {}), lambda: _stamp(there))
+    name = inside.as_posix().encode("utf-8", "backslashreplace").decode()  # a file may be named by any bytes
+    return Part(name, stamp, lambda: _opened(there), constants | dict(said or {}), lambda: _stamp(there))
 
 
 def _stamp(path: Path) -> str:
@@ -206,12 +224,21 @@ def _opened(path: Path) -> pl.LazyFrame:
 
     if not path.exists():
         raise UsageError(f"{path} is not there for the process that reads it; all that work need it under this name")
+    if "\udc80" <= max(str(path)) <= "\udcff":  # bytes that are no text
+        raise UsageError("its name is not UTF-8; rename it")
+    if not path.is_file():
+        raise UsageError("is no file, or a folder that cannot be entered; take it out, or allow reading it")
     kind = ENDINGS.get(path.suffix.lower(), path.suffix.lower())
     if kind == ".parquet":
         return pl.scan_parquet(path, hive_partitioning=False, glob=False)
-    if kind == ".arrow":
+    if kind == ".arrow" and _begins(path, ARROW):
         return pl.scan_ipc(path, hive_partitioning=False, glob=False)
     return pl.DataFrame(dict(read_table(path))).lazy()
+
+
+def _begins(path: Path, opening: bytes) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(opening)) == opening
 
 
 def seconds(text: str) -> float:

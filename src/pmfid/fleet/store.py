@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pmfid import __version__
+from pmfid.durable.lock import hold
 from pmfid.errors import UsageError
 from pmfid.fleet.survey import Problem, Survey
+from pmfid.fleet.walk import RESULTS
 
 if TYPE_CHECKING:
     import polars as pl
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 VERSION = 2
 #: Of the folders in which rows are put aside during a call.
 ASIDE = "aside-"
+#: Of the file by which one call alone works there.
+LOCK = "lock"
 
 
 def digest(*parts: object) -> str:
@@ -31,19 +35,19 @@ def digest(*parts: object) -> str:
 
 
 class Store:
-    """A table and its problems for each key; folder: where they are. Raises UsageError where the folder is a file or
-    holds something else."""
+    """A table and its problems for each key; folder: where they are, for one call at a time. Raises UsageError where
+    the folder is a file, holds something else, cannot be written, or another call has it."""
 
     def __init__(self, folder: Path) -> None:
+        check_folder(folder)
         self.folder = folder / "work"
-        if folder.exists() and not folder.is_dir():
-            raise UsageError(f"{folder}: is a file; give a folder for the history")
-        strangers = [path.name for path in folder.iterdir() if path.name not in OWN] if folder.is_dir() else []
-        if strangers and not self.folder.is_dir():
-            raise UsageError(f"{folder}: holds other files, {strangers[0]} among them; give a new or empty folder")
-        self.folder.mkdir(parents=True, exist_ok=True)
+        self._lock = hold(self.folder, "the folder of the history", "another call")
         for left in self.folder.glob(f"{ASIDE}*"):  # by a call that was killed
             remove(left)
+
+    def close(self) -> None:
+        """Another call may have the folder."""
+        self._lock.close()
 
     def get(self, key: str) -> Survey | None:
         """What lies under a key; None: nothing, or nothing that this version writes."""
@@ -74,7 +78,7 @@ class Store:
         """Removes all others: of parts that are gone, of other configurations, and what a killed call left half."""
         kept = set(keys)
         for path in self.folder.iterdir():
-            if path.name.partition(".")[0] not in kept or path.suffix == ".part":
+            if path.name.partition(".")[0] not in {*kept, LOCK} or path.suffix == ".part":
                 remove(path)
 
 
@@ -87,7 +91,23 @@ def remove(path: Path) -> None:
 
 
 #: Files that a history writes into its folder.
-OWN = {"work", "periods.parquet", "axes.parquet", "problems.parquet", "fleet.html", "fleet.json"}
+OWN = RESULTS | {"fleet.html", "fleet.json"}
+
+
+def check_folder(folder: Path) -> None:
+    """Raises UsageError where the folder is a file, holds something else, or cannot be looked into."""
+    try:
+        inside = [path.name for path in folder.iterdir()]
+    except FileNotFoundError:
+        return
+    except NotADirectoryError:
+        raise UsageError(f"{folder}: is a file, or lies in one; give a folder for the history") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise UsageError(f"{folder}: {reason}; choose a folder that can be written") from None
+    strangers = sorted(name for name in inside if name not in OWN)
+    if strangers and "work" not in inside:
+        raise UsageError(f"{folder}: holds other files, {strangers[0]} among them; give a new or empty folder")
 
 
 def whole(path: Path, write: Callable[[Path], object]) -> None:

@@ -5,12 +5,13 @@ Day by day, so that neither gaps nor a stamp from another century make the plan 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from pmfid.errors import UsageError
 from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, TYPE, Columns, Part
+from pmfid.fleet.times import other_unit
 from pmfid.session.formats.safety import readable
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def surveyed(part: Part, columns: Columns) -> Survey:
             odd = part.other_types(columns)
     except UsageError as error:
         return Survey(_empty(), (Problem("", part.name, "unreadable", " ".join(str(error).split())),))
-    return survey_of(part.name, found, odd)
+    return survey_of(part.name, found, [*odd, *_otherwise(part, columns, found)], columns.factor)
 
 
 def counted(rows: pl.LazyFrame, columns: Columns, *more: pl.Expr) -> pl.LazyFrame:
@@ -76,9 +77,17 @@ def counted(rows: pl.LazyFrame, columns: Columns, *more: pl.Expr) -> pl.LazyFram
     )
 
 
-def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str]) -> Survey:
+def _otherwise(part: Part, columns: Columns, found: pl.DataFrame) -> Iterator[str]:
+    """Where the names of its folders and its own column tell the axis differently."""
+    said = part.constants.get(columns.axis)
+    others = found.filter(found[AXIS] != said)[AXIS] if said else found[AXIS][:0]
+    if others.len():
+        yield f"its folder says {columns.axis} = {said}, its own column {others[0]}: the column is taken"
+
+
+def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str], factor: float) -> Survey:
     """Of what was counted in the part of this name, where it has no order without how far each axis reaches; odd: what
-    is odd of its columns."""
+    is odd of its columns; factor: seconds per unit of its times."""
     import polars as pl
 
     problems = [Problem("", name, "type", text) for text in odd]
@@ -90,6 +99,8 @@ def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str]) -> Survey:
     if lost:
         problems.append(Problem("", name, "rows_lost", f"{lost} rows have no axis, or no number for a time: left out"))
     found = found.filter(pl.col(AXIS).is_not_null() & (pl.col(ROWS) > 0))
+    if found.height and (told := other_unit(cast(float, found[FIRST].min()), cast(float, found[LAST].max()), factor)):
+        problems.append(Problem("", name, "time_unit", told))
     return Survey(found.select(pl.lit(name).alias(PART), AXIS, ROWS, FIRST, LAST, TYPE, EXTENT), tuple(problems))
 
 

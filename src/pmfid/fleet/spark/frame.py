@@ -59,7 +59,7 @@ class SparkRows:
             self._part.rows(self._columns)
         except UsageError as error:
             raise UsageError(f"the DataFrame: {error}") from None
-        found = survey_of(FRAME, self._counts, odd)
+        found = survey_of(FRAME, self._counts, odd, self._columns.factor)
         check_columns(self._columns, [self._part], found)
         return found
 

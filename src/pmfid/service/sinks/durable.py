@@ -1,4 +1,4 @@
-"""Files that are there whole, or not at all, also after the power fails; and files that one process writes alone."""
+"""Files that are there whole, or not at all, also after the power fails."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["lock", "replace_durably", "sync_folder", "write_all"]
+__all__ = ["replace_durably", "sync_folder", "write_all"]
 
 
 def write_all(file: int, data: bytes | memoryview) -> None:
@@ -43,17 +43,3 @@ def sync_folder(folder: Path) -> None:
             os.fsync(handle)
         finally:
             os.close(handle)
-
-
-def lock(file: int) -> bool:
-    """Takes a file for this process until it closes it or ends; False where another one has it. Systems without such
-    locks always say True."""
-    try:
-        import fcntl
-    except ImportError:
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True

@@ -11,7 +11,8 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pmfid.service.sinks.durable import lock, replace_durably, write_all
+from pmfid.durable.lock import lock
+from pmfid.service.sinks.durable import replace_durably, write_all
 from pmfid.service.sinks.ipc import messages_of, read_stream
 
 if TYPE_CHECKING:
