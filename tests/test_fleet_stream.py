@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.fleet.stream.folder import Settings, opened
+from pmfid.fleet.stream.folder import Folder, Settings, opened
 from pmfid.fleet.stream.shard import Plan, Shard, shard_of
 from pmfid.fleet.stream.states import States
 from pmfid.fleet.stream.tables import table_of
@@ -158,25 +158,57 @@ def test_some_axes_alone_are_written(prepared: Prepared, rows: list[tuple[str, b
 
 def test_a_changed_configuration_is_refused_with_a_remedy(tmp_path: Path) -> None:
     settings = Settings("digest", 4, 0.5, 1.0, "blocks")
-    opened(tmp_path / "checkpoint", tmp_path / "out", settings)
-    opened(tmp_path / "checkpoint", tmp_path / "out", settings)
+    for _ in range(2):
+        begun(tmp_path, settings)
     for changed in (replace(settings, config="other"), replace(settings, shards=5), replace(settings, source="there")):
         with pytest.raises(UsageError, match=r"was begun with another .*give"):
-            opened(tmp_path / "checkpoint", tmp_path / "out", changed)
+            begun(tmp_path, changed)
     with pytest.raises(UsageError, match="results of another stream"):
-        opened(tmp_path / "new", tmp_path / "out", settings)
+        begun(tmp_path, settings, checkpoint="new")
+    (tmp_path / "else").mkdir()
+    (tmp_path / "else" / "a.txt").write_text("")
     with pytest.raises(UsageError, match="holds something else"):
-        opened(tmp_path / "checkpoint", tmp_path / "checkpoint", settings)
+        begun(tmp_path, settings, out="else")
+    with pytest.raises(UsageError, match="is no checkpoint"):
+        begun(tmp_path, settings, checkpoint="else")
+    with pytest.raises(UsageError, match="of its own"):
+        begun(tmp_path, settings, out="checkpoint")
+    assert [path.name for path in (tmp_path / "else").iterdir()] == ["a.txt"]
+
+
+def test_one_stream_at_a_time_has_a_checkpoint(tmp_path: Path) -> None:
+    settings = Settings("digest", 4, 0.5, 1.0, "blocks")
+    with (
+        opened(tmp_path / "checkpoint", tmp_path / "out", settings),
+        pytest.raises(UsageError, match="another stream works in"),
+    ):
+        begun(tmp_path, settings)
+    begun(tmp_path, settings)
+
+
+def begun(folder: Path, settings: Settings, checkpoint: str = "checkpoint", out: str = "out") -> Folder:
+    with opened(folder / checkpoint, folder / out, settings) as found:
+        return found
+
+
+def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
+    settings = Settings("digest", 4, 0.5, 1.0, "blocks")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match=r"give|choose"):
+        begun(tmp_path, settings, checkpoint="file/below")
+    with pytest.raises(UsageError, match=r"give|choose"):
+        begun(tmp_path, settings, out="file/below")
 
 
 def test_a_batch_written_again_replaces_itself(prepared: Prepared, tmp_path: Path) -> None:
-    folder = opened(tmp_path / "checkpoint", tmp_path / "out", Settings("digest", 1, 0.5, 1.0, "blocks"))
+    settings = Settings("digest", 1, 0.5, 1.0, "blocks")
+    folder = begun(tmp_path, settings)
     shard = Shard(Plan(prepared, PACE, 1), 0)
     shard.take([encode(block_of("a"))])
     (tmp_path / "out" / "estimates" / "batch-0000000000.parquet.7.part").write_bytes(b"half")
     for _ in range(2):
         folder.write(0, table_of(shard))
-    opened(tmp_path / "checkpoint", tmp_path / "out", Settings("digest", 1, 0.5, 1.0, "blocks"))
+    begun(tmp_path, settings)
     files = sorted(path.name for path in (tmp_path / "out" / "estimates").iterdir())
     assert files == ["batch-0000000000.parquet"]
     assert pl.read_parquet(tmp_path / "out" / "estimates" / files[0]).height == 10

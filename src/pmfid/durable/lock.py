@@ -7,7 +7,10 @@ from typing import IO
 
 from pmfid.errors import UsageError
 
-__all__ = ["hold", "lock"]
+__all__ = ["NAME", "hold", "lock"]
+
+#: Of the file in a folder by which it is taken.
+NAME = "lock"
 
 
 def lock(file: int) -> bool:
@@ -29,7 +32,7 @@ def hold(folder: Path, setting: str, other: str) -> IO[bytes]:
     else may have it. Raises UsageError where another one has it, and where it cannot be made, locked or written."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        held: IO[bytes] = open(folder / "lock", "ab")  # noqa: SIM115
+        held: IO[bytes] = open(folder / NAME, "ab")  # noqa: SIM115
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise UsageError(f"{setting}: {folder}: {reason}; choose a folder that can be written") from None

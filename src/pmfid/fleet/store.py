@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pmfid import __version__
+from pmfid.durable.lock import NAME as LOCK
 from pmfid.durable.lock import hold
 from pmfid.errors import UsageError
 from pmfid.fleet.survey import Problem, Survey
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 VERSION = 2
 #: Of the folders in which rows are put aside during a call.
 ASIDE = "aside-"
-#: Of the file by which one call alone works there.
-LOCK = "lock"
 
 
 def digest(*parts: object) -> str:

@@ -83,11 +83,26 @@ def stream_files(
     """
     pacing = pacing or Pacing()
     kind = kind_of(source)
-    folder = opened(checkpoint, out, settings_of(plan, source))
+    with opened(checkpoint, out, settings_of(plan, source)) as folder:
+        _stream(source, kind, plan, checkpoint, folder, pacing, begin, master, settings or {})
+
+
+def _stream(
+    source: Path,
+    kind: str,
+    plan: Plan,
+    checkpoint: Path,
+    folder: Folder,
+    pacing: Pacing,
+    begin: States | None,
+    master: str | None,
+    settings: Mapping[str, str],
+) -> None:
+    """The same, in folders that it has for itself."""
     fresh = not (checkpoint / SPARK).exists()
     if begin is not None and not fresh:
         begin = None  # they are in the checkpoint already
-    own = {**SETTINGS, "spark.sql.shuffle.partitions": str(plan.shards), **dict(settings or {})}
+    own = {**SETTINGS, "spark.sql.shuffle.partitions": str(plan.shards), **settings}
     with _said_into(checkpoint / LOG):
         spark = session_of(master, own)
     from pyspark.errors import PySparkException

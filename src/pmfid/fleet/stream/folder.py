@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 from uuid import uuid4
 
+from pmfid.durable.lock import NAME as LOCK
+from pmfid.durable.lock import hold
 from pmfid.errors import UsageError
 from pmfid.fleet.store import whole
 from pmfid.fleet.stream.tables import COUNTS, ESTIMATE, NOTICE
@@ -43,12 +46,28 @@ class Settings:
     source: str
 
 
-def opened(checkpoint: Path, out: Path, settings: Settings) -> Folder:
-    """The folder of results that belongs to a checkpoint; both begun where they are new. Raises UsageError where one
-    of them is of another stream, or of one with other settings."""
-    number = _begun(checkpoint, settings)
+@contextmanager
+def opened(checkpoint: Path, out: Path, settings: Settings) -> Iterator[Folder]:
+    """The folder of results that belongs to a checkpoint; both begun where they are new, and for one stream at a time.
+    Raises UsageError where one of them is of another stream, of one with other settings, or of one that runs, and where
+    it cannot be made."""
+    if checkpoint.resolve() == out.resolve():
+        raise UsageError(f"{out}: is the checkpoint; give a folder of its own for --out")
+    if _read(checkpoint / SETTINGS) is None and _holds(checkpoint, LOCK):
+        raise UsageError(f"{checkpoint}: is no checkpoint of pmfid fleet stream; give a new or empty folder")
+    with closing(hold(checkpoint, "--checkpoint", "another stream")):
+        number = _begun(checkpoint, settings)
+        try:
+            _result(out, number, settings)
+        except OSError as error:
+            raise UsageError(f"{out}: {error.strerror}; choose a folder that can be written for --out") from None
+        yield Folder(out)
+
+
+def _result(out: Path, number: str, settings: Settings) -> None:
+    """The folder of the results of the stream of this number."""
     known = _read(out / STREAM)
-    if known is None and out.exists() and (not out.is_dir() or any(out.iterdir())):
+    if known is None and _holds(out):
         raise UsageError(f"{out}: holds something else; give a new or empty folder for the results")
     if known is not None and known.get("stream") != number:
         raise UsageError(
@@ -60,23 +79,29 @@ def opened(checkpoint: Path, out: Path, settings: Settings) -> Folder:
             part.unlink(missing_ok=True)
     if known is None:
         whole(out / STREAM, lambda path: path.write_text(json.dumps({"stream": number, **asdict(settings)})))
-    return Folder(out)
+
+
+def _holds(folder: Path, *known: str) -> bool:
+    """Whether a folder holds anything but what is known, or is none."""
+    try:
+        return any(path.name not in known and path.suffix != ".part" for path in folder.iterdir())
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
 
 
 def _begun(checkpoint: Path, settings: Settings) -> str:
     """The number of the stream of a checkpoint."""
     known = _read(checkpoint / SETTINGS)
     if known is None:
-        if checkpoint.exists() and (not checkpoint.is_dir() or any(checkpoint.iterdir())):
-            raise UsageError(f"{checkpoint}: is no checkpoint of pmfid fleet stream; give a new or empty folder")
-        checkpoint.mkdir(parents=True, exist_ok=True)
         known = {"stream": uuid4().hex, **asdict(settings)}
         whole(checkpoint / SETTINGS, lambda path: path.write_text(json.dumps(known)))
     for name, value in asdict(settings).items():
         if known.get(name) != value:
             shown = "" if name == "config" else f" (now {value}, then {known.get(name)})"
             raise UsageError(f"{checkpoint}: was begun with another {name}{shown}: {REMEDIES[name]}")
-    return str(known["stream"])
+    return str(known.get("stream"))
 
 
 def _read(path: Path) -> dict[str, object] | None:
