@@ -17,7 +17,7 @@ from pmfid import fleet
 from pmfid.errors import UsageError
 from pmfid.fleet.history import History
 from pmfid.fleet.source import Part
-from pmfid.fleet.store import Store
+from pmfid.fleet.store import Store, whole
 from pmfid.fleet.times import other_unit, seconds_of
 from pmfid.fleet.walk import RESULTS
 from studies.fleet_data import AXIS_TOML, machines, rows
@@ -173,6 +173,14 @@ def test_another_unit_is_told() -> None:
     assert not other_unit(0.0, 1e12, 1.0)
 
 
+def test_an_axis_of_two_types_is_named(logs: list[pl.DataFrame], config: Path, tmp_path: Path) -> None:
+    for name, part in (("b", logs[0][:3000]), ("a", logs[0][3000:])):
+        part.with_columns(pl.lit(name).alias("kind")).write_parquet(tmp_path / f"{name}.parquet")
+    found = fleet.estimate(tmp_path, axis=config, by="machine", period="1min", type="kind")
+    assert "types a, b" in found.problems.filter(pl.col("code") == "types")["text"][0]
+    assert found.axes["type"].to_list() == ["a"]
+
+
 # --- folders ----------------------------------------------------------------------------------------------------------
 
 
@@ -230,6 +238,18 @@ def test_one_call_at_a_time_has_a_folder(logs: list[pl.DataFrame], config: Path,
         estimated(logs[0], config, out)
     assert estimated(logs[0], config, out).axes.height == 1
     assert estimated(logs[0], config, out).reused == 1
+
+
+def test_a_disk_that_fills_up_is_said(tmp_path: Path) -> None:
+    """What polars raises then is no OSError."""
+
+    def write(part: Path) -> None:
+        part.write_text("half")
+        raise pl.exceptions.ComputeError("No space left on device")
+
+    with pytest.raises(UsageError, match="make room"):
+        whole(tmp_path / "a.parquet", write)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_cannot_be_is_said(logs: list[pl.DataFrame], config: Path, tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from pmfid.fleet.plan import Shard, shards_of, slice_length
 from pmfid.fleet.settings import Chosen, make_settings
 from pmfid.fleet.source import AXIS, TYPE, Columns, is_spark, parts_of
 from pmfid.fleet.store import Store, check_folder, digest, whole
+from pmfid.fleet.survey import Problem
 from pmfid.fleet.verdicts import UNKNOWN
 from pmfid.fleet.work import Work
 from pmfid.session.config import Axis, load_axis
@@ -191,7 +192,7 @@ class _Run:
         work = Work(settings, self.columns, length)
         before, names = self.keep.reused, settings.estimator.names
         solved = self._solved(shards, work, str((self.axis.model_dump(), chosen, settings.segment, length)))
-        problems = [*self.survey.problems, *(problem for one in solved for problem in one.problems)]
+        problems = [*self.survey.problems, *self._several(), *(told for one in solved for told in one.problems)]
         groups = self._groups(shards, solved)
         found: Outcome = outcome_of(groups, self._types(), problems, names, periods, settings.segment, tolerance)
         if self.store is not None:
@@ -246,6 +247,14 @@ class _Run:
             wanted = sorted({k for name in group for k in places[name]})
             frames = [solved[k].rows().filter(pl.col(AXIS).is_in(group)) for k in wanted]
             yield pl.concat(frames).sort(AXIS, "start")
+
+    def _several(self) -> Iterator[Problem]:
+        """Axes that have other types in other files, or on other days."""
+        import polars as pl
+
+        kinds = self.survey.rows.filter(pl.col(TYPE) != "").group_by(AXIS).agg(pl.col(TYPE).unique().sort())
+        for axis, types in kinds.filter(pl.col(TYPE).list.len() > 1).sort(AXIS).iter_rows():
+            yield Problem(axis, "", "types", f"of the types {', '.join(types)}: it is judged with the first")
 
     def _types(self) -> dict[str, str]:
         """The type of each axis; of several the first by name."""

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
@@ -111,10 +112,14 @@ def check_folder(folder: Path) -> None:
 
 def whole(path: Path, write: Callable[[Path], object]) -> None:
     """Writes a file in one step. Raises UsageError where that cannot be."""
+    from polars.exceptions import PolarsError  # what its writers make of a full disk
+
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
         write(part)
         part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise UsageError(f"{path}: {error.strerror or error}; make room, or choose another folder") from None
+    except (OSError, PolarsError) as error:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        told = getattr(error, "strerror", None) or error
+        raise UsageError(f"{path}: {told}; make room, or choose another folder") from None

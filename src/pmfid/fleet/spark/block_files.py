@@ -57,7 +57,7 @@ class _Reader(DataSourceStreamReader):  # type: ignore[misc]
         found = dict(start)
         for path in sorted(self._folder.glob("*.pmfb")):
             known = start.get(path.name, 0)
-            if path.stat().st_size > known:
+            if path.is_file() and path.stat().st_size > known:
                 found[path.name] = known + _whole(path, known)
         return found
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 from pmfid.errors import UsageError
 from pmfid.fleet.spark.session import session_of
@@ -56,7 +56,10 @@ def watched(blocks: DataFrame, plan: Plan, initial: DataFrame | None = None) -> 
 
     shard = f.expr(f"cast(pmod(crc32(encode(axis, 'UTF-8')), {plan.shards}) as int)")
     schema = ", ".join(f"`{name}` {kind}" for name, kind in columns_of(plan).items())
-    grouped = blocks.select("axis", "block").where("axis is not null").withColumn("shard", shard).groupBy("shard")
+    # a row without one of them, as of a file with other columns, is no block, and counted as such
+    block = f.expr("if(axis is null or block is null, encode('nothing', 'UTF-8'), block)").alias("block")
+    whole = blocks.select(f.expr("coalesce(axis, '')").alias("axis"), block)
+    grouped = whole.withColumn("shard", shard).groupBy("shard")
     return grouped.transformWithStateInPandas(
         ShardProcessor(plan),
         outputStructType=schema,
@@ -137,13 +140,21 @@ def _said_into(path: Path) -> Iterator[None]:
     look for the cause of a failure, and many."""
     sys.stderr.flush()
     kept = os.dup(2)
-    with open(path, "ab") as log:
+    with _log(path) as log:
         os.dup2(log.fileno(), 2)
     try:
         yield
     finally:
         os.dup2(kept, 2)
         os.close(kept)
+
+
+def _log(path: Path) -> IO[bytes]:
+    """To be appended to; of a checkpoint that can only be read, nothing."""
+    try:
+        return open(path, "ab")
+    except OSError:
+        return open(os.devnull, "ab")
 
 
 def _read(spark: SparkSession, source: Path, kind: str, pacing: Pacing) -> DataFrame:
