@@ -13,6 +13,7 @@ import polars as pl
 import pytest
 
 from pmfid.errors import UsageError
+from pmfid.fleet.spark.stream import problem_of
 from pmfid.fleet.stream.folder import Folder, Settings, opened
 from pmfid.fleet.stream.shard import Plan, Shard, shard_of
 from pmfid.fleet.stream.states import States
@@ -198,6 +199,11 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
         begun(tmp_path, settings, checkpoint="file/below")
     with pytest.raises(UsageError, match=r"give|choose"):
         begun(tmp_path, settings, out="file/below")
+
+
+def test_a_damaged_checkpoint_has_its_own_remedy() -> None:
+    assert "put back a copy" in problem_of(ValueError("Incomplete log file in the offset commit log"))
+    assert "mend that" in problem_of(ValueError("[FAILED_READ_FILE] a.parquet"))
 
 
 def test_a_batch_written_again_replaces_itself(prepared: Prepared, tmp_path: Path) -> None:

@@ -33,6 +33,8 @@ SETTINGS = {
 }
 #: The folder of Spark's own checkpoint within that of the stream.
 SPARK = "spark"
+#: What Spark says of a checkpoint that is not whole.
+_DAMAGED = ("log file", "end-of-input", "CANNOT_LOAD_STATE_STORE", "ChecksumException")
 #: What Spark and its processes say, beside it.
 LOG = "spark.log"
 
@@ -108,13 +110,14 @@ def _stream(
     own = {**SETTINGS, "spark.sql.shuffle.partitions": str(plan.shards), **settings}
     with _said_into(checkpoint / LOG):
         spark = session_of(master, own)
+    from py4j.protocol import Py4JError
     from pyspark.errors import PySparkException
 
     try:
         blocks = _read(spark, source, kind, pacing)
         initial = None if begin is None else _initial(spark, begin, plan)
         _wait(_started(watched(blocks, plan, initial), folder, checkpoint / SPARK, pacing))
-    except PySparkException as error:
+    except (PySparkException, Py4JError) as error:
         raise UsageError(problem_of(error)) from None
 
 
@@ -204,12 +207,13 @@ def states_of(checkpoint: Path, prepared_digest: str, master: str | None = None)
 
     with _said_into(checkpoint / LOG):
         spark = session_of(master, SETTINGS)
+    from py4j.protocol import Py4JError
     from pyspark.errors import PySparkException
 
     try:
         reader = spark.read.format("statestore").option("path", str((checkpoint / SPARK).resolve()))
         rows = reader.option("stateVarName", STATE).load().selectExpr("key.shard", "value.body").collect()
-    except PySparkException as error:
+    except (PySparkException, Py4JError) as error:
         raise UsageError(problem_of(error)) from None
     return States.of({row[0]: bytes(row[1]) for row in rows}, prepared_digest)
 
@@ -225,4 +229,7 @@ def problem_of(error: Exception) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     causes = [line for line in lines if line.startswith(("pmfid.", "ValueError", "Caused by", "java.io"))]
     told = causes[-1] if causes else next(iter(lines), "for no reason that it tells")
-    return f"the stream stopped: {told[:400]}; mend that, and start it again"
+    remedy = "mend that, and start it again"
+    if any(sign in str(error) for sign in _DAMAGED):
+        remedy = "the checkpoint is damaged: put back a copy of it, or give new folders for --checkpoint and --out"
+    return f"the stream stopped: {told[:400]}; {remedy}"
