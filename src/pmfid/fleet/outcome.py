@@ -15,7 +15,7 @@ from pmfid.fleet.said import sentence
 from pmfid.fleet.series import Series, series_of
 from pmfid.fleet.source import AXIS
 from pmfid.fleet.survey import DAY, Problem
-from pmfid.fleet.verdicts import CHANGED, CLEAR, Follow, Verdict, followed, judged, ranking
+from pmfid.fleet.verdicts import CHANGED, Follow, Verdict, followed, judged, ranking
 
 if TYPE_CHECKING:
     import polars as pl
@@ -58,7 +58,7 @@ def outcome_of(
             problems += _mixed(axis, series)
             follows[axis] = followed(axis, types[axis], series, names, tolerance)
             step = follows[axis].step
-            told = codes[axis] | ({(step.since, CHANGED)} if step is not None and step.score > CLEAR else set())
+            told = codes[axis] | ({(step.since, CHANGED)} if step is not None and follows[axis].stepped else set())
             rows += period_rows(axis, types[axis], series, names, periods, segment, told)
         frames.append(pl.DataFrame(rows, schema=_period_schema(names)))
     problems += _others(follows.values())
