@@ -14,6 +14,7 @@ from scipy.special import ndtri, stdtrit
 
 from pmfid.fleet.changes import Step, Trend, step_of, trend_of
 from pmfid.fleet.series import Series, mean_of
+from pmfid.fleet.sorts import sorts_of
 from pmfid.fleet.wander import Beyond, beyond
 from pmfid.types import Floats
 
@@ -161,33 +162,55 @@ def _limit(trials: float, free: float) -> float:
     return float(-ndtri(part) if math.isinf(free) else -stdtrit(max(free, 1), part))
 
 
-def _deviations(follows: Sequence[Follow], tolerance: float) -> list[tuple[Floats, Floats]]:
-    """Of each axis (p,), relative to the median of its type, and how many spreads that is beyond the tolerance: NaN
-    where there are too few, or where the sign differs."""
+def sorts_by_type(follows: Sequence[Follow], tolerance: float) -> dict[str, list[list[int]]]:
+    """Places of the axes of each type with an estimate, by the sorts that it holds."""
     groups: dict[str, list[int]] = defaultdict(list)
     for k, one in enumerate(follows):
         if one.segments:
             groups[one.type].append(k)
+    found = {}
+    for kind, members in groups.items():
+        theta, _ = _estimates(follows, members)
+        sorts = sorts_of(_logarithms(theta)[0], LEAST_AXES, tolerance)
+        found[kind] = [[members[k] for k in own] for own in sorts]
+    return found
+
+
+def _estimates(follows: Sequence[Follow], members: Sequence[int]) -> tuple[Floats, Floats]:
+    """theta, std: (m, p)."""
+    theta, std = (np.array([getattr(follows[k], name) for k in members]) for name in ("theta", "std"))
+    return theta, std
+
+
+def _deviations(follows: Sequence[Follow], tolerance: float) -> list[tuple[Floats, Floats]]:
+    """Of each axis (p,), relative to the median of its sort, and how many spreads that is beyond the tolerance: NaN
+    where there are too few, or where the sign differs."""
     p = follows[0].theta.size if follows else 0
     found = [(np.full(p, np.nan), np.full(p, np.nan)) for _ in follows]
-    for members in groups.values():
-        if len(members) >= LEAST_AXES:
-            theta, std = (np.array([getattr(follows[k], name) for k in members]) for name in ("theta", "std"))
-            for k, *pair in zip(members, *_apart(theta, std, tolerance), strict=True):
-                found[k] = (pair[0], pair[1])
+    for sorts in sorts_by_type(follows, tolerance).values():
+        for members in sorts:
+            if len(members) >= LEAST_AXES:
+                for k, *pair in zip(members, *_apart(*_estimates(follows, members), tolerance), strict=True):
+                    found[k] = (pair[0], pair[1])
     return found
 
 
 def _apart(theta: Floats, std: Floats, tolerance: float) -> tuple[Floats, Floats]:
-    """(m, p) of the axes of one type. Logarithms, where all are positive: parameters of machines differ by factors."""
+    """(m, p) of the axes of one sort."""
+    apart, ratio, size = _logarithms(theta)
+    spread = spread_of(apart)
+    bars = np.hypot(spread, std / size)
+    return ratio - 1, np.maximum(np.abs(apart) - tolerance, 0.0) / np.maximum(bars, np.finfo(float).tiny)
+
+
+def _logarithms(theta: Floats) -> tuple[Floats, Floats, Floats]:
+    """Of theta (m, p) over the median, where all are positive: parameters of machines differ by factors. With the
+    ratios, and the sizes (p,) of the medians."""
     middle = np.median(theta, axis=0)
     size = np.maximum(np.abs(middle), np.finfo(float).tiny)
     ratio = theta / size * np.where(middle < 0, -1.0, 1.0)
     positive = np.all(ratio > 0, axis=0)
-    apart = np.where(positive, np.log(np.where(positive, ratio, 1.0)), ratio - 1)
-    spread = spread_of(apart)
-    bars = np.hypot(spread, std / size)
-    return ratio - 1, np.maximum(np.abs(apart) - tolerance, 0.0) / np.maximum(bars, np.finfo(float).tiny)
+    return np.where(positive, np.log(np.where(positive, ratio, 1.0)), ratio - 1), ratio, size
 
 
 def spread_of(apart: Floats) -> Floats:

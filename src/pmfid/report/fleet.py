@@ -62,6 +62,10 @@ def _besides(found: History) -> str:
     files = found.problems.filter((found.problems["code"] == "unreadable") & (found.problems["file"] != ""))
     text = f"\n\n{_many(unknown, 'axis has', 'axes have')} no estimate, listed below." if unknown else ""
     text += f"\n\n{_many(files['file'].n_unique(), 'file', 'files')} could not be read." if files.height else ""
+    for part, told in (
+        found.problems.filter(found.problems["code"] == "several_sorts").select("file", "text").iter_rows()
+    ):
+        text += f"\n\n{part.replace('type', 'Type', 1)}: {told}."
     return text + (f"\n\n{_many(wander, 'axis wanders', 'axes wander')}, which needs no action." if wander else "")
 
 
@@ -102,8 +106,8 @@ def _wandering(found: History) -> Section | None:
         return None
     text = (
         "Their parameters move up and down about a mean, as friction does with temperature and lubrication. A step or "
-        "a line explains that no better than a random walk does, so they are not named as changed or drifting. The size "
-        "is the root mean square about the mean; the largest come first."
+        "a line explains that no better than a random walk does, so they are not named as changed or drifting. The "
+        "size is the root mean square about the mean; the largest come first."
     )
     rows: list[list[Cell]] = [[row["axis"], row["why"]] for row in wander.head(OTHERS).iter_rows(named=True)]
     return Section("Axes that wander", text + _first(OTHERS, wander.height), (("axis", "what"), rows))
@@ -176,7 +180,7 @@ def _unused(found: History) -> Section | None:
     text = "What could not be used as it is, or was left out. Everything else was done."
     if found.problems.height > PROBLEMS:
         text += f" The first {PROBLEMS} of {found.problems.height}; all are in problems.parquet."
-    return Section("What could not be used", text, (("axis or file", "finding", "times", "from", "what"), rows))
+    return Section("What could not be used", text, (("axis, file or type", "finding", "times", "from", "what"), rows))
 
 
 def _from(time: float) -> str:
