@@ -34,7 +34,7 @@ def test_two_versions_are_told_and_neither_is_named(second: int, factor: float) 
     assert not any(one.named for one in judged(follows, NAMES, 0.02))
     told = _sorts(follows, NAMES, 0.02)
     assert [(one.code, one.part) for one in told] == [("several_sorts", "type press")]
-    assert "2 sorts of machines, mass" in told[0].text
+    assert "2 sorts of machines, by mass" in told[0].text
     assert f"{second} around {factor:.1g}"[:10] in told[0].text
 
 

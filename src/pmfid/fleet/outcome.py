@@ -106,10 +106,10 @@ def _sorts(follows: Sequence[Follow], names: Sequence[str], tolerance: float) ->
                 f"{len(own)} around {middle:.3g}" for own, middle in zip(sorts, middles[:, i], strict=True)
             )
             text = (
-                f"it holds {len(sorts)} sorts of machines, {names[i].replace('_', ' ')}: {each}; each axis is compared "
-                "with its own sort: give them types of their own"
+                f"{len(sorts)} sorts of machines, by {names[i].replace('_', ' ')}: {each}; each axis is compared "
+                "with its own sort: give them types of their own, --type"
             )
-            found.append(Problem("", f"type {kind}".strip(), "several_sorts", text))
+            found.append(Problem("", f"type {kind}" if kind else "all axes", "several_sorts", text))
     return found
 
 

@@ -65,7 +65,7 @@ def _besides(found: History) -> str:
     for part, told in (
         found.problems.filter(found.problems["code"] == "several_sorts").select("file", "text").iter_rows()
     ):
-        text += f"\n\n{part.replace('type', 'Type', 1)}: {told}."
+        text += f"\n\n{part[:1].upper() + part[1:]}: {told}."
     return text + (f"\n\n{_many(wander, 'axis wanders', 'axes wander')}, which needs no action." if wander else "")
 
 
@@ -164,7 +164,10 @@ def _spread(found: History) -> Section | None:
 def _map(found: History) -> Section | None:
     if not found.periods.height:
         return None
-    text = "A row for each axis, those that need attention at the top; a column for each period."
+    text = (
+        "A row for each axis, those that need attention at the top, with names in the colour of the verdict; a column "
+        "for each period."
+    )
     if found.axes.height > QUIET:
         text += f" Of the others the first {QUIET}, by how many periods are in doubt; {ROWS} rows at most."
     return Section("Map of findings", text, svg=svg(map_figure(found)))
