@@ -51,6 +51,13 @@ minute, and the same rows give the same bytes whatever files, threads or earlier
 named where its change, drift or distance from its type goes beyond `[monitor] tolerance` by more than chance makes
 of the whole fleet.
 
+Friction goes up and down with temperature and lubrication. Where a step or a straight line explains the past of an
+axis no better than a random walk does, the axis is said to wander (`kind` is `wanders`, with its size) and is not
+named. A movement of which the history holds no more than a rising part looks like a drift and is told as one.
+Where a clear gap parts the axes of one type, it holds several sorts of machines (`several_sorts` among the problems):
+each axis is then compared with its own sort. Sorts whose axes overlap, or of fewer than 8 axes or a tenth, are not
+told apart: the spread of the type is then wider, and it takes more to be named.
+
 Files in which many axes are mixed row by row are read once, and their rows put aside on the disk by shard (28 bytes
 each, in the folder of `--out`, else in that for temporary files; gone when the last shard that needs them is done): in
 9, 18 and 36 million rows in shards of half a million 2.6, 5.3 and 9.7 s of processor time and 460 MiB, where reading

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from pmfid.fleet.history import History
 from pmfid.fleet.verdicts import Verdict, followed, judged
 from pmfid.report.fleet import write_fleet
+from pmfid.report.fleet_figures import moving, ticks_of
 from tests.test_fleet_changes import NAMES, N, series
 
 
@@ -56,3 +58,60 @@ def test_why_an_axis_needs_attention_can_be_read_on_a_narrow_screen(tmp_path: Pa
     assert '<td class="long">mass +20.0 %' in page
     assert "td.long { white-space: normal;" in page
     assert "fewer than 8" not in page
+
+
+def page_of(folder: Path, found: History) -> str:
+    write_fleet(folder, found, "lake")
+    return (folder / "fleet.html").read_text(encoding="utf-8")
+
+
+def with_kinds(found: History, kinds: list[str]) -> History:
+    named = [kind not in ("", "no estimate", "wanders") for kind in kinds]
+    return replace(found, axes=found.axes.with_columns(pl.Series("kind", kinds), pl.Series("named", named)))
+
+
+def test_axes_without_an_estimate_are_listed_and_counted_in_the_title(tmp_path: Path) -> None:
+    """The page had pointed to a table in which they did not stand."""
+    page = page_of(tmp_path, with_kinds(history(3, 0.1), ["no estimate", "", ""]))
+    assert "<h1>lake: 0 of 3 axes need attention, 1 has no estimate</h1>" in page
+    assert "<td>a0</td>" in page.partition("<h2>No estimate</h2>")[2].partition("<h2>")[0]
+    nothing = page_of(tmp_path, with_kinds(history(3, 0.1), ["no estimate"] * 3))
+    assert "Nothing is known of any axis" in nothing
+    assert "No axis changed" not in nothing
+
+
+def test_axes_that_wander_are_told_apart_from_those_that_need_attention(tmp_path: Path) -> None:
+    page = page_of(tmp_path, with_kinds(history(3, 0.1), ["changed", "wanders", "wanders"]))
+    assert "1 of 3 axes needs attention</h1>" in page
+    assert "2 axes wander, which needs no action." in page
+    assert "<h2>Axes that wander</h2>" in page
+
+
+def test_one_name_that_is_a_number_does_not_push_the_reasons_off_the_page(tmp_path: Path) -> None:
+    """It had made a column of numbers of all names, and the longest of them went over one line."""
+    found = history(3, 0.1)
+    names = pl.Series("axis", ["007", "<b>" + "long" * 40, "漢字"])
+    periods = found.periods.with_columns(names)
+    found = replace(with_kinds(found, ["changed"] * 3), periods=periods)
+    page = page_of(tmp_path, replace(found, axes=found.axes.with_columns(names)))
+    assert '<td class="long">&lt;b&gt;longlong' in page
+    assert '<td class="number">007' not in page
+
+
+def test_trends_are_drawn_of_what_moves() -> None:
+    """The largest distances from the others had taken all the room."""
+    found = with_kinds(history(4, 0.1), ["differs", "changed", "drifts", ""])
+    assert moving(found)["axis"].to_list() == ["a1", "a2"]
+
+
+@pytest.mark.parametrize(
+    ("times", "texts"),
+    [
+        ([1.7e9, 1.7e9 + 30 * 86_400], ["2023-11-14", "2023-12-14"]),
+        ([1.7e9, 1.7e9 + 3600], ["11-14\n22:13", "11-14\n23:13"]),
+        ([0.0, 600.0], ["0:00:00", "0:10:00"]),
+    ],
+)
+def test_times_of_hours_and_of_months_are_told_apart(times: list[float], texts: list[str]) -> None:
+    """Of a history of hours every label had been the same date."""
+    assert ticks_of(np.array(times)) == texts

@@ -145,9 +145,9 @@ def _print(found: History, out: Path) -> None:
         click.echo(f"  {printable(row['axis'])}: {printable(row['why'])}")
     if found.named.height > SHOWN:
         click.echo(f"  ... and {found.named.height - SHOWN} more")
-    unknown = found.unknown.height
-    if unknown:
-        click.echo(f"{unknown} axes without an estimate: see problems.parquet, or the report")
+    if found.unknown.height:
+        names = ", ".join(printable(axis) for axis in found.unknown["axis"].head(SHOWN))
+        click.echo(f"no estimate: {names}{', ...' if found.unknown.height > SHOWN else ''}: see the report")
     for row in found.problems.head(SHOWN).iter_rows(named=True):
         where = row["axis"] or row["file"]
         times = f" ({row['times']} times)" if row["times"] > 1 else ""

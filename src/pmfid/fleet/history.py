@@ -77,9 +77,10 @@ class History:
 
     @property
     def title(self) -> str:
-        """How many axes there are, and how many need attention."""
-        many, named = self.axes.height, self.named.height
-        return f"{named} of {many} axes need{'s' * (named == 1)} attention"
+        """How many axes there are, how many need attention, and of how many nothing is known."""
+        many, named, unknown = self.axes.height, self.named.height, self.unknown.height
+        dark = f", {unknown} {'has' if unknown == 1 else 'have'} no estimate" if unknown else ""
+        return f"{named} of {many} axes need{'s' * (named == 1)} attention{dark}"
 
     def __str__(self) -> str:
         lines = [f"  {printable(row['axis'])}: {row['why']}" for row in self.named.head(8).iter_rows(named=True)]

@@ -15,7 +15,7 @@ from pmfid.fleet.said import sentence
 from pmfid.fleet.series import Series, series_of
 from pmfid.fleet.source import AXIS
 from pmfid.fleet.survey import DAY, Problem
-from pmfid.fleet.verdicts import CHANGED, CLEAR, Follow, Verdict, followed, judged, ranking
+from pmfid.fleet.verdicts import CHANGED, Follow, Verdict, followed, judged, ranking, sorts_by_type
 
 if TYPE_CHECKING:
     import polars as pl
@@ -58,13 +58,14 @@ def outcome_of(
             problems += _mixed(axis, series)
             follows[axis] = followed(axis, types[axis], series, names, tolerance)
             step = follows[axis].step
-            told = codes[axis] | ({(step.since, CHANGED)} if step is not None and step.score > CLEAR else set())
+            told = codes[axis] | ({(step.since, CHANGED)} if step is not None and follows[axis].stepped else set())
             rows += period_rows(axis, types[axis], series, names, periods, segment, told)
         frames.append(pl.DataFrame(rows, schema=_period_schema(names)))
     problems += _others(follows.values())
     missing = [axis for axis in sorted(types) if axis not in follows]
     frames.append(pl.DataFrame(_nothing(missing, types, codes), schema=_period_schema(names)))
     everyone = [follows.get(axis) or _unknown(axis, types[axis], len(names)) for axis in sorted(types)]
+    problems += _sorts(everyone, names, tolerance)
     axes = _axes(everyone, judged(everyone, names, tolerance), names)
     whole = pl.concat(frames).sort(AXIS, "period")
     return Outcome(whole, axes, _problems(problems), seen)
@@ -92,6 +93,24 @@ def _others(follows: Iterable[Follow]) -> list[Problem]:
         for one in known
         if abs(one.dt - usual) > SAME * usual
     ]
+
+
+def _sorts(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[Problem]:
+    """Types that hold several sorts of machines."""
+    found = []
+    for kind, sorts in sorts_by_type(follows, tolerance).items():
+        if len(sorts) > 1:
+            middles = np.array([np.median([follows[k].theta for k in members], axis=0) for members in sorts])
+            i = int(np.argmax(np.ptp(middles, axis=0) / np.abs(middles).min(axis=0)))
+            each = ", ".join(
+                f"{len(own)} around {middle:.3g}" for own, middle in zip(sorts, middles[:, i], strict=True)
+            )
+            text = (
+                f"{len(sorts)} sorts of machines, by {names[i].replace('_', ' ')}: {each}; each axis is compared "
+                "with its own sort: give them types of their own, --type"
+            )
+            found.append(Problem("", f"type {kind}" if kind else "all axes", "several_sorts", text))
+    return found
 
 
 def _unknown(axis: str, kind: str, parameters: int) -> Follow:

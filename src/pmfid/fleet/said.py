@@ -6,7 +6,7 @@ import math
 from datetime import UTC, datetime
 
 from pmfid.estimators.facts import INPUT_GAIN
-from pmfid.fleet.verdicts import CHANGED, DIFFERS, DRIFTS, UNKNOWN, Verdict
+from pmfid.fleet.verdicts import CHANGED, DIFFERS, DRIFTS, UNKNOWN, WANDERS, Verdict
 from pmfid.session.clock import EPOCHS
 
 #: What the parameters are in a sentence.
@@ -32,7 +32,7 @@ def between(since: float, until: float) -> str:
 
 
 def sentence(verdict: Verdict) -> str:
-    """Why the axis needs attention; empty where it does not."""
+    """Why the axis needs attention, or what else there is to say; empty where there is nothing."""
     what = _WORDS.get(verdict.cause, verdict.cause.replace("_", " "))
     size, std = 100 * verdict.size, 100 * verdict.std
     if verdict.kind == CHANGED:
@@ -42,6 +42,8 @@ def sentence(verdict: Verdict) -> str:
             return f"{what} drifts by {size:+.2g} % ± {std:.1g} % per day"
         span = when(verdict.days * 86_400.0)
         return f"{what} drifts by {size * verdict.days:+.2g} % ± {std * verdict.days:.1g} % within {span}"
+    if verdict.kind == WANDERS:
+        return f"{what} wanders by {size:.2g} % about its mean"
     if verdict.kind == DIFFERS:
         return f"{what} {size:+.0f} % from the median of its type"
     return "no estimate: see its findings" if verdict.kind == UNKNOWN else ""

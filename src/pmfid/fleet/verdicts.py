@@ -1,12 +1,12 @@
 """Who needs attention: who changed, who drifts, who differs from the others of its type. So few false ones that all can
-be looked at, however many axes there are.
+be looked at, however many axes there are. Who only wanders, up and down, is told, and needs none.
 """
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,6 +14,8 @@ from scipy.special import ndtri, stdtrit
 
 from pmfid.fleet.changes import Step, Trend, step_of, trend_of
 from pmfid.fleet.series import Series, mean_of
+from pmfid.fleet.sorts import sorts_of
+from pmfid.fleet.wander import Beyond, beyond
 from pmfid.types import Floats
 
 #: Axes that are named by chance, of a whole fleet in which nothing is the matter, for each way of being named.
@@ -25,13 +27,17 @@ LEAST_AXES = 8
 #: Parts of the axes of a type whose distance from the median tells its spread: the rest may be odd.
 PARTS = (0.5, 0.7, 0.8, 0.9)
 #: Ways of being named, in words.
-CHANGED, DRIFTS, DIFFERS, UNKNOWN = "changed", "drifts", "differs", "no estimate"
+CHANGED, DRIFTS, DIFFERS, WANDERS, UNKNOWN = "changed", "drifts", "differs", "wanders", "no estimate"
+#: Standard deviations of a step or trend below which nobody is named, so that nothing else need explain it.
+LOOKED_AT = 2.0
+#: Chance with which the line through an axis that wanders is a drift: of those that have a clear line only.
+LINE = 1e-3
 
 
 @dataclass(frozen=True)
 class Follow:
-    """What one axis says by itself. theta, std: (p,) at the end, since its last step; segments: usable ones; dt: the
-    median [s]."""
+    """What one axis says by itself. theta, std: (p,) at the end, since its last step; segments: usable ones; wander:
+    what step and trend explain beyond it, None where neither is clear; dt: the median [s]."""
 
     axis: str
     type: str
@@ -40,13 +46,21 @@ class Follow:
     std: Floats
     step: Step | None
     trend: Trend | None
+    wander: Beyond | None = None
     dt: float = math.nan
+
+    @property
+    def stepped(self) -> bool:
+        """Is there a step for sure, whatever the fleet is like?"""
+        clear = self.step is not None and self.step.score > CLEAR
+        return clear and self.wander is not None and self.wander.step > CLEAR
 
 
 @dataclass(frozen=True)
 class Verdict:
     """kind: one of the above, empty: nothing to say; score: evidence over what chance would name, from 1 on it is
-    named; cause: parameter, FRICTION or INPUT_GAIN; size, std: relative, of a drift per day; since, until: [s], between
+    named; cause: parameter, FRICTION or INPUT_GAIN; size, std: relative, of a drift per day, of one that wanders
+    root mean square about the mean; since, until: [s], between
     which it came; days: of the history; deviation:
     (p,) logarithm over the median of its type, in its spreads; NaN of too few axes."""
 
@@ -62,8 +76,8 @@ class Verdict:
 
     @property
     def weight(self) -> float:
-        """By which they stand in order: of those that are named, evidence is enough, so the size; of others that."""
-        return abs(self.total) if self.named and math.isfinite(self.total) else self.score
+        """By which they stand in order: where evidence is enough by the size, else by that."""
+        return abs(self.total) if self.kind and math.isfinite(self.total) else self.score
 
     @property
     def total(self) -> float:
@@ -80,10 +94,15 @@ def followed(axis: str, kind: str, series: Series, names: Sequence[str], toleran
     """What the segments (n,) of an axis say; kind: its type; tolerance: relative change that is none."""
     used = series[series.usable]
     step, trend = step_of(used, names, tolerance), trend_of(used, tolerance)
+    clear = step is not None and trend is not None and max(step.score, trend.score) > LOOKED_AT
+    wander = None
+    if step is not None and clear:
+        whole = (used.start < step.since) | (used.start >= step.settled)  # not of both sides
+        wander = beyond(used[whole], step.settled)
     late = used if step is None or not step.score > 0 else used[used.start >= step.settled]
     theta, std = mean_of(late if late.start.size else used)
     dt = float(np.median(used.dt)) if used.dt.size else math.nan
-    return Follow(axis, kind, int(used.start.size), theta, std, step, trend, dt)
+    return Follow(axis, kind, int(used.start.size), theta, std, step, trend, wander, dt)
 
 
 def judged(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[Verdict]:
@@ -100,22 +119,33 @@ def _verdict(one: Follow, names: Sequence[str], deviation: Floats, excess: Float
     if not one.segments:
         return Verdict(UNKNOWN, 0.0, deviation=deviation)
     found = [_of_differing(one, names, deviation, excess, limit), *_of_past(one, names, axes)]
-    best = max(found, key=lambda verdict: verdict.score)
+    best = max(found, key=lambda verdict: (verdict.named and verdict.score >= 1, verdict.score))
     return replace(best, kind=best.kind if best.score >= 1 else "", deviation=deviation)
 
 
 def _of_past(one: Follow, names: Sequence[str], axes: int) -> list[Verdict]:
-    """Of its step, or of its trend: of the one that explains more."""
+    """Of its step, or of its trend: of the one that explains more, and more than that it wanders."""
     step, trend = one.step, one.trend
     if step is None or trend is None:
         return []
-    trials, free = axes * len(names), one.segments - 2
-    stepped = step.score / _limit(trials * one.segments, free)
-    drifted = trend.score / _limit(trials, free)
-    if drifted < 1 or step.misfit <= trend.misfit:
-        return [Verdict(CHANGED, max(stepped, 0.0), step.cause, step.size, step.std, step.since, step.until)]
-    day = 86_400.0
-    return [Verdict(DRIFTS, drifted, names[trend.parameter], trend.slope * day, trend.std * day, days=trend.span / day)]
+    trials, free, day = axes * len(names), one.segments - 2, 86_400.0
+    least = _limit(trials * one.segments, free)
+    stepped, drifted = step.score / least, trend.score / _limit(trials, free)
+    changed = Verdict(CHANGED, max(stepped, 0.0), step.cause, step.size, step.std, step.since, step.until)
+    slope, bar = trend.slope * day, trend.std * day
+    drifts = Verdict(DRIFTS, drifted, names[trend.parameter], slope, bar, days=trend.span / day)
+    first = drifted < 1 or step.misfit <= trend.misfit
+    clear = [verdict for verdict in ((changed, drifts) if first else (drifts, changed)) if verdict.score >= 1]
+    if not clear or one.wander is None:
+        return [changed]
+    sure = {CHANGED: one.wander.step >= least, DRIFTS: one.wander.line >= -float(stdtrit(max(free, 1), LINE / 2))}
+    return [next((verdict for verdict in clear if sure[verdict.kind]), _wandering(clear[0], one.wander, names))]
+
+
+def _wandering(verdict: Verdict, wander: Beyond, names: Sequence[str]) -> Verdict:
+    """In place of a step or drift that explains no more."""
+    own = [size for size, name in zip(wander.size, names, strict=True) if verdict.cause in name]
+    return Verdict(WANDERS, verdict.score, verdict.cause, float(max(own or wander.size)))
 
 
 def _of_differing(one: Follow, names: Sequence[str], deviation: Floats, excess: Floats, limit: float) -> Verdict:
@@ -132,33 +162,55 @@ def _limit(trials: float, free: float) -> float:
     return float(-ndtri(part) if math.isinf(free) else -stdtrit(max(free, 1), part))
 
 
-def _deviations(follows: Sequence[Follow], tolerance: float) -> list[tuple[Floats, Floats]]:
-    """Of each axis (p,), relative to the median of its type, and how many spreads that is beyond the tolerance: NaN
-    where there are too few, or where the sign differs."""
+def sorts_by_type(follows: Sequence[Follow], tolerance: float) -> dict[str, list[list[int]]]:
+    """Places of the axes of each type with an estimate, by the sorts that it holds."""
     groups: dict[str, list[int]] = defaultdict(list)
     for k, one in enumerate(follows):
         if one.segments:
             groups[one.type].append(k)
+    found = {}
+    for kind, members in groups.items():
+        theta, _ = _estimates(follows, members)
+        sorts = sorts_of(_logarithms(theta)[0], LEAST_AXES, tolerance)
+        found[kind] = [[members[k] for k in own] for own in sorts]
+    return found
+
+
+def _estimates(follows: Sequence[Follow], members: Sequence[int]) -> tuple[Floats, Floats]:
+    """theta, std: (m, p)."""
+    theta, std = (np.array([getattr(follows[k], name) for k in members]) for name in ("theta", "std"))
+    return theta, std
+
+
+def _deviations(follows: Sequence[Follow], tolerance: float) -> list[tuple[Floats, Floats]]:
+    """Of each axis (p,), relative to the median of its sort, and how many spreads that is beyond the tolerance: NaN
+    where there are too few, or where the sign differs."""
     p = follows[0].theta.size if follows else 0
     found = [(np.full(p, np.nan), np.full(p, np.nan)) for _ in follows]
-    for members in groups.values():
-        if len(members) >= LEAST_AXES:
-            theta, std = (np.array([getattr(follows[k], name) for k in members]) for name in ("theta", "std"))
-            for k, *pair in zip(members, *_apart(theta, std, tolerance), strict=True):
-                found[k] = (pair[0], pair[1])
+    for sorts in sorts_by_type(follows, tolerance).values():
+        for members in sorts:
+            if len(members) >= LEAST_AXES:
+                for k, *pair in zip(members, *_apart(*_estimates(follows, members), tolerance), strict=True):
+                    found[k] = (pair[0], pair[1])
     return found
 
 
 def _apart(theta: Floats, std: Floats, tolerance: float) -> tuple[Floats, Floats]:
-    """(m, p) of the axes of one type. Logarithms, where all are positive: parameters of machines differ by factors."""
+    """(m, p) of the axes of one sort."""
+    apart, ratio, size = _logarithms(theta)
+    spread = spread_of(apart)
+    bars = np.hypot(spread, std / size)
+    return ratio - 1, np.maximum(np.abs(apart) - tolerance, 0.0) / np.maximum(bars, np.finfo(float).tiny)
+
+
+def _logarithms(theta: Floats) -> tuple[Floats, Floats, Floats]:
+    """Of theta (m, p) over the median, where all are positive: parameters of machines differ by factors. With the
+    ratios, and the sizes (p,) of the medians."""
     middle = np.median(theta, axis=0)
     size = np.maximum(np.abs(middle), np.finfo(float).tiny)
     ratio = theta / size * np.where(middle < 0, -1.0, 1.0)
     positive = np.all(ratio > 0, axis=0)
-    apart = np.where(positive, np.log(np.where(positive, ratio, 1.0)), ratio - 1)
-    spread = spread_of(apart)
-    bars = np.hypot(spread, std / size)
-    return ratio - 1, np.maximum(np.abs(apart) - tolerance, 0.0) / np.maximum(bars, np.finfo(float).tiny)
+    return np.where(positive, np.log(np.where(positive, ratio, 1.0)), ratio - 1), ratio, size
 
 
 def spread_of(apart: Floats) -> Floats:
@@ -170,14 +222,6 @@ def spread_of(apart: Floats) -> Floats:
 
 def ranking(verdicts: Iterable[Verdict]) -> list[int]:
     """Places of the verdicts, those that need attention first."""
-    order = {CHANGED: 0, DRIFTS: 0, DIFFERS: 0, UNKNOWN: 1, "": 2}
+    order = {CHANGED: 0, DRIFTS: 0, DIFFERS: 0, UNKNOWN: 1, WANDERS: 2, "": 3}
     pairs = enumerate(verdicts)
     return [k for k, one in sorted(pairs, key=lambda pair: (order[pair[1].kind], -pair[1].weight, pair[0]))]
-
-
-def counted(verdicts: Iterable[Verdict]) -> Mapping[str, int]:
-    """How many there are of each kind."""
-    found: dict[str, int] = defaultdict(int)
-    for one in verdicts:
-        found[one.kind] += 1
-    return found

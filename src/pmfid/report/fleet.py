@@ -12,21 +12,22 @@ from pmfid.fleet.said import when
 from pmfid.fleet.survey import DAY
 from pmfid.fleet.verdicts import LEAST_AXES
 from pmfid.report.files import write_json
-from pmfid.report.fleet_figures import QUIET, ROWS, TRENDS, map_figure, spread_figure, trend_figure
+from pmfid.report.fleet_figures import QUIET, ROWS, map_figure, moving, spread_figure, trend_figure
 from pmfid.report.html import Cell, Section, Table, svg, write_report
 
 if TYPE_CHECKING:
     import polars as pl
 
 #: Axes and problems in the tables; all are in the files beside the report.
-SHOWN, PROBLEMS = 60, 40
+SHOWN, PROBLEMS, OTHERS = 60, 40, 20
 
 
 def write_fleet(out: Path, found: History, name: str) -> None:
     """Writes fleet.html and fleet.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "fleet.json", found.to_json())
-    sections = [_attention(found), _trends(found), _spread(found), _map(found), _unused(found), _how(found)]
+    sections = [_attention(found), _unknown(found), _trends(found), _wandering(found), _spread(found), _map(found)]
+    sections += [_unused(found), _how(found)]
     write_report(out / "fleet.html", f"{name}: {found.title}", [one for one in sections if one is not None])
 
 
@@ -35,15 +36,15 @@ def _attention(found: History) -> Section:
     kinds = Counter(named["kind"].to_list())
     causes = Counter(named.filter(named["kind"] == "changed")["why"].str.extract(r"^(.*?) [+-]").to_list())
     what = ", ".join(f"{many} {cause}" for cause, many in causes.most_common() if cause)
-    words = {"changed": f"changed ({what})", "drifts": "drift", "differs": "differ from the others"}
-    text = ", ".join(f"{many} {words[kind]}" for kind, many in kinds.most_common())
-    unknown = found.unknown.height
+    words = {"changed": f"changed ({what})", "drifts": "drift{s}", "differs": "differ{s} from the others"}
+    text = ", ".join(f"{many} {words[kind].format(s='s' * (many == 1))}" for kind, many in kinds.most_common())
     if not named.height:
+        known = found.unknown.height < found.axes.height
         text = "No axis changed, drifts or differs from the others beyond chance and tolerance."
+        text = text if known else "Nothing is known of any axis: no record moves enough, or is long and whole enough."
     elif text:
         text += ". The largest come first."
-    if unknown:
-        text += f" {unknown} axes have no estimate: see the last table."
+    text += _besides(found)
     rows: list[list[Cell]] = [
         [place, row["axis"], row["why"], row["kind"], _strength(row["score"]), row["type"]]
         for place, row in enumerate(named.head(SHOWN).iter_rows(named=True), 1)
@@ -55,19 +56,76 @@ def _attention(found: History) -> Section:
     return Section("Who needs attention", text + more, table)
 
 
+def _besides(found: History) -> str:
+    """What the table of those that need attention does not hold."""
+    unknown, wander = found.unknown.height, _kind(found, "wanders").height
+    files = found.problems.filter((found.problems["code"] == "unreadable") & (found.problems["file"] != ""))
+    text = f"\n\n{_many(unknown, 'axis has', 'axes have')} no estimate, listed below." if unknown else ""
+    text += f"\n\n{_many(files['file'].n_unique(), 'file', 'files')} could not be read." if files.height else ""
+    for part, told in (
+        found.problems.filter(found.problems["code"] == "several_sorts").select("file", "text").iter_rows()
+    ):
+        text += f"\n\n{part[:1].upper() + part[1:]}: {told}."
+    return text + (f"\n\n{_many(wander, 'axis wanders', 'axes wander')}, which needs no action." if wander else "")
+
+
+def _many(number: int, one: str, more: str) -> str:
+    return f"{number} {one if number == 1 else more}"
+
+
+def _kind(found: History, kind: str) -> pl.DataFrame:
+    return found.axes.filter(found.axes["kind"] == kind)
+
+
+def _unknown(found: History) -> Section | None:
+    """The axes of which nothing is known, with what their records say."""
+    import polars as pl
+
+    if not found.unknown.height:
+        return None
+    told = dict(found.periods.group_by("axis").agg(pl.col("findings").str.join(" ")).iter_rows())
+    rows: list[list[Cell]] = [[axis, _words(told.get(axis, ""))] for axis in found.unknown["axis"].head(OTHERS)]
+    text = (
+        "Of these it is not known whether anything is the matter: they stand still, their counts or their input do not "
+        "reach the log, or their records are too short or damaged."
+    )
+    return Section("No estimate", text + _first(OTHERS, found.unknown.height), (("axis", "findings"), rows))
+
+
+def _words(codes: str) -> str:
+    return ", ".join(code.replace("_", " ") for code, _ in Counter(codes.split()).most_common())
+
+
+def _first(shown: int, all_of_them: int) -> str:
+    return f" The first {shown} of {all_of_them}; all are in axes.parquet." if all_of_them > shown else ""
+
+
+def _wandering(found: History) -> Section | None:
+    wander = _kind(found, "wanders")
+    if not wander.height:
+        return None
+    text = (
+        "Their parameters move up and down about a mean, as friction does with temperature and lubrication. A step or "
+        "a line explains that no better than a random walk does, so they are not named as changed or drifting. The "
+        "size is the root mean square about the mean; the largest come first."
+    )
+    rows: list[list[Cell]] = [[row["axis"], row["why"]] for row in wander.head(OTHERS).iter_rows(named=True)]
+    return Section("Axes that wander", text + _first(OTHERS, wander.height), (("axis", "what"), rows))
+
+
 def _strength(score: float) -> str:
     """In multiples of what chance would name."""
     return f"{score:.1f} ×" if score < 10 else f"{score:.0f} ×" if score < 100 else "over 100 ×"
 
 
 def _trends(found: History) -> Section | None:
-    named = found.named.head(TRENDS)
+    named = moving(found)
     if not named.height:
         return None
     text = (
-        "What the periods of an axis say, with bars of 1.96 standard deviations, the first as 100 %; in the table the "
-        "straight line through all: its slope with one standard deviation. Those of all axes, per day, are in "
-        "axes.parquet."
+        "What the periods of the first axes that change or drift say, with bars of 1.96 standard deviations, the first "
+        "as 100 %; in the table the straight line through all: its slope with one standard deviation. Those of all "
+        "axes, per day, are in axes.parquet."
     )
     first, last = found.periods["first"].min(), found.periods["last"].max()
     days = min(1.0, (float(last or 0.0) - float(first or 0.0)) / DAY)  # type: ignore[arg-type]
@@ -77,11 +135,13 @@ def _trends(found: History) -> Section | None:
         [row["axis"], *(_slope(days * row[f"{name}_slope"], days * row[f"{name}_slope_std"]) for name in found.names)]
         for row in named.iter_rows(named=True)
     ]
-    return Section("Trend of those that need attention", text, (header, rows), svg=svg(trend_figure(found)))
+    return Section("Trend of those that move", text, (header, rows), svg=svg(trend_figure(found)))
 
 
 def _slope(slope: float, std: float) -> str:
-    return f"{100 * slope:+.3g} ± {100 * std:.2g}" if math.isfinite(slope) else ""
+    """To the digits that the bar leaves, two at most behind the point."""
+    digits = min(2, max(0, 1 - math.floor(math.log10(max(100 * std, 1e-9))))) if math.isfinite(std) else 2
+    return f"{100 * slope:+.{digits}f} ± {max(100 * std, 0.01):.2g}" if math.isfinite(slope) else ""
 
 
 def _spread(found: History) -> Section | None:
@@ -104,7 +164,10 @@ def _spread(found: History) -> Section | None:
 def _map(found: History) -> Section | None:
     if not found.periods.height:
         return None
-    text = "A row for each axis, those that need attention at the top; a column for each period."
+    text = (
+        "A row for each axis, those that need attention at the top, with names in the colour of the verdict; a column "
+        "for each period."
+    )
     if found.axes.height > QUIET:
         text += f" Of the others the first {QUIET}, by how many periods are in doubt; {ROWS} rows at most."
     return Section("Map of findings", text, svg=svg(map_figure(found)))
@@ -120,7 +183,7 @@ def _unused(found: History) -> Section | None:
     text = "What could not be used as it is, or was left out. Everything else was done."
     if found.problems.height > PROBLEMS:
         text += f" The first {PROBLEMS} of {found.problems.height}; all are in problems.parquet."
-    return Section("What could not be used", text, (("axis or file", "finding", "times", "from", "what"), rows))
+    return Section("What could not be used", text, (("axis, file or type", "finding", "times", "from", "what"), rows))
 
 
 def _from(time: float) -> str:
@@ -141,6 +204,6 @@ def _how(found: History) -> Section:
     return Section("The fleet, and how this was made", text, middle)
 
 
-def _quantiles(axes: pl.DataFrame, name: str) -> list[float]:
+def _quantiles(axes: pl.DataFrame, name: str) -> list[str | float]:
     known = axes[name].drop_nans().drop_nulls()
-    return [math.nan if not known.len() else float(known.quantile(part) or 0.0) for part in (0.5, 0.05, 0.95)]
+    return ["" if not known.len() else float(known.quantile(part) or 0.0) for part in (0.5, 0.05, 0.95)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -18,6 +19,8 @@ from pmfid.report.figures import figure_style
 from pmfid.report.files import replace_file
 
 Cell = str | int | float
+#: Letters from which on a cell goes over several lines.
+LONG = 24
 Table = tuple[Sequence[str], Sequence[Sequence[Cell]]]
 
 
@@ -51,7 +54,8 @@ class Section:
 def svg(figure: Figure) -> str:
     """The figure as an <svg> element to embed in HTML; the same figure gives the same text."""
     buffer = io.StringIO()
-    with figure_style():
+    with figure_style(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing")  # text stays text, the reader has the letters
         figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
     text = buffer.getvalue()
     # In HTML the parser knows the namespaces of an <svg>; their addresses would look like links.
@@ -76,12 +80,14 @@ def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:
 def _part(section: Section, prefix: str) -> dict[str, object]:
     header, rows = section.table or ((), ())
     texts = [[_text(cell) for cell in row] for row in rows]
-    numeric = [any(_is_number(row[column]) for row in texts) for column in range(len(header))]
+    columns = [[row[column] for row in texts] for column in range(len(header))]
+    numeric = [any(map(_is_number, own)) and max(map(len, own)) <= LONG for own in columns]
     return {
         "heading": section.heading,
         "paragraphs": [part for part in section.text.split("\n\n") if part.strip()],
         "header": list(zip(header, numeric, strict=True)),
         "rows": [list(zip(row, numeric, strict=True)) for row in texts],
+        "long": LONG,
         "code": section.code,
         "svg": _own_ids(section.svg or "", prefix),
         "first": section.first,

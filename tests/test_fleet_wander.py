@@ -1,0 +1,93 @@
+"""Friction that goes up and down neither steps nor drifts, and does not hide what does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pmfid.fleet.said import sentence
+from pmfid.fleet.series import Series
+from pmfid.fleet.verdicts import CHANGED, DRIFTS, WANDERS, Verdict, followed, judged, ranking
+from pmfid.fleet.wander import MOST, beyond
+from pmfid.types import Floats
+from tests.test_fleet_changes import NAMES, SEGMENT, series
+
+N = 40
+THETA, BARS = np.array([64.0, 10.0, 2.5]), np.array([0.002, 0.006, 0.008])
+
+
+def seen(rng: np.random.Generator, factors: Floats) -> Series:
+    """Segments of an axis whose parameters go with factors (n, p)."""
+    std = THETA * BARS * np.exp(0.3 * rng.standard_normal((len(factors), 1)))
+    return series(THETA * factors + std * rng.standard_normal(factors.shape), std)
+
+
+def friction(wave: Floats) -> Floats:
+    """(n, p) factors: viscous friction goes with the wave, Coulomb friction with a part of it, the mass stays."""
+    return 1 + wave[:, None] * [0.0, 1.0, 0.7]
+
+
+def sinusoid(rng: np.random.Generator, n: int = N) -> Floats:
+    wave = 0.05 * np.sin(2 * np.pi * rng.uniform(0.6, 2.5) * np.arange(n) / n + rng.uniform(0, 2 * np.pi))
+    return np.asarray(wave)
+
+
+def walk(rng: np.random.Generator, n: int = N) -> Floats:
+    steps = np.cumsum(rng.standard_normal(n))
+    return np.asarray(0.035 * (steps - steps.mean()) / steps.std())
+
+
+def verdicts(fleet: list[Series]) -> list[Verdict]:
+    """Each axis is of a type of its own, so that its past alone counts."""
+    follows = [followed(f"a{k}", str(k), one, NAMES, 0.02) for k, one in enumerate(fleet)]
+    return judged(follows, NAMES, 0.02)
+
+
+@pytest.mark.parametrize("wave", [sinusoid, walk])
+def test_friction_that_breathes_is_not_named(wave: object) -> None:
+    """Two in five of such walks had been called steps or drifts; three in a hundred jump or go straight enough."""
+    rng = np.random.default_rng(8)
+    found = verdicts([seen(rng, friction(wave(rng))) for _ in range(30)])  # type: ignore[operator]
+    assert sum(one.named for one in found) <= 2
+
+
+def test_who_wanders_is_told_so_after_all_who_need_attention() -> None:
+    rng = np.random.default_rng(1)
+    fleet = [seen(rng, friction(1.5 * walk(rng))) for _ in range(20)]
+    found = verdicts(fleet)
+    which = [k for k, one in enumerate(found) if one.kind == WANDERS]
+    assert which
+    assert all("friction" in found[k].cause and 0.01 < found[k].size < 0.1 for k in which)
+    assert "friction wanders by" in sentence(found[which[0]])
+    first = ranking([found[which[0]], Verdict(CHANGED, 2.0, "mass", 0.01)])[0]
+    assert first == 1
+
+
+@pytest.mark.parametrize("wave", [sinusoid, walk])
+@pytest.mark.parametrize("factor", [0.85, 1.1, 1.25])
+def test_a_step_of_the_mass_beside_it_keeps_cause_and_time(wave: object, factor: float) -> None:
+    rng = np.random.default_rng(3)
+    factors = [friction(wave(rng)) for _ in range(10)]  # type: ignore[operator]
+    for k, one in enumerate(factors):
+        one[10 + 2 * k :, 0] *= factor
+    found = verdicts([seen(rng, factor) for factor in factors])
+    assert sum(one.cause == "mass" for one in found) >= 9  # friction may happen to go along
+    for k, one in enumerate(found):
+        assert one.kind == CHANGED
+        assert abs(one.since - SEGMENT * (10 + 2 * k)) <= SEGMENT
+
+
+@pytest.mark.parametrize("slope", [-0.1, 0.06, 0.25])
+def test_a_steady_drift_is_none_that_wanders(slope: float) -> None:
+    rng = np.random.default_rng(5)
+    found = verdicts([seen(rng, friction(slope * np.arange(N) / N)) for _ in range(10)])
+    assert [one.kind for one in found] == [DRIFTS] * 10
+
+
+def test_a_long_history_is_put_together_without_mixing_both_sides() -> None:
+    rng = np.random.default_rng(6)
+    n, place = 8 * MOST + 3, 501
+    factors = friction(sinusoid(rng, n))
+    factors[place:, 0] *= 1.02
+    one = seen(rng, factors)
+    assert beyond(one, float(one.start[place])).step > 10 > beyond(one, float(one.start[place + 200])).step
