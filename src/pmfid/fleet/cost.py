@@ -192,6 +192,8 @@ def advice(load: Load, machine: Machine = Machine()) -> list[str]:
     serve, process = bill("serve", load, machine), bill("process", load, machine)
     one = min(most["serve"], int(USED / (serve.cores / load.axes)))
     lines = [
+        f"where a way ends: at {100 * USED:.0f} % of the cores or of the memory of a machine, whichever is full first, "
+        "so that bursts and a restart can be caught up; one `pmfid serve` at that of one core, for it estimates on one",
         f"watched, with alarms and the page: one `pmfid serve` up to {_few(one)} axes at {load.rate:g} Hz, several "
         f"with axes of their own up to {_few(most['serve'])} on such a machine",
         f"estimates alone: one process with a ShardedFleet up to {_few(most['process'])} axes",
