@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import shutil
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -64,6 +65,18 @@ def test_those_that_changed_are_named_with_cause_size_and_time(plain: History) -
         assert (row["kind"], row["cause"]) == ("changed", change.cause)
         assert abs(row["size"] - (change.factor - 1)) < 4 * row["std"] < 0.05
         assert row["since"] <= change.time + 1 <= row["until"] + 1
+
+
+def test_numbers_with_a_unit_give_the_same_bytes(log: pl.DataFrame, config: Path, tmp_path: Path) -> None:
+    part, told = log.filter(pl.col("machine") == "axis-0000"), tmp_path / "axis.toml"
+    text = config.read_text()
+    step = f"{tomllib.loads(text)['encoder']['resolution']!r}"
+    told.write_text(text.replace(f"resolution = {step}", f'resolution = "{step} m"'))
+    assert told.read_text() != text
+    bare, with_unit = (
+        fleet.estimate(part, axis=one, by="machine", out=tmp_path / one.parent.name) for one in (config, told)
+    )
+    assert with_unit.periods.equals(bare.periods)
 
 
 def test_the_estimates_of_quiet_periods_are_the_truth_within_their_bars(plain: History) -> None:

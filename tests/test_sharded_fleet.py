@@ -597,3 +597,16 @@ def opened_states(folder: Path) -> dict[int, bytes]:
     found = states(fleet)
     fleet.close()
     return found
+
+
+def test_a_closed_fleet_leaves_the_folder_to_another(tmp_path: Path) -> None:
+    first = pmfid.ShardedFleet(tmp_path / "state", [BCRLS])
+    first.add(BCRLS, 2)
+    first.close()
+    with pmfid.ShardedFleet(tmp_path / "state", [BCRLS]) as second:
+        with pytest.raises(pmfid.UsageError, match="was closed"):
+            first.checkpoint()
+        second.add(BCRLS, 3)
+        second.checkpoint()
+    with pmfid.ShardedFleet(tmp_path / "state", [BCRLS]) as third:
+        assert third.axes == 3

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
+from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 
@@ -16,7 +19,7 @@ from pmfid.session.config import Axis
 from pmfid.session.identify import identify, kind_of
 from pmfid.session.monitored.stream import Stop, line_samples
 from pmfid.session.records import Record, read_record
-from pmfid.session.units import INPUTS, OUTPUTS, column_unit, gain, quantity
+from pmfid.session.units import INPUTS, OUTPUTS, Quantity, column_unit, gain, quantity
 from tests.conftest import cart_run
 
 DT, STEP = 0.01, 22.75e-6
@@ -250,3 +253,10 @@ def test_counts_that_begin_anew_at_any_number(tmp_path: Path) -> None:
     same(read_record(tmp_path / "run.csv", turns))
     with pytest.raises(UsageError, match="range and bits both say where"):
         read_record(tmp_path / "run.csv", axis("y", encoder_range=1.0, encoder_bits=8, record_output_kind="counts"))
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+def test_a_copy_of_a_quantity_is_converted_once(again: Callable[[Quantity], Quantity]) -> None:
+    made = Quantity(5.0, OUTPUTS["mm"])
+    copied = again(made)
+    assert (copied, copied.unit, type(copied)) == (made, made.unit, Quantity)

@@ -63,7 +63,7 @@ class Load:
     block: float = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "axes", _number("axes", self.axes, "it is the number of machines", MOST))
+        object.__setattr__(self, "axes", _number("axes", self.axes, "it is the number of axes watched", MOST))
         for name, unit in (("rate", "Hz"), ("block", "s")):
             value = getattr(self, name)
             if not (1e-9 <= value <= 1e9):
@@ -139,7 +139,7 @@ def _process(way: str, load: Load, machine: Machine) -> Bill:
     machines = _machines(cores, memory, machine)
     return Bill(
         way, cores, memory, _message(load), 2 * state, state / machines / _value("checkpoint_rate"),
-        load.axes / machines / machine.cores * _value("restore_axis"), machines, machines,
+        load.axes / machines * _value("restore_axis"), machines, machines,
     )  # fmt: skip
 
 
@@ -158,8 +158,8 @@ def _serve(way: str, load: Load, machine: Machine) -> Bill:
 
 
 def _spark_stream(way: str, load: Load, machine: Machine) -> Bill:
-    cores, state = load.axes * load.rate * _value("stream_sample"), load.axes * _value("state")
-    own = load.axes * _value("state")
+    cores, state = load.axes * load.rate * _value("stream_sample"), load.axes * _value("serve_state")
+    own = load.axes * _value("serve_memory")
     machines = _machines(cores, own, machine)
     memory = machines * _value("spark_base") + own
     machines = max(machines, _machines(cores, memory, machine))
@@ -192,6 +192,8 @@ def advice(load: Load, machine: Machine = Machine()) -> list[str]:
     serve, process = bill("serve", load, machine), bill("process", load, machine)
     one = min(most["serve"], int(USED / (serve.cores / load.axes)))
     lines = [
+        f"where a way ends: at {100 * USED:.0f} % of the cores or of the memory of a machine, whichever is full first, "
+        "so that bursts and a restart can be caught up; one `pmfid serve` at that of one core, for it estimates on one",
         f"watched, with alarms and the page: one `pmfid serve` up to {_few(one)} axes at {load.rate:g} Hz, several "
         f"with axes of their own up to {_few(most['serve'])} on such a machine",
         f"estimates alone: one process with a ShardedFleet up to {_few(most['process'])} axes",

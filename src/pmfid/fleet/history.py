@@ -192,7 +192,8 @@ class _Run:
         settings = make_settings(self.axis, chosen, most, segment)
         work = Work(settings, self.columns, length)
         before, names = self.keep.reused, settings.estimator.names
-        solved = self._solved(shards, work, str((self.axis.model_dump(), chosen, settings.segment, length)))
+        known = str((self.axis.model_dump(warnings=False), chosen, settings.segment, length))
+        solved = self._solved(shards, work, known)
         problems = [*self.survey.problems, *self._several(), *(told for one in solved for told in one.problems)]
         groups = self._groups(shards, solved)
         found: Outcome = outcome_of(groups, self._types(), problems, names, periods, settings.segment, tolerance)
@@ -208,7 +209,7 @@ class _Run:
         tables = self.data.tables(shards, length)
         if self.store is None:
             return choose(self.axis, tables)
-        key = digest("chosen", self.axis.model_dump(), self.columns)
+        key = digest("chosen", self.axis.model_dump(warnings=False), self.columns)
         self.keep.keys.append(key)
         path = self.store.path(key).with_suffix(".json")
         try:

@@ -89,6 +89,16 @@ class Quantity(float):
         made.unit = unit
         return made
 
+    def __reduce__(self) -> tuple[Callable[[float, Unit], Quantity], tuple[float, Unit]]:
+        """Copies and pickles have the same bits: nothing is converted twice."""
+        return _in_si, (float(self), self.unit)
+
+
+def _in_si(value: float, unit: Unit) -> Quantity:
+    made = float.__new__(Quantity, value)
+    made.unit = unit
+    return made
+
 
 def unit_named(text: str, table: dict[str, Unit]) -> Unit | None:
     """The unit that is written so, in a table; None where there is none."""

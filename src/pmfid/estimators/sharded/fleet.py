@@ -66,6 +66,7 @@ class ShardedFleet:
             self._group(runner_of(estimator))
         self._vault = None if folder is None else Vault(Path(folder))
         self.restored: Restored | None = None
+        self._closed = False
         if self._vault is not None:
             self._begin(self._vault)
 
@@ -109,7 +110,7 @@ class ShardedFleet:
         """So many axes more, which begin in the present state of an estimator or `Runner`; their handles (axes,).
         Raises UsageError for another number, an estimator that is not recursive, and more than the memory holds."""
         runner = runner_of(estimator)
-        number = whole_number("axes", axes, 0, "it is the number of machines")
+        number = whole_number("axes", axes, 0, "it is how many are added")
         if number > stored.MOST - self._size * (len(self._shards) + 1):
             raise UsageError(f"a fleet has {stored.MOST} places at most, got {axes} axes more; take another fleet")
         group, start = self._group(runner), state_of(runner)
@@ -237,10 +238,12 @@ class ShardedFleet:
         mark: written beside it, of what JSON knows, as how far the samples have been read. sync: waits until the disk
         has it, so that it outlives the power, too; False: it outlives the process alone, and what the power takes is
         found by its checksum. Raises OSError where the disk does not take it, behind which the last one counts, and
-        UsageError without a folder or for another mark.
+        UsageError without a folder, behind `close`, or for another mark.
         """
         if self._vault is None:
             raise UsageError("this fleet has no folder for checkpoints; give one as in ShardedFleet('state')")
+        if self._closed:
+            raise UsageError("this fleet was closed, and its folder may be another's; open it anew with ShardedFleet")
         try:
             json.dumps(mark)
         except (TypeError, ValueError, RecursionError) as error:
@@ -254,6 +257,8 @@ class ShardedFleet:
         self.close()
 
     def close(self) -> None:
-        """Another fleet may have the folder; nothing is written. A `with` statement does it at its end."""
+        """Another fleet may have the folder; nothing is written, and `checkpoint` is refused from now on. A `with`
+        statement does it at its end."""
+        self._closed = True
         if self._vault is not None:
             self._vault.close()
