@@ -174,10 +174,10 @@ def _batches(part: Part, axes: Sequence[str], columns: Columns) -> Iterator[dict
     number = pl.col(AXIS).cast(pl.Enum(list(axes)), strict=False).to_physical().cast(pl.UInt32).alias(AXIS)
     names = list(_kind(columns).names or ())
     with readable("data"):
-        frame = part.rows(columns).select(number, *names[1:]).drop_nulls([AXIS, TIME])
-        batches = frame.collect_batches(chunk_size=BATCH, engine="streaming")
-        for batch in batches:
-            yield {name: batch[name].to_numpy() for name in names}
+        for window in part.windows():
+            frame = window.rows(columns).select(number, *names[1:]).drop_nulls([AXIS, TIME])
+            for batch in frame.collect_batches(chunk_size=BATCH, engine="streaming"):
+                yield {name: batch[name].to_numpy() for name in names}
 
 
 class _Target:

@@ -18,7 +18,8 @@ from pmfid.fleet.segments import Segments
 from pmfid.fleet.source import Columns, Part
 from pmfid.fleet.store import digest
 from pmfid.fleet.survey import Survey, content, joined, surveyed
-from pmfid.fleet.work import Work, check_columns, samples_of
+from pmfid.fleet.within import Places
+from pmfid.fleet.work import TRIED, Work, check_columns, samples_of
 from pmfid.session.tables import Table
 
 #: Full shards in memory at once on one machine, however many threads it has.
@@ -64,6 +65,7 @@ class Parts:
         self._parts = {part.name: part for part in parts}
         self._columns, self._engine = columns, engine
         self._aside: Aside | None = None
+        self._places: Places | None = None
 
     @property
     def engine(self) -> str:
@@ -80,6 +82,7 @@ class Parts:
         kept = keep.through(keys, lambda missing: self._engine.map(work, [parts[k] for k in missing]), here=True)
         found = joined([Survey(one.rows(), one.problems) for one in kept])
         check_columns(self._columns, parts, found)
+        self._places = Places({part.name for part in parts if part.sliced}, found.rows)
         return found
 
     def _stamped(self, part: Part) -> Part:
@@ -104,11 +107,19 @@ class Parts:
 
     def tables(self, shards: Sequence[Shard], length: float) -> Iterator[Table]:
         """Read here, one by one."""
-        return samples_of(shards, self._parts, self._columns, length, self._aside)
+        for shard in shards[:TRIED]:
+            yield from samples_of([shard], self._within(shard, length), self._columns, length, self._aside)
+
+    def _within(self, shard: Shard, length: float) -> dict[str, Part]:
+        """Of each of its parts no more rows than the shard may have some in."""
+        parts = {name: self._parts[name] for name in shard.parts}
+        if self._places is None:
+            return parts
+        return {name: self._places.within(part, shard, length) for name, part in parts.items()}
 
     def segments(self, work: Work, shards: Sequence[Shard]) -> Iterator[Segments]:
         """By the engine; no others will be asked for."""
-        items = [(shard, {name: self._parts[name] for name in shard.parts}) for shard in shards]
+        items = [(shard, self._within(shard, work.length)) for shard in shards]
         if self._aside is not None:
             self._aside.only(shards)
         room = Room(FULL * BUDGET) if isinstance(self._engine, Local) else None

@@ -69,7 +69,7 @@ def read_rows(
                 frames.append(aside.read(name, shard))
             else:
                 with readable("data"):
-                    frames.append(_columns(_read(parts[name], shard, columns, length)))
+                    frames += _read(parts[name], shard, columns, length)
         except UsageError as error:
             problems.append(Problem("", name, "unreadable", " ".join(str(error).split())))
         if parts[name].rewritten:
@@ -78,7 +78,12 @@ def read_rows(
     return rows, (*problems, *found)
 
 
-def _read(part: Part, shard: Shard, columns: Columns, length: float) -> pl.DataFrame:
+def _read(part: Part, shard: Shard, columns: Columns, length: float) -> list[_Columns]:
+    """Whole or not at all."""
+    return [_columns(_window(one, shard, columns, length)) for one in part.windows()]
+
+
+def _window(part: Part, shard: Shard, columns: Columns, length: float) -> pl.DataFrame:
     import polars as pl
 
     axis, time = pl.col(AXIS), pl.col(TIME)

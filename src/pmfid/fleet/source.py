@@ -5,8 +5,8 @@ rows."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import unquote
@@ -34,6 +34,8 @@ _DATES = ", or as dates of ISO 8601 (UTC without an offset)"
 _NOTHING = "__HIVE_DEFAULT_PARTITION__"
 #: Columns that are listed where one is missing.
 _LISTED = 30
+#: Rows of a file that are in memory at once: a row group may hold all of them.
+WINDOW = 2**21
 #: Of a period [s].
 SHORTEST, LONGEST = 1.0, 1e9
 
@@ -77,18 +79,37 @@ class Columns:
 class Part:
     """One file, or one frame in memory. name: for people; stamp: changes with the content, empty: of a frame;
     constants: what the folders around it say of all its rows; stamp_now: the stamp as it is by now, None: of what
-    cannot change."""
+    cannot change; sliced: some of its rows are read without the others; first, many: its rows from which on, and how
+    many, None: all."""
 
     name: str
     stamp: str
     open: Callable[[], pl.LazyFrame] = field(repr=False, compare=False)
     constants: Mapping[str, str] = field(default_factory=dict)
     stamp_now: Callable[[], str] | None = field(default=None, repr=False, compare=False)
+    sliced: bool = False
+    first: int = 0
+    many: int | None = None
 
     @property
     def rewritten(self) -> bool:
         """Has it been written to since it was listed?"""
         return self.stamp_now is not None and self.stamp_now() != self.stamp
+
+    def windows(self) -> Iterator[Part]:
+        """The same rows, in their order, WINDOW at a time where the format lets them be read so. Raises UsageError for
+        a damaged file."""
+        import polars as pl
+
+        if not self.sliced:
+            yield self
+            return
+        many = self.many
+        if many is None:
+            with readable(Path(self.name).suffix):
+                many = int(self.open().select(pl.len()).collect().item())
+        for start in range(0, max(many, 1), WINDOW):
+            yield replace(self, first=self.first + start, many=min(WINDOW, many - start))
 
     def rows(self, columns: Columns) -> pl.LazyFrame:
         """Its rows with the columns of this module: axis and type as text, time [s] and the others as float64. Raises
@@ -98,6 +119,8 @@ class Part:
         with readable(Path(self.name).suffix or "frame"):
             frame = self.open()
             schema = frame.collect_schema()
+        if self.many is not None:
+            frame = frame.slice(self.first, self.many)
         made = []
         for own, name in columns.named.items():
             if name in schema:
@@ -207,7 +230,13 @@ def _part(path: Path, root: Path, said: Mapping[str, str] | None = None) -> Part
     constants = {unquote(key): "" if value == _NOTHING else unquote(value) for key, _, value in pairs}
     there = path.absolute()  # of an executor that works elsewhere
     name = inside.as_posix().encode("utf-8", "backslashreplace").decode()  # a file may be named by any bytes
-    return Part(name, stamp, lambda: _opened(there), constants | dict(said or {}), lambda: _stamp(there))
+    said = constants | dict(said or {})
+    sliced = _kind(there) == ".parquet"
+    return Part(name, stamp, lambda: _opened(there), said, lambda: _stamp(there), sliced)
+
+
+def _kind(path: Path) -> str:
+    return ENDINGS.get(path.suffix.lower(), path.suffix.lower())
 
 
 def _stamp(path: Path) -> str:
@@ -228,7 +257,7 @@ def _opened(path: Path) -> pl.LazyFrame:
         raise UsageError("its name is not UTF-8; rename it")
     if not path.is_file():
         raise UsageError("is no file, or a folder that cannot be entered; take it out, or allow reading it")
-    kind = ENDINGS.get(path.suffix.lower(), path.suffix.lower())
+    kind = _kind(path)
     if kind == ".parquet":
         return pl.scan_parquet(path, hive_partitioning=False, glob=False)
     if kind == ".arrow" and _begins(path, ARROW):

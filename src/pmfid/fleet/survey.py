@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 #: [s].
 DAY = 86_400.0
 PART, ROWS, LOST, FIRST, LAST, EXTENT = "part", "rows", "lost", "first", "last", "extent"
-_PLACE = "place in the part"
+#: First row in the part.
+START = "start"
+_PLACE, _END = "place in the part", "end"
 
 
 @dataclass(frozen=True)
@@ -38,8 +40,8 @@ class Problem:
 @dataclass(frozen=True)
 class Survey:
     """rows: a row for each axis and day in each part, with the part's name, number of rows, first and last time [s],
-    type, and over how many rows of the part they reach; problems: parts that are left out, and what is odd of
-    others."""
+    type, in which row of the part they begin, and over how many they reach; problems: parts that are left out, and what
+    is odd of others."""
 
     rows: pl.DataFrame
     problems: tuple[Problem, ...]
@@ -49,15 +51,33 @@ def surveyed(part: Part, columns: Columns) -> Survey:
     """What one part has; a part that cannot be read has no rows and a problem."""
     import polars as pl
 
-    extent = (pl.col(_PLACE).max() - pl.col(_PLACE).min() + 1).cast(pl.Int64).alias(EXTENT)
     try:
         with readable("data"):
-            rows = counted(part.rows(columns).with_row_index(_PLACE), columns, extent)
-            found = rows.sort(AXIS, "day", nulls_last=True).collect(engine="streaming")
+            found = _together(pl.concat([_counted(one, columns) for one in part.windows()]))
             odd = part.other_types(columns)
     except UsageError as error:
         return Survey(_empty(), (Problem("", part.name, "unreadable", " ".join(str(error).split())),))
     return survey_of(part.name, found, [*odd, *_otherwise(part, columns, found)], columns.factor)
+
+
+def _counted(part: Part, columns: Columns) -> pl.DataFrame:
+    """The same of the rows of a window, with the places of the first and the last of them in the file."""
+    import polars as pl
+
+    place = pl.col(_PLACE).cast(pl.Int64)
+    rows = part.rows(columns).with_row_index(_PLACE, offset=part.first)
+    return counted(rows, columns, place.min().alias(START), place.max().alias(_END)).collect(engine="streaming")
+
+
+def _together(windows: pl.DataFrame) -> pl.DataFrame:
+    """Of all windows of a file."""
+    import polars as pl
+
+    kind = pl.col(TYPE).filter(pl.col(TYPE) != "").min().fill_null("")
+    ends = (pl.min(FIRST), pl.max(LAST), pl.min(START))
+    extent = (pl.max(_END) - pl.min(START) + 1).alias(EXTENT)
+    rows = windows.group_by(AXIS, "day").agg(pl.sum(ROWS, LOST), *ends, kind, extent)
+    return rows.sort(AXIS, "day", nulls_last=True)
 
 
 def counted(rows: pl.LazyFrame, columns: Columns, *more: pl.Expr) -> pl.LazyFrame:
@@ -94,14 +114,14 @@ def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str], factor: float)
     if not found.height:
         problems.append(Problem("", name, "empty", "it has no rows"))
     if EXTENT not in found.columns:
-        found = found.with_columns(pl.col(ROWS).alias(EXTENT))
+        found = found.with_columns(pl.lit(0, pl.Int64).alias(START), pl.col(ROWS).alias(EXTENT))
     lost = int(found[LOST].sum())
     if lost:
         problems.append(Problem("", name, "rows_lost", f"{lost} rows have no axis, or no number for a time: left out"))
     found = found.filter(pl.col(AXIS).is_not_null() & (pl.col(ROWS) > 0))
     if found.height and (told := other_unit(cast(float, found[FIRST].min()), cast(float, found[LAST].max()), factor)):
         problems.append(Problem("", name, "time_unit", told))
-    return Survey(found.select(pl.lit(name).alias(PART), AXIS, ROWS, FIRST, LAST, TYPE, EXTENT), tuple(problems))
+    return Survey(found.select(pl.lit(name).alias(PART), AXIS, ROWS, FIRST, LAST, TYPE, START, EXTENT), tuple(problems))
 
 
 def mixture(columns: Columns) -> pl.Expr:
@@ -137,4 +157,4 @@ def _empty() -> pl.DataFrame:
     import polars as pl
 
     kinds = {PART: pl.String, AXIS: pl.String, ROWS: pl.Int64, FIRST: pl.Float64, LAST: pl.Float64}
-    return pl.DataFrame(schema=kinds | {TYPE: pl.String, EXTENT: pl.Int64})
+    return pl.DataFrame(schema=kinds | {TYPE: pl.String, START: pl.Int64, EXTENT: pl.Int64})
