@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmfid.fleet.changes import step_of
+from pmfid.fleet.changes import step_of, trend_of
 from pmfid.fleet.said import sentence
 from pmfid.fleet.series import Series
 from pmfid.fleet.verdicts import CHANGED, DRIFTS, Verdict, followed, judged
@@ -62,3 +62,17 @@ def test_a_drift_of_minutes_is_not_told_per_day() -> None:
     quick = Verdict(DRIFTS, 2.0, "mass", size=27.0, std=5.0, days=0.01)
     assert sentence(quick) == "mass drifts by +27 % ± 5 % within 0:14:24"
     assert "per day" in sentence(Verdict(DRIFTS, 2.0, "mass", size=0.01, std=0.001, days=9.0))
+
+
+@pytest.mark.parametrize("cause", ["mass", "friction", "input_gain"])
+def test_a_drift_has_its_cause_and_its_size_from_the_begin_on(cause: str) -> None:
+    """It had been told of one parameter, whichever moved most clearly, and relative to the middle of the history."""
+    rng, n, factor = np.random.default_rng(3), 40, 1.25
+    line = np.linspace(1.0, factor, n)
+    theta, std = np.tile([90.0, 120.0, 18.0], (n, 1)), np.tile([0.1, 0.5, 0.05], (n, 1))
+    which = {"mass": [0], "friction": [1, 2], "input_gain": [0, 1, 2]}[cause]
+    theta[:, which] *= (1 / line if cause == "input_gain" else line)[:, None]
+    trend = trend_of(series(theta + std * rng.standard_normal((n, 3)), std), NAMES, 0.02)
+    assert trend is not None
+    assert trend.cause == cause
+    assert abs(trend.size - (factor - 1)) < 0.015

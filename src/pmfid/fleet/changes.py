@@ -22,6 +22,8 @@ FLOOR = 2e-3
 PART, SURE = 0.05, 5.0
 #: Such segments before the place that explains most, at most.
 BACK = 2
+#: Part of its mean that a parameter with a trend has at the begin, at least: a line may go through zero.
+LEAST_BEGIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -45,12 +47,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Trend:
-    """parameter: index of the one that moves most clearly; slope, std: relative [1/s]; span: [s] of the history; score:
-    of the change over the span beyond the tolerance, in standard deviations; misfit: as of a `Step`; slopes, bars: (p,)
-    of all parameters, relative [1/s]."""
+    """cause: as of a `Step`; size, std: of the change over the span, relative to its begin; span: [s] of the history;
+    score: of the change over the span beyond the tolerance, in standard deviations; misfit: as of a `Step`; slopes,
+    bars: (p,) of all parameters, relative to their means [1/s]."""
 
-    parameter: int
-    slope: float
+    cause: str
+    size: float
     std: float
     span: float
     score: float
@@ -147,7 +149,7 @@ def _onset(series: Series, k: int) -> int:
     return k
 
 
-def trend_of(series: Series, tolerance: float) -> Trend | None:
+def trend_of(series: Series, names: Sequence[str], tolerance: float) -> Trend | None:
     """The straight line through a series (n, p) of usable segments; None of too few."""
     n = series.start.size
     if n < 2 * SIDE:
@@ -163,7 +165,7 @@ def trend_of(series: Series, tolerance: float) -> Trend | None:
     bars = known**-0.5 * np.maximum(1.0, lasting(rest))
     span, size = float(time[-1] - time[0]), np.maximum(np.abs(mean), np.finfo(float).tiny)
     scores = (np.abs(slope) * span - tolerance * size) / (bars * span)
-    i = int(np.argmax(scores))
-    misfit = float(np.sum(rest**2))
     slopes, bars = slope / size, bars / size
-    return Trend(i, float(slopes[i]), float(bars[i]), span, float(scores[i]), misfit, slopes, bars)
+    begin = np.maximum(1 - slopes * span / 2, LEAST_BEGIN)
+    cause = explained(slopes * span / begin, bars * span / begin**2, _correlation(rest), names)
+    return Trend(*cause, span, float(np.max(scores)), float(np.sum(rest**2)), slopes, bars)

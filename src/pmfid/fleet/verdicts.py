@@ -93,7 +93,7 @@ class Verdict:
 def followed(axis: str, kind: str, series: Series, names: Sequence[str], tolerance: float) -> Follow:
     """What the segments (n,) of an axis say; kind: its type; tolerance: relative change that is none."""
     used = series[series.usable]
-    step, trend = step_of(used, names, tolerance), trend_of(used, tolerance)
+    step, trend = step_of(used, names, tolerance), trend_of(used, names, tolerance)
     clear = step is not None and trend is not None and max(step.score, trend.score) > LOOKED_AT
     wander = None
     if step is not None and clear:
@@ -128,12 +128,11 @@ def _of_past(one: Follow, names: Sequence[str], axes: int) -> list[Verdict]:
     step, trend = one.step, one.trend
     if step is None or trend is None:
         return []
-    trials, free, day = axes * len(names), one.segments - 2, 86_400.0
+    trials, free, days = axes * len(names), one.segments - 2, trend.span / 86_400.0
     least = _limit(trials * one.segments, free)
     stepped, drifted = step.score / least, trend.score / _limit(trials, free)
     changed = Verdict(CHANGED, max(stepped, 0.0), step.cause, step.size, step.std, step.since, step.until)
-    slope, bar = trend.slope * day, trend.std * day
-    drifts = Verdict(DRIFTS, drifted, names[trend.parameter], slope, bar, days=trend.span / day)
+    drifts = Verdict(DRIFTS, drifted, trend.cause, trend.size / days, trend.std / days, days=days)
     first = drifted < 1 or step.misfit <= trend.misfit
     clear = [verdict for verdict in ((changed, drifts) if first else (drifts, changed)) if verdict.score >= 1]
     if not clear or one.wander is None:
