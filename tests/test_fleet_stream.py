@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.fleet.stream.folder import Settings, opened
+from pmfid.fleet.stream.folder import Folder, Settings, opened
 from pmfid.fleet.stream.shard import Plan, Shard, shard_of
 from pmfid.fleet.stream.states import States
 from pmfid.fleet.stream.tables import table_of
@@ -156,27 +156,41 @@ def test_some_axes_alone_are_written(prepared: Prepared, rows: list[tuple[str, b
         States.from_folder(tmp_path / "state", "0" * 64)
 
 
+def begun(checkpoint: Path, out: Path, settings: Settings) -> Folder:
+    """The folder of a stream that has ended."""
+    with opened(checkpoint, out, settings) as folder:
+        return folder
+
+
 def test_a_changed_configuration_is_refused_with_a_remedy(tmp_path: Path) -> None:
-    settings = Settings("digest", 4, 0.5, 1.0, "blocks")
-    opened(tmp_path / "checkpoint", tmp_path / "out", settings)
-    opened(tmp_path / "checkpoint", tmp_path / "out", settings)
-    for changed in (replace(settings, config="other"), replace(settings, shards=5), replace(settings, source="there")):
-        with pytest.raises(UsageError, match=r"was begun with another .*give"):
-            opened(tmp_path / "checkpoint", tmp_path / "out", changed)
+    settings, places = Settings("digest", 4, 0.5, 1.0, "blocks"), (tmp_path / "checkpoint", tmp_path / "out")
+    begun(*places, settings)
+    begun(*places, settings)
+    changes = {"config": "other", "shards": 5, "source": "there", "layout": 1}
+    for changed in (replace(settings, **{name: value}) for name, value in changes.items()):
+        with pytest.raises(UsageError, match=r"was begun with another .*(give|go on)"):
+            begun(*places, changed)
     with pytest.raises(UsageError, match="results of another stream"):
-        opened(tmp_path / "new", tmp_path / "out", settings)
+        begun(tmp_path / "new", tmp_path / "out", settings)
     with pytest.raises(UsageError, match="holds something else"):
-        opened(tmp_path / "checkpoint", tmp_path / "checkpoint", settings)
+        begun(tmp_path / "checkpoint", tmp_path / "checkpoint", settings)
+
+
+def test_two_drivers_cannot_have_one_checkpoint(tmp_path: Path) -> None:
+    settings, places = Settings("digest", 4, 0.5, 1.0, "blocks"), (tmp_path / "checkpoint", tmp_path / "out")
+    with opened(*places, settings), pytest.raises(UsageError, match=r"another stream works in .*; end that"):
+        begun(*places, settings)
+    begun(*places, settings)
 
 
 def test_a_batch_written_again_replaces_itself(prepared: Prepared, tmp_path: Path) -> None:
-    folder = opened(tmp_path / "checkpoint", tmp_path / "out", Settings("digest", 1, 0.5, 1.0, "blocks"))
+    folder = begun(tmp_path / "checkpoint", tmp_path / "out", Settings("digest", 1, 0.5, 1.0, "blocks"))
     shard = Shard(Plan(prepared, PACE, 1), 0)
     shard.take([encode(block_of("a"))])
     (tmp_path / "out" / "estimates" / "batch-0000000000.parquet.7.part").write_bytes(b"half")
     for _ in range(2):
         folder.write(0, table_of(shard))
-    opened(tmp_path / "checkpoint", tmp_path / "out", Settings("digest", 1, 0.5, 1.0, "blocks"))
+    begun(tmp_path / "checkpoint", tmp_path / "out", Settings("digest", 1, 0.5, 1.0, "blocks"))
     files = sorted(path.name for path in (tmp_path / "out" / "estimates").iterdir())
     assert files == ["batch-0000000000.parquet"]
     assert pl.read_parquet(tmp_path / "out" / "estimates" / files[0]).height == 10

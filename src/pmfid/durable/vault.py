@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 from pmfid.durable.crash import crash_point
 from pmfid.durable.envelope import Chunk, DamagedError, Found, Told, put, read, set_aside, sync_folder
-from pmfid.errors import UsageError
+from pmfid.durable.lock import held
 
 __all__ = ["Vault"]
 
@@ -35,27 +35,7 @@ class Vault:
     other: ClassVar[str] = "another process"
 
     def __post_init__(self) -> None:
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock: IO[bytes] = open(self.folder / "lock", "ab")  # noqa: SIM115
-        except OSError as error:
-            raise UsageError(
-                f"{self.setting}: {error.filename}: {error.strerror}; choose a folder that can be written"
-            ) from None
-        self._hold()
-
-    def _hold(self) -> None:
-        try:
-            import fcntl
-        except ImportError:  # a system without such locks
-            return
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            self._lock.close()
-            raise UsageError(
-                f"{self.setting}: {self.other} works in {self.folder}; end that, or choose another folder"
-            ) from None
+        self._lock = held(self.folder, self.setting, self.other)
 
     def load(self, read: Callable[[bytes], Content], tell: Callable[[Told], None]) -> Content | None:
         """What `read` makes of the newest checkpoint that is whole; None where there is none. What is damaged, or what

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 from uuid import uuid4
 
+from pmfid.durable.lock import held
 from pmfid.errors import UsageError
 from pmfid.fleet.store import whole
 from pmfid.fleet.stream.tables import COUNTS, ESTIMATE, NOTICE
@@ -28,25 +30,35 @@ REMEDIES = {
     "shards": "the state is shared out by it; give it as before",
     "window": "give it as before, or new folders for --checkpoint and --out",
     "every": "give it as before, or new folders for --checkpoint and --out",
+    "layout": "go on with the version that wrote it, or take new folders for --checkpoint and --out",
     "source": "where it stands holds for that one only; give it, or new folders for --checkpoint and --out",
 }
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What may not change between two starts. config: digest of the configuration; window, every: [s]."""
+    """What may not change between two starts. config: digest of the configuration; window, every: [s]; layout: of the
+    state in the store, 2 since shards have keys and are packed."""
 
     config: str
     shards: int
     window: float
     every: float
     source: str
+    layout: int = 2
 
 
-def opened(checkpoint: Path, out: Path, settings: Settings) -> Folder:
-    """The folder of results that belongs to a checkpoint; both begun where they are new. Raises UsageError where one
-    of them is of another stream, or of one with other settings."""
+@contextmanager
+def opened(checkpoint: Path, out: Path, settings: Settings) -> Iterator[Folder]:
+    """The folder of results that belongs to a checkpoint; both begun where they are new, and nobody else's meanwhile.
+    Raises UsageError where one of them is of another stream, or of one with other settings, or another process has the
+    checkpoint."""
     number = _begun(checkpoint, settings)
+    with held(checkpoint, "--checkpoint", "another stream"):
+        yield _results(out, number, settings)
+
+
+def _results(out: Path, number: str, settings: Settings) -> Folder:
     known = _read(out / STREAM)
     if known is None and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError(f"{out}: holds something else; give a new or empty folder for the results")
