@@ -32,8 +32,8 @@ from studies.monitoring.pipe import write_axis
 
 #: Samples of a block: one second.
 BLOCK = 100
-#: Motions that the axes have.
-MOTIONS = 8
+#: Motions that the axes have, and where in them they begin at the latest [samples]: no two have the same state.
+MOTIONS, LATEST = 8, 6000
 #: From one rate that does not hold to the next.
 LESS = 0.7
 #: A start of Java and of the first batch, and the end of the last ones, take no longer [s].
@@ -68,17 +68,18 @@ class Gateway:
         self._folder, self._form = folder, block_type(0, BLOCK, 10)
         self._names = [f"axis-{k:05d}" for k in range(axes)]
         plain = Schedule(((0.0, CART),))
-        motions = [changing(plain, k, INCREMENTS, seconds + 1) for k in range(min(MOTIONS, axes))]
+        motions = [changing(plain, k, INCREMENTS, seconds + 1 + LATEST / BLOCK) for k in range(min(MOTIONS, axes))]
         self._u, self._counts = (np.stack([motion[k] for motion in motions]) for k in (0, 1))
         self._which = np.arange(axes) % len(motions)
+        self._begin = (np.arange(axes) // len(motions) * 7) % LATEST
 
     def write(self, second: int) -> None:
         """The file of a second: whole, or not there."""
-        rows, part = np.zeros(len(self._names), self._form), slice(second * BLOCK, (second + 1) * BLOCK)
+        rows = np.zeros(len(self._names), self._form)
+        part = self._which[:, None], self._begin[:, None] + np.arange(second * BLOCK, (second + 1) * BLOCK)
         rows["magic"], rows["version"], rows["samples"], rows["letters"] = MAGIC, VERSION, BLOCK, 10
         rows["first"], rows["time"], rows["dt"] = second * BLOCK, second * BLOCK * CART_DT, CART_DT
-        rows["name"], rows["u"] = self._names, self._u[self._which, part]
-        rows["counts"] = self._counts[self._which, part]
+        rows["name"], rows["u"], rows["counts"] = self._names, self._u[part], self._counts[part]
         size, data = self._form.itemsize, bytearray(rows.tobytes())
         for place in range(0, len(data), size):
             data[place + size - 4 : place + size] = zlib.crc32(data[place : place + size - 4]).to_bytes(4, "little")

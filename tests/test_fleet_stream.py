@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.fleet.spark.stream import problem_of
+from pmfid.fleet.spark.log import Log
 from pmfid.fleet.stream.folder import Folder, Settings, opened
 from pmfid.fleet.stream.shard import Plan, Shard, shard_of
 from pmfid.fleet.stream.states import States
@@ -201,9 +201,15 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
         begun(tmp_path, settings, out="file/below")
 
 
-def test_a_damaged_checkpoint_has_its_own_remedy() -> None:
-    assert "put back a copy" in problem_of(ValueError("Incomplete log file in the offset commit log"))
-    assert "mend that" in problem_of(ValueError("[FAILED_READ_FILE] a.parquet"))
+def test_a_failure_of_spark_is_said_with_what_helps(tmp_path: Path) -> None:
+    (tmp_path / "spark.log").write_text("java.lang.OutOfMemoryError: Java heap space\n")  # of a run before
+    log = Log(tmp_path)
+    assert "put back a copy" in log.problem(ValueError("Incomplete log file in the offset commit log"))
+    said = log.problem(ValueError("[FAILED_READ_FILE] a.parquet\n  File x\njava.io.IOException: no such file\n  at y"))
+    assert "stopped: java.io.IOException: no such file; mend that" in said
+    with open(log.path, "a") as file:
+        file.write('Exception in thread "x" java.lang.OutOfMemoryError: Java heap space\n')
+    assert "--driver-memory 8g" in log.problem(ValueError("EOFError"))
 
 
 def test_a_batch_written_again_replaces_itself(prepared: Prepared, tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from struct import Struct
 from typing import TYPE_CHECKING, Any
 
 from pyspark.sql.streaming.stateful_processor import StatefulProcessor, StatefulProcessorHandle
@@ -13,33 +14,55 @@ from pmfid.fleet.stream.tables import table_of
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["STATE", "ShardProcessor"]
+__all__ = ["STATE", "ShardProcessor", "packed", "unpacked"]
 
-#: The name of the state, and its one column: the body of a checkpoint of `pmfid serve`.
+#: The name of the state, and its one column: the body of a checkpoint of `pmfid serve`, as `packed` makes it.
 STATE, COLUMN = "shard", "body binary"
+#: Of a body [bytes].
+SIZE = Struct("<Q")
+#: No byte of LZ4 becomes more of them.
+MOST = 255
+
+
+def packed(body: bytes) -> bytes:
+    """Its size and its bytes in a third of the room: Spark copies a state several times on its way."""
+    from pyarrow import compress
+
+    return SIZE.pack(len(body)) + bytes(compress(body, "lz4", asbytes=True))
+
+
+def unpacked(state: bytes) -> bytes:
+    """The body. Raises ValueError for bytes that `packed` has not made."""
+    from pyarrow import decompress
+
+    size = SIZE.unpack_from(state)[0] if len(state) >= SIZE.size else -1
+    if not 0 <= size <= MOST * len(state):
+        raise ValueError("it is damaged, or of another version")
+    return bytes(decompress(memoryview(state)[SIZE.size :], size, "lz4", asbytes=True))
 
 
 class ShardProcessor(StatefulProcessor):  # type: ignore[misc]
-    """Key: the number of the shard; rows: the column `block`; a checkpoint's body of a shard to begin with where one is
+    """keys: of each shard; rows: the column `block`; a checkpoint's body of a shard to begin with where one is
     given."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Plan, keys: Sequence[int]) -> None:
         self._plan = plan
+        self._numbers = {key: number for number, key in enumerate(keys)}
 
     def init(self, handle: StatefulProcessorHandle) -> None:
         self._state = handle.getValueState(STATE, COLUMN)
 
     def handleInputRows(self, key: Any, rows: Iterator[pd.DataFrame], timerValues: Any) -> Iterator[pd.DataFrame]:
         """The rows of a batch: estimates, notices, counts."""
-        body = self._state.get()[0] if self._state.exists() else None
-        shard = Shard(self._plan, int(key[0]), None if body is None else bytes(body))
+        kept = self._state.get()
+        shard = Shard(self._plan, self._numbers[int(key[0])], None if kept is None else unpacked(kept[0]))
         shard.take([bytes(data) for frame in rows for data in frame["block"] if data is not None])
-        self._state.update((shard.saved(),))
+        self._state.update((packed(shard.saved()),))
         yield table_of(shard).to_pandas()
 
     def handleInitialState(self, key: Any, initialState: pd.DataFrame, timerValues: Any) -> None:
         """Begins from states that came from elsewhere."""
-        self._state.update((bytes(initialState["body"].iloc[0]),))
+        self._state.update((packed(initialState["body"].iloc[0]),))
 
     def close(self) -> None:
         """Nothing is open."""

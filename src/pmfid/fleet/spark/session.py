@@ -7,7 +7,7 @@ import shutil
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 from unittest import mock
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 #: Any of these says that somebody has set up a Spark, or runs within one: its settings stay.
 SET_UP = ("SPARK_REMOTE", "SPARK_HOME", "SPARK_CONF_DIR", "PYSPARK_GATEWAY_PORT", "PYSPARK_SUBMIT_ARGS")
+#: The limit of a container on Linux [bytes].
+CONTAINER = Path("/sys/fs/cgroup/memory.max")
 LOOPBACK = "127.0.0.1"
 NO_PYSPARK = "the engine spark needs PySpark 4.2 or later: pip install 'pmfid[spark]'"
 NO_JAVA = (
@@ -72,6 +74,14 @@ def session_of(master: str | None = None, settings: Mapping[str, str] | None = N
 def is_own(master: str | None) -> bool:
     """Whether a session there is one of this machine alone, which nobody has set up."""
     return master.startswith("local") if master is not None else not any(name in os.environ for name in SET_UP)
+
+
+def memory() -> int:
+    """Of this machine, or of the container that this process runs in [bytes]."""
+    found = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    with suppress(OSError, ValueError):  # there is no container, or it has no limit
+        found = min(found, int(CONTAINER.read_text()))
+    return found
 
 
 def _taken(found: SparkSession, master: str | None, settings: Mapping[str, str]) -> SparkSession:

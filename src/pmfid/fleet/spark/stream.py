@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
-from pmfid.fleet.spark.session import session_of
+from pmfid.fleet.spark.keys import keys_of
+from pmfid.fleet.spark.log import Log
+from pmfid.fleet.spark.session import is_own, memory, session_of
 from pmfid.fleet.stream.folder import Folder, Settings, opened
 from pmfid.fleet.stream.shard import Plan
 from pmfid.fleet.stream.states import States
@@ -33,10 +33,6 @@ SETTINGS = {
 }
 #: The folder of Spark's own checkpoint within that of the stream.
 SPARK = "spark"
-#: What Spark says of a checkpoint that is not whole.
-_DAMAGED = ("log file", "end-of-input", "CANNOT_LOAD_STATE_STORE", "ChecksumException")
-#: What Spark and its processes say, beside it.
-LOG = "spark.log"
 
 
 @dataclass(frozen=True)
@@ -49,25 +45,28 @@ class Pacing:
     once: bool = False
 
 
-def watched(blocks: DataFrame, plan: Plan, initial: DataFrame | None = None) -> DataFrame:
+def watched(blocks: DataFrame, plan: Plan, begin: States | None = None) -> DataFrame:
     """The estimates, notices and counts (`columns_of`) of a stream of blocks: columns `axis`, its name, and `block`,
-    the bytes of docs/wire.md, as Kafka's key and value. initial: `shard`, `body`, states to begin with."""
+    the bytes of docs/wire.md, as Kafka's key and value. begin: states of axes that go on here."""
     from pyspark.sql import functions as f
 
     from pmfid.fleet.spark.processor import ShardProcessor
 
-    shard = f.expr(f"cast(pmod(crc32(encode(axis, 'UTF-8')), {plan.shards}) as int)")
+    spark = blocks.sparkSession
+    keys = keys_of(spark, plan.shards)
+    initial = None if begin is None else _initial(spark, begin, plan, keys).groupBy("shard")
+    shard = f.element_at(f.lit(keys), f.expr(f"cast(pmod(crc32(encode(axis, 'UTF-8')), {plan.shards}) as int) + 1"))
     schema = ", ".join(f"`{name}` {kind}" for name, kind in columns_of(plan).items())
     # a row without one of them, as of a file with other columns, is no block, and counted as such
     block = f.expr("if(axis is null or block is null, encode('nothing', 'UTF-8'), block)").alias("block")
     whole = blocks.select(f.expr("coalesce(axis, '')").alias("axis"), block)
     grouped = whole.withColumn("shard", shard).groupBy("shard")
     return grouped.transformWithStateInPandas(
-        ShardProcessor(plan),
+        ShardProcessor(plan, keys),
         outputStructType=schema,
         outputMode="Append",
         timeMode="None",
-        initialState=None if initial is None else initial.groupBy("shard"),
+        initialState=initial,
     )
 
 
@@ -84,41 +83,25 @@ def stream_files(
     """Watches what comes into a folder of Parquet files, or of files of blocks (.pmfb) that grow, until it is stopped.
 
     begin: states of axes that go on here, for a new checkpoint. Raises UsageError where PySpark or Java is missing, a
-    folder is not what it should be, the configuration is not that of the checkpoint, or the stream fails.
+    folder is not what it should be or another stream has it, the configuration is not that of the checkpoint, or the
+    stream fails.
     """
     pacing = pacing or Pacing()
     kind = kind_of(source)
+    own = {"spark.sql.shuffle.partitions": str(plan.shards), **dict(settings or {})}
     with opened(checkpoint, out, settings_of(plan, source)) as folder:
-        _stream(source, kind, plan, checkpoint, folder, pacing, begin, master, settings or {})
+        if (checkpoint / SPARK).exists():
+            begin = None  # they are in the checkpoint already
+        log = Log(checkpoint)
+        spark = _session(log, master, own)
+        from py4j.protocol import Py4JError
+        from pyspark.errors import PySparkException
 
-
-def _stream(
-    source: Path,
-    kind: str,
-    plan: Plan,
-    checkpoint: Path,
-    folder: Folder,
-    pacing: Pacing,
-    begin: States | None,
-    master: str | None,
-    settings: Mapping[str, str],
-) -> None:
-    """The same, in folders that it has for itself."""
-    fresh = not (checkpoint / SPARK).exists()
-    if begin is not None and not fresh:
-        begin = None  # they are in the checkpoint already
-    own = {**SETTINGS, "spark.sql.shuffle.partitions": str(plan.shards), **settings}
-    with _said_into(checkpoint / LOG):
-        spark = session_of(master, own)
-    from py4j.protocol import Py4JError
-    from pyspark.errors import PySparkException
-
-    try:
-        blocks = _read(spark, source, kind, pacing)
-        initial = None if begin is None else _initial(spark, begin, plan)
-        _wait(_started(watched(blocks, plan, initial), folder, checkpoint / SPARK, pacing))
-    except (PySparkException, Py4JError) as error:
-        raise UsageError(problem_of(error)) from None
+        try:
+            blocks = _read(spark, source, kind, pacing)
+            _wait(_started(watched(blocks, plan, begin), folder, checkpoint / SPARK, pacing))
+        except (PySparkException, Py4JError) as error:
+            raise UsageError(log.problem(error)) from None
 
 
 def settings_of(plan: Plan, source: Path) -> Settings:
@@ -137,27 +120,12 @@ def kind_of(source: Path) -> str:
     return kinds.pop().lstrip(".") if kinds else "parquet"
 
 
-@contextmanager
-def _said_into(path: Path) -> Iterator[None]:
-    """A Java process that is started meanwhile writes its messages there, for its whole life: they are for those who
-    look for the cause of a failure, and many."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    with _log(path) as log:
-        os.dup2(log.fileno(), 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-
-
-def _log(path: Path) -> IO[bytes]:
-    """To be appended to; of a checkpoint that can only be read, nothing."""
-    try:
-        return open(path, "ab")
-    except OSError:
-        return open(os.devnull, "ab")
+def _session(log: Log, master: str | None, settings: Mapping[str, str]) -> SparkSession:
+    """One of this machine alone may take a quarter of its memory, as Java does by itself: Spark would set 1 GB, where
+    a batch has the states of its shards in several copies."""
+    roomy = {"spark.driver.memory": f"{memory() // 2**22}m", "spark.driver.maxResultSize": "0"}
+    with log.taken():
+        return session_of(master, {**SETTINGS, **(roomy if is_own(master) else {}), **settings})
 
 
 def _read(spark: SparkSession, source: Path, kind: str, pacing: Pacing) -> DataFrame:
@@ -172,8 +140,8 @@ def _read(spark: SparkSession, source: Path, kind: str, pacing: Pacing) -> DataF
     return reader.parquet(str(source))
 
 
-def _initial(spark: SparkSession, begin: States, plan: Plan) -> DataFrame:
-    rows = [(shard, bytearray(body)) for shard, body in begin.bodies(plan).items()]
+def _initial(spark: SparkSession, begin: States, plan: Plan, keys: Sequence[int]) -> DataFrame:
+    rows = [(keys[shard], bytearray(body)) for shard, body in begin.bodies(plan).items()]
     return spark.createDataFrame(rows, "shard int, body binary")
 
 
@@ -203,33 +171,25 @@ def states_of(checkpoint: Path, prepared_digest: str, master: str | None = None)
     """The states of all axes in the checkpoint of a stream, behind its last batch. Raises UsageError where there is
     none, or of another configuration."""
     check_states(checkpoint)
-    from pmfid.fleet.spark.processor import STATE
+    from pmfid.fleet.spark.processor import STATE, unpacked
 
-    with _said_into(checkpoint / LOG):
-        spark = session_of(master, SETTINGS)
+    log = Log(checkpoint)
+    spark = _session(log, master, {})
     from py4j.protocol import Py4JError
     from pyspark.errors import PySparkException
 
     try:
         reader = spark.read.format("statestore").option("path", str((checkpoint / SPARK).resolve()))
-        rows = reader.option("stateVarName", STATE).load().selectExpr("key.shard", "value.body").collect()
+        rows = reader.option("stateVarName", STATE).load().selectExpr("key.shard", "value.body").toLocalIterator()
+        bodies = {row[0]: unpacked(row[1]) for row in rows}
     except (PySparkException, Py4JError) as error:
-        raise UsageError(problem_of(error)) from None
-    return States.of({row[0]: bytes(row[1]) for row in rows}, prepared_digest)
+        raise UsageError(log.problem(error)) from None
+    except ValueError as error:
+        raise UsageError(f"a state cannot be read: {error}; read it with the version that wrote it") from None
+    return States.of(bodies, prepared_digest)
 
 
 def check_states(checkpoint: Path) -> None:
     """Raises UsageError where no stream has kept its states."""
     if not (checkpoint / SPARK / "state").is_dir():
         raise UsageError(f"{checkpoint}: has no states yet; give the --checkpoint of a stream that has done a batch")
-
-
-def problem_of(error: Exception) -> str:
-    """What Spark says of a failure, in a sentence without its traces."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    causes = [line for line in lines if line.startswith(("pmfid.", "ValueError", "Caused by", "java.io"))]
-    told = causes[-1] if causes else next(iter(lines), "for no reason that it tells")
-    remedy = "mend that, and start it again"
-    if any(sign in str(error) for sign in _DAMAGED):
-        remedy = "the checkpoint is damaged: put back a copy of it, or give new folders for --checkpoint and --out"
-    return f"the stream stopped: {told[:400]}; {remedy}"

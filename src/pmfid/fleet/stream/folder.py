@@ -31,19 +31,22 @@ REMEDIES = {
     "shards": "the state is shared out by it; give it as before",
     "window": "give it as before, or new folders for --checkpoint and --out",
     "every": "give it as before, or new folders for --checkpoint and --out",
+    "layout": "go on with the version that wrote it, or take new folders for --checkpoint and --out",
     "source": "where it stands holds for that one only; give it, or new folders for --checkpoint and --out",
 }
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What may not change between two starts. config: digest of the configuration; window, every: [s]."""
+    """What may not change between two starts. config: digest of the configuration; window, every: [s]; layout: of the
+    state in the store, 2 since shards have keys and are packed."""
 
     config: str
     shards: int
     window: float
     every: float
     source: str
+    layout: int = 2
 
 
 @contextmanager

@@ -1,0 +1,72 @@
+"""What Spark and its processes say goes into a file beside a checkpoint; of a failure a sentence comes out."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+__all__ = ["Log"]
+
+NAME = "spark.log"
+#: A line that names the cause of a failure, in Python or Java.
+CAUSE = re.compile(r"(Caused by: )?[\w.$]+(Error|Exception): .")
+#: So much of what was said is looked through at most [bytes].
+LATELY = 2**20
+#: What Spark says of a checkpoint that is not whole.
+DAMAGED = ("log file", "end-of-input", "CANNOT_LOAD_STATE_STORE", "ChecksumException")
+REPAIR = "the checkpoint is damaged: put back a copy of it, or give new folders for --checkpoint and --out"
+AGAIN = "mend that, and start it again"
+NO_MEMORY = (
+    "the stream stopped: Java has no memory left; start it again where there is more, or with the variable "
+    "PYSPARK_SUBMIT_ARGS='--driver-memory 8g pyspark-shell' for 8 GB"
+)
+
+
+class Log:
+    """Of a process that uses the checkpoint in `folder`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / NAME
+        self._begun = self.path.stat().st_size if self.path.exists() else 0
+
+    @contextmanager
+    def taken(self) -> Iterator[None]:
+        """A Java process that is started meanwhile writes its messages there, for its whole life: they are for those
+        who look for the cause of a failure, and many."""
+        sys.stderr.flush()
+        kept = os.dup(2)
+        with self._opened() as log:
+            os.dup2(log.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+
+    def _opened(self) -> IO[bytes]:
+        """To be appended to; of a checkpoint that can only be read, nothing."""
+        try:
+            return open(self.path, "ab")
+        except OSError:
+            return open(os.devnull, "ab")
+
+    def problem(self, error: Exception) -> str:
+        """What Spark says of a failure, without its traces."""
+        if "java.lang.OutOfMemoryError" in self._said():
+            return NO_MEMORY
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        causes = [line for line in lines if CAUSE.match(line)]
+        told = causes[-1] if causes else next(iter(lines), "for no reason that it tells")
+        damaged = any(sign in str(error) for sign in DAMAGED)
+        return f"the stream stopped: {told[:400]}; {REPAIR if damaged else AGAIN} ({self.path} has more)"
+
+    def _said(self) -> str:
+        with suppress(OSError), open(self.path, "rb") as file:
+            file.seek(max(self._begun, file.seek(0, os.SEEK_END) - LATELY))
+            return file.read().decode("utf-8", "replace")
+        return ""
