@@ -62,7 +62,9 @@ Files in which many axes are mixed row by row are read once, and their rows put 
 each, in the folder of `--out`, else in that for temporary files; gone when the last shard that needs them is done): in
 9, 18 and 36 million rows in shards of half a million 2.6, 5.3 and 9.7 s of processor time and 460 MiB, where reading
 them for each shard anew took 3.7, 7.9 and 26 s. A Delta table is read by its log (`pip install 'pmfid[delta]'`);
-memory is that of three full shards at most, however many threads, and of the row group of a file.
+memory is that of three full shards at most, however many threads, and of the packed row group of a Parquet file. An
+Arrow file is unpacked batch by batch as a whole, and other formats file by file: write Arrow in batches of about a
+million rows, or as Parquet.
 Where the model lacks something of the
 machine, the bars do not hold that (`unmodelled` in the findings); changes are then still found against the
 axis's own past.
