@@ -25,8 +25,10 @@ from studies.fleet_data import IN_A_FILE, write_fleet
 
 #: Bytes of a row as arrays: name of the axis, time, input, counts.
 ROW = 32
-#: Parts of the data set whose time and memory are compared.
-PARTS = (0.125, 0.25, 1.0)
+#: Parts of the data set whose time and memory are compared; beyond 1 its axes come again, by names that end so.
+PARTS, COPY = (0.25, 0.5, 1.0, 2.0, 4.0), " copy "
+#: To which size it is extrapolated [GB].
+FARTHER = 100.0
 #: Of the peers: axes side by side, samples of each; and samples of the one by one.
 SIDE_BY_SIDE, SAMPLES, SINGLE = 1000, 2000, 20_000
 #: Processes of the pool.
@@ -137,17 +139,30 @@ def in_a_process(folder: Path, part: float) -> tuple[Cost, Found]:
 def measure(folder: Path, part: float) -> dict[str, object]:
     """The call, on a part of the files."""
     files = sorted((folder / "data").iterdir())
-    files = files[: max(1, round(part * len(files)))]
+    taken = files[: max(1, round(min(part, 1.0) * len(files)))]
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory(dir=folder) as name:
         data = Path(name) / "data"
         data.mkdir()
-        for path in files:
+        for path in taken:
             (data / path.name).symlink_to(path.resolve())
+        for copy in range(1, round(part)):
+            truth |= {f"{axis}{COPY}{copy}": truth[axis] for axis in list(truth) if COPY not in axis}
+            for path in taken:
+                renamed(path, data / f"{copy}-{path.name}", f"{COPY}{copy}")
         history, cost = measured(data, folder / "axis.toml", Path(name) / "out")
     known = set(history.axes["axis"].to_list())
     found = found_of(history, {axis: change for axis, change in truth.items() if axis in known})
     return {"cost": vars(cost), "found": vars(found)}
+
+
+def renamed(path: Path, copy: Path, ending: str) -> None:
+    """The same rows of axes of other names, in a process of its own: the memory that is measured is of the history."""
+    code = (
+        "import sys, polars as pl; a, b, ending = sys.argv[1:]; "
+        "pl.scan_parquet(a).with_columns(pl.col('machine') + ending).sink_parquet(b)"
+    )
+    subprocess.run([sys.executable, "-c", code, str(path), str(copy), ending], check=True)
 
 
 def numpy_rate() -> float:
@@ -188,9 +203,25 @@ def pool_rate() -> float:
         return float(np.median(list(pool.map(padasip_rate, range(2 * POOL)))))
 
 
-def page(axes: int, runs: Sequence[tuple[Cost, Found]]) -> str:
-    """The page; runs: on parts of the files, the last on all."""
-    whole, found = runs[-1]
+def farther(costs: Sequence[Cost]) -> list[str]:
+    """What a data set of FARTHER would take, by the straight lines through what was measured."""
+    if len(costs) < 3:
+        return []
+    sizes = ROW * np.array([cost.samples for cost in costs]) / 1e9
+    (slope, start), (grown, _) = (
+        np.polyfit(sizes, [getattr(cost, name) for cost in costs], 1) for name in ("cpu", "memory")
+    )
+    (pace, _) = np.polyfit(sizes, [cost.wall for cost in costs], 1)
+    most = max(cost.memory for cost in costs) + max(float(grown), 0.0) * (FARTHER - float(sizes[-1]))
+    return [
+        f"Extrapolated along straight lines to {FARTHER:g} GB, which was not run: {pace * FARTHER / 60:.0f} minutes, "
+        f"{slope * FARTHER / 60:.0f} of a processor, {most:.0f} MiB. A start takes {start:.1f} s of it.",
+    ]
+
+
+def page(axes: int, runs: Sequence[tuple[Cost, Found]], whole: int) -> str:
+    """The page; runs: on parts of the files, that of number `whole` on each once."""
+    cost, found = runs[whole]
     sizes, cpu = (np.log([getattr(cost, name) for cost, _ in runs]) for name in ("samples", "cpu"))
     exponent = float(np.polyfit(sizes, cpu, 1)[0]) if len(runs) > 1 else math.nan
     costs = [
@@ -200,7 +231,7 @@ def page(axes: int, runs: Sequence[tuple[Cost, Found]]) -> str:
     ]  # fmt: skip
     side, one = numpy_rate(), pool_rate()
     peers = [
-        ["pmfid fleet history: reading, filters, `riv`, bars, verdicts", f"{whole.samples / whole.cpu / 1e6:.3g} M"],
+        ["pmfid fleet history: reading, filters, `riv`, bars, verdicts", f"{cost.samples / cost.cpu / 1e6:.3g} M"],
         [f"NumPy over {SIDE_BY_SIDE} axes, recursive least squares alone", f"{side / 1e6:.3g} M"],
         [
             f"padasip `FilterRLS.adapt` in a pool of {POOL} processes, recursive least squares alone",
@@ -229,10 +260,12 @@ def page(axes: int, runs: Sequence[tuple[Cost, Found]]) -> str:
         "## What it costs",
         "",
         "Parts of the same data set, each in a process of its own, from Parquet to tables, two threads; wall "
-        "time with whatever else the machine had to do. Size: as "
-        f"arrays of {ROW} bytes a row. Processor time grows with the power {exponent:.3f} of the size.",
+        "time with whatever else the machine had to do; beyond the whole data set with its axes again by other names. "
+        f"Size: as arrays of {ROW} bytes a row. Processor time grows with the power {exponent:.3f} of the size.",
         "",
         *table(header, costs),
+        *farther([cost for cost, _ in runs]),
+        "",
         "Beside what else could be done, in samples per second of one processor. The others get regressors that are "
         "ready:",
         "",
@@ -247,6 +280,7 @@ def main() -> None:
     parser.add_argument("--axes", type=int, default=1000)
     parser.add_argument("--hours", type=float, default=1.0)
     parser.add_argument("--folder", type=Path, help="of a fleet that is there already")
+    parser.add_argument("--largest", type=float, default=2.0, help="Of the sizes: so many times the fleet.")
     parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--part", type=float, default=1.0, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -258,8 +292,8 @@ def main() -> None:
         if arguments.folder is None:
             changed = max(1, round(0.03 * arguments.axes))
             write_fleet(folder, arguments.axes, changed, arguments.hours, seed=11, workers=2)
-        parts = [part for part in PARTS if part * arguments.axes >= IN_A_FILE] or [1.0]
-        text = page(arguments.axes, [in_a_process(folder, part) for part in parts])
+        parts = [part for part in PARTS if part * arguments.axes >= IN_A_FILE and part <= arguments.largest] or [1.0]
+        text = page(arguments.axes, [in_a_process(folder, part) for part in parts], parts.index(1.0))
     arguments.out.write_text(text, encoding="utf-8")
 
 

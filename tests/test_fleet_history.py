@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import pickle
 import shutil
+import subprocess
+import sys
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
@@ -378,3 +380,13 @@ def test_nobody_moves_is_exit_code_3(log: pl.DataFrame, config: Path, tmp_path: 
 
 def test_the_package_opens_by_its_name() -> None:
     assert pmfid.fleet.estimate is fleet.estimate
+
+
+def test_the_name_of_the_readme_is_there_behind_a_plain_import() -> None:
+    shown = subprocess.run(
+        [sys.executable, "-c", "import pmfid; print(pmfid.fleet.estimate.__name__)"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert shown.stdout.strip() == "estimate", shown.stderr

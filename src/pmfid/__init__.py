@@ -108,6 +108,8 @@ __all__ = sorted(_PUBLIC)
 
 
 def __getattr__(name: str) -> object:
+    if name == "fleet":
+        return import_module("pmfid.fleet")
     if name not in _PUBLIC:
         raise AttributeError(f"module 'pmfid' has no attribute {name!r}")
     value = getattr(import_module(_PUBLIC[name]), name)
