@@ -12,7 +12,7 @@ import numpy as np
 
 from pmfid.fleet.periods import SAME, Periods, period_rows
 from pmfid.fleet.said import sentence
-from pmfid.fleet.series import Series, series_of
+from pmfid.fleet.series import Series, series_of, widened
 from pmfid.fleet.source import AXIS
 from pmfid.fleet.survey import DAY, Problem
 from pmfid.fleet.verdicts import CHANGED, Follow, Verdict, followed, judged, ranking, sorts_by_type
@@ -53,7 +53,7 @@ def outcome_of(
     for group in groups:
         rows: list[dict[str, object]] = []
         for part in group.partition_by(AXIS, maintain_order=True):
-            axis, series = str(part[AXIS][0]), series_of(part, names)
+            axis, series = str(part[AXIS][0]), widened(series_of(part, names))
             seen += int(series.samples.sum())
             problems += _mixed(axis, series)
             follows[axis] = followed(axis, types[axis], series, names, tolerance)

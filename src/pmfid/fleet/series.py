@@ -3,7 +3,7 @@ bars."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +21,8 @@ UNUSABLE = int(Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION | Stat
 BATCHES = 4
 #: Standard deviations that segments are known to be too sure or unsure by, at least: of few, their own word counts.
 LEAST_NOISE, FEW = 0.7, 20
+#: Segments that tell what they share, at least.
+LEAST_SHARED = 4
 #: Median of the absolute value of a normal number, in standard deviations.
 MEDIAN = 0.6745
 
@@ -56,6 +58,19 @@ def series_of(rows: pl.DataFrame, names: tuple[str, ...]) -> Series:
     theta, std = (np.stack([rows[name + end].to_numpy() for name in names], axis=1) for end in ("", "_std"))
     start, end, lost, dt = (rows[name].to_numpy() for name in ("start", "end", "lost", "dt"))
     return Series(start, end, rows["samples"].to_numpy(), lost, dt, rows["status"].to_numpy(), theta, std)
+
+
+def widened(series: Series) -> Series:
+    """With bars that hold what neighbours among the usable segments (n, p) differ by beyond them: a scatter that all
+    share, so that none which is too sure of itself stands for the axis (random effects; DerSimonian and Laird, 1986,
+    with medians, which a few steps do not move)."""
+    used = series[series.usable]
+    if used.start.size < LEAST_SHARED:
+        return series
+    apart = np.median(np.abs(np.diff(used.theta, axis=0)), axis=0) / MEDIAN
+    known = np.median(used.std[1:] ** 2 + used.std[:-1] ** 2, axis=0)
+    shared = np.sqrt(np.maximum(apart**2 - known, 0.0) / 2)
+    return replace(series, std=np.hypot(series.std, shared))
 
 
 def mean_of(series: Series) -> tuple[Floats, Floats]:
