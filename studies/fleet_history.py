@@ -208,14 +208,13 @@ def farther(costs: Sequence[Cost]) -> list[str]:
     if len(costs) < 3:
         return []
     sizes = ROW * np.array([cost.samples for cost in costs]) / 1e9
-    (slope, start), (grown, _) = (
-        np.polyfit(sizes, [getattr(cost, name) for cost in costs], 1) for name in ("cpu", "memory")
+    pace, slope, grown = (
+        float(np.polyfit(sizes, [getattr(cost, name) for cost in costs], 1)[0]) for name in ("wall", "cpu", "memory")
     )
-    (pace, _) = np.polyfit(sizes, [cost.wall for cost in costs], 1)
-    most = max(cost.memory for cost in costs) + max(float(grown), 0.0) * (FARTHER - float(sizes[-1]))
+    most = max(cost.memory for cost in costs) + max(grown, 0.0) * (FARTHER - float(sizes[-1]))
     return [
         f"Extrapolated along straight lines to {FARTHER:g} GB, which was not run: {pace * FARTHER / 60:.0f} minutes, "
-        f"{slope * FARTHER / 60:.0f} of a processor, {most:.0f} MiB. A start takes {start:.1f} s of it.",
+        f"{slope * FARTHER / 60:.0f} of a processor, {most:.0f} MiB.",
     ]
 
 
