@@ -101,7 +101,8 @@ def _sorts(follows: Sequence[Follow], names: Sequence[str], tolerance: float) ->
     for kind, sorts in sorts_by_type(follows, tolerance).items():
         if len(sorts) > 1:
             middles = np.array([np.median([follows[k].theta for k in members], axis=0) for members in sorts])
-            i = int(np.argmax(np.ptp(middles, axis=0) / np.abs(middles).min(axis=0)))
+            least = np.maximum(np.abs(middles).min(axis=0), np.finfo(float).tiny)
+            i = int(np.argmax(np.ptp(middles, axis=0) / least))
             each = ", ".join(
                 f"{len(own)} around {middle:.3g}" for own, middle in zip(sorts, middles[:, i], strict=True)
             )

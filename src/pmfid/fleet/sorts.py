@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.fleet.series import MEDIAN
 from pmfid.types import Floats
 
 #: Distance between the middles of two sorts, and width of the empty gap between them, in their own spreads.
 APART, GAP = 5.0, 1.0
 #: Part of the axes that is a sort, at least: fewer are odd ones.
 PART = 0.1
-#: Median of the absolute value of a normal number, in standard deviations.
-MEDIAN = 0.6745
 
 
 def sorts_of(place: Floats, least: int, tolerance: float) -> list[NDArray[np.intp]]:

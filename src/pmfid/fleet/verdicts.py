@@ -59,10 +59,9 @@ class Follow:
 @dataclass(frozen=True)
 class Verdict:
     """kind: one of the above, empty: nothing to say; score: evidence over what chance would name, from 1 on it is
-    named; cause: parameter, FRICTION or INPUT_GAIN; size, std: relative, of a drift per day, of one that wanders
-    root mean square about the mean; since, until: [s], between
-    which it came; days: of the history; deviation:
-    (p,) logarithm over the median of its type, in its spreads; NaN of too few axes."""
+    named; cause: parameter, FRICTION or INPUT_GAIN; size, std: relative, of a drift per day, of one that wanders root
+    mean square about the mean; since, until: [s], between which it came; days: of the history; deviation: (p,) relative
+    to the median of its sort, NaN of too few axes."""
 
     kind: str
     score: float

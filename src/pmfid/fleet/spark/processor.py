@@ -42,8 +42,8 @@ def unpacked(state: bytes) -> bytes:
 
 
 class ShardProcessor(StatefulProcessor):  # type: ignore[misc]
-    """keys: of each shard; rows: the column `block`; a checkpoint's body of a shard to begin with where one is
-    given."""
+    """keys: of each shard; rows: the column `block`, nowhere missing; a checkpoint's body of a shard to begin with
+    where one is given."""
 
     def __init__(self, plan: Plan, keys: Sequence[int]) -> None:
         self._plan = plan
@@ -56,7 +56,7 @@ class ShardProcessor(StatefulProcessor):  # type: ignore[misc]
         """The rows of a batch: estimates, notices, counts."""
         kept = self._state.get()
         shard = Shard(self._plan, self._numbers[int(key[0])], None if kept is None else unpacked(kept[0]))
-        shard.take([bytes(data) for frame in rows for data in frame["block"] if data is not None])
+        shard.take([bytes(data) for frame in rows for data in frame["block"]])
         self._state.update((packed(shard.saved()),))
         yield table_of(shard).to_pandas()
 
