@@ -209,7 +209,7 @@ def test_a_failure_of_spark_is_said_with_what_helps(tmp_path: Path) -> None:
     assert "stopped: java.io.IOException: no such file; mend that" in said
     with open(log.path, "a") as file:
         file.write('Exception in thread "x" java.lang.OutOfMemoryError: Java heap space\n')
-    assert "--driver-memory 8g" in log.problem(ValueError("EOFError"))
+    assert "SPARK_DRIVER_MEMORY=8g" in log.problem(ValueError("EOFError"))
 
 
 def test_a_batch_written_again_replaces_itself(prepared: Prepared, tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ REPAIR = "the checkpoint is damaged: put back a copy of it, or give new folders 
 AGAIN = "mend that, and start it again"
 NO_MEMORY = (
     "the stream stopped: Java has no memory left; start it again where there is more, or with the variable "
-    "PYSPARK_SUBMIT_ARGS='--driver-memory 8g pyspark-shell' for 8 GB"
+    "SPARK_DRIVER_MEMORY=8g for 8 GB; in a session of your own raise spark.driver.memory"
 )
 
 

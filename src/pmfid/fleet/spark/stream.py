@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -121,9 +122,10 @@ def kind_of(source: Path) -> str:
 
 
 def _session(log: Log, master: str | None, settings: Mapping[str, str]) -> SparkSession:
-    """One of this machine alone may take a quarter of its memory, as Java does by itself: Spark would set 1 GB, where
-    a batch has the states of its shards in several copies."""
-    roomy = {"spark.driver.memory": f"{memory() // 2**22}m", "spark.driver.maxResultSize": "0"}
+    """One of this machine alone may take a quarter of its memory, as Java does by itself, or what Spark's own variable
+    says: without, it would have 1 GB, where a batch has the states of its shards in several copies."""
+    own = os.environ.get("SPARK_DRIVER_MEMORY") or f"{memory() // 2**22}m"
+    roomy = {"spark.driver.memory": own, "spark.driver.maxResultSize": "0"}
     with log.taken():
         return session_of(master, {**SETTINGS, **(roomy if is_own(master) else {}), **settings})
 
