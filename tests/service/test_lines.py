@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -191,6 +192,41 @@ def test_a_message_of_many_small_mistakes_is_cut(messages: Messages, data: bytes
     found = messages.items(data)
     assert len(found) == MOST_POINTS + 1
     assert "others are not looked at" in found[-1].problem
+
+
+def test_columns_take_no_more_memory_for_the_fields_that_nobody_reads(tmp_path: Path) -> None:
+    """Rows times keys of one message are far more than its bytes."""
+    form = Messages(Readers({"x1": axis(tmp_path)}))
+    spare = {f"k{k}": 0 for k in range(20_000)}
+    data = json.dumps({"axis": "x1", "t": [*range(20_000)], "u": [0] * 20_000, "x": 0, **spare}).encode()
+    tracemalloc.start()
+    try:
+        found = lines_of(list(form.items(data)))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert [line.time for line in found] == [*range(20_000)]
+    assert peak < 100 * len(data)
+
+
+def test_columns_beyond_the_most_samples_are_cut(messages: Messages) -> None:
+    rows = [*range(15_000)]
+    data = json.dumps([{"axis": "x1", "t": rows, "u": 1, "x": 1}] * 2).encode()
+    *_, lines, last = messages.items(data)
+    assert len(lines_of([lines])) == MOST_POINTS
+    assert isinstance(last, Unusable)
+    assert "others are not looked at" in last.problem
+
+
+def test_a_message_that_a_reader_fails_at_is_counted(messages: Messages, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("pmfid.service.wire.json_lines.decode", fail)
+    (item,) = messages.items(b"{}")
+    assert isinstance(item, Unusable)
+    assert item.reason == "error"
+    assert "MemoryError" in item.problem
 
 
 @pytest.mark.parametrize("seed", range(3))

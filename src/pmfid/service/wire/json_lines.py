@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from itertools import islice
+from dataclasses import replace
 
 from pmfid.service.delivery import Unusable
-from pmfid.service.wire.points import MOST_POINTS, Point
+from pmfid.service.wire.points import MOST_POINTS, Columns, Point
 
 __all__ = ["AXIS_KEY", "decode"]
 
@@ -15,15 +15,25 @@ __all__ = ["AXIS_KEY", "decode"]
 AXIS_KEY = "axis"
 
 
-def decode(data: bytes, axis: str = "") -> list[Point | Unusable]:
+def decode(data: bytes, axis: str = "") -> list[Point | Columns | Unusable]:
     """The samples of a message. axis: whose they are; "": the objects say so by AXIS_KEY."""
-    points = list(islice(_points(data, axis), MOST_POINTS + 1))
-    if len(points) > MOST_POINTS:
-        points[-1] = Unusable("json", f"more than {MOST_POINTS} samples in one message: the others are not looked at")
-    return points
+    found: list[Point | Columns | Unusable] = []
+    left = MOST_POINTS
+    for item in _points(data, axis):
+        rows = item.rows if isinstance(item, Columns) else 1
+        if rows > left:
+            if isinstance(item, Columns) and left:
+                found.append(replace(item, rows=left))
+            found.append(
+                Unusable("json", f"more than {MOST_POINTS} samples in one message: the others are not looked at")
+            )
+            break
+        found.append(item)
+        left -= rows
+    return found
 
 
-def _points(data: bytes, axis: str) -> Iterator[Point | Unusable]:
+def _points(data: bytes, axis: str) -> Iterator[Point | Columns | Unusable]:
     try:
         yield from _of_value(json.loads(data), axis)
         return
@@ -45,7 +55,7 @@ def _unreadable(error: Exception) -> Unusable:
     return Unusable("json", f"this is no JSON: {str(error)[:200]}")
 
 
-def _of_value(value: object, axis: str) -> Iterator[Point | Unusable]:
+def _of_value(value: object, axis: str) -> Iterator[Point | Columns | Unusable]:
     for one in value if isinstance(value, list) else [value]:
         if isinstance(one, dict):
             yield from _of_object(one, axis)
@@ -53,17 +63,15 @@ def _of_value(value: object, axis: str) -> Iterator[Point | Unusable]:
             yield Unusable("json", "a sample must be an object with the fields of [record]")
 
 
-def _of_object(fields: dict[str, object], axis: str) -> Iterator[Point | Unusable]:
+def _of_object(fields: dict[str, object], axis: str) -> Iterator[Point | Columns | Unusable]:
     named = axis or fields.get(AXIS_KEY)
     if not (isinstance(named, str) and named):
         yield Unusable("axis", f'an object without its axis: give "{AXIS_KEY}"')
         return
-    columns = {name: column for name, column in fields.items() if isinstance(column, list)}
-    if not columns:
+    sizes = {len(column) for column in fields.values() if isinstance(column, list)}
+    if not sizes:
         yield Point(named, fields)
-        return
-    if len({len(column) for column in columns.values()}) > 1:
+    elif len(sizes) > 1:
         yield Unusable("json", "columns of different lengths", named)
-        return
-    for row in zip(*columns.values(), strict=True):
-        yield Point(named, {**fields, **dict(zip(columns, row, strict=True))})
+    elif rows := sizes.pop():
+        yield Columns(named, fields, rows)

@@ -32,6 +32,12 @@ class Messages:
         """What a message says. axis: the only one that it may be of, "": any. Never raises."""
         if len(data) > self.largest:
             return [Unusable("oversized", f"a message of {len(data)} bytes, more than {self.largest}", axis[:64])]
+        try:
+            return self._items(data, axis)
+        except Exception as error:  # not acknowledged, the message would come again and again
+            return [Unusable("error", f"{type(error).__name__}: {str(error)[:200]}; it is left out", axis[:64])]
+
+    def _items(self, data: bytes, axis: str) -> Sequence[Item]:
         form = self._form(data) if self.form == "auto" else self.form
         if form == "block":
             found = blocks.items(data)

@@ -12,8 +12,9 @@ from pmfid.service.context import Axes
 from pmfid.service.delivery import Lines, Unusable
 from pmfid.session.config import Axis
 from pmfid.session.monitored.reading import FieldReader
+from pmfid.session.monitored.timeline import Line
 
-__all__ = ["MOST_POINTS", "Point", "Readers"]
+__all__ = ["MOST_POINTS", "Columns", "Point", "Readers"]
 
 #: Of one message; what is beyond is not looked at.
 MOST_POINTS = 20_000
@@ -28,6 +29,15 @@ class Point:
     time: float = math.nan
 
 
+@dataclass(frozen=True)
+class Columns:
+    """Samples of one axis as columns. fields: lists of at least `rows` values; any other value holds for all rows."""
+
+    axis: str
+    fields: Mapping[str, object]
+    rows: int
+
+
 @dataclass
 class Readers:
     """What the fields of each axis mean, by the [record] of its AXIS.toml.
@@ -38,17 +48,17 @@ class Readers:
     axes: Axes
     _made: dict[int, tuple[Axis, FieldReader]] = field(default_factory=dict, init=False)
 
-    def items(self, points: Iterable[Point | Unusable]) -> list[Lines | Unusable]:
+    def items(self, points: Iterable[Point | Columns | Unusable]) -> list[Lines | Unusable]:
         """Lines of each axis, those that follow one another together."""
         found: list[Lines | Unusable] = []
-        for axis, group in groupby(points, lambda point: point.axis if isinstance(point, Point) else None):
+        for axis, group in groupby(points, lambda point: None if isinstance(point, Unusable) else point.axis):
             if axis is None:
                 found += (point for point in group if isinstance(point, Unusable))
                 continue
-            found.append(self._lines(axis, [point for point in group if isinstance(point, Point)]))
+            found.append(self._lines(axis, [point for point in group if not isinstance(point, Unusable)]))
         return found
 
-    def _lines(self, axis: str, points: list[Point]) -> Lines | Unusable:
+    def _lines(self, axis: str, points: list[Point | Columns]) -> Lines | Unusable:
         config = self.axes.get(axis)
         if config is None:
             return Unusable("axis", f"there is no axis {axis[:64]!r}", axis[:64])
@@ -56,7 +66,13 @@ class Readers:
             reader = self._reader(config)
         except UsageError as error:
             return Unusable("axis", str(error), axis)
-        return Lines(axis, [reader(point.fields, point.time) for point in points])
+        lines: list[Line] = []
+        for point in points:
+            if isinstance(point, Columns):
+                lines += reader.rows(point.fields, point.rows)
+            else:
+                lines.append(reader(point.fields, point.time))
+        return Lines(axis, lines)
 
     def _reader(self, config: Axis) -> FieldReader:
         if id(config) not in self._made:

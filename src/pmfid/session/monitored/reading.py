@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import TypeGuard
 
@@ -102,6 +102,13 @@ class FieldReader:
             return self._line(fields, stamp)
         except (ValueError, OverflowError, UsageError) as error:
             return Line(math.nan, math.nan, 0, str(error)[:_MOST_LETTERS])
+
+    def rows(self, columns: Mapping[str, object], size: int) -> Iterator[Line]:
+        """The first `size` samples of columns by name; a value that is no list holds for each. Never raises."""
+        names = {whole_name(columns, name) for name in self._wanted}
+        used = {name: columns[name] for name in names if name in columns}
+        for k in range(size):
+            yield self({name: column[k] if isinstance(column, list) else column for name, column in used.items()})
 
     def _line(self, fields: Mapping[str, object], stamp: float) -> Line:
         names = tuple(whole_name(fields, name) for name in self._wanted)
