@@ -18,7 +18,10 @@ import polars as pl
 import pytest
 import scipy.io
 
+from pmfid.errors import UsageError
 from pmfid.session.formats import SUFFIXES
+from pmfid.session.formats.reading import read_table
+from pmfid.session.tables import column, times
 from tests.formats import WRITERS
 
 #: Rows of the columns below, and how many times their bytes a reader may take.
@@ -142,3 +145,11 @@ def test_a_packed_file_is_no_csv(tmp_path: Path, pack: Callable[[bytes], bytes])
     size, refusal = taken(tmp_path / "run.csv", "u")
     assert "a packed file; unpack it first" in refusal
     assert size < 50e6
+
+
+@pytest.mark.parametrize("key", ["time", "input"])
+def test_a_long_text_in_every_row_is_refused_before_it_is_copied(tmp_path: Path, key: str) -> None:
+    pl.DataFrame({"u": ["a" * 100_000] * 40_000}).write_parquet(tmp_path / "rows.parquet")
+    read = {"time": times, "input": lambda table, name: column(table, "input", name)}[key]
+    with pytest.raises(UsageError, match="a text of 100000 bytes, more than 1000"):
+        read(read_table(tmp_path / "rows.parquet"), "u")

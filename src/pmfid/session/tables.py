@@ -58,6 +58,8 @@ def whole_name(table: Table, name: str) -> str:
     return name
 
 
+#: Bytes of a cell of text: a number or a time has a tenth of it.
+LONGEST_CELL = 1000
 #: Polars' end of the name of a column that is there already.
 TWICE = "_duplicated_0"
 
@@ -71,6 +73,17 @@ def lookup(table: Table, key: str, name: str) -> object:
     listed = ", ".join(list(table)[:30]) or "none"
     hint = did_you_mean(name, table)
     raise UsageError(f"[record] {key} = {name!r}: there is no such column; available are {listed}{hint}")
+
+
+def _check_cells(label: str, series: pl.Series) -> None:
+    """Raises UsageError for texts that no number or time needs: a packed file may repeat a long one in every row."""
+    import polars as pl
+
+    if series.dtype == pl.String and (longest := cast("int", series.str.len_bytes().max() or 0)) > LONGEST_CELL:
+        raise UsageError(
+            f"{label} has a text of {longest} bytes, more than {LONGEST_CELL}: neither a number nor a time; "
+            "name a column of numbers"
+        )
 
 
 def column(table: Table, key: str, name: str) -> Floats:
@@ -97,6 +110,7 @@ def times(table: Table, name: str) -> tuple[Floats, bool]:
 def _clocked(label: str, series: pl.Series) -> tuple[Floats, bool]:
     import polars as pl
 
+    _check_cells(label, series)
     if series.dtype == pl.String and not _has_number(series):
         series = _parsed(series)
     daily = series.dtype if series.dtype == pl.Time else None
@@ -147,11 +161,12 @@ def from_array(label: str, array: NDArray[np.generic]) -> Floats:
 def _from_series(label: str, series: pl.Series, remedy: str = NUMBERS) -> Floats:
     import polars as pl
 
+    _check_cells(label, series)
     if series.dtype == pl.String:
         parsed = series.str.strip_chars().cast(pl.Float64, strict=False)
         bad = (parsed.is_null() & series.is_not_null()).arg_true()
         if len(bad):
-            raise UsageError(f"{label} is not numeric: {series[bad[0]]!r} in row {bad[0] + 1}; {remedy}")
+            raise UsageError(f"{label} is not numeric: {series[bad[0]][:60]!r} in row {bad[0] + 1}; {remedy}")
         series = parsed
     if not series.dtype.is_numeric() and series.dtype != pl.Null:
         raise UsageError(f"{label} is not numeric but {series.dtype}; store it as numbers (time in s)")
