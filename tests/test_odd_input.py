@@ -10,6 +10,7 @@ import pytest
 
 import pmfid
 from pmfid.errors import UsageError
+from pmfid.estimators.arguments import check_arrays
 from pmfid.monitor.calibration import Calibration
 from pmfid.session.monitored import cache as calibrations
 from pmfid.transfer.experiment import Experiment, _supported
@@ -18,6 +19,12 @@ from tests.conftest import cart_run
 
 def rls() -> pmfid.RLS:
     return pmfid.RLS(pmfid.Drive(2.0), pmfid.Encoder(1e-4), 0.01, 30.0, forgetting=0.99)
+
+
+def test_an_array_across_the_alignment_is_copied_before_the_kernel_loads_it() -> None:
+    u = np.frombuffer(bytes(81), np.uint8)[1:].view(np.float64)
+    assert not u.flags.aligned
+    assert all(array.flags.aligned for array in check_arrays(u, u.view(np.int64)))
 
 
 @pytest.mark.parametrize("turns", [2**63, 2**64, -(2**70)])

@@ -36,6 +36,7 @@ def numbers(name: str, values: ArrayLike) -> Numbers:
     try:
         array = np.asarray(values)
         array = array if array.dtype.kind in "biufc" else array.astype(np.float64)
+        array = np.require(array, requirements="A")  # C may not load a number across its alignment
     except (TypeError, ValueError, OverflowError):
         array = np.empty(0, object)
     if array.dtype.kind not in "biuf" or values is None:
