@@ -309,6 +309,8 @@ class Plant(FileSection):
         ({"topics": ["a+"]}, "is no topic"),
         ({"user": "u", "password_env": "A", "password_file": "b"}, "give one of them"),
         ({"password_env": "A"}, "give user"),
+        ({"user": "u", "password_env": "A", "host": "broker.example"}, "unencrypted; set tls = true"),
+        ({"user": "u", "password_file": "a", "host": "192.0.2.7"}, "unencrypted; set tls = true"),
         ({"cert": "a"}, "belong together"),
         ({"receive_maximum": 0}, "receive_maximum"),
         ({"password": "secret"}, "password"),
@@ -317,6 +319,14 @@ class Plant(FileSection):
 def test_a_section_that_cannot_work_is_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         validated(Plant, {"source": {"kind": "mqtt", "topics": ["a"], **change}})
+
+
+@pytest.mark.parametrize(
+    "change", [{"tls": True}, {"allow_plain_password": True}, {"host": "localhost"}, {"host": "::1"}]
+)
+def test_a_password_may_go_where_nobody_else_reads_it(change: dict[str, object]) -> None:
+    section = {"kind": "mqtt", "topics": ["a"], "host": "broker.example", "user": "u", "password_env": "A"}
+    assert validated(Plant, {"source": {**section, **change}}).source.user == "u"
 
 
 def test_pauses_grow_up_to_the_longest() -> None:

@@ -163,6 +163,14 @@ REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
     "a name that is a path": (lambda text: text.replace("axes.x1", 'axes."../x"'), "is no name"),
     "a script for a name": (lambda text: text.replace("axes.x1", 'axes."<script>"'), "is no name"),
     "a key of an axis": (lambda text: text.replace("config", "file"), r"\[axes.x1\] file is an unknown key"),
+    "a pattern of any format": (
+        lambda text: text + '[fleets.f]\nconfig = "axis.toml"\nnames = "{0:c}{0}"\ncount = 60\n',
+        r"\[fleets.f\] names = '\{0:c\}\{0\}' is no pattern",
+    ),
+    "a pattern that looks inside": (
+        lambda text: text + '[fleets.f]\nconfig = "axis.toml"\nnames = "{0.__class__}{}"\ncount = 3\n',
+        "is no pattern",
+    ),
     "no pattern": (
         lambda text: text + '[fleets.f]\nconfig = "axis.toml"\nnames = "cell"\ncount = 3\n',
         r"\[fleets.f\] names = 'cell' is no pattern",

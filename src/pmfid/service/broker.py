@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import os
 import ssl
 from collections.abc import Iterator
@@ -33,6 +34,7 @@ class BrokerSection(FileSection):
     user: Text | None = Field(None, description="the user's name, or leave it out")
     password_env: Text | None = Field(None, description="the environment variable that holds the password")
     password_file: Text | None = Field(None, description="the file that holds the password")
+    allow_plain_password: bool = Field(False, description="true to send the password to another host without TLS")
     tls: bool = Field(False, description="true for TLS by the certificates that the system trusts")
     ca: Text | None = Field(None, description="the file of the certificates that are trusted; it asks for TLS, too")
     cert: Text | None = Field(None, description="the file of this client's own certificate, with key")
@@ -56,7 +58,17 @@ class BrokerSection(FileSection):
             raise ValueError("there is a password without a user; give user")
         if bool(self.cert) != bool(self.key):
             raise ValueError("cert and key belong together; give both, or neither")
+        if self._sends_password_in_the_clear and not self.allow_plain_password:
+            raise ValueError(
+                f"the password would reach {self.host} unencrypted; set tls = true, or ca to the broker's certificate "
+                "authority; allow_plain_password = true accepts the risk"
+            )
         return self
+
+    @property
+    def _sends_password_in_the_clear(self) -> bool:
+        password = self.password_env or self.password_file
+        return bool(password) and not (self.encrypted or _is_loopback(self.host))
 
     @property
     def encrypted(self) -> bool:
@@ -65,6 +77,13 @@ class BrokerSection(FileSection):
     @property
     def address(self) -> tuple[str, int]:
         return self.host, self.port or (8883 if self.encrypted else 1883)
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def secret(env: str | None, file: str | None, folder: Path) -> str | None:

@@ -37,6 +37,10 @@ Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
 _WORD = "letters, digits, dots, hyphens and underscores, at most 100, a letter or a digit first"
 
 
+#: A pattern of names with one number: "{}", "{:d}", or "{:05d}" for five digits or more.
+_NUMBER = re.compile(r"([^{}]*)\{(?::0?(\d?)d)?\}([^{}]*)")
+
+
 class ServiceSection(FileSection):
     """[service]: its name, what it keeps, and how long it waits."""
 
@@ -62,13 +66,11 @@ class FleetSection(FileSection):
 
     def expand(self) -> Iterator[str]:
         """Names of the axes. Raises UsageError for a pattern that does not give different words."""
-        try:
-            names = [self.names.format(k) for k in range(self.count)]
-        except (ValueError, IndexError, KeyError, AttributeError):
-            names = []
-        if len(set(names)) < self.count:
+        number = _NUMBER.fullmatch(self.names)
+        if number is None:
             raise UsageError(f'names = {self.names!r} is no pattern with one number; give one as "cell-{{:05d}}"')
-        return iter(names)
+        before, digits, after = number.groups()
+        return (f"{before}{k:0{int(digits or 0)}d}{after}" for k in range(self.count))
 
 
 @dataclass(frozen=True)
