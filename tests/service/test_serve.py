@@ -78,9 +78,22 @@ def test_the_log_is_for_people(folder: Path) -> None:
     lines = out.splitlines()
     assert lines[1].startswith("serving axis: 1 axis")
     assert lines[2].startswith("page: http://127.0.0.1:")
-    assert "#token=" in lines[2]
+    assert "#token=" not in lines[2]
+    assert any("[page] token_file" in line for line in lines)
     assert any("ALARM  mass +" in line for line in lines)
     assert lines[-1] == "ended"
+
+
+@pytest.mark.parametrize("form", [(), ("--json",)])
+def test_the_token_of_a_start_is_in_a_file_and_in_no_log(folder: Path, tmp_path: Path, form: tuple[str, ...]) -> None:
+    options = ("--speed", "0", "--until-end", "--port", "0", "--state", str(tmp_path / "state"), *form)
+    out = called("serve", str(folder / "axis.toml"), "--from", str(folder / "run.csv"), *options)
+    file = tmp_path / "state" / "page.token"
+    token = file.read_text().strip()
+    assert len(token) > 30
+    assert file.stat().st_mode & 0o077 == 0
+    assert str(file) in out
+    assert token not in out
 
 
 PLANT = """

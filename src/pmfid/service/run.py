@@ -189,14 +189,23 @@ class Service:
         return None if prepared is None else prepared.axis
 
     def _say_started(self, plant: Plant) -> None:
-        """To all; the address with the token in it to the log alone."""
+        """To all; the address of the page to the log alone, with a token made by this start on a terminal alone."""
         state = None if plant.state is None else str(plant.state)
         told = {"event": "serving", "name": plant.service.name, "axes": len(self._axes), "state": state}
         self._outlets.remove(self._log)
         number = self._engine.notices.own("", told).number
         self._outlets.append(self._log)
-        page = {} if self._page is None else {"page": self._page.start_url, "notes": list(self._page.notes)}
-        self._log.notice(Notice("", number, time.time(), {**told, **page}))
+        self._log.notice(Notice("", number, time.time(), {**told, **self._page_address(plant)}))
+
+    def _page_address(self, plant: Plant) -> dict[str, Any]:
+        page = self._page
+        if page is None:
+            return {}
+        if page.made_token is None or self.log.stream.isatty():
+            return {"page": page.start_url, "notes": list(page.notes)}
+        from pmfid.service.web.tokens import keep_token
+
+        return {"page": page.url, "notes": [*page.notes, keep_token(page.made_token, plant.state)]}
 
     def _serve_page(self, plant: Plant) -> None:
         config = page_config(plant)

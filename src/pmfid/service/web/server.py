@@ -7,7 +7,7 @@ import logging
 import socket
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
@@ -38,15 +38,20 @@ WAITING = 262_144
 
 @dataclass
 class Page:
-    """A page that is being served. url: without the token; start_url: for the start line, with the token where this
-    start made it; notes: what to know about it, sentences."""
+    """A page that is being served. url: without the token; made_token: that this start made, None for one that is
+    configured; notes: what to know about it, sentences."""
 
     url: str
-    start_url: str
+    made_token: str | None = field(repr=False)
     notes: tuple[str, ...]
     _server: Server
     _api: Api
     _thread: Thread
+
+    @property
+    def start_url(self) -> str:
+        """With the token where this start made it: for a terminal, never for a log."""
+        return f"{self.url}#token={self.made_token}" if self.made_token else self.url
 
     def stop(self) -> None:
         """Ends streams and thread, within seconds. May be called twice."""
@@ -92,7 +97,7 @@ def serve(
     thread.start()
     _wait(server, thread)
     url = f"{'https' if config.certificate else 'http'}://{_shown_host(config, port)}/"
-    return Page(url, f"{url}#token={tokens.write}" if tokens.made else url, _notes(config, tokens), server, api, thread)
+    return Page(url, tokens.write if tokens.made else None, _notes(config, tokens), server, api, thread)
 
 
 def _check_extra() -> None:

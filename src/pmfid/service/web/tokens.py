@@ -12,7 +12,7 @@ from pathlib import Path
 from pmfid.errors import UsageError
 from pmfid.service.web.config import PageConfig
 
-__all__ = ["READ", "WRITE", "Tokens", "load_tokens"]
+__all__ = ["READ", "WRITE", "Tokens", "keep_token", "load_tokens"]
 
 READ, WRITE = "read", "write"
 #: A token that someone chose has at least so many characters.
@@ -50,6 +50,23 @@ def load_tokens(config: PageConfig, folder: Path) -> Tokens:
     if read and read == write:
         raise UsageError("[page] the token that reads is also the one that writes; choose two")
     return Tokens(write or secrets.token_urlsafe(32), read, made=not write)
+
+
+def keep_token(token: str, folder: Path | None) -> str:
+    """Where a token stands that this start has made and no log may hold: a sentence. folder: of the checkpoints; its
+    file page.token is readable by the service's user alone."""
+    if folder is None:
+        return "the token of this start is shown on a terminal only: name your own with [page] token_file or token_env"
+    path = folder / "page.token"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(file, "w", encoding="ascii") as stream:
+            stream.write(f"{token}\n")
+    except OSError as error:
+        return f"{path} cannot be written: {error.strerror}; name a token of your own with [page] token_file"
+    return f"open the page with #token=... after the address; the token of this start is in {path}"
 
 
 def _configured(name: str, variable: str | None, file: str | None, folder: Path) -> str | None:
