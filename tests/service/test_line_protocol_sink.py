@@ -232,6 +232,7 @@ def test_a_line_too_long_for_any_datagram_holds_up_no_other(tmp_path: Path) -> N
 def test_http_with_the_token_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(line_targets, "MOST_POSTED", 1000)
     (tmp_path / "token").write_text("abc-123\n")
+    (tmp_path / "token").chmod(0o600)
     with web_server(204) as server:
         sink = sink_to(f"{server.url}/api/v2/write?org=a&bucket=b", tmp_path, token_file="token")
         sink.put([block(GROUP, 1, samples=10), alarm(1)])

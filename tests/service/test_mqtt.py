@@ -14,8 +14,9 @@ import pytest
 from pydantic import Field
 
 from pmfid.errors import UsageError
-from pmfid.service.broker import BrokerSection, pauses, secret
+from pmfid.service.broker import BrokerSection, pauses
 from pmfid.service.delivery import Block, Lines, Unusable
+from pmfid.service.secrets import secret
 from pmfid.service.sources.mqtt import MqttSection, MqttSource
 from pmfid.service.wire.blocks import encode
 from pmfid.service.wire.sender import Sender
@@ -241,6 +242,8 @@ def test_tls_with_a_password_out_of_a_file(tmp_path: Path) -> None:
     (tmp_path / "users").write_text("hall:s3cret words\n")
     (tmp_path / "secret").write_text("s3cret words\n")
     (tmp_path / "wrong").write_text("other\n")
+    for name in ("secret", "wrong"):
+        (tmp_path / name).chmod(0o600)
     run("mosquitto_passwd", "-U", "users")
     lines = ("password_file {}/users", "certfile {}/ca.pem", "keyfile {}/key.pem", "allow_anonymous false")
     more = "\n".join(line.format(tmp_path) for line in lines)
@@ -292,6 +295,13 @@ def test_a_secret_that_is_not_there_is_named_and_never_told(tmp_path: Path, monk
         secret("PMFID_TEST_OTHER", None, tmp_path)
     with pytest.raises(UsageError, match="nowhere cannot be read"):
         secret(None, "nowhere", tmp_path)
+    (tmp_path / "open").write_text("s3cret words\n")
+    (tmp_path / "open").chmod(0o644)
+    with pytest.raises(UsageError, match=r"everybody on this machine can read .* chmod 600") as caught:
+        secret(None, "open", tmp_path)
+    assert "s3cret" not in str(caught.value)
+    (tmp_path / "open").chmod(0o600)
+    assert secret(None, "open", tmp_path) == "s3cret words"
 
 
 class Plant(FileSection):

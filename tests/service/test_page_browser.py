@@ -383,6 +383,7 @@ def test_no_view_breaks_a_rule_of_accessibility_or_is_too_wide(
 @pytest.mark.long
 def test_who_may_only_look_is_offered_nothing_to_write(browser: Any, tmp_path: Path) -> None:
     (tmp_path / "reader").write_text("a-token-that-only-reads-0123456789")
+    (tmp_path / "reader").chmod(0o600)
     with served(troubled(12), read_token_file=str(tmp_path / "reader")) as there, tab(browser) as page:
         page.goto(there.page.url + "#token=a-token-that-only-reads-0123456789")
         page.wait_for_selector(".card.alarm")

@@ -31,6 +31,7 @@ SCRIPT = "<script>alert(1)</script>"
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     file = tmp_path_factory.mktemp("tokens") / "reader"
     file.write_text(READER + "\n")
+    file.chmod(0o600)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(connection, "Limits", partial(connection.Limits, request=0.6, stuck=0.3))
         plant = FakePlant(12)
@@ -362,6 +363,7 @@ def test_a_page_for_others_says_so_and_shows_no_token(tmp_path: Path, monkeypatc
 @pytest.mark.parametrize("content", ["", "short", "with spaces in it, and long", "ümläuts-are-no-token-at-all"])
 def test_a_token_that_is_none_is_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "page.token").write_text(content, encoding="utf-8")
+    (tmp_path / "page.token").chmod(0o600)
     with pytest.raises(UsageError, match=r"token_file = 'page.token'") as caught:
         load_tokens(PageConfig(token_file="page.token"), tmp_path)
     assert not content or content not in str(caught.value)
@@ -377,6 +379,7 @@ def test_a_missing_token_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_one_token_for_both_scopes_is_refused(tmp_path: Path) -> None:
     (tmp_path / "t").write_text("the-same-token-for-both-scopes")
+    (tmp_path / "t").chmod(0o600)
     with pytest.raises(UsageError, match="choose two"):
         load_tokens(PageConfig(token_file="t", read_token_file="t"), tmp_path)
 

@@ -134,6 +134,7 @@ def test_an_answer_that_is_none_is_an_error_that_may_pass(tmp_path: Path, says: 
 
 def test_nobody_listens_is_an_error_that_may_pass_and_tells_no_secret(tmp_path: Path) -> None:
     (tmp_path / "url").write_text("http://127.0.0.1:9/very-secret-path\n")
+    (tmp_path / "url").chmod(0o600)
     host = Host(tmp_path)
     outlet = WebhookSection(url_file="url").outlet("hook", host)
     outlet.start()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-import os
 import ssl
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,12 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Self
 from pydantic import Field, field_validator, model_validator
 
 from pmfid.errors import UsageError
+from pmfid.service.secrets import secret
 from pmfid.session.toml_file import FileSection
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
-__all__ = ["BrokerSection", "new_client", "pauses", "secret"]
+__all__ = ["BrokerSection", "new_client", "pauses"]
 
 #: Seconds until an attempt to connect is given up.
 _CONNECTING = 10.0
@@ -84,21 +84,6 @@ def _is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
         return host == "localhost"
-
-
-def secret(env: str | None, file: str | None, folder: Path) -> str | None:
-    """A password or token from the environment or from a file in `folder`; None where neither is given. Raises
-    UsageError where it is not there: its name is told, never itself."""
-    if env is not None:
-        if env not in os.environ:
-            raise UsageError(f"the environment variable {env} is not set; set it to the secret, or give a file")
-        return os.environ[env]
-    if file is None:
-        return None
-    try:
-        return (folder / file).read_text(encoding="utf-8").rstrip("\r\n")
-    except (OSError, UnicodeDecodeError):
-        raise UsageError(f"the secret in {folder / file} cannot be read; correct the name or its rights") from None
 
 
 def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges: bool = False) -> Client:

@@ -12,8 +12,8 @@ from urllib.parse import urlsplit
 from pydantic import Field, model_validator
 
 from pmfid.errors import UsageError
-from pmfid.service.broker import secret
 from pmfid.service.outcome import Notice, Rows
+from pmfid.service.secrets import secret
 from pmfid.service.sinks.line_targets import FileTarget, HttpTarget, Target, TcpTarget, UdpTarget
 from pmfid.service.sinks.plain import as_json, single_rows
 from pmfid.service.sinks.posting import Poster, checked_address

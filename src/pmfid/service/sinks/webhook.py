@@ -9,8 +9,8 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.service.broker import secret
 from pmfid.service.outcome import Notice, Rows
+from pmfid.service.secrets import secret
 from pmfid.service.sinks.plain import as_json, notice_object
 from pmfid.service.sinks.posting import Poster, checked_address
 from pmfid.service.sinks.section import Host, SinkSection

@@ -21,9 +21,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pmfid.errors import UsageError
-from pmfid.service.broker import Text, pauses, secret
+from pmfid.service.broker import Text, pauses
 from pmfid.service.context import Axes, Context, SourceSection
 from pmfid.service.delivery import Block, Delivery, Item, Mark, Unusable
+from pmfid.service.secrets import secret
 from pmfid.service.sources import Take
 from pmfid.service.wire.blocks import problem_of
 from pmfid.service.wire.layout import MOST_SAMPLES

@@ -10,6 +10,7 @@ from hmac import compare_digest
 from pathlib import Path
 
 from pmfid.errors import UsageError
+from pmfid.service.secrets import read_secret
 from pmfid.service.web.config import PageConfig
 
 __all__ = ["READ", "WRITE", "Tokens", "keep_token", "load_tokens"]
@@ -73,7 +74,10 @@ def _configured(name: str, variable: str | None, file: str | None, folder: Path)
     if variable is None and file is None:
         return None
     where = f"[page] {name}_env = {variable!r}" if variable else f"[page] {name}_file = {file!r}"
-    token = os.environ.get(variable, "") if variable else _content(folder / str(file), where)
+    try:
+        token = os.environ.get(variable, "") if variable else read_secret(folder / str(file))
+    except UsageError as error:
+        raise UsageError(f"{where}: {error}") from None
     token = token.strip()
     if len(token) < SHORTEST or not token.isascii() or not token.isprintable() or " " in token:
         raise UsageError(
@@ -81,11 +85,3 @@ def _configured(name: str, variable: str | None, file: str | None, folder: Path)
             'python -c "import secrets; print(secrets.token_urlsafe(32))"'
         )
     return token
-
-
-def _content(path: Path, where: str) -> str:
-    try:
-        return path.read_text(encoding="ascii")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not plain text"
-        raise UsageError(f"{where} cannot be read: {reason}; check name and rights of {path}") from None
