@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +16,9 @@ import pytest
 from click.testing import CliRunner
 
 import pmfid
+from pmfid.cli import progress as progress_module
 from pmfid.cli.main import main
-from pmfid.cli.progress import Lines
+from pmfid.cli.progress import progress
 from pmfid.errors import UnknownParameterError, UsageError
 from pmfid.estimators import METHODS
 from pmfid.paper import run as paper
@@ -173,21 +177,60 @@ def test_a_wrapping_counter_of_a_transfer_function_is_unwrapped(tmp_path: Path) 
 # --- progress ---------------------------------------------------------------------------------------------------------
 
 
-def test_progress_without_a_terminal_is_sparse_and_a_short_run_says_nothing() -> None:
-    now, told = [0.0], []
-    lines = Lines("runs", told.append, lambda: now[0])
-    for k in range(1001):
-        now[0] = 0.3 * k  # 300 s in all
-        lines(k / 1000)
-    assert told[0] == "pmfid: runs: 5% after 15 s"
-    assert 15 <= len(told) <= 20
-    told.clear()
-    now[0] = 0.0
-    short = Lines("runs", told.append, lambda: now[0])
-    for k in range(10):
-        now[0] = k
-        short(k / 9)
-    assert told == []
+def test_progress_without_a_terminal_is_sparse_and_short_work_is_silent(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with progress("short"):
+        pass
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(progress_module, "EVERY", 0.05)
+    with progress("runs") as tell:
+        tell(0.25)
+        time.sleep(0.3)
+        tell(1.0)
+        time.sleep(0.3)
+    lines = capsys.readouterr().err.splitlines()
+    assert 2 <= len(lines) <= 12
+    assert lines[0] == "pmfid: runs: 25% after 0 s"
+    assert lines[-1] in ("pmfid: runs: after 0 s", "pmfid: runs: after 1 s")
+
+
+def run_on_terminal(work: str, *, interrupt: bool) -> tuple[int, str]:
+    """The exit code of the command whose group is replaced by Python lines, and what it wrote on its terminal."""
+    lines = (
+        f"import pmfid.cli.main as m\ndef command():\n {work}\nm.main = command\nimport pmfid.cli.entry as e\ne.main()"
+    )
+    ours, theirs = os.openpty()
+    process = subprocess.Popen([sys.executable, "-c", lines], stderr=theirs, stdout=theirs, stdin=subprocess.DEVNULL)
+    os.close(theirs)
+    text = b""
+    with suppress(OSError):  # at the end of the process
+        while part := os.read(ours, 1000):
+            text += part
+            if interrupt and b"after 2 s" in text:
+                interrupt = False
+                process.send_signal(signal.SIGINT)
+    os.close(ours)
+    return process.wait(), text.decode()
+
+
+SHOWN = "from pmfid.cli.progress import progress\n with progress('search'): "
+
+
+def test_a_terminal_shows_long_work_and_its_line_is_gone_at_the_end() -> None:
+    code, text = run_on_terminal(SHOWN + "import time; time.sleep(2.5)\n print('result')", interrupt=False)
+    assert code == 0
+    assert "pmfid: search: after 2 s" in text
+    assert text.endswith("\r\x1b[Kresult\r\n")
+
+
+@pytest.mark.parametrize(
+    "work", ["import time; time.sleep(60)", "import hashlib; hashlib.pbkdf2_hmac('md5', b'', b'', 10**9)"]
+)
+def test_an_interrupt_ends_the_command_even_inside_a_call_that_does_not_return(work: str) -> None:
+    code, text = run_on_terminal(SHOWN + work, interrupt=True)
+    assert code == 130
+    assert text.endswith("\r\x1b[Kpmfid: interrupted\r\n")
 
 
 def test_reproduce_tells_how_far_it_is(tmp_path: Path) -> None:

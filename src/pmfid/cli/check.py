@@ -8,6 +8,7 @@ import click
 
 from pmfid.cli.options import JSON, RECORDS, config_option
 from pmfid.cli.output import print_json
+from pmfid.cli.progress import progress
 from pmfid.errors import printable
 from pmfid.findings import codes
 
@@ -31,11 +32,12 @@ def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: 
     from pmfid.session.identify import check as run
     from pmfid.session.identify import kind_of
 
-    axis = load_axis(config)
-    kind = kind_of(axis)
-    data = kind.read(records, axis)
-    name, samples = kind.name_and_samples(data)
-    found = run(data, axis)
+    with progress("check"):
+        axis = load_axis(config)
+        kind = kind_of(axis)
+        data = kind.read(records, axis)
+        name, samples = kind.name_and_samples(data)
+        found = run(data, axis)
     faults = codes(found)
     if as_json:
         print_json({"record": name, "samples": samples, "findings": [finding.to_json() for finding in found]})

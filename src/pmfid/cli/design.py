@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -11,6 +11,7 @@ import click
 
 from pmfid.cli.options import JSON
 from pmfid.cli.output import print_json
+from pmfid.cli.progress import progress
 from pmfid.errors import PmfidError, UsageError
 
 if TYPE_CHECKING:
@@ -64,16 +65,18 @@ def design(
 
     Exit code 0: a design; 2: wrong usage; 3: the limits cannot be met, or no input tells a parameter.
     """
-    from pmfid.report.design import write_design
-    from pmfid.session.design_run import appraised, campaigned, designed
+    with _infeasible_as_json(as_json), progress("design") as tell:
+        from pmfid.report.design import write_design
+        from pmfid.session.design_run import appraised, campaigned, designed
 
-    loaded = _load(spec, options)
-    with _infeasible_as_json(as_json), _progress(loaded.search.starts, as_json) as progress:
-        found = designed(loaded, workers=workers, certify=certify or None, progress=progress)
-    appraisal = appraised(loaded, found)
-    together = campaigned(loaded, motions) if motions > 1 else None
-    if out is not None:
-        write_design(out, appraisal, together)
+        loaded = _load(spec, options)
+        found = designed(
+            loaded, workers=workers, certify=certify or None, progress=lambda done, total, _: tell(done / total)
+        )
+        appraisal = appraised(loaded, found)
+        together = campaigned(loaded, motions) if motions > 1 else None
+        if out is not None:
+            write_design(out, appraisal, together)
     if as_json:
         print_json(appraisal.to_json() | _campaign(together))
     else:
@@ -116,16 +119,16 @@ def commission(
     Without a record: the first design. Exit code 0: an estimate or a design; 2: wrong usage; 3: the limits cannot be
     met, or the runs cannot tell a parameter.
     """
-    from pmfid.session.design_run import appraised, commissioned, read_run
+    with _infeasible_as_json(as_json), progress("commission"):
+        from pmfid.session.design_run import appraised, commissioned, read_run
 
-    loaded = _load(spec, options)
-    runs = [read_run(loaded, path) for path in records]
-    with _infeasible_as_json(as_json):
+        loaded = _load(spec, options)
+        runs = [read_run(loaded, path) for path in records]
         state = commissioned(loaded, runs, _pairs("want", want), _pairs("truth", truth) if truth else None, rounds)
-    if out is not None and state.next is not None:
-        from pmfid.report.design import write_design
+        if out is not None and state.next is not None:
+            from pmfid.report.design import write_design
 
-        write_design(out, appraised(loaded, state.next))
+            write_design(out, appraised(loaded, state.next))
     if as_json:
         print_json(state.to_json())
     else:
@@ -172,12 +175,3 @@ def _infeasible_as_json(as_json: bool) -> Iterator[None]:
             changes = [{"limit": way.name, "from": way.value, "to": way.needed, "unit": way.unit} for way in ways]
             print_json({"feasible": False, "relax": changes})
         raise
-
-
-@contextmanager
-def _progress(starts: int, quiet: bool) -> Iterator[Callable[[int, int, float], None] | None]:
-    """What the search calls after each of its starts."""
-    from pmfid.cli.progress import progress
-
-    with progress(f"{starts} starts", quiet) as tell:
-        yield None if tell is None else lambda done, total, best: tell(done / total)

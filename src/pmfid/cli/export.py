@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from pmfid.cli.progress import progress
 from pmfid.estimators import METHODS
 
 
@@ -59,14 +60,15 @@ def export(
     from pmfid.session.records import read_record
 
     changes = {f"estimator.{key}": value for key, value in options.items()}
-    axis = load_axis(axis_file, changes | ({"encoder.guard": False} if no_guard else {}))
-    check_exportable(axis)
-    data = None if record is None else read_record(record, axis)
-    estimator = drive_estimator(axis, data, dt)
     name = prefix or re.sub(r"\W+", "_", axis_file.stem.lower())
-    samples = None if data is None else (data.u, data.counts)
-    watched = [ParameterAlarm(*alarm) for alarm in alarms]
-    export_firmware(estimator, out, prefix=name, record=samples, alarms=watched, blocks=blocks)
+    with progress("export"):
+        axis = load_axis(axis_file, changes | ({"encoder.guard": False} if no_guard else {}))
+        check_exportable(axis)
+        data = None if record is None else read_record(record, axis)
+        estimator = drive_estimator(axis, data, dt)
+        samples = None if data is None else (data.u, data.counts)
+        watched = [ParameterAlarm(*alarm) for alarm in alarms]
+        export_firmware(estimator, out, prefix=name, record=samples, alarms=watched, blocks=blocks)
     click.echo(f"{estimator.method}, {estimator.precision}, every {estimator.dt:.9g} s: {out / name}.h")
     if estimator.precision == "float32" and estimator.forgetting >= LONG_MEMORY:
         click.echo(

@@ -82,15 +82,15 @@ def history(
 
     Exit code 0: a result; 2: wrong usage or unreadable input; 3: no axis can be identified.
     """
-    from pmfid.fleet.history import estimate
-    from pmfid.report.fleet import write_fleet
+    with progress(str(source)) as tell:
+        from pmfid.fleet.history import estimate
+        from pmfid.report.fleet import write_fleet
 
-    with progress(str(source), quiet=as_json) as tell:
         found = estimate(
             source, axis=config, by=by, period=period, type=kind, out=out, segment=segment,
             engine=_engine(engine, master, workers), progress=tell,
         )  # fmt: skip
-    write_fleet(out, found, source.name)
+        write_fleet(out, found, source.name)
     if as_json:
         print_json(found.to_json())
     else:

@@ -98,5 +98,5 @@ def state(checkpoint: Path, config: Path, axes: tuple[str, ...], out: Path, mast
 def _prepared(config: Path) -> Prepared:
     from pmfid.service.groups import prepare
 
-    with progress("calibration", quiet=False) as tell:
+    with progress("calibration") as tell:
         return prepare(config, progress=tell)

@@ -9,6 +9,7 @@ import click
 
 from pmfid.cli.options import CUTOFF, JSON, config_option, folder_option
 from pmfid.cli.output import print_json
+from pmfid.cli.progress import progress
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
@@ -42,12 +43,13 @@ def friction(
     from pmfid.session.friction import curve_json, record_curve
     from pmfid.session.records import read_record
 
-    axis = load_axis(config, {"estimator.cutoff": cutoff})
-    found = record_curve(read_record(record, axis), axis, nodes, rising_from)
-    if out is not None:
-        from pmfid.report.friction import write_curve
+    with progress("friction"):
+        axis = load_axis(config, {"estimator.cutoff": cutoff})
+        found = record_curve(read_record(record, axis), axis, nodes, rising_from)
+        if out is not None:
+            from pmfid.report.friction import write_curve
 
-        write_curve(out, found, record.name)
+            write_curve(out, found, record.name)
     if as_json:
         print_json(curve_json(found, record.name))
     else:

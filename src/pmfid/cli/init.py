@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from pmfid.cli.progress import progress
 from pmfid.errors import UsageError, printable
 
 
@@ -34,12 +35,14 @@ def init(record: Path, out: Path) -> None:
     if os.path.lexists(out):
         raise UsageError(f"{out} is there already, and stays as it is; give another place with --out")
     on_terminal = sys.stdin.isatty() and sys.stdout.isatty()
-    found = guess(record, _asked if on_terminal else None)
+    with progress("init") as tell:
+
+        def ask(question: str, usual: str) -> str:
+            tell.end()
+            return str(click.prompt(question, default=usual, err=True))
+
+        found = guess(record, ask if on_terminal else None)
     with out.open("x", encoding="utf-8", newline="\n") as file:
         file.write(found.text)
     click.echo(printable(found.text))
     click.echo(printable(f"pmfid check {record} --config {out}\npmfid identify {record} --config {out}"))
-
-
-def _asked(question: str, usual: str) -> str:
-    return str(click.prompt(question, default=usual, err=True))

@@ -30,10 +30,9 @@ from pmfid.estimators import METHODS
 from pmfid.session.formats import SPOKEN
 
 EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
+INTERRUPTED = 130
 #: More threads for products of small matrices only wait for each other: a search took four times as long.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-#: Runs over fewer samples are over before anybody asks how far they are.
-PROGRESS_FROM = 1_000_000
 
 
 class Group(click.Group):
@@ -54,7 +53,7 @@ class Group(click.Group):
             ctx.exit(EXIT_USAGE)
         except KeyboardInterrupt:
             click.echo("pmfid: interrupted", err=True)
-            ctx.exit(130)
+            ctx.exit(INTERRUPTED)
 
 
 @click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
@@ -117,16 +116,13 @@ def identify(
     from pmfid.session.identify import kind_of
 
     sections = {"resolution": "encoder", "n": "model", "m": "model", "delay": "model"}
-    axis = load_axis(config, {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()})
-    kind = kind_of(axis)
-    data = kind.read(records, axis, quantize)
-    samples = kind.name_and_samples(data)[1]
-    with progress(f"{samples} samples", quiet=as_json or samples < PROGRESS_FROM) as tell:
-        result = run(data, axis, tell)
-    if out is not None:
-        from pmfid.report.result import write_result
+    with progress("identify") as tell:
+        axis = load_axis(config, {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()})
+        result = run(kind_of(axis).read(records, axis, quantize), axis, tell)
+        if out is not None:
+            from pmfid.report.result import write_result
 
-        write_result(out, result)
+            write_result(out, result)
     if as_json:
         print_json(result.to_json())
     else:
@@ -151,13 +147,13 @@ def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Pa
 
     structure = {"model.kind": "transfer_function", "model.n": 1, "model.m": 0, "model.delay": 0}
     structure |= {"model.integrators": 0, "model.dead_time": 0.0}
-    axis = load_axis(config, {"estimator.cutoff": cutoff, **structure})
-    with progress("structures", quiet=as_json) as tell:
+    with progress("structures") as tell:
+        axis = load_axis(config, {"estimator.cutoff": cutoff, **structure})
         search = search_order(Processes().read(records, axis), axis, tell)
-    if out is not None:
-        from pmfid.report.process import write_search
+        if out is not None:
+            from pmfid.report.process import write_search
 
-        write_search(out, search, records[0].name)
+            write_search(out, search, records[0].name)
     if as_json:
         print_json(search_json(search))
     else:
@@ -191,13 +187,13 @@ def compare(
     from pmfid.session.config import load_axis
     from pmfid.session.identify import kind_of
 
-    axis = load_axis(config, {"estimator.cutoff": cutoff})
-    with progress("methods", quiet=as_json) as tell:
+    with progress("methods") as tell:
+        axis = load_axis(config, {"estimator.cutoff": cutoff})
         comparison = run(kind_of(axis).read(records, axis, quantize), axis, tell)
-    if out is not None:
-        from pmfid.report.comparison import write_comparison
+        if out is not None:
+            from pmfid.report.comparison import write_comparison
 
-        write_comparison(out, comparison)
+            write_comparison(out, comparison)
     if as_json:
         print_json(comparison.to_json())
     else:
@@ -224,14 +220,15 @@ def compare(
 )
 def demo(out: Path, seed: int) -> None:
     """Watch a cart's mass step with four encoders, by four methods on-line, beside the truth."""
-    from rich.console import Console
+    with progress("demo"):
+        from rich.console import Console
 
-    from pmfid.demo.report import demo_table, write_demo
-    from pmfid.demo.run import run_demo
+        from pmfid.demo.report import demo_table, write_demo
+        from pmfid.demo.run import run_demo
 
-    result = run_demo(seed=seed)
+        result = run_demo(seed=seed)
+        write_demo(out, result)
     Console().print(demo_table(result))
-    write_demo(out, result)
     click.echo(f"\nreport: {out / 'report.html'}\nrecord: {out / 'cart.csv'}")
     click.echo(f"its AXIS.toml: {out / 'cart.toml'}; change a value in it, and go on with")
     click.echo(f"pmfid identify {out / 'cart.csv'} --config {out / 'cart.toml'}")

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import sys
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from pmfid.cli.options import config_option
+from pmfid.cli.progress import progress
 from pmfid.monitor.names import DETECTORS
 
 if TYPE_CHECKING:
     from pmfid.session.config import Axis
-    from pmfid.session.kinds import Progress
     from pmfid.session.monitored.run import History, MonitoredRun
     from pmfid.session.monitored.setup import Setup
     from pmfid.session.monitored.sinks import Sink
@@ -58,8 +57,8 @@ def monitor(
     _check_places(out, report, [*inputs, config.parent / axis.monitor.reference] if axis.monitor.reference else inputs)
     data = None if piped else read_record(record, axis)
     tell = _Teller(as_json, to_stderr=str(out) == "-")
-    with _progress(as_json) as progress:
-        setup = set_up(axis, config.parent, data, progress)
+    with progress("calibration") as tell_part:
+        setup = set_up(axis, config.parent, data, tell_part)
     with Stop().handling() as stop:
         run, history, sink = _run(setup, axis, data, out, stop, tell, report is not None)
     if report is not None and history is not None:
@@ -171,9 +170,3 @@ def _report_failure(error: OSError) -> bool:
     with suppress(OSError):
         click.echo(f"pmfid: events cannot be written: {error.strerror}; the watch goes on", err=True)
     return True
-
-
-def _progress(quiet: bool) -> AbstractContextManager[Progress | None]:
-    from pmfid.cli.progress import progress
-
-    return progress("calibration", quiet)

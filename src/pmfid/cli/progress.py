@@ -1,61 +1,75 @@
-"""How far a long run is: a bar on a terminal, and where standard error goes elsewhere a line now and then."""
+"""Progress of long work on standard error: one line that is rewritten on a terminal, a line now and then elsewhere."""
 
 from __future__ import annotations
 
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 
-import click
-
-#: Called with the part of the work that is done, 0 to 1.
-Done = Callable[[float], None]
-
-#: Time before the first line and between two lines [s].
-EVERY = 10.0
-#: Part of the work between two lines.
-STEP = 0.05
+#: On a terminal: time before the line appears [s], because shorter work needs none, and between two updates.
+PATIENCE, REFRESH = 1.5, 0.25
+#: Elsewhere: time before the first line and between two lines [s].
+EVERY = 9.0
+#: Goes to the start of the line and clears the line.
+CLEAR = "\r\x1b[K"
 
 
-@dataclass
-class Lines:
-    """Tells the part that is done, at most one line in EVERY seconds and in STEP of the work; a short run has none."""
+class Work:
+    """A piece of work: a thread reports how far it is, because the work itself may be inside a library. rich would need
+    longer to load than the first report may take."""
 
-    what: str
-    write: Callable[[str], None]
-    clock: Callable[[], float] = time.monotonic
-    _start: float = field(init=False)
-    _last: float = field(init=False)
-    _told: float = field(init=False, default=0.0)
-
-    def __post_init__(self) -> None:
-        self._start = self._last = self.clock()
+    def __init__(self, what: str) -> None:
+        self.what, self.done = what, 0.0
+        self.over = threading.Event()
+        self._start = time.monotonic()
+        self._thread = threading.Thread(
+            target=_redraw if sys.stderr.isatty() else _write_lines, args=(self,), daemon=True
+        )
+        self._thread.start()
 
     def __call__(self, done: float) -> None:
-        now = self.clock()
-        if now - self._last >= EVERY and done - self._told >= STEP:
-            self.write(f"pmfid: {self.what}: {done:.0%} after {now - self._start:.0f} s")
-            self._last, self._told = now, done
+        """done: part of the work, 0 to 1; what follows the whole of it is of unknown length."""
+        self.done = done
+
+    @property
+    def measured(self) -> bool:
+        return 0.0 < self.done < 1.0
+
+    @property
+    def line(self) -> str:
+        part = f"{self.done:.0%} " if self.measured else ""
+        return f"pmfid: {self.what}: {part}after {time.monotonic() - self._start:.0f} s"
+
+    def end(self) -> None:
+        self.over.set()
+        self._thread.join()
 
 
 @contextmanager
-def progress(what: str, quiet: bool = False) -> Iterator[Done | None]:
-    """What to call with the part that is done; None where nothing is to be told."""
-    if quiet:
-        yield None
-    elif sys.stderr.isatty():
-        from rich.console import Console
-        from rich.progress import Progress
+def progress(what: str) -> Iterator[Work]:
+    """Gives what to call with the part of the work that is done, and reports the work until it ends.
 
-        with Progress(console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(what, total=1.0)
-            yield lambda done: bar.update(task, completed=done)
-    else:
-        yield Lines(what, _tell)
+    Nothing may be printed before it ends: the line stands on the terminal.
+    """
+    work = Work(what)
+    try:
+        yield work
+    finally:
+        work.end()
 
 
-def _tell(line: str) -> None:
-    click.echo(line, err=True)
-    sys.stderr.flush()
+def _write_lines(work: Work) -> None:
+    while not work.over.wait(EVERY):
+        print(work.line, file=sys.stderr, flush=True)
+
+
+def _redraw(work: Work) -> None:
+    if work.over.wait(PATIENCE):
+        return
+    while True:
+        print(f"{CLEAR}{work.line}", end="", file=sys.stderr, flush=True)
+        if work.over.wait(REFRESH):
+            break
+    print(CLEAR, end="", file=sys.stderr, flush=True)

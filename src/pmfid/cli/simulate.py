@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from pmfid.cli.progress import progress
 from pmfid.errors import UsageError, did_you_mean
 
 
@@ -42,12 +43,14 @@ def simulate(scenario: str | None, listing: bool, out: Path | None, truth: bool,
         raise UsageError("give a scenario and --out RUN.csv; pmfid simulate --list names the scenarios")
     if out.suffix.lower() != ".csv":
         raise UsageError(f"the record is written as CSV, got {out.name!r}; name it {out.stem}.csv")
-    _write(scenario, out, truth, **options)
+    with progress("simulate"):
+        axis = _write(scenario, out, truth, **options)
+    click.echo(f"record: {out}\naxis:   {axis}\npmfid identify {out} --config {axis}")
 
 
 def _write(
     name: str, out: Path, truth: bool, missed: float, jitter: float, line_error: float, **options: float
-) -> None:
+) -> Path:
     from pmfid.simulation import SCENARIOS, Faults, axis_toml, make_scenario, write_csv
 
     if name not in SCENARIOS:
@@ -62,7 +65,7 @@ def _write(
     write_csv(run, out, truth)
     axis = out.with_suffix(".toml")
     axis.write_text(axis_toml(run), encoding="ascii", newline="\n")
-    click.echo(f"record: {out}\naxis:   {axis}\npmfid identify {out} --config {axis}")
+    return axis
 
 
 def _print_scenarios() -> None:

@@ -57,15 +57,15 @@ def terms(
     from pmfid.session.records import read_record
     from pmfid.session.terms import places_of, search_drive
 
-    axis = load_axis(config, {"estimator.cutoff": cutoff})
-    places = places_of(turn, pitch, friction_period)
-    other = None if held_out is None else read_record(held_out, axis)
-    with progress("terms", quiet=as_json) as tell:
+    with progress("terms") as tell:
+        axis = load_axis(config, {"estimator.cutoff": cutoff})
+        places = places_of(turn, pitch, friction_period)
+        other = None if held_out is None else read_record(held_out, axis)
         found = search_drive(read_record(record, axis), axis, places, scan, other, tell)
-    if out is not None:
-        from pmfid.report.terms import write_terms
+        if out is not None:
+            from pmfid.report.terms import write_terms
 
-        write_terms(out, found)
+            write_terms(out, found)
     if as_json:
         print_json(found.to_json())
     else:

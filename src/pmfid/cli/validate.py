@@ -9,6 +9,7 @@ import click
 
 from pmfid.cli.options import JSON, RECORDS, config_option, folder_option
 from pmfid.cli.output import print_json
+from pmfid.cli.progress import progress
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
@@ -39,12 +40,13 @@ def validate(records: tuple[Path, ...], config: Path, stored: Path, out: Path | 
     from pmfid.session.stored import read_stored
     from pmfid.session.validation import read_records, validate_stored
 
-    axis = load_axis(config)
-    found = validate_stored(read_stored(stored), read_records(records, axis), axis)
-    if out is not None:
-        from pmfid.report.validation import write_validation
+    with progress("validate"):
+        axis = load_axis(config)
+        found = validate_stored(read_stored(stored), read_records(records, axis), axis)
+        if out is not None:
+            from pmfid.report.validation import write_validation
 
-        write_validation(out, found)
+            write_validation(out, found)
     if as_json:
         print_json(found.to_json())
     else:

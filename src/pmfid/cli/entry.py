@@ -1,0 +1,60 @@
+"""The entry of the command `pmfid`: Ctrl-C ends the command at once, whatever it is doing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import sys
+import threading
+from contextlib import suppress
+
+from pmfid.cli.progress import CLEAR
+
+#: Time after Ctrl-C for the command to remove what is half written [s].
+GRACE = 0.3
+INTERRUPTED = 130
+
+
+def main() -> None:
+    """Runs the command; a call into a library that does not return cannot delay Ctrl-C."""
+    try:
+        _watch()
+        from pmfid.cli.main import main as command
+
+        command()
+    except KeyboardInterrupt:
+        _leave("pmfid: interrupted\n")
+    except SystemExit as end:
+        if end.code != INTERRUPTED:
+            raise
+        _leave("")
+
+
+def _watch() -> None:
+    """A second thread hears of signals by a socket, because Python's handlers wait for the main thread."""
+    hears, speaks = socket.socketpair()
+    speaks.setblocking(False)
+    signal.set_wakeup_fd(speaks.fileno(), warn_on_full_buffer=False)
+    threading.Thread(target=_leave_late, args=(hears, speaks), daemon=True).start()
+
+
+def _leave_late(hears: socket.socket, speaks: socket.socket) -> None:
+    """speaks: kept, because a socket without a reference is closed."""
+    while number := hears.recv(1):
+        # a command with a handler of its own ends by its own rules
+        if number[0] == signal.SIGINT and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            threading.Event().wait(GRACE)
+            _leave("pmfid: interrupted\n")
+
+
+def _leave(message: str) -> None:
+    """Without the end of the interpreter: it would wait for threads at work."""
+    if "multiprocessing" in sys.modules:
+        import multiprocessing
+
+        for child in multiprocessing.active_children():
+            child.kill()
+    with suppress(OSError):
+        os.write(2, (CLEAR + message if os.isatty(2) else message).encode())
+    os._exit(INTERRUPTED)
