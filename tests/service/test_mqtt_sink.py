@@ -143,7 +143,7 @@ def test_events_are_published_unless_only_alarms_are_wanted(tmp_path: Path) -> N
     quiet = Link()
     sink_of(quiet, events=False).put([alarm(2)])
     assert [topic for topic, *_ in quiet.got] == ["pmfid/hall-3/status", ALARM]
-    assert MqttSection(events=False).wants_events() == {"alarm", "acknowledged", "settled"}
+    assert MqttSection(events=False).wants_events() == {"alarm", "acknowledged", "settled", "cleared"}
     assert MqttSection(estimates="off").wants_rows() is False
 
 

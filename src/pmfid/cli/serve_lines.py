@@ -63,6 +63,15 @@ def _problem(what: Told) -> str:
     return f"{what['event']} {name}: {what.get('problem') or what.get('state', 'works')}".replace(" :", ":")
 
 
+def _alarm(what: Told) -> str:
+    return f"ALARM  {what['problem']}" if "silent" in what else sentence(what)
+
+
+def _cleared(what: Told) -> str:
+    who = {"axis": "", "axes": f"{what['name']}, "}.get(what["silent"], f"{what['silent']} {what['name']}, ")
+    return f"the alarm is over: {who}silent for {what['seconds']:g} s"
+
+
 def _epoch(what: Told) -> str:
     off = "" if what["jump"] is None else f", {what['jump']:+.6g} s from where it should be"
     return f"the sender began anew (epoch {what['epoch']}){off}"
@@ -105,6 +114,8 @@ def _checkpoint(what: Told) -> str:
 
 
 _SENTENCES: dict[str, Callable[[Told], str]] = {
+    "alarm": _alarm,
+    "cleared": _cleared,
     "serving": _serving,
     "configuration": _configuration,
     "calibration": _calibration,

@@ -119,6 +119,8 @@ def draft(engine: Engine, room: Room) -> Draft:
         names = [seat.name for seat in group.seats]
         groups.append({"digest": group.prepared.digest, "config": group.kindred.config, "axes": names})
         groups[-1]["seats"] = {str(seat.index): rare for seat in group.seats if (rare := _rare(seat))}
+        for index in np.flatnonzero(group.positions.alarm).tolist():
+            groups[-1]["seats"].setdefault(str(index), {})["silent"] = int(group.positions.alarm[index])
         groups[-1]["parts"] = [sum(map(len, state)), *map(len, own)]
     text = json.dumps(
         {
@@ -197,6 +199,7 @@ class Saved:
                 seat.number, seat.notices = own
                 if str(index) in self.rare:
                     _restore_rare(seat, self.rare[str(index)])
+                    group.positions.fall_silent(index, int(self.rare[str(index)].get("silent", 0)))
             _restore_held(group.seats, self.held)
         except (UsageError, KeyError, TypeError, IndexError, AttributeError, struct.error, OverflowError) as error:
             raise ValueError(str(error)) from None
@@ -221,6 +224,7 @@ class Snapshot:
         engine.marks.update(self.marks)
         engine.history, engine.numbered = self.history, self.numbered
         engine.notices.restore(self.alarms)
+        engine.silence.restore(self.alarms)
 
     def axes(self) -> Iterable[str]:
         """Names of all axes in it."""
@@ -254,7 +258,7 @@ def read_snapshot(body: bytes) -> Snapshot:
 
 def _standing(raw: Mapping[str, Any]) -> Standing:
     keys = ("axis", "number", "wall", "what", "note", "acknowledged", "settled")
-    return Standing(**{key: raw[key] for key in keys})
+    return Standing(**{key: raw[key] for key in keys}, cleared=raw.get("cleared"))
 
 
 def _restore_rare(seat: Seat, rare: Mapping[str, Any]) -> None:

@@ -20,6 +20,7 @@ from pmfid.service.inbox import Inbox
 from pmfid.service.intake import Intake, Ordered
 from pmfid.service.notices import Notices
 from pmfid.service.outcome import Notice, Outlet
+from pmfid.service.silence import Silence
 from pmfid.service.stepping import Found, step
 from pmfid.session.monitored.run import event_object
 
@@ -84,6 +85,7 @@ class Engine:
 
     def __post_init__(self) -> None:
         self.notices = Notices(self.outlets)
+        self.silence = Silence(self.notices, self.counters)
         self._intake = Intake(self.counters, lambda what, axis: self.tell(what, axis))
         self._said: deque[tuple[str, dict[str, Any]]] = deque()
         self._asked: deque[Callable[[], None]] = deque()
@@ -115,9 +117,13 @@ class Engine:
         """Takes what came and steps it; False once nothing will come any more."""
         batch = self.inbox.taken(timeout)
         self.beat = monotonic()
+        self.silence.tick(self.beat)
         if batch:
             self.process(batch)
         self._obey()
+        if self.silence.look(self.groups):
+            self.changes += 1
+            self.urgent = True
         self._speak()
         self.keeper.offer(self)
         return bool(batch) or not self.inbox.closed
@@ -146,6 +152,7 @@ class Engine:
         self._step(ordered)
         self._count(batch, begun)
         for delivery in batch:
+            self.silence.heard(delivery.source)
             if delivery.mark is not None:
                 self.marks[delivery.source] = delivery.mark
             if delivery.done is not None:
@@ -155,6 +162,7 @@ class Engine:
         found, followed = ordered.found, self.followed()
         for waiting in ordered.rounds:
             done = step(waiting, followed)
+            waiting.group.positions.heard[waiting.busy] = self.silence.now
             self.counters.add("pmfid_samples_total", done.samples, group=waiting.group.kindred.config)
             self.counters.add("pmfid_samples_without_input_total", done.lost, group=waiting.group.kindred.config)
             found += [one for one in done.found if self._wanted(one)]
@@ -214,7 +222,9 @@ class Engine:
         if alarm is None:
             self.tell({"event": "acknowledged", "alarm": None, "problem": f"there is no alarm {command.number}"})
             return
-        self.notices.own(alarm.axis, {"event": "acknowledged", "alarm": command.number, "note": command.note})
+        what = {key: alarm.what[key] for key in ("silent", "name") if "silent" in alarm.what}
+        told = {"event": "acknowledged", "alarm": command.number, "note": command.note, **what}
+        self.notices.own(alarm.axis, told)
 
     def _refer(self, command: Refer) -> None:
         seat = self.seat(command.axis)

@@ -17,6 +17,7 @@ CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 #: What a name means, for those that the service counts; others get their name in words.
 HELP: dict[str, str] = {
     "pmfid_axes": "Axes of a configuration.",
+    "pmfid_axes_silent": "Axes with an alarm that they send nothing.",
     "pmfid_checkpoint_bytes": "Size of the last checkpoint, in bytes.",
     "pmfid_checkpoint_errors_total": "Checkpoints that could not be written.",
     "pmfid_checkpoint_made_seconds": "Time that the engine took for the last checkpoint, in seconds.",
@@ -44,8 +45,10 @@ HELP: dict[str, str] = {
     "pmfid_samples_without_input_total": "Samples whose input was lost: NaN.",
     "pmfid_sink_errors_total": "Attempts to write that a sink failed in; what it was given was tried again.",
     "pmfid_sink_rows_total": "Rows that a sink has written.",
+    "pmfid_sink_silent": "1 while there is an alarm that a sink takes nothing, else 0.",
     "pmfid_sink_waiting_rows": "Rows that wait for a sink.",
     "pmfid_sink_working": "1 while the last thing that a sink was given could be written, else 0.",
+    "pmfid_source_silent": "1 while there is an alarm that nothing comes from a source, else 0.",
     "pmfid_source_working": "1 while a source that had a problem works again, 0 while it has one.",
     "pmfid_unusable_total": "What came and was no sample, by reason.",
     "process_cpu_seconds_total": "CPU time of the process, in seconds.",

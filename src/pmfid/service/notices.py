@@ -43,6 +43,11 @@ class Notices:
         self._own = max(self._own + 1, int(1e6 * wall))
         return self._give(Notice(axis, self._own, wall, what))
 
+    @property
+    def last(self) -> int:
+        """Number of the last notice of the service itself."""
+        return self._own
+
     def restore(self, alarms: Sequence[Standing]) -> None:
         """Goes on with the alarms of a checkpoint."""
         self.alarms = Alarms()
@@ -60,6 +65,9 @@ class Notices:
             if alarm.acknowledged is not None:
                 what = {"event": "acknowledged", "alarm": alarm.number, "note": alarm.note}
                 found.append(Notice(alarm.axis, alarm.number, alarm.acknowledged, what))
+            if alarm.cleared is not None:
+                what = {"event": "cleared", "alarm": alarm.number}
+                found.append(Notice(alarm.axis, alarm.number, alarm.cleared, what))
         return found
 
     def _give(self, notice: Notice) -> Notice:

@@ -49,6 +49,13 @@ class ServiceSection(FileSection):
     checkpoint: float = Field(1.0, ge=0.05, le=3600, description="the time between two checkpoints in s")
     window: float = Field(0.5, ge=0, le=600, description="for how long what comes too early waits for the rest, in s")
     every: float = Field(1.0, ge=0, le=1e6, description="the time between two rows that are given out in s; 0: all")
+    silence: float = Field(
+        60.0,
+        ge=0,
+        le=1e6,
+        description="the time in s after which an axis or a source that sends nothing, or a sink that takes nothing, "
+        "is an alarm; 0: never",
+    )
 
 
 class AxisSection(FileSection):
@@ -145,7 +152,8 @@ def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, ob
     if not piped:
         raw = {"kind": "file", "axis": name, "path": str(source.absolute()), "speed": speed}
     sources = {"input" if piped else "record": _of_kind("sources", "input" if piped else "record", raw, SOURCES)}
-    service = _section("service", ServiceSection, {"name": name, "window": 0.0, "every": 0.1} | dict(given or {}))
+    own = {"name": name, "window": 0.0, "every": 0.1, "silence": 60.0 if piped else 0.0}  # a record has an end
+    service = _section("service", ServiceSection, own | dict(given or {}))
     return Plant(config.parent, service, {name: config}, sources)
 
 

@@ -25,7 +25,8 @@ class Positions(Rows):
     """Columns (axes,). epoch, expected: of the next sample, epoch -1 before the first; time: of sample `number` by the
     sender's clock [s], NaN while unknown; start, first: a time and its number from where the rate of that clock is
     measured; told: that it has another one; wrong_period: what came with another period was told; waits: some blocks
-    came too early."""
+    came too early; heard: when samples of it were used last [s], by the clock of `Silence`, NaN: not yet; alarm: number
+    of the alarm that it is silent, 0 for none."""
 
     epoch: NDArray[np.int64]
     expected: NDArray[np.int64]
@@ -36,21 +37,31 @@ class Positions(Rows):
     told: Flags
     wrong_period: Flags
     waits: Flags
+    heard: Floats
+    alarm: NDArray[np.int64]
 
     @classmethod
     def fresh(cls, axes: int) -> Positions:
         """Of axes of which nothing came yet."""
         zeros, unknown, no = np.zeros(axes, np.int64), np.full(axes, np.nan), np.zeros(axes, np.bool_)
         clock = unknown, zeros.copy(), unknown.copy(), zeros.copy()
-        return cls(zeros - 1, zeros, *clock, no, no.copy(), no.copy())
+        flags = no, no.copy(), no.copy()
+        return cls(zeros - 1, zeros, *clock, *flags, unknown.copy(), zeros.copy())
 
     def add(self, axes: int) -> None:
         """So many more."""
         vars(self).update(vars(self.joined(Positions.fresh(axes))))
 
     def forget(self, index: int) -> None:
-        """Of this one nothing came yet."""
-        self.put(slice(index, index + 1), Positions.fresh(1))
+        """Of this one nothing came yet; how long it has been silent stays."""
+        here, fresh = slice(index, index + 1), Positions.fresh(1)
+        fresh.heard, fresh.alarm = self.heard[here], self.alarm[here]
+        self.put(here, fresh)
+
+    def fall_silent(self, index: int, alarm: int) -> None:
+        """It was silent before a restart, and is until it is heard; alarm: number of that, 0: it was not."""
+        if alarm:
+            self.heard[index], self.alarm[index] = -np.inf, alarm
 
     def remove(self, index: Sequence[int]) -> None:
         """Without these; the others move up in their order."""

@@ -88,6 +88,7 @@ class Service:
         self._outlets: list[Outlet] = [self._board, self._log]
         self._engine = Engine(self.counters, self._outlets, self._board.followed)
         self._sinks: list[Queued] = []
+        self._engine.silence.limit, self._engine.silence.sources = plant.service.silence, tuple(plant.sources)
         self._unwritten: dict[str, list[Notice]] = {}
         self._sources = Sources(self._engine.inbox, self._engine.tell, self._engine.marks)
         self._pace = Pace(plant.service.window, plant.service.every)
@@ -164,6 +165,7 @@ class Service:
     def _start(self, plant: Plant) -> None:
         context = self._context(plant)
         self._sinks = [section.outlet(name, context) for name, section in plant.sinks.items()]
+        self._engine.silence.sinks = self._sinks
         self._engine.unwritten = lambda: {sink.name: sink.unwritten() for sink in self._sinks}
         for queued in self._sinks:
             for notice in self._unwritten.get(queued.name, ()):

@@ -9,7 +9,7 @@ from pmfid.service.outcome import Notice
 
 __all__ = ["Alarms", "Standing"]
 
-#: Alarms that are kept; beyond, the oldest acknowledged goes first.
+#: Alarms that are kept; beyond, the oldest that is acknowledged or over goes first.
 MOST = 2000
 
 
@@ -17,7 +17,7 @@ MOST = 2000
 class Standing:
     """An alarm and what became of it. number: of its notice; wall: seconds since 1970; what: as `pmfid monitor --json`
     tells it; note, acknowledged: what someone wrote, and when, None while nobody did; settled: the new values once
-    they are known, as in "settled"."""
+    they are known, as in "settled"; cleared: when what had been silent was back, None while it is not."""
 
     axis: str
     number: int
@@ -26,6 +26,7 @@ class Standing:
     note: str = ""
     acknowledged: float | None = None
     settled: dict[str, Any] | None = None
+    cleared: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -36,6 +37,7 @@ class Standing:
             "note": self.note,
             "acknowledged": self.acknowledged,
             "settled": self.settled,
+            "cleared": self.cleared,
         }
 
 
@@ -51,7 +53,10 @@ class Alarms:
         if what.get("event") == "alarm":
             return self._raise(notice)
         if what.get("event") == "acknowledged":
-            return self._change(what.get("alarm", what.get("number")), note=str(what.get("note", "")), at=notice.wall)
+            known = what.get("alarm", what.get("number"))
+            return self._change(known, note=str(what.get("note", "")), acknowledged=notice.wall)
+        if what.get("event") == "cleared":
+            return self._change(what.get("alarm"), cleared=notice.wall)
         if what.get("event") == "settled":
             return self._settle(notice)
         return []
@@ -61,21 +66,22 @@ class Alarms:
             return []
         self._all[notice.number] = Standing(notice.axis, notice.number, notice.wall, notice.what)
         if len(self._all) > MOST:
-            known = (n for n, alarm in self._all.items() if alarm.acknowledged is not None)
-            del self._all[next(known, next(iter(self._all)))]
+            over = (n for n, one in self._all.items() if not one.acknowledged is one.cleared is None)
+            del self._all[next(over, next(iter(self._all)))]
         return [self._all[notice.number]] if notice.number in self._all else []
 
-    def _change(self, number: object, note: str, at: float) -> list[Standing]:
+    def _change(self, number: object, **changed: Any) -> list[Standing]:
         alarm = self._all.get(number) if isinstance(number, int) else None
         if alarm is None:
             return []
-        self._all[alarm.number] = replace(alarm, note=note, acknowledged=at)
+        self._all[alarm.number] = replace(alarm, **changed)
         return [self._all[alarm.number]]
 
     def _settle(self, notice: Notice) -> list[Standing]:
         """The alarms of the axis that no value is known of yet."""
         told = {"time": notice.what.get("time"), "parameters": notice.what.get("parameters", {})}
-        open_ones = [a for a in self._all.values() if a.axis == notice.axis and a.settled is None]
+        of_axis = [alarm for alarm in self._all.values() if alarm.axis == notice.axis]
+        open_ones = [alarm for alarm in of_axis if alarm.settled is None and "silent" not in alarm.what]
         for alarm in open_ones:
             self._all[alarm.number] = replace(alarm, settled=told)
         return [self._all[alarm.number] for alarm in open_ones]

@@ -15,6 +15,7 @@ from pmfid.service.outcome import Notice, Rows
 from pmfid.service.sinks.broker_link import BrokerLink
 from pmfid.service.sinks.plain import alarm_of, as_json, notice_object, row_object, single_rows
 from pmfid.service.sinks.section import Host, SinkSection
+from pmfid.service.sinks.waiting import URGENT
 
 __all__ = ["MqttSection", "MqttSink"]
 
@@ -45,7 +46,7 @@ class MqttSection(SinkSection, BrokerSection):
 
     def wants_events(self) -> frozenset[str] | None:
         """All, or what concerns alarms."""
-        return None if self.events else frozenset({"alarm", "acknowledged", "settled"})
+        return None if self.events else URGENT
 
     def make(self, name: str, context: Host) -> MqttSink:
         """The sink, not yet open. Raises UsageError without paho-mqtt, and for secrets that are not there."""
@@ -58,7 +59,8 @@ class MqttSection(SinkSection, BrokerSection):
 
 class MqttSink:
     """Topics, below prefix and service: `status` (retained; `offline` is the last will), `estimates/AXIS`,
-    `alarms/AXIS` (retained, empty when it is taken back), `batches/CONFIG` for rows of many axes, `events`.
+    `alarms/AXIS` (retained, empty when it is taken back; of silence `alarms/AXIS/silent`, `alarms/_source/NAME/silent`,
+    `alarms/_sink/NAME/silent`), `batches/CONFIG` for rows of many axes, `events`.
 
     Messages may come twice after an error or a restart; numbers tell.
     """
@@ -66,15 +68,15 @@ class MqttSink:
     def __init__(self, name: str, base: str, link: BrokerLink, section: MqttSection) -> None:
         self.name = name
         self._base, self._link, self._section = base, link, section
-        self._standing: dict[str, tuple[int, bytes]] = {}  # axis -> what is retained: number, message
+        self._standing: dict[str, tuple[int, bytes]] = {}  # topic -> what is retained there: number, message
 
     def open(self) -> None:
         """Connects, and publishes what the broker is to know from now on: one that was killed may have lost what it
         retained, or retain again what was taken back."""
         self._link.open()
         self._link.publish(f"{self._base}/status", ONLINE, 1, retain=True)
-        for axis, (_, payload) in self._standing.items():
-            self._link.publish(self._topic("alarms", axis), payload, 1, retain=True)
+        for topic, (_, payload) in self._standing.items():
+            self._link.publish(topic, payload, 1, retain=True)
         self._link.flush()
 
     def put(self, outcomes: list[Rows | Notice]) -> None:
@@ -105,23 +107,36 @@ class MqttSink:
             self._link.publish(topic, as_json(batch).encode(), self._section.qos)
 
     def _notice(self, notice: Notice) -> None:
-        payload, event = as_json(notice_object(notice)).encode(), notice.what.get("event")
-        if event == "alarm":
-            self._standing[notice.axis] = notice.number, payload
-            self._link.publish(self._topic("alarms", notice.axis), payload, 1, retain=True)
-        elif self._takes_back(notice):
-            self._standing[notice.axis] = notice.number, b""
-            self._link.publish(self._topic("alarms", notice.axis), b"", 1, retain=True)
+        payload, topic = as_json(notice_object(notice)).encode(), self._alarm_topic(notice)
+        if notice.what.get("event") == "alarm":
+            self._retain(topic, notice.number, payload)
+        elif self._takes_back(notice, topic):
+            self._retain(topic, notice.number, b"")
         if self._section.events:
             self._link.publish(f"{self._base}/events", payload, 1)
 
-    def _takes_back(self, notice: Notice) -> bool:
-        """Whether the alarm of the axis is over. One that was raised before this start is not known here."""
+    def _alarm_topic(self, notice: Notice) -> str:
+        """Where an alarm is retained: silence has a topic of its own, for it may come and go under another alarm. No
+        axis has a name with "_" first."""
+        kind = notice.what.get("silent")
+        if kind is None:
+            return self._topic("alarms", notice.axis)
+        if kind == "axis":
+            return f"{self._topic('alarms', notice.axis)}/silent"
+        name = f"{alarm_of(notice) or notice.number}" if kind == "axes" else str(notice.what["name"])
+        return f"{self._topic('alarms', f'_{kind}')}/{quote(name, safe='')}/silent"
+
+    def _retain(self, topic: str, number: int, payload: bytes) -> None:
+        self._standing[topic] = number, payload
+        self._link.publish(topic, payload, 1, retain=True)
+
+    def _takes_back(self, notice: Notice, topic: str) -> bool:
+        """Whether the alarm of a topic is over. One that was raised before this start is not known here."""
         event, clear = notice.what.get("event"), self._section.clear
         if event == "acknowledged" and clear in ("acknowledged", "either"):
-            standing = self._standing.get(notice.axis)
-            return bool(notice.axis) and (standing is None or not standing[1] or standing[0] == alarm_of(notice))
-        return event == "settled" and clear in ("settled", "either")
+            standing, named = self._standing.get(topic), notice.axis or "silent" in notice.what
+            return bool(named) and (standing is None or not standing[1] or standing[0] == alarm_of(notice))
+        return event == "cleared" or (event == "settled" and clear in ("settled", "either"))
 
     def close(self) -> None:
         """Says that the service is offline, and ends the connection."""

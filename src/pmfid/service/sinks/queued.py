@@ -71,6 +71,8 @@ class Queued:
         self._lost = Lost()  # rows and notices that were dropped and not yet told
         self._told_at = -TELL_EVERY
         self._refusals: set[str] = set()
+        self._trying: float | None = None  # since when it has not taken what it was given
+        self._proved = False  # it has taken something
         self._unwritten: dict[int, Notice] = {}  # urgent ones that the sink does not have yet, by number
         self._thread = Thread(target=self._run, name=f"sink {sink.name}", daemon=True)
         for total in ("pmfid_dropped_rows_total", "pmfid_dropped_notices_total", "pmfid_sink_errors_total"):
@@ -105,6 +107,13 @@ class Queued:
         """Alarms and what became of them which the sink does not have yet: what a checkpoint keeps for it."""
         with self._changed:
             return list(self._unwritten.values())
+
+    def works(self, since: float) -> bool | None:
+        """As `Taker` of `silence.py` says: one that waits for a server that does not answer does not work either."""
+        trying = self._trying
+        if trying is None:
+            return self._proved or None
+        return None if trying > since else False
 
     def _had(self, batch: Sequence[Entry]) -> None:
         """The sink has these, or they are not for it."""
@@ -176,6 +185,8 @@ class Queued:
         return 0.0 if self._alone else max(self._taken_at + pace - time.monotonic(), 0.0)
 
     def _write(self, batch: Sequence[Entry]) -> None:
+        if batch and self._trying is None:
+            self._trying = time.monotonic()
         try:
             if not self._open:
                 self._sink.open()
@@ -197,6 +208,8 @@ class Queued:
 
     def _worked(self, batch: Sequence[Entry]) -> None:
         self._had(batch)
+        if batch or self._failing:
+            self._trying, self._proved = None, True
         self._alone = max(self._alone - 1, 0)
         self._counters.add("pmfid_sink_rows_total", sum(entry.rows for entry in batch), sink=self.name)
         if self._failing:
@@ -212,6 +225,8 @@ class Queued:
         steady = not self._failing and time.monotonic() - self._working_since > STEADY
         self._pause = FIRST_PAUSE if steady or not self._pause else min(2 * self._pause, LONGEST_PAUSE)
         self._counters.add("pmfid_sink_errors_total", sink=self.name)
+        if self._trying is None:
+            self._trying = time.monotonic()
         if not self._failing:
             self._counters.put("pmfid_sink_working", 0, sink=self.name)
             self._tell({"event": "sink", "sink": self.name, "works": False, "problem": problem_of(error)})

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from pmfid.service.outcome import Notice, Rows
 
-__all__ = ["MOST_ENTRIES", "Entry", "Limits", "Lost", "Waiting", "is_urgent"]
+__all__ = ["MOST_ENTRIES", "URGENT", "Entry", "Limits", "Lost", "Waiting", "is_urgent"]
 
 #: Events that a person waits for; all others are dropped before them.
-URGENT = frozenset({"alarm", "acknowledged", "settled"})
+URGENT = frozenset({"alarm", "acknowledged", "settled", "cleared"})
 #: So many outcomes are taken at once.
 MOST_ENTRIES = 1024
 

@@ -20,7 +20,20 @@ __all__ = ["WebhookSection", "WebhookSink"]
 
 #: All events that a service tells: one that is misspelt would never be sent.
 EVENTS = (
-    *("alarm", "acknowledged", "settled", "state", "outlier", "gap", "clock", "epoch", "period", "late", "duplicate"),
+    *(
+        "alarm",
+        "acknowledged",
+        "settled",
+        "cleared",
+        "state",
+        "outlier",
+        "gap",
+        "clock",
+        "epoch",
+        "period",
+        "late",
+        "duplicate",
+    ),
     *("unusable", "bad line", "repeated line", "reference", "anew", "source", "sink", "dropped", "checkpoint"),
     *("configuration", "calibration", "reload", "serving", "paused", "ended"),
 )
@@ -44,7 +57,7 @@ class WebhookSection(SinkSection):
     url_file: Name | None = Field(None, description="the file with the address, where that is a secret")
     # not strict, because TOML has lists and a frozen object wants a tuple
     events: Annotated[tuple[Name, ...], Field(strict=False, min_length=1), AfterValidator(_known)] = Field(
-        ("alarm",), description='the events that are sent, as ["alarm", "settled", "acknowledged"]'
+        ("alarm", "cleared"), description='the events that are sent, as ["alarm", "settled", "acknowledged"]'
     )
     secret_header: Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,100}$")] = Field(
         "Authorization", description='the name of the header with the secret, "Authorization" if left out'

@@ -2,15 +2,17 @@
 import { Problem, tell } from "./api.js";
 import { el } from "./dom.js";
 import { moment, number, percent, unitOf, wall, withError, words } from "./format.js";
+import { isOpen } from "./plant.js";
 import { icon } from "./states.js";
 
 export function causeOf(alarm) {
+  if (alarm.silent) return alarm.problem;
   const std = Number.isFinite(alarm.std) ? ` ± ${number(alarm.std, 2)}` : "";
   const size = Number.isFinite(alarm.change) ? ` (${alarm.change > 0 ? "+" : ""}${number(alarm.change, 3)}${std}${unitOf(alarm.unit)})` : "";
   return `${words(alarm.parameter)} ${percent(alarm.relative)}${size}`;
 }
 
-export const sinceOf = (alarm) => `since ${moment(alarm.changed_at)}, found ${wall(alarm.wall)}`;
+export const sinceOf = (alarm) => `${alarm.silent ? "" : `since ${moment(alarm.changed_at)}, `}found ${wall(alarm.wall)}`;
 
 function settledOf(alarm) {
   const found = alarm.settled?.parameters?.[alarm.parameter];
@@ -18,11 +20,11 @@ function settledOf(alarm) {
 }
 
 export function alarmCard(alarm, mayWrite, withAxis = true) {
-  const known = alarm.acknowledged !== null;
+  const known = !isOpen(alarm);
   const settled = settledOf(alarm);
   const button = el(
     "button",
-    { type: "button", class: "strong", onclick: () => acknowledge(alarm), "aria-label": `Acknowledge the alarm of ${alarm.axis}` },
+    { type: "button", class: "strong", onclick: () => acknowledge(alarm), "aria-label": `Acknowledge the alarm of ${ownerOf(alarm)}` },
     "Acknowledge …",
   );
   return el(
@@ -35,17 +37,20 @@ export function alarmCard(alarm, mayWrite, withAxis = true) {
       el(
         "p",
         { class: "card-title" },
-        withAxis ? el("a", { href: axisLink(alarm.axis) }, alarm.axis) : null,
+        withAxis && alarm.axis ? el("a", { href: axisLink(alarm.axis) }, alarm.axis) : null,
         withAxis ? " " : null,
         el("strong", {}, causeOf(alarm)),
       ),
       el("p", { class: "fine" }, sinceOf(alarm), settled ? `, ${settled}` : ""),
-      el("p", { class: "fine" }, `statistic ${number(alarm.statistic, 3)}, an alarm above ${number(alarm.threshold, 3)}`),
-      known ? el("p", { class: "fine note-text" }, `acknowledged ${wall(alarm.acknowledged)}`, alarm.note ? `: “${alarm.note}”` : "") : null,
+      alarm.silent ? null : el("p", { class: "fine" }, `statistic ${number(alarm.statistic, 3)}, an alarm above ${number(alarm.threshold, 3)}`),
+      alarm.cleared === null ? null : el("p", { class: "fine" }, `back since ${wall(alarm.cleared)}`),
+      alarm.acknowledged === null ? null : el("p", { class: "fine note-text" }, `acknowledged ${wall(alarm.acknowledged)}`, alarm.note ? `: “${alarm.note}”` : ""),
     ),
     known || !mayWrite ? null : button,
   );
 }
+
+export const ownerOf = (alarm) => alarm.axis || `the ${alarm.silent} ${alarm.name}`;
 
 export const axisLink = (name) => `#/axis/${encodeURIComponent(name)}`;
 
@@ -54,7 +59,7 @@ export function acknowledge(alarm) {
   askFirst(
     "Acknowledge the alarm",
     [
-      el("p", {}, el("strong", {}, alarm.axis), `: ${causeOf(alarm)}`),
+      el("p", {}, el("strong", {}, ownerOf(alarm)), `: ${causeOf(alarm)}`),
       el("label", { for: "note" }, "Note for those who come after you"),
       note,
     ],

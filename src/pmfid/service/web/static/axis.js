@@ -8,6 +8,7 @@ import { csvOf, fileName } from "./csv.js";
 import { download, el, say } from "./dom.js";
 import { age, number, percent, unitOf, withError, words } from "./format.js";
 import { noticeLine } from "./notices.js";
+import { isOpen } from "./plant.js";
 import { chartSpecs } from "./specs.js";
 import { MEANING, WORD, icon } from "./states.js";
 import { Strip } from "./strip.js";
@@ -306,12 +307,12 @@ export class AxisView {
 
   showAlarms() {
     const own = [...this.plant.alarms.values()].filter((alarm) => alarm.axis === this.axis).reverse();
-    const key = own.map((alarm) => [alarm.number, alarm.acknowledged, alarm.settled ? 1 : 0]).join() + this.plant.notices.length;
+    const key = own.map((alarm) => [alarm.number, alarm.acknowledged, alarm.cleared, alarm.settled ? 1 : 0]).join() + this.plant.notices.length;
     if (key === this.alarmsSeen) return;
     this.alarmsSeen = key;
     const write = this.plant.may === "write";
-    const known = own.filter((alarm) => alarm.acknowledged !== null);
-    this.open.replaceChildren(...own.filter((alarm) => alarm.acknowledged === null).map((alarm) => alarmCard(alarm, write, false)));
+    const known = own.filter((alarm) => !isOpen(alarm));
+    this.open.replaceChildren(...own.filter(isOpen).map((alarm) => alarmCard(alarm, write, false)));
     this.known.replaceChildren(...(known.length ? known.map((alarm) => alarmCard(alarm, write, false)) : [el("li", { class: "fine" }, own.length ? "the open ones stand above" : "none so far")]));
     const happened = this.plant.notices.filter((notice) => notice.axis === this.axis).slice(-60).reverse();
     this.log.replaceChildren(...(happened.length ? happened.map(noticeLine) : [el("li", { class: "fine" }, "nothing so far")]));

@@ -5,6 +5,7 @@ import { number, wall, words } from "./format.js";
 
 const SENTENCES = {
   alarm: (what) => `alarm: ${causeOf(what)}`,
+  cleared: (what) => `alarm ${what.alarm} is over: ${what.silent === "axis" ? "" : `${what.name} `}was silent for ${number(what.seconds)} s`,
   state: (what) => `${what.state}${what.reason ? `: ${what.reason}` : ""}`,
   settled: (what) => `now ${Object.entries(what.parameters ?? {}).map(([name, found]) => `${words(name)} ${number(found?.value)}`).join(", ")}`,
   acknowledged: (what) => `alarm ${what.alarm ?? what.number} acknowledged${what.note ? `: “${what.note}”` : ""}`,

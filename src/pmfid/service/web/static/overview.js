@@ -107,6 +107,8 @@ export class Overview {
 
   count(kinds) {
     const counts = new Map([["all", kinds.length], ...KINDS.map((kind, k) => [kind, kinds.filter((one) => one === k).length])]);
+    counts.set("silent", kinds.filter((_, i) => this.plant.silent(i)).length);
+    this.allSilent = kinds.length > 0 && counts.get("silent") === kinds.length;
     for (const [kind, tile] of this.tiles) {
       say(tile.count, String(counts.get(kind)));
       tile.classList.toggle("none", counts.get(kind) === 0);
@@ -118,7 +120,7 @@ export class Overview {
     const { plant, filter, text } = this;
     const wanted = [];
     for (let i = 0; i < kinds.length; i++) {
-      if (filter !== "all" && KINDS[kinds[i]] !== filter) continue;
+      if (filter !== "all" && !plant.is(i, filter)) continue;
       if (text && !plant.names[i].toLowerCase().includes(text) && !plant.groups[plant.groupOf[i]].config.toLowerCase().includes(text)) continue;
       wanted.push(i);
     }
@@ -150,8 +152,9 @@ export class Overview {
     const failing = this.plant.counters
       .filter(([name, , value]) => name.endsWith("_working") && value === 0)
       .map(([name, labels]) => [name.slice("pmfid_".length, -"_working".length), ...Object.values(labels)].join(" "));
-    say(this.failing, failing.length ? `Not working: ${failing.join(", ")}` : "");
-    this.failing.hidden = failing.length === 0;
+    const told = [this.allSilent ? "No axis sends data" : null, failing.length ? `Not working: ${failing.join(", ")}` : null];
+    say(this.failing, told.filter(Boolean).join(". "));
+    this.failing.hidden = !told.some(Boolean);
   }
 
   showLog() {

@@ -3,6 +3,8 @@ import { unpacked } from "./packed.js";
 
 const NOTICES = 500;
 
+export const isOpen = (alarm) => alarm.acknowledged === null && alarm.cleared === null;
+
 export class Plant {
   constructor(facts) {
     Object.assign(this, facts); // name, may, layout, states, status, groups, every
@@ -25,7 +27,7 @@ export class Plant {
     this.lead = this.groups.map((group) => Math.max(0, group.nominal.findIndex((value) => value !== 0)));
     this.patience = this.groups.map((group) => Math.max(5, 5 * this.every, 5 * group.dt));
     this.alarms = new Map();
-    this.open = new Map(); // axis -> its alarms that nobody acknowledged
+    this.open = new Map(); // axis -> its alarms that nobody acknowledged, and that are not over
     this.notices = [];
     this.counters = [];
     this.clock = [0, performance.now()];
@@ -44,9 +46,19 @@ export class Plant {
   }
 
   kind(i) {
-    if (this.open.get(this.names[i])?.length) return "alarm";
+    if (this.changed(i)) return "alarm";
     if (this.silent(i)) return "silent";
     return this.states[this.state[i]].replace(" ", "-");
+  }
+
+  // The last open alarm of an axis that says more than that it is silent.
+  changed(i) {
+    return this.open.get(this.names[i])?.findLast((alarm) => !alarm.silent);
+  }
+
+  // Whether an axis is counted and listed under a kind: a silent one under its alarm, too.
+  is(i, kind) {
+    return kind === "silent" ? this.silent(i) : this.kind(i) === kind;
   }
 
   // Returns the alarms that are new to this page, but for those of the first message.
@@ -60,7 +72,7 @@ export class Plant {
     if (this.notices.length > 2 * NOTICES) this.notices = this.notices.slice(-NOTICES);
     this.counters = news.counters;
     if (news.alarms.length || news.first) this.sortAlarms();
-    return fresh.filter((alarm) => alarm.acknowledged === null);
+    return fresh.filter(isOpen);
   }
 
   takeGroup(group) {
@@ -79,7 +91,7 @@ export class Plant {
   sortAlarms() {
     this.open = new Map();
     for (const alarm of this.alarms.values()) {
-      if (alarm.acknowledged !== null) continue;
+      if (!isOpen(alarm)) continue;
       if (!this.open.has(alarm.axis)) this.open.set(alarm.axis, []);
       this.open.get(alarm.axis).push(alarm);
     }

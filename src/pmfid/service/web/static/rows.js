@@ -124,7 +124,7 @@ export class Rows {
   }
 
   why(i, kind) {
-    if (kind === "alarm") return causeOf(this.plant.open.get(this.plant.names[i]).at(-1));
+    if (kind === "alarm") return causeOf(this.plant.changed(i)) + (this.plant.silent(i) ? "; data have stopped" : "");
     if (kind === "silent") return Number.isFinite(this.plant.received[i]) ? "data have stopped" : "nothing has come yet";
     const bits = this.plant.bits(this.plant.status32[i]).map((one) => words(one.name));
     if (bits.length) return bits.join(", ");

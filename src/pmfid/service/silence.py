@@ -1,0 +1,167 @@
+"""Silence: an axis or a source that nothing comes from, and a sink that takes nothing, as alarms like any other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.service.board.alarms import Standing
+from pmfid.service.counters import Counters
+from pmfid.service.groups import Group
+from pmfid.service.notices import Notices
+from pmfid.service.outcome import Notice
+
+__all__ = ["Silence", "Taker"]
+
+#: Time between two looks [s]; a longer pause of the engine counts as so much time [s], for while the process was
+#: stopped nothing could come.
+LOOK, LONGEST_PAUSE = 1.0, 5.0
+#: An axis may be quiet for so many of its sample periods, however short the limit is.
+PERIODS = 5.0
+#: Axes that fall silent between two looks and have an alarm each; more have one for all of them. Names that it lists.
+MOST, MOST_NAMES = 100, 100
+
+Key = tuple[str, str]
+
+
+class Taker(Protocol):
+    """A sink behind its queue."""
+
+    name: str
+
+    def works(self, since: float) -> bool | None:
+        """Whether it takes what it is given; None while that is not known, as of a failure that began after `since`
+        (`time.monotonic()`)."""
+        ...
+
+
+@dataclass
+class Silence:
+    """limit: time until silence is an alarm [s], 0: never; sources: names of those that are expected to send; sinks:
+    those that are to be written.
+
+    Its clock is fed by `tick`, and `now` is its time [s]. An alarm lasts until the last axis, or the source, or the
+    sink, that it was raised for is back; it is known again after a restart by the alarms of the checkpoint.
+    """
+
+    notices: Notices
+    counters: Counters
+    limit: float = 0.0
+    sources: Sequence[str] = ()
+    sinks: Sequence[Taker] = ()
+    now: float = field(default=0.0, init=False)
+    _open: dict[int, Notice | Standing] = field(default_factory=dict, init=False)
+    _alarms: dict[Key, int] = field(default_factory=dict, init=False)  # of sources and sinks
+    _heard: dict[Key, float] = field(default_factory=dict, init=False)
+    _ticked: float | None = field(default=None, init=False)
+    _looked: float = field(default=-math.inf, init=False)
+    _looked_at: float = field(default=-math.inf, init=False)  # by the clock of `tick`
+
+    def restore(self, alarms: Iterable[Standing]) -> None:
+        """Goes on with the alarms of a checkpoint; what they are of is silent until it is heard."""
+        self._open = {one.number: one for one in alarms if "silent" in one.what and one.cleared is None}
+        named = [(number, one.what) for number, one in self._open.items() if one.what["silent"] in ("source", "sink")]
+        self._alarms = {(str(what["silent"]), str(what["name"])): number for number, what in named}
+        self._heard = dict.fromkeys(self._alarms, -math.inf)
+
+    def tick(self, at: float) -> None:
+        """It is `at` [s] by a monotonic clock."""
+        if self._ticked is not None:
+            self.now += min(at - self._ticked, LONGEST_PAUSE)
+        self._ticked = at
+
+    def heard(self, source: str) -> None:
+        """A source has handed something over."""
+        self._heard["source", source] = self.now
+
+    def look(self, groups: Sequence[Group]) -> bool:
+        """Raises and clears alarms where it is time to look; whether there were any."""
+        if self.now - self._looked < LOOK:
+            return False
+        before = self.notices.last
+        self._look_at_axes(groups)
+        self._look_at_others()
+        self._clear(groups)
+        self._count(groups)
+        self._looked, self._looked_at = self.now, self._ticked or self._looked_at
+        return self.notices.last != before
+
+    # --- axes ---------------------------------------------------------------------------------------------------------
+
+    def _look_at_axes(self, groups: Sequence[Group]) -> None:
+        found = [(group, self._fallen_silent(group)) for group in groups]
+        if sum(index.size for _, index in found) > MOST:
+            self._raise_for_many(found)
+            return
+        for group, index in found:
+            for k in index.tolist():
+                group.positions.alarm[k] = self._raise("axis", group.kindred.axes[k])
+
+    def _fallen_silent(self, group: Group) -> NDArray[np.int64]:
+        """Numbers of the axes that have no alarm yet; those that are back have none any more."""
+        known = group.positions
+        known.heard[np.isnan(known.heard)] = self.now
+        silent = self.now - known.heard > max(self.limit or math.inf, PERIODS * group.dt)
+        known.alarm[~silent] = 0
+        return np.flatnonzero(silent & (known.alarm == 0))
+
+    def _raise_for_many(self, found: Sequence[tuple[Group, NDArray[np.int64]]]) -> None:
+        names = [group.kindred.axes[k] for group, index in found for k in index.tolist()]
+        number = self._raise("axes", f"{len(names)} axes", axes=names[:MOST_NAMES])
+        for group, index in found:
+            group.positions.alarm[index] = number
+
+    # --- sources and sinks --------------------------------------------------------------------------------------------
+
+    def _look_at_others(self) -> None:
+        for sink in self.sinks:
+            works = sink.works(self._looked_at)
+            if works or (works is None and ("sink", sink.name) not in self._alarms):
+                self._heard["sink", sink.name] = self.now
+        here = [*(("source", name) for name in self.sources), *(("sink", sink.name) for sink in self.sinks)]
+        silent = [key for key in here if self.now - self._heard.setdefault(key, self.now) > (self.limit or math.inf)]
+        self._alarms = {key: self._alarms.get(key) or self._raise(*key) for key in silent}
+
+    # --- alarms -------------------------------------------------------------------------------------------------------
+
+    def _raise(self, kind: str, name: str, **more: object) -> int:
+        what = {"event": "alarm", "silent": kind, "name": name, "seconds": self.limit, **more}
+        problem = _PROBLEMS[kind].format(name=name, limit=self.limit)
+        notice = self.notices.own(name if kind == "axis" else "", {**what, "problem": problem})
+        self._open[notice.number] = notice
+        return notice.number
+
+    def _clear(self, groups: Sequence[Group]) -> None:
+        """The alarms that none is left of whom they were raised for."""
+        if not self._open:
+            return
+        left = set(self._alarms.values())
+        for group in groups:
+            left.update(np.unique(group.positions.alarm).tolist())
+        for number in self._open.keys() - left:
+            alarm = self._open.pop(number)
+            what = {key: alarm.what[key] for key in ("silent", "name")}
+            seconds = round(max(self.notices.wall() - alarm.wall, 0.0) + alarm.what["seconds"], 1)
+            self.notices.own(alarm.axis, {"event": "cleared", "alarm": number, **what, "seconds": seconds})
+
+    def _count(self, groups: Sequence[Group]) -> None:
+        for group in groups:
+            silent = int(np.count_nonzero(group.positions.alarm))
+            self.counters.put("pmfid_axes_silent", silent, group=group.kindred.config)
+        for name in self.sources:
+            self.counters.put("pmfid_source_silent", float(("source", name) in self._alarms), source=name)
+        for sink in self.sinks:
+            self.counters.put("pmfid_sink_silent", float(("sink", sink.name) in self._alarms), sink=sink.name)
+
+
+_PROBLEMS = {
+    "axis": "no usable sample for {limit:g} s; look at its sender and at the source",
+    "axes": "no usable sample of {name} for {limit:g} s; look at their senders and at the source",
+    "source": "nothing came from the source {name} for {limit:g} s; look at its line and at who sends there",
+    "sink": "the sink {name} took nothing for {limit:g} s; look at where it writes: alarms wait for it",
+}

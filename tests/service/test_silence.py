@@ -1,0 +1,481 @@
+"""An axis, a source or a sink that is silent is an alarm, once, until it is back, over restarts as well."""
+
+from __future__ import annotations
+
+import json
+import re
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pmfid.cli.serve_lines import line
+from pmfid.service import silence as module
+from pmfid.service.arrangement import arranged
+from pmfid.service.board import Board
+from pmfid.service.checkpoint import read_snapshot, snapshot
+from pmfid.service.counters import Counters
+from pmfid.service.delivery import Block, Delivery
+from pmfid.service.engine import Engine
+from pmfid.service.groups import Pace, Prepared
+from pmfid.service.kinds import SINKS
+from pmfid.service.log import Log
+from pmfid.service.metrics import exposition
+from pmfid.service.outcome import Notice
+from pmfid.service.plant import load_plant
+from pmfid.service.run import Service
+from pmfid.service.sinks.queued import Queued
+from pmfid.simulation import CART_DT
+from tests.service.feed import Faulty, Host, kindred, notice, until
+from tests.service.feed import block as rows_of
+from tests.service.test_mqtt_sink import Link, sink_of
+from tests.service.test_page_browser import at_overview
+from tests.service.test_serve import Acting, events, folder  # noqa: F401 a fixture
+from tests.service.web_servers import web_server
+
+LIMIT = 60.0
+
+
+@dataclass
+class Sink:
+    """A sink whose state a test sets."""
+
+    name: str = "db"
+    state: bool | None = True
+
+    def works(self, since: float) -> bool | None:
+        return self.state
+
+
+@dataclass
+class Outlet:
+    """Keeps what is told."""
+
+    told: list[Notice] = field(default_factory=list)
+
+    def rows(self, rows: object) -> None: ...
+
+    def notice(self, notice: Notice) -> None:
+        self.told.append(notice)
+
+
+@dataclass
+class Watched:
+    """An engine whose time a test sets."""
+
+    prepared: Prepared
+    axes: Sequence[str] = ("x1", "x2", "x3")
+    limit: float = LIMIT
+
+    def __post_init__(self) -> None:
+        self.outlet, self.sink, self.at, self.first = Outlet(), Sink(), 1000.0, dict.fromkeys(self.axes, 0)
+        self.engine = self._engine()
+        self.engine.arranged(arranged([], dict.fromkeys(self.axes, self.prepared), Pace(0.0, 1.0))[0])
+        self.engine.silence.tick(self.at)
+
+    def _engine(self) -> Engine:
+        engine = Engine(Counters(), [self.outlet])
+        engine.silence.limit, engine.silence.sources, engine.silence.sinks = self.limit, ("hall", "lab"), [self.sink]
+        return engine
+
+    def run(self, seconds: float, *axes: str, source: str = "hall", other: str = "lab") -> None:
+        """So many seconds, in which these axes send by one source; the other one sends what nobody knows."""
+        for _ in range(round(seconds)):
+            self.at += 1.0
+            self.engine.silence.tick(self.at)
+            items = [self._block(name) for name in axes]
+            if items:
+                self.engine.process([Delivery(source, items)])
+            if other:
+                self.engine.process([Delivery(other, [])])
+            self.engine.silence.look(self.engine.groups)
+
+    def _block(self, axis: str) -> Block:
+        first = self.first[axis]
+        self.first[axis] += 5
+        return Block(axis, 0, first, np.nan, CART_DT, np.zeros(5), np.arange(first, first + 5))
+
+    def again(self) -> None:
+        """A restart from a checkpoint of now."""
+        found = read_snapshot(b"".join(snapshot(self.engine)))
+        self.engine = self._engine()
+        found.restore(self.engine)
+        groups = [one.restored(self.prepared, Pace(0.0, 1.0)) for one in found.groups]
+        self.engine.arranged(arranged(groups, dict.fromkeys(self.axes, self.prepared), Pace(0.0, 1.0))[0])
+
+    def taken(self) -> list[tuple[str, str, str]]:
+        """(event, what is silent, its name) since the last time."""
+        told, self.outlet.told = self.outlet.told, []
+        kinds = ("alarm", "cleared")
+        return [(n.what["event"], n.what["silent"], n.what["name"]) for n in told if n.what["event"] in kinds]
+
+    def level(self, name: str, **labels: str) -> float:
+        return self.engine.counters.values()[name, tuple(labels.items())]
+
+
+@pytest.fixture
+def watched(prepared: Prepared) -> Watched:
+    return Watched(prepared)
+
+
+def test_an_axis_that_stops_is_an_alarm_once_until_it_sends(watched: Watched) -> None:
+    watched.run(100, "x1", "x2", "x3")
+    assert watched.taken() == []
+    watched.run(LIMIT, "x1", "x3")
+    assert watched.taken() == []
+    watched.run(200, "x1", "x3")
+    assert watched.taken() == [("alarm", "axis", "x2")]
+    assert watched.level("pmfid_axes_silent", group="axis.toml") == 1
+    watched.run(1, "x1", "x2", "x3")
+    assert watched.taken() == [("cleared", "axis", "x2")]
+    assert watched.level("pmfid_axes_silent", group="axis.toml") == 0
+    watched.run(LIMIT + 1, "x1", "x3")
+    assert watched.taken() == [("alarm", "axis", "x2")], "and once more in the next silence"
+
+
+def test_an_axis_that_never_sends_is_silent_too(watched: Watched) -> None:
+    watched.run(LIMIT + 2, "x1", "x3")
+    assert watched.taken() == [("alarm", "axis", "x2")]
+
+
+def test_an_axis_that_sends_what_cannot_be_used_is_silent(watched: Watched) -> None:
+    watched.run(2, "x1", "x2", "x3")
+    for _ in range(round(LIMIT) + 2):
+        watched.first["x2"] = 0  # the same samples again and again
+        watched.run(1, "x1", "x2", "x3")
+    assert watched.taken() == [("alarm", "axis", "x2")]
+
+
+def test_a_slow_axis_has_the_time_of_some_samples(watched: Watched) -> None:
+    (group,) = watched.engine.groups
+    group.dt = 30.0
+    watched.run(149)
+    assert [name for _, kind, name in watched.taken() if kind == "axis"] == []
+    watched.run(3)
+    assert [name for _, kind, name in watched.taken() if kind == "axis"] == ["x1", "x2", "x3"]
+
+
+def test_a_source_that_hands_over_nothing_is_an_alarm_once(watched: Watched) -> None:
+    watched.run(10, "x1", "x2", "x3")
+    watched.run(LIMIT + 5, "x1", "x2", "x3", other="")
+    assert watched.taken() == [("alarm", "source", "lab")]
+    assert watched.level("pmfid_source_silent", source="lab") == 1
+    assert watched.level("pmfid_source_silent", source="hall") == 0
+    watched.run(1, "x1", "x2", "x3")
+    assert watched.taken() == [("cleared", "source", "lab")]
+    assert watched.level("pmfid_source_silent", source="lab") == 0
+
+
+def test_a_sink_that_takes_nothing_is_an_alarm_once(watched: Watched) -> None:
+    watched.run(10, *watched.axes)
+    watched.sink.state = False
+    watched.run(LIMIT + 100, *watched.axes)
+    assert watched.taken() == [("alarm", "sink", "db")]
+    assert watched.level("pmfid_sink_silent", sink="db") == 1
+    watched.sink.state = True
+    watched.run(2, *watched.axes)
+    assert watched.taken() == [("cleared", "sink", "db")]
+
+
+def test_a_restart_neither_repeats_nor_forgets_an_alarm(watched: Watched) -> None:
+    watched.run(1, *watched.axes)
+    watched.sink.state = False
+    watched.run(LIMIT + 5, "x1", other="")
+    first = watched.taken()
+    assert sorted(first) == [
+        ("alarm", "axis", "x2"),
+        ("alarm", "axis", "x3"),
+        ("alarm", "sink", "db"),
+        ("alarm", "source", "lab"),
+    ]
+    watched.sink.state = None  # nothing to write yet
+    watched.again()
+    watched.run(2, "x1", other="")
+    assert watched.taken() == []
+    assert watched.level("pmfid_axes_silent", group="axis.toml") == 2
+    assert watched.level("pmfid_source_silent", source="lab") == watched.level("pmfid_sink_silent", sink="db") == 1
+    board = Board([], Counters())
+    for one in watched.engine.notices.replayed(watched.engine.notices.alarms.all()):
+        board.notice(one)
+    assert [alarm.cleared for alarm in board.news().alarms] == [None] * 4, "the page shows them as open"
+    watched.run(3 * LIMIT, "x1", other="")
+    assert watched.taken() == []
+    watched.sink.state = True
+    watched.run(2, *watched.axes)
+    assert sorted(watched.taken()) == [("cleared", kind, name) for _, kind, name in sorted(first)]
+    watched.again()
+    watched.run(2, *watched.axes)
+    assert watched.taken() == []
+    assert all(alarm.cleared for alarm in watched.engine.notices.alarms.all())
+
+
+def test_what_is_removed_has_no_alarm_any_more(watched: Watched) -> None:
+    watched.run(LIMIT + 2, "x1", "x3")
+    assert watched.taken() == [("alarm", "axis", "x2")]
+    left = dict.fromkeys(("x1", "x3"), watched.prepared)
+    watched.engine.arranged(arranged(watched.engine.groups, left, Pace(0.0, 1.0))[0])
+    watched.run(1, "x1", "x3")
+    assert watched.taken() == [("cleared", "axis", "x2")]
+
+
+def test_a_process_that_stood_still_does_not_take_its_own_pause_for_silence(watched: Watched) -> None:
+    watched.run(10, *watched.axes)
+    watched.at += 3600
+    watched.run(1)
+    watched.run(1, *watched.axes)
+    assert watched.taken() == []
+
+
+def test_an_axis_that_begins_anew_stays_silent_until_it_sends(watched: Watched) -> None:
+    watched.run(LIMIT + 2, "x1", "x3")
+    seat = watched.engine.seat("x2")
+    assert seat is not None
+    seat.begin_anew()
+    watched.run(LIMIT + 2, "x1", "x3")
+    assert watched.taken() == [("alarm", "axis", "x2")]
+
+
+def test_many_axes_at_once_share_an_alarm(prepared: Prepared) -> None:
+    axes = [f"c{k}" for k in range(module.MOST + 1)]
+    watched = Watched(prepared, axes)
+    watched.run(1, *axes)
+    watched.run(LIMIT + 5)
+    assert watched.taken() == [("alarm", "axes", f"{len(axes)} axes"), ("alarm", "source", "hall")]
+    watched.run(2, *axes[1:])
+    assert watched.taken() == [("cleared", "source", "hall")], "one is silent still"
+    watched.run(1, axes[0])
+    assert watched.taken() == [("cleared", "axes", f"{len(axes)} axes")]
+
+
+def test_nothing_is_silent_with_a_limit_of_0(prepared: Prepared) -> None:
+    watched = Watched(prepared, limit=0.0)
+    watched.run(5000)
+    assert watched.taken() == []
+
+
+def test_an_acknowledged_silence_is_no_other_alarm(watched: Watched) -> None:
+    watched.run(LIMIT + 2, "x1", "x3")
+    (alarm,) = [one for one in watched.outlet.told if one.what["event"] == "alarm"]
+    watched.engine.commands.acknowledge(alarm.number, "night")
+    watched.engine.tick(0.0)
+    (known,) = [one for one in watched.outlet.told if one.what["event"] == "acknowledged"]
+    link = Link()
+    sink = sink_of(link)
+    sink.put([notice(1, "alarm", axis="x2"), alarm, known])
+    assert link.retained()["pmfid/hall-3/alarms/x2"] != b""
+    assert link.retained()["pmfid/hall-3/alarms/x2/silent"] == b""
+
+
+# --- where it goes ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def told(watched: Watched) -> list[Notice]:
+    """Alarms of an axis, a source and a sink, then that they are over."""
+    watched.run(1, *watched.axes)
+    watched.sink.state = False
+    watched.run(LIMIT + 2, "x1", "x3", other="")
+    watched.sink.state = True
+    watched.run(2, *watched.axes)
+    return [one for one in watched.outlet.told if "silent" in one.what]
+
+
+def test_the_broker_retains_it_until_it_is_over(told: list[Notice]) -> None:
+    link = Link()
+    sink = sink_of(link, clear="never", events=False)
+    sink.put(told[:3])
+    topics = [f"pmfid/hall-3/alarms/{one}/silent" for one in ("x2", "_sink/db", "_source/lab")]
+    assert [bool(link.retained()[topic]) for topic in topics] == [True] * 3
+    sink.put(told[3:])
+    assert [link.retained()[topic] for topic in topics] == [b""] * 3
+
+
+def test_by_default_the_webhook_posts_both(told: list[Notice], tmp_path: Path) -> None:
+    with web_server() as server:
+        outlet = SINKS["webhook"]().model_validate({"kind": "webhook", "url": server.url}).outlet("w", Host(tmp_path))
+        outlet.start()
+        for one in told:
+            outlet.notice(one)
+        assert outlet.close(20)
+    events = [json.loads(body)["event"] for _, _, body in server.got]
+    assert events == ["alarm"] * 3 + ["cleared"] * 3
+
+
+@pytest.mark.parametrize("kind", ["line_protocol", "sqlite"])
+def test_files_have_both(told: list[Notice], tmp_path: Path, kind: str) -> None:
+    keys = {"to": "a.lp"} if kind == "line_protocol" else {"path": "a.sqlite"}
+    outlet = SINKS[kind]().model_validate({"kind": kind, **keys}).outlet("a", Host(tmp_path))
+    outlet.start()
+    for one in told:
+        outlet.notice(one)
+    assert outlet.close(20)
+    assert events_of(tmp_path, kind) == ["alarm"] * 3 + ["cleared"] * 3
+
+
+def events_of(place: Path, kind: str) -> list[str]:
+    if kind == "line_protocol":
+        return re.findall(r"event=(\w+)", (place / "a.lp").read_text())
+    import sqlite3
+
+    database = sqlite3.connect(place / "a.sqlite")
+    assert database.execute("SELECT count(*) FROM alarms").fetchone() == (3,)
+    found = [event for (event,) in database.execute("SELECT event FROM notices ORDER BY id")]
+    database.close()
+    return found
+
+
+def test_the_log_says_it_for_people(told: list[Notice]) -> None:
+    lines = sorted(line(one) for one in told)
+    assert lines[0].startswith("ALARM  nothing came from the source lab for 60 s; look")
+    assert lines[1].startswith("ALARM  the sink db took nothing for 60 s; look")
+    assert lines[2].startswith("the alarm is over: sink db, silent for 6")
+    assert lines[3].startswith("the alarm is over: source lab, silent for 6")
+    assert lines[4].startswith("x2  ALARM  no usable sample for 60 s; look")
+    assert lines[5].startswith("x2  the alarm is over: silent for 6")
+
+
+def test_the_metrics_have_it_in_words(watched: Watched) -> None:
+    watched.run(LIMIT + 5, other="")
+    text = exposition(watched.engine.counters)
+    assert 'pmfid_axes_silent{group="axis.toml"} 3\n' in text
+    assert 'pmfid_source_silent{source="hall"} 1\n' in text
+    assert 'pmfid_sink_silent{sink="db"} 0\n' in text
+
+
+# --- a sink behind its queue ------------------------------------------------------------------------------------------
+
+
+def test_a_queue_knows_whether_its_sink_takes_what_it_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pmfid.service.sinks.queued.FIRST_PAUSE", 0.01)
+    sink, begun = Faulty(), time.monotonic()
+    outlet = Queued(sink, Counters(), lambda told: None)
+    outlet.start()
+    assert outlet.works(begun) is None, "nothing was given to it yet"
+    sink.error = OSError("full")
+    outlet.rows(rows_of(kindred()))
+    assert until(lambda: outlet.works(time.monotonic()) is False)
+    assert outlet.works(begun) is None, "it began after that"
+    sink.error = None
+    assert until(lambda: outlet.works(time.monotonic()) is True)
+    outlet.close(20)
+
+
+def test_a_sink_that_hangs_does_not_work() -> None:
+    sink = Faulty(hold=threading.Event())
+    outlet = Queued(sink, Counters(), lambda told: None)
+    outlet.start()
+    outlet.rows(rows_of(kindred()))
+    assert until(lambda: outlet.works(time.monotonic()) is False)
+    assert sink.hold is not None
+    sink.hold.set()
+    assert until(lambda: outlet.works(time.monotonic()) is True)
+    outlet.close(20)
+
+
+def test_a_sink_that_refuses_all_it_is_given_does_not_work() -> None:
+    sink = Faulty(error=ValueError("no"))
+    outlet = Queued(sink, Counters(), lambda told: None)
+    outlet.start()
+    outlet.rows(rows_of(kindred()))
+    assert until(lambda: outlet.works(time.monotonic()) is False)
+    time.sleep(0.05)
+    assert outlet.works(time.monotonic()) is False
+    outlet.close(20)
+
+
+# --- the whole service ------------------------------------------------------------------------------------------------
+
+PLANT = """
+[service]
+silence = 1.0
+window = 0.0
+state = "kept"
+[page]
+enabled = false
+[axes.x1]
+config = "axis.toml"
+[sources.log]
+kind = "file"
+path = "log.csv"
+axis = "x1"
+[sinks.lines]
+kind = "line_protocol"
+to = "folder/that/is/a/file/a.lp"
+"""
+
+
+def acting(place: Path) -> Acting:
+    text = StringIO()
+    return Acting(Service(lambda: load_plant(place / "plant.toml"), Log(text)), text)
+
+
+def told_in_order(one: Acting) -> list[tuple[str, str]]:
+    """(what is silent, event)"""
+    return [(told["silent"], told["event"]) for told in events(one.text.getvalue(), "alarm", "cleared")]
+
+
+def test_a_service_tells_silence_once_over_a_restart_and_its_end(folder: Path) -> None:  # noqa: F811
+    (folder / "plant.toml").write_text(PLANT)
+    rows = (folder / "run.csv").read_text().splitlines(keepends=True)
+    (folder / "log.csv").write_text("".join(rows[:200]))
+    (folder / "folder").write_text("in the way")
+    first = acting(folder)
+    first.run(lambda: first.until("alarm", times=3))
+    assert sorted(told_in_order(first)) == [("axis", "alarm"), ("sink", "alarm"), ("source", "alarm")]
+
+    second = acting(folder)
+
+    def back() -> None:
+        time.sleep(3.0)
+        assert told_in_order(second) == []
+        assert second.service.counters.values()["pmfid_sink_silent", (("sink", "lines"),)] == 1
+        (folder / "folder").unlink()
+        with (folder / "log.csv").open("a") as file:
+            file.write("".join(rows[200:400]))
+
+    second.run(back, lambda: second.until("cleared", times=3))
+    first_told = dict(reversed(told_in_order(second)))
+    assert first_told == dict.fromkeys(("axis", "sink", "source"), "cleared")
+    written = (folder / "folder/that/is/a/file/a.lp").read_text()
+    assert re.findall(r"event=(\w+),.*silent=.sink", written) == ["alarm", "cleared"], "once it works, it has it, too"
+
+
+# --- the page ---------------------------------------------------------------------------------------------------------
+
+
+def test_when_all_axes_are_silent_the_tiles_say_so_whatever_other_alarms_there_are() -> None:
+    from tests.service.chromium import chromium, tab, violations
+    from tests.service.chromium import until as shows
+    from tests.service.fake_engine import FakePlant
+    from tests.service.loopback import served
+
+    plant = FakePlant(8)
+    plant.run(5.0, time.monotonic() - 3600)
+    for name in ("gantry-x1", "gantry-x2", "spindle-a"):
+        plant.alarm(name)
+    silent: dict[str, Any] = {"event": "alarm", "silent": "axis", "seconds": 60.0, "problem": "no usable sample"}
+    number = plant.tell("gantry-y", **silent, name="gantry-y")
+    plant.tell("", **{**silent, "silent": "source", "problem": "nothing came from the source hall"}, name="hall")
+    with chromium() as browser, served(plant) as there, tab(browser) as page:
+        at_overview(page, there)
+        assert shows(page, "document.querySelector('.tile[data-kind=silent] .count').textContent === '8'")
+        assert page.inner_text(".overview > .problem") == "No axis sends data"
+        assert page.inner_text(".tile[data-kind=alarm] .count") == "3"
+        page.click(".tile[data-kind=silent]")
+        assert shows(page, "document.querySelectorAll('.rows .axis-name').length === 8")
+        said = page.inner_text(".cards")
+        assert "nothing came from the source hall" in said
+        assert "statistic –" not in said
+        assert page.inner_text("#alarmed").split()[0] == "5"
+        plant.tell("gantry-y", event="cleared", alarm=number, silent="axis", name="gantry-y", seconds=3600.0)
+        plant.run(1.0)
+        assert shows(page, "document.querySelector('.tile[data-kind=silent] .count').textContent === '0'")
+        assert shows(page, "document.querySelector('#alarmed').textContent.startsWith('4')")
+        assert shows(page, "document.querySelector('.overview > .problem').hidden")
+        assert violations(page) == []
