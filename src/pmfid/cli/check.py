@@ -28,11 +28,11 @@ def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: 
     Exit code 0: nothing is found but notes, which cost nothing; 1: something that moves the estimate; 2: wrong usage or
     unreadable input; 3: nothing can be identified from this record as it is read.
     """
-    from pmfid.session.config import load_axis
-    from pmfid.session.identify import check as run
-    from pmfid.session.identify import kind_of
-
     with progress("check"):
+        from pmfid.session.config import load_axis
+        from pmfid.session.identify import check as run
+        from pmfid.session.identify import kind_of
+
         axis = load_axis(config)
         kind = kind_of(axis)
         data = kind.read(records, axis)

@@ -52,16 +52,16 @@ def export(
 
     The folder has the kernel, its configuration, a header, an example, a Makefile, a CMake file and a self-test.
     """
-    from pmfid.export.alarm import ParameterAlarm
-    from pmfid.export.firmware import export_firmware
-    from pmfid.kernel.saved import LONG_MEMORY, MOST_WEIGHT
-    from pmfid.session.config import load_axis
-    from pmfid.session.export import check_exportable, drive_estimator
-    from pmfid.session.records import read_record
-
     changes = {f"estimator.{key}": value for key, value in options.items()}
     name = prefix or re.sub(r"\W+", "_", axis_file.stem.lower())
     with progress("export"):
+        from pmfid.export.alarm import ParameterAlarm
+        from pmfid.export.firmware import export_firmware
+        from pmfid.kernel.saved import LONG_MEMORY, MOST_WEIGHT
+        from pmfid.session.config import load_axis
+        from pmfid.session.export import check_exportable, drive_estimator
+        from pmfid.session.records import read_record
+
         axis = load_axis(axis_file, changes | ({"encoder.guard": False} if no_guard else {}))
         check_exportable(axis)
         data = None if record is None else read_record(record, axis)

@@ -96,7 +96,7 @@ def state(checkpoint: Path, config: Path, axes: tuple[str, ...], out: Path, mast
 
 
 def _prepared(config: Path) -> Prepared:
-    from pmfid.service.groups import prepare
-
     with progress("calibration") as tell:
+        from pmfid.service.groups import prepare
+
         return prepare(config, progress=tell)

@@ -39,11 +39,11 @@ def friction(
 
     Exit code 0: a curve; 2: wrong usage or unreadable input; 3: the record does not show friction apart.
     """
-    from pmfid.session.config import load_axis
-    from pmfid.session.friction import curve_json, record_curve
-    from pmfid.session.records import read_record
-
     with progress("friction"):
+        from pmfid.session.config import load_axis
+        from pmfid.session.friction import curve_json, record_curve
+        from pmfid.session.records import read_record
+
         axis = load_axis(config, {"estimator.cutoff": cutoff})
         found = record_curve(read_record(record, axis), axis, nodes, rising_from)
         if out is not None:

@@ -30,12 +30,11 @@ def init(record: Path, out: Path) -> None:
 
     Exit code 0: a file to go on with; 2: wrong usage, unreadable input, or a file that is there already.
     """
-    from pmfid.session.guess.axis_file import guess
-
     if os.path.lexists(out):
         raise UsageError(f"{out} is there already, and stays as it is; give another place with --out")
     on_terminal = sys.stdin.isatty() and sys.stdout.isatty()
     with progress("init") as tell:
+        from pmfid.session.guess.axis_file import guess
 
         def ask(question: str, usual: str) -> str:
             tell.end()

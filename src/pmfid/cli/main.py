@@ -111,12 +111,12 @@ def identify(
     records: tuple[Path, ...], config: Path, quantize: float | None, out: Path | None, as_json: bool, **options: object
 ) -> None:
     """Identify the parameters of a record."""
-    from pmfid.session.config import load_axis
-    from pmfid.session.identify import identify as run
-    from pmfid.session.identify import kind_of
-
     sections = {"resolution": "encoder", "n": "model", "m": "model", "delay": "model"}
     with progress("identify") as tell:
+        from pmfid.session.config import load_axis
+        from pmfid.session.identify import identify as run
+        from pmfid.session.identify import kind_of
+
         axis = load_axis(config, {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()})
         result = run(kind_of(axis).read(records, axis, quantize), axis, tell)
         if out is not None:
@@ -142,12 +142,12 @@ def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Pa
 
     1 to 5 poles, fewer zeros, dead times of 0 to 5 samples; the configuration's n, m and delay are not used.
     """
-    from pmfid.session.config import load_axis
-    from pmfid.session.processes import Processes, search_json, search_order
-
     structure = {"model.kind": "transfer_function", "model.n": 1, "model.m": 0, "model.delay": 0}
     structure |= {"model.integrators": 0, "model.dead_time": 0.0}
     with progress("structures") as tell:
+        from pmfid.session.config import load_axis
+        from pmfid.session.processes import Processes, search_json, search_order
+
         axis = load_axis(config, {"estimator.cutoff": cutoff, **structure})
         search = search_order(Processes().read(records, axis), axis, tell)
         if out is not None:
@@ -183,11 +183,11 @@ def compare(
 
     Of a transfer function several records make one estimate.
     """
-    from pmfid.session.compare import compare as run
-    from pmfid.session.config import load_axis
-    from pmfid.session.identify import kind_of
-
     with progress("methods") as tell:
+        from pmfid.session.compare import compare as run
+        from pmfid.session.config import load_axis
+        from pmfid.session.identify import kind_of
+
         axis = load_axis(config, {"estimator.cutoff": cutoff})
         comparison = run(kind_of(axis).read(records, axis, quantize), axis, tell)
         if out is not None:

@@ -45,19 +45,21 @@ def monitor(
     Events go to standard output, or to standard error where the estimates go there. Ends at the end of the input and,
     with everything written, at Ctrl-C or SIGTERM.
     """
-    from pmfid.session.config import load_axis
-    from pmfid.session.monitored.setup import check_monitored, set_up
-    from pmfid.session.monitored.stream import Stop
-    from pmfid.session.records import read_record
-
-    axis = load_axis(config, {f"monitor.{key}": value for key, value in options.items()})
-    check_monitored(axis)
     piped = str(record) == "-"
-    inputs = [config, *([] if piped else [record])]
-    _check_places(out, report, [*inputs, config.parent / axis.monitor.reference] if axis.monitor.reference else inputs)
-    data = None if piped else read_record(record, axis)
     tell = _Teller(as_json, to_stderr=str(out) == "-")
     with progress("calibration") as tell_part:
+        from pmfid.session.config import load_axis
+        from pmfid.session.monitored.setup import check_monitored, set_up
+        from pmfid.session.monitored.stream import Stop
+        from pmfid.session.records import read_record
+
+        axis = load_axis(config, {f"monitor.{key}": value for key, value in options.items()})
+        check_monitored(axis)
+        inputs = [config, *([] if piped else [record])]
+        _check_places(
+            out, report, [*inputs, config.parent / axis.monitor.reference] if axis.monitor.reference else inputs
+        )
+        data = None if piped else read_record(record, axis)
         setup = set_up(axis, config.parent, data, tell_part)
     with Stop().handling() as stop:
         run, history, sink = _run(setup, axis, data, out, stop, tell, report is not None)

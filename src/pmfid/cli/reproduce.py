@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from pmfid.cli.progress import progress
+
 
 @click.command(short_help="Reproduce the figures of the paper.")
 @click.argument("figures", nargs=-1, metavar="[FIG]...")
@@ -25,10 +27,9 @@ def reproduce(figures: tuple[str, ...], out: Path, seeds: int, jobs: int | None)
     Writes a picture and a CSV of what is drawn for each figure, and table.csv with the figures of merit over many
     seeded runs of the simulated cart.
     """
-    from pmfid.cli.progress import progress
-    from pmfid.cli.tables import print_merits
-    from pmfid.paper.run import reproduce as run
-
     with progress("runs") as tell:
+        from pmfid.cli.tables import print_merits
+        from pmfid.paper.run import reproduce as run
+
         rows = run(figures, out, seeds, jobs, tell)
     print_merits(rows, out)

@@ -53,11 +53,11 @@ def terms(
 
     Exit code 0: a search, whatever it finds; 2: wrong usage or unreadable input; 3: the record cannot tell.
     """
-    from pmfid.session.config import load_axis
-    from pmfid.session.records import read_record
-    from pmfid.session.terms import places_of, search_drive
-
     with progress("terms") as tell:
+        from pmfid.session.config import load_axis
+        from pmfid.session.records import read_record
+        from pmfid.session.terms import places_of, search_drive
+
         axis = load_axis(config, {"estimator.cutoff": cutoff})
         places = places_of(turn, pitch, friction_period)
         other = None if held_out is None else read_record(held_out, axis)

@@ -36,11 +36,11 @@ def validate(records: tuple[Path, ...], config: Path, stored: Path, out: Path | 
 
     Exit code 0: a prediction, good or bad; 2: wrong usage, unreadable input, parameters of another model.
     """
-    from pmfid.session.config import load_axis
-    from pmfid.session.stored import read_stored
-    from pmfid.session.validation import read_records, validate_stored
-
     with progress("validate"):
+        from pmfid.session.config import load_axis
+        from pmfid.session.stored import read_stored
+        from pmfid.session.validation import read_records, validate_stored
+
         axis = load_axis(config)
         found = validate_stored(read_stored(stored), read_records(records, axis), axis)
         if out is not None:
