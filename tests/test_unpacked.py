@@ -20,7 +20,9 @@ import scipy.io
 
 from pmfid.errors import UsageError
 from pmfid.session.formats import SUFFIXES
+from pmfid.session.formats.parquet_footer import column_sizes
 from pmfid.session.formats.reading import read_table
+from pmfid.session.formats.safety import readable
 from pmfid.session.tables import column, times
 from tests.formats import WRITERS
 
@@ -32,7 +34,9 @@ READ = """
 import resource, sys
 from pathlib import Path
 from pmfid.errors import UsageError
+from pmfid.session.formats.parquet_footer import column_sizes
 from pmfid.session.formats.reading import read_table
+from pmfid.session.formats.safety import readable
 from pmfid.session.tables import column
 import polars, scipy.io
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -97,6 +101,10 @@ def packed_archive(path: Path, name: str, data: bytes) -> None:
 BOMBS: dict[str, tuple[Callable[[Path], object], str]] = {
     "zeros.mat": (lambda path: scipy.io.savemat(path, {"u": np.zeros(ZEROS)}, do_compression=True), "a variable"),
     "rows.parquet": (lambda path: pl.DataFrame({"u": pl.repeat(0, ZEROS, eager=True)}).write_parquet(path), "a column"),
+    "list.parquet": (
+        lambda path: pl.DataFrame({"u": [pl.repeat(0, ZEROS, eager=True)]}).write_parquet(path),
+        "column 'u'",
+    ),
     "zeros.npz": (lambda path: packed_archive(path, "u.npy", bytes(8 * ZEROS)), "what is packed"),
     "cells.xlsx": (
         lambda path: packed_archive(path, "xl/worksheets/sheet1.xml", b"<c/><c/>" * ZEROS),
@@ -153,3 +161,17 @@ def test_a_long_text_in_every_row_is_refused_before_it_is_copied(tmp_path: Path,
     read = {"time": times, "input": lambda table, name: column(table, "input", name)}[key]
     with pytest.raises(UsageError, match="a text of 100000 bytes, more than 1000"):
         read(read_table(tmp_path / "rows.parquet"), "u")
+
+
+def test_the_sizes_of_columns_come_from_the_footer_of_the_file(tmp_path: Path) -> None:
+    pl.DataFrame({"u": [[1.0, 2.0, 3.0]] * 40, "s": [{"a": 1, "b": 2}] * 40, "text": ["x" * 500] * 40}).write_parquet(
+        tmp_path / "run.parquet", row_group_size=16, compression="uncompressed", use_pyarrow=False
+    )
+    data = (tmp_path / "run.parquet").read_bytes()
+    sizes = column_sizes(data)
+    assert 8 * 3 * 40 <= sizes["u"] < 2 * 8 * 3 * 40  # with the heads of its pages
+    assert 2 * 8 * 40 <= sizes["s"] < 2 * 2 * 8 * 40
+    assert sizes["text"] >= 3 * 500  # a dictionary in each group of rows
+    for end in range(len(data) - 300, len(data)):
+        with pytest.raises(UsageError, match=r"not a readable \.parquet file"), readable(".parquet"):
+            column_sizes(data[:end])

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
+from pmfid.session.formats.parquet_footer import column_sizes
 from pmfid.session.formats.safety import check_unpacked, readable
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ class ParquetTable(Frame):
     def __init__(self, data: bytes) -> None:
         import polars as pl
 
-        self._data = data
+        self._data, self._sizes = data, column_sizes(data)
         super().__init__(list(pl.read_parquet_schema(io.BytesIO(data))))
         rows = int(pl.scan_parquet(io.BytesIO(data)).select(pl.len()).collect().item())
         check_unpacked(8 * rows, len(data), "a column")
@@ -79,4 +80,5 @@ class ParquetTable(Frame):
     def read(self, name: str) -> pl.Series:
         import polars as pl
 
+        check_unpacked(self._sizes.get(name, 0), len(self._data), f"column {name!r}")
         return pl.read_parquet(io.BytesIO(self._data), columns=[name])[name]

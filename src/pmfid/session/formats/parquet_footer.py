@@ -1,0 +1,92 @@
+"""Sizes that the footer of a Parquet file declares, before anything is unpacked (Apache Parquet, parquet.thrift)."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+__all__ = ["column_sizes"]
+
+#: Types of the compact protocol of Apache Thrift.
+TRUE, FALSE, BYTE, INTEGERS, DOUBLE, BINARY, LISTS, STRUCT = 1, 2, 3, (4, 5, 6), 7, 8, (9, 10), 12
+#: Bytes of the length of the footer and of the magic word at the end of the file.
+TAIL = 8
+#: Identifiers of fields: FileMetaData, RowGroup, ColumnChunk, ColumnMetaData.
+ROW_GROUPS, COLUMNS, META_DATA = 4, 1, 3
+PATH, VALUES, UNCOMPRESSED = 3, 5, 6
+#: Bytes of a value in memory.
+VALUE = 8
+
+
+def column_sizes(data: bytes) -> Mapping[str, int]:
+    """Bytes that each top-level column takes in memory: the larger of its values' and of its unpacked pages'.
+
+    Raises ValueError, IndexError, KeyError or TypeError for a damaged footer.
+    """
+    (length,) = struct.unpack("<I", data[-TAIL : -TAIL + 4])
+    footer = _Compact(data[-TAIL - length : -TAIL]).structure()
+    sizes: Counter[str] = Counter()
+    for group in footer[ROW_GROUPS]:
+        for chunk in group[COLUMNS]:
+            meta = chunk[META_DATA]
+            sizes[meta[PATH][0].decode()] += max(VALUE * meta[VALUES], meta[UNCOMPRESSED])
+    return sizes
+
+
+@dataclass
+class _Compact:
+    """Reads the compact protocol of Apache Thrift; a structure is its values by the identifiers of its fields."""
+
+    data: bytes
+    place: int = 0
+
+    def structure(self) -> dict[int, Any]:
+        fields: dict[int, Any] = {}
+        number = 0
+        while head := self._byte():
+            number = number + (head >> 4) if head >> 4 else self._integer()
+            kind = head & 15
+            fields[number] = kind == TRUE if kind in (TRUE, FALSE) else self._value(kind)
+        return fields
+
+    def _byte(self) -> int:
+        self.place += 1
+        return self.data[self.place - 1]
+
+    def _bytes(self, length: int) -> bytes:
+        self.place += length
+        if self.place > len(self.data):
+            raise ValueError("the footer is cut")
+        return self.data[self.place - length : self.place]
+
+    def _unsigned(self) -> int:
+        found, shift = 0, 0
+        while (byte := self._byte()) & 128:
+            found |= (byte & 127) << shift
+            shift += 7
+        return found | byte << shift
+
+    def _integer(self) -> int:
+        """Of either sign, as zigzag."""
+        found = self._unsigned()
+        return (found >> 1) ^ -(found & 1)
+
+    def _value(self, kind: int) -> Any:
+        if kind in (TRUE, FALSE, BYTE):  # a byte each in a list
+            return self._byte()
+        if kind in INTEGERS:
+            return self._integer()
+        if kind == DOUBLE:
+            return self._bytes(8)
+        if kind == BINARY:
+            return self._bytes(self._unsigned())
+        if kind in LISTS:
+            head = self._byte()
+            length = self._unsigned() if head >> 4 == 15 else head >> 4
+            return [self._value(head & 15) for _ in range(length)]
+        if kind == STRUCT:
+            return self.structure()
+        raise ValueError(f"type {kind} is not in a footer")
