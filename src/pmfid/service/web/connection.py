@@ -1,4 +1,4 @@
-"""Connections that may not be held open by doing nothing: slow requests, browsers that stop reading, too many."""
+"""Connections that may not be held open by doing nothing: slow requests, browsers that stop reading."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from pmfid.service.counters import Counters
 
-__all__ = ["Limits", "guarded"]
+__all__ = ["Guarded", "Limits", "guarded"]
 
 #: States of a request that is whole.
 WHOLE = (h11.DONE, h11.MUST_CLOSE, h11.CLOSED, h11.ERROR)
@@ -19,16 +19,15 @@ WHOLE = (h11.DONE, h11.MUST_CLOSE, h11.CLOSED, h11.ERROR)
 
 @dataclass(frozen=True)
 class Limits:
-    """connections: open at once; request: time for a whole request [s]; stuck: time without a byte read by a browser
-    that something waits for [s]."""
+    """request: time for a whole request [s]; stuck: time without a byte read by a browser that something waits for
+    [s]."""
 
-    connections: int
     request: float = 10.0
     stuck: float = 10.0
 
 
 class Guarded(H11Protocol):
-    """uvicorn's protocol within limits; what they end is counted."""
+    """uvicorn's protocol within limits; what they end is counted. gone: set at the end of the connection."""
 
     limits: ClassVar[Limits]
     counters: ClassVar[Counters]
@@ -38,13 +37,26 @@ class Guarded(H11Protocol):
         self.access_log = False  # uvicorn's own switch gives way to any handler of the process
         self._deadline: asyncio.TimerHandle | None = None
         self._stuck: asyncio.TimerHandle | None = None
+        self._proved = False
+        self.gone = asyncio.Event()
+
+    @property
+    def proved(self) -> bool:
+        """Whether a request on it had a token that opens something."""
+        return self._proved or (self.scope is not None and self.scope.get("may") is not None)
+
+    @property
+    def idle(self) -> bool:
+        """Whether it waits for a request."""
+        return self.cycle is None or self.cycle.response_complete
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        if len(self.connections) > self.limits.connections:
-            self._end("connections")
-        else:
-            self._expect()
+        self._expect()
+
+    def on_response_complete(self) -> None:
+        self._proved = self.proved  # the next request has a scope of its own
+        super().on_response_complete()
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
@@ -99,8 +111,9 @@ class Guarded(H11Protocol):
         self._forget_deadline()
         self._forget_stuck()
         super().connection_lost(exc)
+        self.gone.set()
 
 
-def guarded(limits: Limits, counters: Counters) -> type[H11Protocol]:
+def guarded(limits: Limits, counters: Counters) -> type[Guarded]:
     """The protocol as uvicorn is given it: a class, of which it makes an object for each connection."""
     return type("Guarded", (Guarded,), {"limits": limits, "counters": counters})

@@ -8,9 +8,10 @@ import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from pmfid.errors import UsageError
 from pmfid.service.board import Board
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from uvicorn import Config, Server
 
     from pmfid.service.web.api import Api
+    from pmfid.service.web.connection import Guarded
+    from pmfid.service.web.entrance import Entrance
     from pmfid.service.web.hub import Hub
 
 __all__ = ["Page", "serve"]
@@ -32,6 +35,8 @@ __all__ = ["Page", "serve"]
 BESIDE = 64
 #: Until the page answers, and until it has ended [s].
 STARTED, ENDED = 10.0, 3.0
+#: Connections that the system may keep until they are let in.
+BACKLOG = 1024
 #: What the system may keep for a browser that reads slowly [bytes]; left alone it would keep some megabytes for each.
 WAITING = 262_144
 
@@ -78,22 +83,23 @@ def serve(
     _check_extra()
     from pmfid.service.web.api import Api
     from pmfid.service.web.app import make_app
+    from pmfid.service.web.entrance import Entrance, most_connections
     from pmfid.service.web.hub import Hub
     from pmfid.service.web.security import hosts_of
 
     tokens = load_tokens(config, folder)
     board.keep(1e6 * config.history_mb)
     listener = _listener(config)
-    port = listener.getsockname()[1]
+    port, most = listener.getsockname()[1], most_connections(config.browsers + BESIDE)
     hub = Hub(board, counters)
-    api = Api(name, board, counters, hub, acts, reference, metrics, alive, config.browsers)
+    api = Api(name, board, counters, hub, acts, reference, metrics, alive, min(config.browsers, max(1, most - BESIDE)))
     app = make_app(api, hosts_of(config.address, port, config.hosts), tokens)
     try:
-        server = _server(_uvicorn_config(app, config, counters, folder), hub)
+        server = _server(_uvicorn_config(app, config, counters, folder), hub, Entrance(listener, most, counters))
     except UsageError:
         listener.close()
         raise
-    thread = Thread(target=_run, args=(server, listener), name="page", daemon=True)
+    thread = Thread(target=_run, args=(server,), name="page", daemon=True)
     thread.start()
     _wait(server, thread)
     url = f"{'https' if config.certificate else 'http'}://{_shown_host(config, port)}/"
@@ -113,7 +119,7 @@ def _check_extra() -> None:
 def _listener(config: PageConfig) -> socket.socket:
     family = socket.AF_INET6 if ":" in config.address else socket.AF_INET
     try:
-        listener = socket.create_server((config.address, config.port), family=family, backlog=256)
+        listener = socket.create_server((config.address, config.port), family=family, backlog=BACKLOG)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING)
         return listener
     except (OSError, OverflowError) as error:
@@ -134,7 +140,7 @@ def _uvicorn_config(app: object, config: PageConfig, counters: Counters, folder:
     try:
         made = Config(
             app,  # type: ignore[arg-type]
-            http=guarded(Limits(config.browsers + BESIDE), counters),
+            http=guarded(Limits(), counters),
             loop="asyncio",
             ws="none",
             lifespan="on",
@@ -159,22 +165,30 @@ def _only_failures(record: logging.LogRecord) -> bool:
     return record.exc_info is not None
 
 
-def _server(config: Config, hub: Hub) -> Server:
-    """Ends the streams before it waits for them."""
+def _server(config: Config, hub: Hub, entrance: Entrance) -> Server:
+    """With an entrance of its own; ends the streams before it waits for them."""
     from uvicorn import Server
 
     logging.getLogger("uvicorn.error").addFilter(_only_failures)
 
     class Own(Server):
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets)
+            kind = cast("type[Guarded]", config.http_protocol_class)
+            make = partial(kind, config, self.server_state, self.lifespan.state)
+            self.entering = asyncio.create_task(entrance.run(config.ssl, make))
+
         async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+            self.entering.cancel()
+            await asyncio.wait([self.entering])
             await hub.stop()
             await super().shutdown(sockets)
 
     return Own(config)
 
 
-def _run(server: Server, listener: socket.socket) -> None:
-    asyncio.run(server.serve([listener]))
+def _run(server: Server) -> None:
+    asyncio.run(server.serve([]))
 
 
 def _wait(server: Server, thread: Thread) -> None:
