@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -18,6 +19,7 @@ from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from pmfid.service.counters import Counters
+from pmfid.service.web.brake import Brake
 from pmfid.service.web.tokens import WRITE, Tokens
 
 __all__ = ["LARGEST_BODY", "Guard", "Refusal", "hosts_of", "json_body"]
@@ -40,11 +42,12 @@ HEADERS = {
 
 
 class Refusal(Exception):  # noqa: N818  it is answered, not raised to anyone
-    """reason: for counters; status: of HTTP; problem: a sentence that repeats nothing of what was sent."""
+    """reason: for counters; status: of HTTP; problem: a sentence that repeats nothing of what was sent; wait: time
+    until it may be asked again [s], 0: at once."""
 
-    def __init__(self, reason: str, status: int, problem: str) -> None:
+    def __init__(self, reason: str, status: int, problem: str, wait: float = 0.0) -> None:
         super().__init__(problem)
-        self.reason, self.status, self.problem = reason, status, problem
+        self.reason, self.status, self.problem, self.wait = reason, status, problem, wait
 
 
 def hosts_of(address: str, port: int, more: Iterable[str]) -> frozenset[str]:
@@ -71,6 +74,7 @@ class Guard:
     tokens: Tokens
     counters: Counters
     closed: tuple[str, ...] = ("/api/", "/metrics")
+    brake: Brake = field(default_factory=Brake)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -108,6 +112,8 @@ class Guard:
     def _check_token(self, scope: Scope, headers: Headers) -> None:
         given = headers.getlist("authorization")
         may = self.tokens.scope(given[0]) if len(given) == 1 else None
+        if given and may is None and (wait := self.brake.wrong((scope.get("client") or ("",))[0])):
+            raise Refusal("guesses", 429, f"too many wrong tokens; try again in {math.ceil(wait)} s", wait)
         if may is None:
             raise Refusal("token", 401, "a token is needed: open the address that pmfid serve printed at its start")
         if scope["method"] not in ("GET", "HEAD") and may != WRITE:
@@ -127,6 +133,8 @@ def _refused(refusal: Refusal) -> JSONResponse:
     headers = {"connection": "close"}
     if refusal.status == 401:
         headers["www-authenticate"] = "Bearer"
+    if refusal.wait:
+        headers["retry-after"] = str(math.ceil(refusal.wait))
     return JSONResponse({"problem": refusal.problem}, refusal.status, headers)
 
 
