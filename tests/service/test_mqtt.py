@@ -339,6 +339,12 @@ def test_a_password_may_go_where_nobody_else_reads_it(change: dict[str, object])
     assert validated(Plant, {"source": {**section, **change}}).source.user == "u"
 
 
+def test_the_password_in_an_address_is_not_repeated() -> None:
+    with pytest.raises(UsageError, match=r"host = 'mqtt://\.\.\.@hall/': it should be a name") as error:
+        validated(Plant, {"source": {"kind": "mqtt", "topics": ["a"], "host": "mqtt://me:hidden@hall/"}})
+    assert "hidden" not in str(error.value)
+
+
 def test_pauses_grow_up_to_the_longest() -> None:
     waiting = pauses(1.0, 5.0)
     assert [next(waiting) for _ in range(5)] == [1.0, 2.0, 4.0, 5.0, 5.0]

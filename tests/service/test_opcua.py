@@ -162,3 +162,36 @@ class Plant(FileSection):
 def test_a_section_that_cannot_work_is_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         validated(Plant, {"source": {"kind": "opcua", "url": "a", "axes": {"x1": change}}})
+
+
+FAR, NEAR, PASSWORD = "opc.tcp://plc.example:4840", "opc.tcp://127.0.0.1:4840", {"user": "u", "password_env": "A"}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"url": FAR, **PASSWORD}, "would reach plc.example unencrypted; give security"),
+        ({"url": "opc.tcp://192.0.2.7:4840", "user": "u", "password_file": "a"}, "unencrypted; give security"),
+        ({"url": NEAR, "password_env": "A"}, "give user"),
+        ({"url": NEAR, **PASSWORD, "password_file": "a"}, "give one of them"),
+        ({"url": "opc.tcp://me:hidden@127.0.0.1:4840"}, r"url = 'opc.tcp://\.\.\.@127.0.0.1:4840': it holds a user"),
+    ],
+)
+def test_a_password_that_others_could_read_is_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message) as error:
+        validated(Plant, {"source": {"kind": "opcua", "axes": {"x1": {"nodes": {"u": "a"}}}, **change}})
+    assert "hidden" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"url": FAR, "security": "Basic256Sha256,SignAndEncrypt,cert.pem,key.pem"},
+        {"url": FAR, "allow_plain_password": True},
+        {"url": NEAR},
+        {"url": "opc.tcp://[::1]:4840"},
+    ],
+)
+def test_a_password_may_go_where_nobody_else_reads_it(change: dict[str, object]) -> None:
+    section = {"kind": "opcua", "axes": {"x1": {"nodes": {"u": "a"}}}, **PASSWORD}
+    assert validated(Plant, {"source": {**section, **change}}).source.user == "u"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import ssl
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Self
 from pydantic import Field, field_validator, model_validator
 
 from pmfid.errors import UsageError
-from pmfid.service.secrets import secret
+from pmfid.service.secrets import is_here, secret
 from pmfid.session.toml_file import FileSection
 
 if TYPE_CHECKING:
@@ -68,7 +67,7 @@ class BrokerSection(FileSection):
     @property
     def _sends_password_in_the_clear(self) -> bool:
         password = self.password_env or self.password_file
-        return bool(password) and not (self.encrypted or _is_loopback(self.host))
+        return bool(password) and not (self.encrypted or is_here(self.host))
 
     @property
     def encrypted(self) -> bool:
@@ -77,13 +76,6 @@ class BrokerSection(FileSection):
     @property
     def address(self) -> tuple[str, int]:
         return self.host, self.port or (8883 if self.encrypted else 1883)
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges: bool = False) -> Client:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import ipaddress
 import os
 import stat
 from pathlib import Path
 
 from pmfid.errors import UsageError
 
-__all__ = ["read_secret", "secret"]
+__all__ = ["is_here", "read_secret", "secret"]
+
+
+def is_here(host: str) -> bool:
+    """Whether what is sent to a host stays on this machine."""
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def secret(env: str | None, file: str | None, folder: Path) -> str | None:

@@ -5,6 +5,7 @@ The description of a field ends the error message about it: it must read well af
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,7 +16,7 @@ from pydantic_core import ErrorDetails
 
 from pmfid.errors import UsageError, did_you_mean
 
-__all__ = ["FileSection", "load_sections", "validated"]
+__all__ = ["FileSection", "load_sections", "shown", "validated"]
 
 
 class FileSection(BaseModel):
@@ -107,7 +108,12 @@ def _problem(
         return f"{label}: {message}" if isinstance(table, dict) else f"{label} must be a section of keys"
     value = table[rest[0]] if isinstance(table, dict) else None
     origin = " (given as an option)" if f"{section}.{rest[0]}" in given else ""
-    return f"{label} = {value!r}{origin}: {message}; give {field.description}"
+    return f"{label} = {shown(value)}{origin}: {message}; give {field.description}"
+
+
+def shown(value: object) -> str:
+    """As it is written, without user and password where it is an address."""
+    return re.sub(r"//[^/'\"\s]*@", "//...@", repr(value))
 
 
 def _entry_problem(place: str, error: ErrorDetails, description: str) -> str:

@@ -20,6 +20,7 @@ from pmfid.service.sinks.posting import Poster, checked_address
 from pmfid.service.sinks.section import Host, SinkSection
 from pmfid.service.wire.line_protocol import format_line
 from pmfid.session.model_config import Name, Positive
+from pmfid.session.toml_file import shown
 
 __all__ = ["LineProtocolSection", "LineProtocolSink"]
 
@@ -80,7 +81,7 @@ class LineProtocolSection(SinkSection):
         except ValueError:
             host = port = None
         if not host or not port:
-            raise UsageError(f'{label} to = {self.to!r} has no host and port; give them as "udp://127.0.0.1:8089"')
+            raise UsageError(f'{label} to = {shown(self.to)} has no host and port; give them as "udp://127.0.0.1:8089"')
         return host, port
 
 

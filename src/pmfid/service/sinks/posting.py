@@ -5,12 +5,12 @@ from __future__ import annotations
 import http.client
 import ssl
 from collections.abc import Mapping
-from ipaddress import ip_address
 from pathlib import Path
 from threading import Timer
 from urllib.parse import SplitResult, urlsplit
 
 from pmfid.errors import UsageError
+from pmfid.service.secrets import is_here
 from pmfid.service.sinks import RefusedError
 
 __all__ = ["Poster", "checked_address"]
@@ -36,16 +36,9 @@ def checked_address(url: str, secret: str | None, label: str) -> SplitResult:
         raise UsageError(f"{label}: the address holds a user; give a header by secret_env or secret_file in its place")
     if secret is not None and not (secret.isascii() and secret.isprintable() and secret):
         raise UsageError(f"{label}: the secret is empty, or no line of plain text; correct it")
-    if secret is not None and parts.scheme == "http" and not _is_here(host):
+    if secret is not None and parts.scheme == "http" and not is_here(host):
         raise UsageError(f"{label}: a secret is not sent to another machine by http; give an address with https")
     return parts
-
-
-def _is_here(host: str) -> bool:
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 class Poster:

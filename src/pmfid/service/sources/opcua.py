@@ -16,15 +16,16 @@ from datetime import UTC
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any, Literal, Self
+from urllib.parse import urlsplit
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from pmfid.errors import UsageError
 from pmfid.service.broker import Text, pauses
 from pmfid.service.context import Axes, Context, SourceSection
 from pmfid.service.delivery import Block, Delivery, Item, Mark, Unusable
-from pmfid.service.secrets import secret
+from pmfid.service.secrets import is_here, secret
 from pmfid.service.sources import Take
 from pmfid.service.wire.blocks import problem_of
 from pmfid.service.wire.layout import MOST_SAMPLES
@@ -68,9 +69,34 @@ class OpcuaSection(SourceSection):
     user: Text | None = Field(None, description="the user's name, or leave it out")
     password_env: Text | None = Field(None, description="the environment variable that holds the password")
     password_file: Text | None = Field(None, description="the file that holds the password")
+    allow_plain_password: bool = Field(False, description="true to send the password to another host without security")
     security: Text | None = Field(
         None, description='policy, mode, certificate and key: "Basic256Sha256,SignAndEncrypt,cert.pem,key.pem"'
     )
+
+    @field_validator("url")
+    @classmethod
+    def _names_nobody(cls, url: str) -> str:
+        """The address stands in messages."""
+        if "@" in url:
+            raise ValueError("it holds a user; give user, and password_env or password_file")
+        return url
+
+    @model_validator(mode="after")
+    def _keeps_password(self) -> Self:
+        if self.password_env and self.password_file:
+            raise ValueError("password_env and password_file are both there; give one of them")
+        if not (self.password_env or self.password_file):
+            return self
+        if not self.user:
+            raise ValueError("there is a password without a user; give user")
+        host = urlsplit(self.url).hostname or ""
+        if self.security is None and not is_here(host) and not self.allow_plain_password:
+            raise ValueError(
+                f"the password would reach {host} unencrypted; give security; allow_plain_password = true accepts the "
+                "risk"
+            )
+        return self
 
     def make(self, name: str, context: Context) -> OpcuaSource:
         """The source, not yet running."""
