@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
 
 from pmfid.design.problem.problem import Limits, Problem
 from pmfid.design.search.evaluation import setting
@@ -16,6 +19,7 @@ LIMITS = Limits(input=3.0, position=(0.0, 0.4), min_speed=0.01)
 MIN_SPEED = LIMITS.min_speed
 RESOLUTION = 22.75e-6
 STARTS = 50
+KNOWN = 0.005
 
 
 def case(
@@ -37,6 +41,11 @@ def case(
         end=(0.4, 0.0),
         samples_per_interval=samples_per_interval,
     )
+
+
+def known(problem: Problem) -> Problem:
+    """The same on a machine that is known to a part of KNOWN: none that it may be comes to rest."""
+    return replace(problem, prior=np.diag([(KNOWN * problem.nominal[name]) ** -2.0 for name in problem.names]))
 
 
 def gains() -> Iterator[list[str]]:
@@ -66,7 +75,7 @@ def trap() -> Iterator[list[str]]:
 def pattern() -> Iterator[list[str]]:
     """Rows: least speed, counts per sample at it, value, deviations of m, d, F_c through the encoder over predicted."""
     for min_speed in (0.0095, 0.01, 0.0102, 0.0103, 0.0105, 0.011):
-        problem = case("m, d, F_c", min_speed=min_speed)
+        problem = known(case("m, d, F_c", min_speed=min_speed))
         worth = worth_of(setting(problem, "D"), solve(problem, "D", starts=STARTS).u)
         ratios = [f"{worth.std_encoder[name] / std:.2f}" for name, std in worth.predicted_std.items()]
         counts = min_speed * problem.dt / RESOLUTION

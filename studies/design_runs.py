@@ -19,7 +19,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.interval import IntervalML
 from pmfid.simulation.scenarios import resolution_of
 from pmfid.types import Floats
-from studies.design_case import STARTS, case
+from studies.design_case import STARTS, case, known
 
 #: u (n,), x (n,), problem, generator -> theta (p,)
 Method = Callable[[Floats, Floats, Problem, np.random.Generator], Floats]
@@ -106,7 +106,7 @@ def trial(problem: Problem, u: Floats, method: str, runs: int) -> Trial:
     nominal = np.array([problem.nominal[name] for name in problem.names])
     s = affine(problem).weighted(u)
     predicted, unknown_start = (100 * np.sqrt(np.linalg.inv(F).diagonal()) for F in (s @ s.T, start_free(s)))
-    covariance = (encoder_covariance if method == "commission" else squares_covariance)(problem, u)
+    covariance = encoder_covariance(known(problem), u) if method == "commission" else squares_covariance(problem, u)
     encoder = np.full(nominal.size, np.nan) if covariance is None else 100 * np.sqrt(covariance.diagonal()) / nominal
     motion = simulate(problem, u)
     errors, failures = [], 0

@@ -52,7 +52,7 @@ def test_after_two_rounds_the_design_is_that_of_the_true_mass() -> None:
         designs, masses = design_wrong._history(problem, start, 0, 2)
         first, second = (design_wrong.outcome(problem, design.u, best) for design in designs)
         assert abs(second.end / 0.4 - 1) < 0.02
-        assert abs(second.information - 1) < 0.02
+        assert 0.85 < second.information < 1.02, "by the counts a larger least speed is better than by white noise"
         assert abs(first.information - 1) > 0.02, "the first design was for the wrong mass"
         assert masses[-1] == pytest.approx(1.5, rel=1e-3)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -15,12 +17,15 @@ __all__ = ["encoder_covariance", "expected_covariance", "is_counted", "log_of_ro
 
 #: Start phases on the lattice of the encoder, evenly spread, for least squares.
 PHASES = 128
-#: Machines for the counts themselves, the part by which they are wrong (a deviation), and what is known of one at rest.
-MACHINES, WRONG, FAR = 16, 0.06, 1.0
+#: Machines that are drawn around the nominal one, the part by which they are wrong (a deviation), and what is known of
+#: one at rest.
+MACHINES, WRONG, FAR = 32, 0.06, 1.0
+#: Deviations by which a parameter is wrong at most; machines with all of them that wrong are looked at as well.
+FURTHEST = 2.0
 #: Condition of an information from which on it leaves a parameter open.
 WORST = 1e12
 #: Walkers for each of these, steps until they have spread, and steps that count.
-WALKERS, SPREAD, STEPS = 20, 80, 120
+WALKERS, SPREAD, STEPS = 12, 80, 120
 
 
 def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
@@ -28,18 +33,19 @@ def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
 
     The mean over machines that differ from the nominal values by as much as is not known, at most WRONG, each from
     another start phase: what their counts leave open is as in `counted`, with sensitivities of the simulated motion. A
-    motion that is the best for the nominal values may come to rest on another machine, and tell little.
+    motion that is the best for the nominal values may come to rest on another machine, and tell a hundredth: so the
+    corners of what is not known are among the machines.
     None where the noise is not that of an encoder, or where the run and the prior leave a parameter open.
     """
     ready = _ready(problem, u)
     if ready is None:
         return None
     prior, size = ready[1], len(problem.names)
-    known = prior + np.eye(size) / FAR**2  # for a machine that rests and tells nothing
+    known, machines = _known(prior), _machines(problem, prior)
     errors, moves, roots = [], [], []
-    for number, parameters in enumerate(_machines(problem, prior)):
+    for number, parameters in enumerate(machines):
         x, s = _motion_in_counts(problem, u, parameters)
-        phase = (number + 0.5) / MACHINES
+        phase = (number + 0.5) / len(machines)
         errors.append(np.floor(x + phase) - x - phase)
         roots.append(np.linalg.inv(np.linalg.cholesky(12.0 * s @ s.T + known)).T)  # z: the scatter of white noise
         moves.append(roots[-1].T @ s)
@@ -50,19 +56,25 @@ def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
         return np.asarray(log_of_room(z @ move - error, 0.5) - 0.5 * np.sum((z @ held) * z, axis=-1))
 
     rng = np.random.default_rng(0)
-    start = inside(density, np.zeros(size), 0.1 * rng.standard_normal((MACHINES, WALKERS, size)))
+    start = inside(density, np.zeros(size), 0.1 * rng.standard_normal((len(machines), WALKERS, size)))
     path = walk(density, start, SPREAD + STEPS, rng)[SPREAD:] @ root.swapaxes(1, 2)
     apart = (path - path.mean(axis=(0, 2), keepdims=True)).reshape(-1, size)
     return np.asarray(apart.T @ apart / len(apart) * np.outer(problem.scale, problem.scale))
 
 
+def _known(prior: Floats) -> Floats:
+    """The prior (p, p) of the scaled parameters, and what bounds a machine that rests and tells nothing."""
+    return np.asarray(prior + np.eye(len(prior)) / FAR**2)
+
+
 def _machines(problem: Problem, prior: Floats) -> list[dict[str, float]]:
-    """Parameters around the nominal ones: normal, with what the prior (p, p) knows of the scaled ones."""
+    """Parameters around the nominal ones, with what the prior (p, p) knows of the scaled ones: normal, and corners."""
     nominal = np.array([problem.nominal[name] for name in problem.names])
     least = (WRONG * np.abs(nominal) / problem.scale) ** -2.0 if np.all(nominal) else np.full(len(nominal), WRONG**-2.0)
     spread = np.linalg.cholesky(np.linalg.inv(prior + np.diag(least)))
-    draws = np.random.default_rng(0).standard_normal((MACHINES // 2, len(nominal))).clip(-2.0, 2.0)
-    values = nominal + np.vstack([draws, -draws]) @ spread.T * problem.scale
+    draws = np.random.default_rng(0).standard_normal((MACHINES // 2, len(nominal))).clip(-FURTHEST, FURTHEST)
+    corners = np.array(list(product((-FURTHEST, FURTHEST), repeat=len(nominal))))
+    values = nominal + np.vstack([draws, -draws, corners]) @ spread.T * problem.scale
     lower = np.where([name == "offset" for name in problem.names], -np.inf, 0.1 * np.abs(nominal))
     return [dict(zip(problem.names, np.maximum(each, lower).tolist(), strict=True)) for each in values]
 
@@ -82,14 +94,25 @@ def _motion_in_counts(problem: Problem, u: ArrayLike, parameters: dict[str, floa
 def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     """The covariance (p, p) that `calibrate` will have: `encoder_covariance`, or of white noise, the start unknown.
 
-    None where the run and the prior leave a parameter open.
+    The latter is the mean over the same machines; of the nominal one alone, without stiction, if friction is
+    directional. None where the run and the prior leave a parameter open.
     """
     if is_counted(problem):
         return encoder_covariance(problem, u)
     maps = affine(problem)
-    F = start_free(maps.weighted(u)) + maps.prior
-    scale = np.outer(problem.scale, problem.scale)
-    return None if np.linalg.cond(F) > WORST else np.asarray(np.linalg.inv(F) * scale)
+    F, scale = start_free(maps.weighted(u)) + maps.prior, np.outer(problem.scale, problem.scale)
+    if np.linalg.cond(F) > WORST:
+        return None
+    if problem.drive.friction == "symmetric":
+        return np.asarray(_white_covariance(problem, u, maps.prior) * scale)
+    return np.asarray(np.linalg.inv(F) * scale)
+
+
+def _white_covariance(problem: Problem, u: ArrayLike, prior: Floats) -> Floats:
+    """(p, p) of the scaled parameters, for white noise on simulated machines; prior (p, p)."""
+    weight = float(problem.resolution or 1.0) ** 2 / problem.variance
+    slopes = (_motion_in_counts(problem, u, each)[1] for each in _machines(problem, prior))
+    return np.asarray(np.mean([np.linalg.inv(weight * s @ s.T + _known(prior)) for s in slopes], axis=0))
 
 
 def log_of_room(distance: Floats, half: float) -> Floats:
