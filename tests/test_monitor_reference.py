@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pmfid.errors import UsageError
 from pmfid.estimators.iv import IV
 from pmfid.monitor.calibration import Calibration, calibrate, fit_tail
 from pmfid.monitor.detectors import EDGE, Cusum, statistics
@@ -21,7 +22,15 @@ from pmfid.monitor.scores import Blocks, scores
 from pmfid.monitor.work import learn
 from pmfid.session.monitored.cache import cached_calibration
 from pmfid.session.monitored.setup import calibration_notes
-from pmfid.simulation import CART, CART_CONTROL, CART_DT, Machine, control_machine, resolution_of
+from pmfid.simulation import (
+    CART,
+    CART_CONTROL,
+    CART_DT,
+    Machine,
+    control_machine,
+    make_scenario,
+    resolution_of,
+)
 from studies.monitoring.axis import INCREMENTS, make_riv, random_stop_and_go
 from studies.monitoring.false_alarms import HOLD, count_alarms
 
@@ -198,6 +207,15 @@ def test_the_run_length_is_the_one_asked(name: str) -> None:
 def known_blocks(x: Any) -> Blocks:
     unit = np.broadcast_to(np.eye(3), (len(x), 3, 3))
     return Blocks(x, unit, unit)
+
+
+def test_a_short_record_with_a_change_gives_no_thresholds() -> None:
+    """Units drawn from a few may all be the same one: the threshold was not a number."""
+    run = make_scenario("mass-step", seed=0)
+    theta = np.array([1.25, 12.7, 0.86])
+    estimator = make_riv(4096, theta)
+    with pytest.raises(UsageError, match=r"has 10 units of work in 30 s: .* need 32; record 96 s"):
+        calibrate(estimator, theta, run.motion.u, run.counts, hours=1.0)
 
 
 def test_what_is_off_all_the_time_is_normal() -> None:

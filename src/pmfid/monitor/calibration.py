@@ -57,6 +57,8 @@ MOST_COUNTS = 2.0**53
 LEAST_BLOCKS = 200
 #: Blocks that a record of normal work must have: the scatter of fewer says nothing of its noise.
 LEAST_RECORD_BLOCKS = 8
+#: Units of work in the record whose scatter gives thresholds: each quarter needs a scatter of its own.
+LEAST_UNITS = PARTS * LEAST_RECORD_BLOCKS
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,7 @@ def _learned(plain: Calibration, estimator: Estimator, u: Floats, counts: Counts
     record_hours = len(blocks.score) * block_samples(estimator) * estimator.dt / 3600
     found = replace(plain, work=work, record_hours=record_hours)
     x, w = found.deviations(blocks)
+    _check_units(len(x), u.size * estimator.dt)
     found = replace(found, chi_square=_precision(ChiSquare(UNIT_KEEP), x[None], w[None]))
     rng, unit_time, length = np.random.default_rng(seed), 3600 * record_hours / len(x), piece_length(x)
     size = math.ceil(RESAMPLED * plain.hours * 3600 / unit_time / RUNS)
@@ -192,6 +195,16 @@ def _learned(plain: Calibration, estimator: Estimator, u: Floats, counts: Counts
         for name, tail in whole.items()
     }
     return replace(found, tails=tails)
+
+
+def _check_units(units: int, time: float) -> None:
+    if units < LEAST_UNITS:
+        enough = LEAST_UNITS / max(units, 1) * time
+        raise UsageError(
+            f"the record of normal work is noisier than the encoder explains, and has {units} units of work in "
+            f"{time:.3g} s: thresholds from its scatter need {LEAST_UNITS}; record {enough:.3g} s or more, without a "
+            "change of the machine"
+        )
 
 
 def _tails(detectors: dict[str, Detector], x: Floats, w: Floats, block_time: float, top: int = TAIL) -> dict[str, Tail]:

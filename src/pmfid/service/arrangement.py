@@ -70,7 +70,7 @@ def _stamp(path: Path, axis: Axis) -> str:
     """What changes when the configuration does, or the record that it names."""
     reference = axis.monitor.reference
     status = None if reference is None else (path.parent / reference).stat()
-    return f"{axis.model_dump_json()} {status and (status.st_size, status.st_mtime_ns, status.st_ino)}"
+    return f"{axis.model_dump_json(warnings=False)} {status and (status.st_size, status.st_mtime_ns, status.st_ino)}"
 
 
 def arranged(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: Pace) -> tuple[list[Group], list[str]]:

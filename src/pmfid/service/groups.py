@@ -47,7 +47,7 @@ def prepare(
     where it was read already. Raises UsageError or NotIdentifiableError as `set_up` does."""
     axis = load_axis(path) if given is None else given
     setup = set_up(axis, path.parent, record, progress)
-    digest = sha256(f"{axis.model_dump_json()} {setup.path.name} {setup.nominal.tolist()}".encode())
+    digest = sha256(f"{axis.model_dump_json(warnings=False)} {setup.path.name} {setup.nominal.tolist()}".encode())
     return Prepared(path, axis, setup, digest.hexdigest())
 
 
