@@ -256,11 +256,6 @@ def test_no_drive_is_refused() -> None:
         searched(made(), model=equation)
 
 
-def test_a_lag_that_is_to_be_found_is_refused_with_the_way() -> None:
-    with pytest.raises(pmfid.UsageError, match="pmfid identify finds it"):
-        searched(made(samples=1800), model=pmfid.Drive(GAIN, lag="estimate"))
-
-
 @pytest.mark.parametrize("periods", [{"turn": 0.0}, {"pitch": -1.0}, {"friction_period": np.nan}])
 def test_a_period_that_is_none_is_refused(periods: dict[str, float]) -> None:
     with pytest.raises(pmfid.UsageError, match="must be a length above 0"):

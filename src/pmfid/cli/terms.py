@@ -77,11 +77,11 @@ def _print(found: TermSearch, out: Path | None) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from pmfid.report.terms import hidden_rows, model_rows, step_rows
+    from pmfid.report.terms import hidden_rows, model_rows, term_rows
 
     console = Console()
-    rows = (model_rows(found), step_rows(found), hidden_rows(found))
-    for title, (header, cells) in zip(("models", "terms that were tried", "not seen below"), rows, strict=True):
+    rows = (model_rows(found), term_rows(found), hidden_rows(found))
+    for title, (header, cells) in zip(("models", "terms", "not seen below"), rows, strict=True):
         if not cells:
             continue
         table = Table(title=escape(printable(f"{found.name}: {title}")))

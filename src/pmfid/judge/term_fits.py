@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.configuration import changed, like
 from pmfid.estimators.difference import Difference, first_speed, least, rms
+from pmfid.estimators.instruments import Instruments
 from pmfid.estimators.interval import IntervalML
-from pmfid.estimators.iv import IV
 from pmfid.estimators.lacks import Change
 from pmfid.estimators.likelihood import GIVEN_AWAY, NOISE_FLOOR, SHRINKING, Best, climb, log_likelihood
 from pmfid.estimators.output_error import HOPELESS, OE
@@ -25,7 +25,7 @@ from pmfid.judge.term_periods import APART, HUNDRED, apart, candidates, pitched
 from pmfid.judge.term_periods import FEWEST as FEWEST_PITCHES
 from pmfid.judge.term_trials import Trial, carried
 from pmfid.models.drive import Drive, EquationModel
-from pmfid.models.equation import ESTIMATE
+from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, LATE, Equation
 from pmfid.types import Floats
 
 #: Parts of a sample in which the motions of a search are simulated at most: with 2 the likelihoods of a cart under a
@@ -59,10 +59,9 @@ class Bench:
 
     def first(self, model: Drive) -> Trial:
         """Begun with instrumental variables. Raises NotIdentifiableError."""
-        method = like(IntervalML, self.method, model=model)
         if model.equation.searched:
-            best = method.best(self.u, self.counts)
-            return Trial(model, method, best, log_likelihood(best, method.cutoff))
+            return self.further(self.first(changed(model, {"stribeck": None})), {"stribeck": model.stribeck})
+        method = like(IntervalML, self.method, model=model)
         difference, q, status = method.followed(self.u, self.counts)
         return trial_of(method, model, difference, q, status)
 
@@ -93,11 +92,17 @@ class Bench:
             if likely > trial.log_likelihood
         ][:MOST_PITCHES]
 
+    def promised(self, trial: Trial) -> list[float]:
+        """Pitches [unit of y] of cogging forces at the peaks of the scans, not fitted."""
+        travel = float(np.ptp(trial.difference.y))
+        return [travel / number for number in candidates(self.method, self.u, self.counts, trial.best)]
+
     def _pitched(self, model: Drive, trial: Trial) -> tuple[float, float]:
         """Log-likelihood of a model at least squares, its pitch included, and that pitch [unit of y]: of motions that
         are alike behind the high-pass the edges of the counts tell which."""
         method = like(IntervalML, self.method, model=model)
-        difference, q = _behind(method, self._by_places(model, trial.theta), trial.difference)
+        theta = carried(trial.model.equation, trial.theta, model.equation)
+        difference, q = _behind(method, self._by_places(model, theta), trial.difference)
         behind = pitched(replace(difference, parts=1), model)
         q = least(behind, np.r_[read_start(difference, q, method.cutoff), behind.number / HUNDRED], [COARSELY])
         best, direct = Best(behind, q, q, None), replace(behind, pole=0.0)
@@ -123,14 +128,14 @@ class Bench:
 
     def _by_places(self, model: Drive, theta: Floats) -> Floats:
         """Parameters (p,) by instrumental variables, which read the place from the counts: the motion of a model
-        without a force that comes again along the travel may be a period off. theta (p,): of one where they settle
-        nowhere, and what they do not find."""
-        known = changed(model, {"stribeck": None}) if model.stribeck == ESTIMATE else model
-        equation, own = known.equation, model.equation
-        fit = like(IV, self.method, model=known).fit(self.u, self.counts)
-        start = carried(equation, fit.theta, own)
-        further = len(own.further)
-        return np.r_[start[: len(own.names)], theta[theta.size - further :]] if further else start
+        without a force that comes again along the travel may be a period off. theta (p,): of the model, for what they
+        do not find."""
+        own, late = model.equation, dict.fromkeys((DEAD_TIME, LAG), 0.0) | _late_of(model.equation, theta)
+        given = {key: late[key] for key in (DEAD_TIME, LAG) if getattr(model, key) == ESTIMATE}
+        known = changed(model, given | ({"stribeck": None} if model.stribeck == ESTIMATE else {}))
+        found = like(Instruments, self.method, model=known).settled(self.u, self.counts)[1]
+        start = np.r_[carried(known.equation, found, own)[: len(own.names)], theta[len(own.names) :]]
+        return _late_by(own, start, late[DEAD_TIME], late[LAG])
 
     def fitted(self, model: Drive, trial: Trial) -> Trial:
         """A model begun at the parameters of another; of several starts the likeliest, and the first that explains
@@ -152,10 +157,10 @@ class Bench:
         """Parameters (p,) to begin with, and a trial whose motion starts alike: those of another model, and where it
         has no Stribeck speed, several."""
         equation, before = model.equation, trial.model.equation
-        theta, linear = carried(before, trial.theta, equation), len(equation.names)
-        if model.lag == ESTIMATE and trial.model.lag != ESTIMATE:
-            for part in LAGS:
-                yield np.r_[theta[:linear], part * trial.method.dt, theta[linear + 1 :]], trial
+        theta = carried(before, trial.theta, equation)
+        if late := _lates(model, trial):
+            for dead, lag in late:
+                yield _late_by(equation, theta, dead, lag), trial
             return
         if model.stribeck != ESTIMATE or trial.model.stribeck == ESTIMATE:
             yield theta, trial
@@ -198,17 +203,21 @@ class Bench:
                 break
         return found
 
-    def by_chance(self, trial: Trial) -> float:
-        """The error that `elsewhere` would have if the model were right: that of its own motion through this encoder,
-        over parts of the record. Their starts are read through it, and that may be most of an error."""
-        x, resolution = trial.difference.motion(trial.best.q)[0], trial.difference.resolution
-        return self._over_parts(trial, resolution * (np.floor(x / resolution) + 0.5))
+    def settled(self, trial: Trial) -> Trial:
+        """The same, of a model within the counts, simulated as finely as they ask for, to the last step."""
+        best = trial.best
+        if best.noise is None:
+            return trial
+        difference = best.difference.fine_at(trial.theta)
+        _, q, noise = climb(difference, best.q, None)
+        found = replace(best, difference=difference, q=q, noise=noise)
+        return replace(trial, best=found, log_likelihood=log_likelihood(found, trial.method.cutoff))
 
     def elsewhere(self, trial: Trial) -> float:
         """Error of free runs over what a model was not fitted to [unit of y]: another record, or thirds of this one
         with what the others say of the model. Infinite where there is no run."""
         if self.other is None:
-            return self._over_parts(trial, trial.difference.y)
+            return self._over_parts(trial)
         equation = trial.model.equation
         linear = EquationModel(equation.known_at(trial.theta[len(equation.names) :]))
         method, theta = like(OE, trial.method, model=linear), trial.theta[: len(equation.names)]
@@ -216,15 +225,43 @@ class Bench:
             return drive_run(method, theta, *self.other, "the other record").rmse
         return math.inf
 
-    def _over_parts(self, trial: Trial, y: Floats) -> float:
+    def _over_parts(self, trial: Trial) -> float:
         equation, n = trial.model.equation, self.u.size
         known = equation.known_at(trial.theta[len(equation.names) :])
         method = like(IntervalML, trial.method, model=EquationModel(known))
         theta = trial.theta[: len(equation.names)]
-        difference = replace(method.at(theta, trial.difference.u, y), parts=1)
+        difference = replace(method.at(theta, trial.difference.u, trial.difference.y), parts=1)
         scaled = np.maximum(theta / difference.scale[:-2], difference.lower[:-2])
         length = max(shortest_part(method), n * (FOLDS - 1) // FOLDS // WINDOWS)
         return predicted_elsewhere(difference, scaled, method.cutoff, length)
+
+
+def _lates(model: Drive, trial: Trial) -> list[tuple[float, float]]:
+    """Dead times and lags [s] to start from, where the model has another choice of the two than the trial before."""
+    own, before = ([one.dead_time == ESTIMATE, one.lag == ESTIMATE] for one in (model, trial.model))
+    if own == before or not any(own) or (own == [True, False] and not any(before)):
+        return []
+    total, dt = sum(_late_of(trial.model.equation, trial.theta).values()), trial.method.dt
+    times = [total] if any(before) and total > 0 else [part * dt for part in LAGS]
+    shares = [(1.0, 0.1), (0.5, 0.5), (0.1, 1.0)] if all(own) else [(float(own[0]), float(own[1]))]
+    return [(dead * time, lag * time) for time in times for dead, lag in shares]
+
+
+def _late_of(equation: Equation, theta: Floats) -> dict[str, float]:
+    """Dead time and lag [s] by name, those that are parameters, of theta (p,)."""
+    values = dict(zip((*equation.names, *dict(equation.further)), theta.tolist(), strict=True))
+    return {key: values[key] for key in (DEAD_TIME, LAG) if key in values}
+
+
+def _late_by(equation: Equation, theta: Floats, dead: float, lag: float) -> Floats:
+    """theta (p,) with another dead time and lag [s], where the equation has them."""
+    found, linear = theta.copy(), len(equation.names)
+    index = equation.roles[LATE]
+    if index is not None:
+        found[index] = dead
+    if equation.lag == ESTIMATE:
+        found[linear] = lag
+    return found
 
 
 def _different(found: Sequence[tuple[float, float]], travel: float) -> list[tuple[float, float]]:
@@ -257,7 +294,9 @@ def _followed(method: IntervalML, theta: Floats, record: Difference) -> tuple[Di
     """The difference of a record as `Following.followed` has it, and its least squares from theta (p,), roughly: of
     many models all but one are to be thrown away."""
     behind, q = _behind(method, theta, record)
-    q, direct = least_begun(behind, q, method.cutoff, [ROUGHLY]), replace(behind, pole=0.0)
+    placed = any(not term.shape.of_speed for term in behind.equation.shaped if term.shape)
+    q = least_begun(behind, q, method.cutoff, [ROUGHLY]) if placed else least(behind, q, [ROUGHLY])
+    direct = replace(behind, pole=0.0)
     if rms(behind(q)) > HOPELESS * direct.explained:
         return behind, q
     closer = least(direct, q, [ROUGHLY])

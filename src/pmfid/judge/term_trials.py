@@ -84,7 +84,8 @@ def inflation(before: Trial, after: Trial) -> float:
 def known_shapes(best: Best) -> Best:
     """The same motion as that of an equation whose shape parameters are known."""
     difference, q = best.difference, best.q
-    p, equation = len(difference.equation.names), difference.equation.known_at((q * difference.scale)[:-2])
+    p = len(difference.equation.names)
+    equation = difference.equation.known_at((q * difference.scale)[p:-2])
     keep = np.r_[0:p, q.size - 2 : q.size]
     linear = replace(difference, equation=equation, scale=difference.scale[keep])
     return replace(best, difference=linear, least=best.least[keep], q=q[keep])

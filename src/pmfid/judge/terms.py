@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
 
@@ -19,19 +19,21 @@ import numpy as np
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import MISSED, NEARLY, Adequacy
 from pmfid.estimators.configuration import changed
-from pmfid.estimators.lacks import Change, Place
+from pmfid.estimators.lacks import DIRECTIONAL, Change, Place, setting
 from pmfid.judge.term_fits import Bench
 from pmfid.judge.term_periods import pitches
 from pmfid.judge.term_trials import Trial, inflation
 from pmfid.models.drive import Drive
-from pmfid.models.equation import ESTIMATE
+from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG
 
 #: Where the model does not explain every count, its scores scatter for what it lacks: these are worth a trial then.
 WEAK = 1.0
 #: What the score of a force cannot tell from it: a lag is a dead time to first order.
 OTHERWISE: Mapping[str, tuple[Change, ...]] = MappingProxyType({"dead_time": ({"lag": ESTIMATE},)})
 #: Terms that are fitted in each step where none explains every count, and steps.
-MOST_TRIED, MOST_STEPS = 4, 6
+MOST_TRIED, MOST_STEPS = 4, 8
+#: Pitches that are tried together with another term where no single one suffices.
+MOST_PAIRED = 2
 #: Candidates that chance has in each step, about, beside places and pitches.
 USUAL = 8
 #: A gain that every further parameter of a term has to bring.
@@ -40,10 +42,8 @@ PER_PARAMETER = 4.0
 ALIKE = 9.0
 #: A pitch that explains more than this part of what the best one explains leaves open which it is.
 HARDLY = 0.5
-#: Free runs over other parts may be worse by this part: they are a matter of chance, too.
-NO_WORSE = 0.02
-#: Free runs whose error is within so many times that of a right model refute none.
-CHANCE = 1.5
+#: Free runs over other parts are worse from this part on: below is what the last steps of a fit leave.
+NO_WORSE = 0.002
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ class Candidate:
 @dataclass(frozen=True)
 class Step:
     """One candidate, fitted on top of a model. gain: doubled gain of the log-likelihood over what chance makes of it,
-    so that a parameter of no use brings 1; needed: the gain from which on it counts; error: of free runs over other
-    parts of the record [unit of y]; verdict: "kept", "either" or the reason why not."""
+    so that a parameter of no use brings 1; needed: the gain from which on it counts; error, without: of free runs over
+    other parts of the record with it and without it [unit of y]; verdict: "kept", "either" or the reason why not."""
 
     candidate: Candidate
     trial: Trial | None
@@ -79,6 +79,7 @@ class Step:
     needed: float
     error: float
     verdict: str
+    without: float = math.inf
 
     @property
     def kept(self) -> bool:
@@ -101,17 +102,20 @@ class Step:
 
 
 KEPT, EITHER, DROPPED, LESS = "kept", "either", "superfluous", "explains less"
+WORSE = "predicts other parts worse"
 UNCLEAR = "its pitch is unclear: give it"
 
 
 @dataclass(frozen=True)
 class Terms:
     """The search: trials, from the model to begin with to the chosen one, their errors of free runs over other parts of
-    the record [unit of y], all candidates that were fitted in each step, and what the last model may still lack."""
+    the record [unit of y], all candidates that were fitted in each step, the chosen model without each of the terms
+    that were added, and what it may still lack."""
 
     trials: tuple[Trial, ...]
     errors: tuple[float, ...]
     steps: tuple[tuple[Step, ...], ...]
+    without: tuple[Step, ...]
     adequacy: Adequacy
 
     @property
@@ -161,61 +165,214 @@ def search(
     """From the model upwards. places: what may come again along the travel, too; scan: look for the pitch of a cogging
     force. Raises NotIdentifiableError where not even the model to begin with has a fit."""
     looking = scan and model.cogging is None and all(place.key != "cogging" for place in places)
-    trials, steps = [bench.first(model)], list[tuple[Step, ...]]()
-    errors = [bench.elsewhere(trials[0])]
-    for _ in range(MOST_STEPS):
-        tried = _tried(bench, trials[-1], errors[-1], places, looking, steps)
-        steps.append(tried)
-        best = next((step for step in tried if step.kept), None)
-        if best is None or best.trial is None:
-            break
-        trials.append(best.trial)
-        errors.append(best.error)
-        if done is not None:
-            done(len(trials) / MOST_STEPS)
-    trials, errors, dropped = _without_superfluous(bench, trials, errors, steps)
-    steps += [dropped] if dropped else []
-    return Terms(tuple(trials), tuple(errors), tuple(steps), trials[-1].weighed(places))
+    first = bench.first(model)
+    return _Search(
+        bench, tuple(places), looking, [first], [bench.elsewhere(first)], done or (lambda part: None)
+    ).found()
 
 
-def _tried(
-    bench: Bench,
-    trial: Trial,
-    error: float,
-    places: Sequence[Place],
-    looking: bool,
-    steps: Sequence[tuple[Step, ...]],
-) -> tuple[Step, ...]:
-    """What is missing in a model, fitted, with a verdict on each; the best first."""
-    number = USUAL + len(places)
-    candidates = proposed(trial, trial.weighed(places))
-    if looking and trial.model.cogging is None:
-        number += pitches(trial.best).size
-        candidates = sorted([*candidates, *_scanned(bench, trial)], key=lambda one: -one.explains)
-    again = () if trial.best.clean else _again(trial, steps, candidates)
-    fitted = list[Step]()
-    for candidate in (*candidates[:MOST_TRIED], *again):
-        if candidate.scanned and any(step.candidate.scanned and step.explains_all for step in fitted):
-            continue  # the pitch is known
-        near = candidate.explains >= NEARLY * candidates[0].explains if candidates else False
-        if not near and any(step.trial and step.trial.best.clean and step.gain > step.needed for step in fitted):
-            break
-        fitted.append(_fitted(bench, trial, candidate, number))
-    fitted.sort(key=lambda step: step.size, reverse=True)
-    return tuple(_judged(bench, error, fitted))
+@dataclass
+class _Search:
+    """A search under way: trials and their errors as in `Terms`; done: called with the part of the work."""
 
+    bench: Bench
+    places: tuple[Place, ...]
+    looking: bool
+    trials: list[Trial]
+    errors: list[float]
+    done: Callable[[float], None]
+    steps: list[tuple[Step, ...]] = field(default_factory=list)
 
-def _scanned(bench: Bench, trial: Trial) -> list[Candidate]:
-    """Cogging forces of the pitches that scans end at."""
-    found = []
-    for gain, pitch in bench.pitches(trial):
-        place = Place("cogging", pitch)
-        seen = trial.weighed([place])
-        z = max(
-            (float(abs(z)) for lack, z in zip(seen.lacks, seen.z, strict=True) if lack.name == place.key), default=0.0
+    def found(self) -> Terms:
+        """A term more in each step, and less where others have made it superfluous."""
+        seen, without = list[Drive](), tuple[Step, ...]()
+        while len(self.steps) < MOST_STEPS and self.trials[-1].model not in seen:
+            seen.append(self.trials[-1].model)
+            tried = self._tried()
+            self.steps.append(tried)
+            best = next((step for step in tried if step.kept), None)
+            if best is None or best.trial is None:
+                break
+            self._take(best.trial, best.error)
+            without = self._without_superfluous()
+        self.trials[-1] = self.bench.settled(self.trials[-1])
+        self.done(1.0)
+        adequacy = self.trials[-1].weighed(self.places)
+        return self._decided(Terms(tuple(self.trials), tuple(self.errors), tuple(self.steps), without, adequacy))
+
+    def _decided(self, found: Terms) -> Terms:
+        """The same without terms that explained as much as one that was kept when others were still missing, and that
+        explain less in its place now."""
+        less = [other for kept, other in found.either if self._is_less(found.chosen, kept.candidate, other.candidate)]
+        steps = (
+            tuple(replace(step, verdict=LESS) if any(step is one for one in less) else step for step in tried)
+            for tried in found.steps
         )
-        found.append(Candidate({place.key: pitch}, place.says, z, 1.0, gain, gain, True))
-    return found
+        return replace(found, steps=tuple(steps))
+
+    def _is_less(self, chosen: Trial, kept: Candidate, other: Candidate) -> bool:
+        first = self.trials[0].model
+        change = {key: getattr(first, key) for key in kept.change} | dict(other.change)
+        try:
+            swapped = self.bench.fitted(changed(chosen.model, change), chosen)
+        except (NotIdentifiableError, UsageError):
+            return True
+        return 2 * (chosen.log_likelihood - swapped.log_likelihood) / kept.inflation >= ALIKE
+
+    def _take(self, trial: Trial, error: float) -> None:
+        self.trials.append(trial)
+        self.errors.append(error)
+
+    def _tried(self) -> tuple[Step, ...]:
+        """What is missing in a model, fitted, with a verdict on each; the best first."""
+        trial = self.trials[-1]
+        number = USUAL + len(self.places)
+        candidates = proposed(trial, trial.weighed(self.places))
+        looking = self.looking and trial.model.cogging is None and not trial.best.clean
+        number += pitches(trial.best).size if looking else 0
+        again = () if trial.best.clean else (*_otherwise_late(trial), *_again(trial, self.steps, candidates))
+        judged = self._judged(self._fitted(trial, candidates[:MOST_TRIED], again, number))
+        if looking and not any(step.kept for step in judged):
+            judged = self._judged([*judged, *self._fitted(trial, self._scanned(trial), (), number)])
+        if trial.best.clean or any(step.kept for step in judged):
+            return tuple(judged)
+        return (*judged, *self._judged(self._pairs(trial, judged, number)))
+
+    def _fitted(
+        self, trial: Trial, candidates: Sequence[Candidate], again: Sequence[Candidate], number: int
+    ) -> list[Step]:
+        """Candidates, the best first, and others whose score says nothing; those that promise much less than the first
+        only where nothing explains every count."""
+        fitted = list[Step]()
+        for candidate in (*candidates, *again):
+            known = any(step.explains_all and step.gain > step.needed for step in fitted)
+            near = candidate in candidates and candidate.explains >= NEARLY * candidates[0].explains
+            if known and (candidate.scanned or not near):
+                break
+            fitted.append(_fitted(self.bench, trial, candidate, number))
+            self.done((len(self.steps) + len(fitted) / (len(candidates) + len(again) + 1)) / (MOST_STEPS + 1))
+        return fitted
+
+    def _pairs(self, trial: Trial, tried: Sequence[Step], number: int) -> list[Step]:
+        """Two terms at once, where no single one suffices: the two that explain most alone, and the first of them with
+        a force along the travel, whose own fit may go astray while the other is missing."""
+        best = [step.candidate for step in tried if step.trial is not None][:2]
+        looking = self.looking and trial.model.cogging is None
+        pairs = [tuple(best)] if len(best) == 2 else []
+        pairs += [(best[0], along) for along in self._promised(trial)] if looking and best else []
+        fitted = list[Step]()
+        for one, other in pairs:
+            change = {**one.change, **other.change}
+            if other.change.items() <= change.items() and one.change.items() <= change.items():
+                both = replace(one, change=change, says=f"{one.says}, and {other.says}", scanned="cogging" in change)
+                fitted.append(_fitted(self.bench, trial, replace(both, elsewhere=math.inf), number**2))
+            if fitted and fitted[-1].explains_all:
+                break
+        return fitted
+
+    def _promised(self, trial: Trial) -> list[Candidate]:
+        """Cogging forces at the peaks of the scans."""
+        places = [Place("cogging", pitch) for pitch in self.bench.promised(trial)[:MOST_PAIRED]]
+        return [Candidate({one.key: one.period}, one.says, 0.0, 1.0, 0.0, math.inf, True) for one in places]
+
+    def _scanned(self, trial: Trial) -> list[Candidate]:
+        """Cogging forces of the pitches that scans end at."""
+        found = []
+        for gain, pitch in self.bench.pitches(trial):
+            place = Place("cogging", pitch)
+            seen = trial.weighed([place])
+            scores = [abs(z) for lack, z in zip(seen.lacks, seen.z, strict=True) if lack.name == place.key]
+            z = float(max(scores, default=0.0))
+            found.append(Candidate({place.key: pitch}, place.says, z, 1.0, gain, gain, True))
+        return found
+
+    def _judged(self, found: Sequence[Step]) -> list[Step]:
+        """The first that is beyond chance and predicts other parts no worse is kept."""
+        judged, kept, error = list[Step](), None, self.errors[-1]
+        for step in _simplest_first(found):
+            if step.trial is None or (reason := against(step, found)):
+                judged.append(step if step.trial is None else replace(step, verdict=reason, without=error))
+                continue
+            own = step.error if math.isfinite(step.error) else self.bench.elsewhere(step.trial)
+            verdict = WORSE if is_worse(own, error) else _next_to(step, kept) if kept else KEPT
+            judged.append(replace(step, error=own, verdict=verdict, without=error))
+            kept = judged[-1] if judged[-1].kept else kept
+        return judged
+
+    def _without_superfluous(self) -> tuple[Step, ...]:
+        """The chosen model without each of the terms that were added; goes on to one of these models where the loss is
+        one of chance, or the term worsens the prediction of other parts."""
+        first = self.trials[0].model
+        while True:
+            tried = [self._removed(change) for change in removable(first, self.trials[-1].model)]
+            gone = [step for step in tried if step.verdict == DROPPED and step.trial is not None]
+            if not gone:
+                return tuple(tried)
+            least = min(gone, key=lambda step: step.gain)
+            self.steps.append((least,))
+            if least.trial is not None:
+                self._take(least.trial, least.without)
+
+    def _removed(self, change: Change) -> Step:
+        whole, first = self.trials[-1], self.trials[0].model
+        own = {key: getattr(whole.model, key) for key in change}
+        candidate = Candidate(own, " and ".join(setting(*pair) for pair in own.items()), 0.0, 1.0, 0.0, math.inf)
+        try:
+            found = self.bench.fitted(changed(whole.model, {key: getattr(first, key) for key in change}), whole)
+        except (NotIdentifiableError, UsageError):  # nothing follows the record without it
+            return Step(candidate, None, math.inf, 0.0, self.errors[-1], KEPT)
+        candidate = replace(candidate, inflation=inflation(found, whole))
+        needed, loss = _needed(whole, found, USUAL + len(self.places)), _gain(whole, found, candidate)
+        error = self.bench.elsewhere(found)
+        gone = loss < needed or is_worse(self.errors[-1], error)
+        return Step(candidate, found, loss, needed, self.errors[-1], DROPPED if gone else KEPT, error)
+
+
+def is_worse(error: float, before: float) -> bool:
+    """Is an error of free runs larger than that of the model without a term?"""
+    return error > (1 + NO_WORSE) * before
+
+
+def removable(first: Drive, last: Drive) -> list[Change]:
+    """Each change by itself of those that lead from one model to another."""
+    found = changed_fields(first, last)
+    together = {"friction": DIRECTIONAL}
+    return [dict(together.get(key, {key: value})) for key, value in found.items() if key != "offset" or last.offset]
+
+
+def _next_to(step: Step, kept: Step) -> str:
+    """What is said of a term next to the one that is kept."""
+    return EITHER if _behind(step, kept) < ALIKE and not _within(kept, step) else LESS
+
+
+def _behind(step: Step, best: Step) -> float:
+    """By how much a term explains less than the best, in units of chance."""
+    if step.trial is None or best.trial is None:
+        return math.inf
+    return 2 * (best.trial.log_likelihood - step.trial.log_likelihood) / best.candidate.inflation
+
+
+def _simplest_first(found: Sequence[Step]) -> list[Step]:
+    """The best first, but for one that has fewer parameters, is a part of it, and explains as much but for chance."""
+    ordered = sorted(found, key=lambda step: step.size, reverse=True)
+    for step in ordered[1:]:
+        if _within(step, ordered[0]) and _behind(step, ordered[0]) < ALIKE + PER_PARAMETER:
+            return [step, *(one for one in ordered if one is not step)]
+    return ordered
+
+
+def _within(step: Step, other: Step) -> bool:
+    """Is a term the special case of another? A load is one of directional friction."""
+    return step.candidate.key == "offset" and other.candidate.key == "friction"
+
+
+def _otherwise_late(trial: Trial) -> list[Candidate]:
+    """A lag next to a dead time, and a dead time next to a lag: no score tells them apart, likelihoods do."""
+    keys = [key for key in (DEAD_TIME, LAG) if getattr(trial.model, key) == ESTIMATE]
+    if len(keys) != 1:
+        return []
+    other = LAG if keys == [DEAD_TIME] else DEAD_TIME
+    return [Candidate({other: ESTIMATE}, "a dead time and a lag of the input", 0.0, 1.0, 0.0, math.inf)]
 
 
 def _again(trial: Trial, steps: Sequence[tuple[Step, ...]], candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
@@ -260,37 +417,20 @@ def _gain(trial: Trial, before: Trial, candidate: Candidate) -> float:
     return 2 * (trial.log_likelihood - before.log_likelihood) / candidate.inflation
 
 
+def _needed(found: Trial, before: Trial, number: int) -> float:
+    return MISSED**2 + 2 * math.log(number) + PER_PARAMETER * (found.parameters - before.parameters - 1)
+
+
 def _fitted(bench: Bench, trial: Trial, candidate: Candidate, number: int) -> Step:
     try:
         found = bench.further(trial, candidate.change)
         if candidate.scanned:
             found = bench.tuned(found)
-            candidate = replace(candidate, change={candidate.key: found.model.cogging})
+            candidate = replace(candidate, change={**candidate.change, "cogging": found.model.cogging})
     except (NotIdentifiableError, UsageError):  # or the model has no room for both
         return Step(candidate, None, 0.0, math.inf, math.inf, "no fit")
-    further = found.parameters - trial.parameters
-    needed = MISSED**2 + 2 * math.log(number) + PER_PARAMETER * (further - 1)
     candidate = replace(candidate, inflation=inflation(trial, found))
-    return Step(candidate, found, _gain(found, trial, candidate), needed, math.inf, "")
-
-
-def _judged(bench: Bench, error: float, found: Sequence[Step]) -> list[Step]:
-    """The first that is beyond chance and predicts other parts no worse is kept."""
-    judged, kept = list[Step](), None
-    for step in found:
-        if step.trial is None or (reason := against(step, found)):
-            judged.append(step if step.trial is None else replace(step, verdict=reason))
-            continue
-        if kept is not None and kept.trial is not None:
-            behind = 2 * (kept.trial.log_likelihood - step.trial.log_likelihood) / kept.candidate.inflation
-            judged.append(replace(step, verdict=EITHER if behind < ALIKE else LESS))
-            continue
-        own = bench.elsewhere(step.trial)
-        worse = own > (1 + NO_WORSE) * error and own > CHANCE * bench.by_chance(step.trial)
-        step = replace(step, error=own, verdict="predicts other parts worse" if worse else KEPT)
-        kept = step if step.kept else kept
-        judged.append(step)
-    return judged
+    return Step(candidate, found, _gain(found, trial, candidate), _needed(found, trial, number), math.inf, "")
 
 
 def against(step: Step, found: Sequence[Step]) -> str:
@@ -309,22 +449,3 @@ def is_unclear(step: Step, found: Sequence[Step]) -> bool:
     own = step.candidate
     others = [one for one in found if one.candidate.key == own.key == "cogging" and one.candidate.change != own.change]
     return any(one.trial and one.size > HARDLY * step.size for one in others)
-
-
-def _without_superfluous(
-    bench: Bench, trials: list[Trial], errors: list[float], steps: Sequence[tuple[Step, ...]]
-) -> tuple[list[Trial], list[float], tuple[Step, ...]]:
-    kept = [step for tried in steps for step in tried if step.kept]
-    dropped = []
-    for step in kept:
-        whole, first = trials[-1], trials[0].model
-        model = changed(whole.model, {key: getattr(first, key) for key in step.candidate.change})
-        try:
-            without = bench.fitted(model, whole)
-        except (NotIdentifiableError, UsageError):
-            continue
-        loss = 2 * (whole.log_likelihood - without.log_likelihood) / step.candidate.inflation
-        if loss < step.needed:
-            trials, errors = [*trials, without], [*errors, bench.elsewhere(without)]
-            dropped.append(replace(step, trial=without, gain=loss, verdict=DROPPED, error=errors[-1]))
-    return trials, errors, tuple(dropped)

@@ -37,6 +37,8 @@ def write_terms(out: Path, found: TermSearch) -> None:
     write_json(out / "terms.json", found.to_json())
     text = "\n\n".join([found.sentence, *(f"Note: {note}." for note in found.notes)])
     sections = [Section("Models", text, model_rows(found)), Section("For AXIS.toml", code="\n".join(found.lines))]
+    if found.weighed:
+        sections.append(Section("Terms", TERMS, term_rows(found)))
     if any(model.balance is not None and model.balance.friction is not None for model in found.models):
         says = "What the record says, means over bins with their standard errors, and the friction of each model."
         sections.append(Section("Friction over velocity", says, svg=svg(friction_figure(found))))
@@ -46,6 +48,10 @@ def write_terms(out: Path, found: TermSearch) -> None:
     write_report(out / "terms.html", f"{found.name}: terms of the drive", sections)
 
 
+TERMS = (
+    "Values with their standard errors. Held out: error of free runs over data that the models were not fitted to, "
+    "with the term and without it."
+)
 STEPS = (
     "gain: of the log-likelihood, doubled, over what chance makes of it; a term counts from the gain needed on. "
     "held out: error of free runs over data that the model was not fitted to."
@@ -75,6 +81,26 @@ def _value(model: Nested, roles: tuple[int, ...]) -> str:
     indices = dict.fromkeys(index for index in (equation.roles[role] for role in roles) if index is not None)
     bars = None if model.fit is None else model.fit.theta_std
     return ", ".join(f"{model.trial.theta[i]:.4g}" + ("" if bars is None else f" ± {bars[i]:.2g}") for i in indices)
+
+
+def term_rows(found: TermSearch) -> Rows:
+    """Header and a row of text for each term that was fitted: those of the chosen model first."""
+    header = ["set", "value", "kept", "held out with", "without", "verdict"]
+    return header, [
+        [
+            one.setting,
+            ", ".join(_sized(*value) for value in one.values) or "–",
+            "yes" if one.kept else "no",
+            _number(one.with_it),
+            _number(one.without),
+            one.verdict,
+        ]
+        for one in found.weighed
+    ]
+
+
+def _sized(name: str, value: float, bar: float, unit: str) -> str:
+    return f"{name} {value:.4g}" + (f" ± {bar:.2g}" if math.isfinite(bar) else "") + f" {unit}"
 
 
 def step_rows(found: TermSearch) -> Rows:

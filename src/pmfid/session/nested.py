@@ -45,12 +45,13 @@ def nested(bench: Bench, first: Drive, pairs: Sequence[tuple[Trial, float]]) -> 
     balances = [_balance(bench, trial) for trial, _ in pairs]
     shares = [_unexplained(balance, balances[-1], pairs[-1][0]) for balance in balances]
     return tuple(
-        Nested(changed_fields(first, trial.model), trial, _bars(trial), error, balance, share)
+        Nested(changed_fields(first, trial.model), trial, bars(trial), error, balance, share)
         for (trial, error), balance, share in zip(pairs, balances, shares, strict=True)
     )
 
 
-def _bars(trial: Trial) -> Fit | None:
+def bars(trial: Trial) -> Fit | None:
+    """A model with its error bars; None: it has none."""
     try:
         return trial.method.fit_of(trial.best)
     except NotIdentifiableError:
@@ -89,3 +90,7 @@ def spoken(added: Mapping[str, object]) -> str:
     return ", ".join(
         f"{value} {key}" if isinstance(value, str) and value != ESTIMATE else key for key, value in named.items()
     )
+
+
+def finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

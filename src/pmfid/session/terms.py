@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -20,20 +20,23 @@ from pmfid.judge.term_fits import Bench, cutoff_for, shortest_part
 from pmfid.judge.term_trials import known_shapes
 from pmfid.judge.terms import Step, Terms, search
 from pmfid.models.drive import Drive
-from pmfid.models.equation import ESTIMATE
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.drives import Drives, all_known, of_kind
 from pmfid.session.gaps.longest import unbroken
 from pmfid.session.identify import explained
 from pmfid.session.kinds import Progress
 from pmfid.session.known import check_numbers_known
-from pmfid.session.nested import Nested, nested, spoken
+from pmfid.session.nested import Nested, finite, nested, spoken
 from pmfid.session.outliers import believed_of
 from pmfid.session.records import Record
+from pmfid.session.weighed import Weighed, weighed_terms
 from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 
 #: What the flags of `pmfid identify` do not say.
 AMBIGUOUS, UNRESOLVED = "ambiguous_term", "unresolved"
+#: Flags of `pmfid identify` whose advice on [model] the search replaces.
+UNMODELLED, LATE = "unmodelled", "dead_time"
+UNEXPLAINED = "something is left that no term of the list explains on data that it was not fitted to"
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +51,15 @@ class Hidden:
 @dataclass(frozen=True, eq=False, repr=False)
 class TermSearch(Shown):
     """What a search has found. name, samples, resolution [unit of y]: of the record; models: from that to begin with to
-    the chosen one; hidden: terms that are not in it; status, notes: as of a result."""
+    the chosen one; weighed: every term that was fitted, with its size; hidden: terms that are not in it; status, notes:
+    as of a result."""
 
     name: str
     samples: int
     resolution: float
     terms: Terms
     models: tuple[Nested, ...]
+    weighed: tuple[Weighed, ...]
     hidden: tuple[Hidden, ...]
     status: tuple[str, ...]
     notes: tuple[str, ...]
@@ -96,6 +101,7 @@ class TermSearch(Shown):
             "added": self.added,
             "sentence": self.sentence,
             "models": [_model_json(model, self.resolution) for model in self.models],
+            "terms": [one.to_json() for one in self.weighed],
             "steps": [[_step_json(step) for step in tried] for tried in self.terms.steps],
             "hidden": [{"term": one.says, "seen_from": one.size, "unit": one.unit} for one in self.hidden],
             "status": list(self.status),
@@ -132,18 +138,14 @@ def _share(model: Nested) -> str:
     return known if math.isfinite(whole) else "an unknown part"
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
 def _model_json(model: Nested, resolution: float) -> dict[str, object]:
     return {
         "added": model.added,
         "log_likelihood": model.trial.log_likelihood,
-        "held_out": _finite(model.error),
-        "held_out_counts": _finite(model.error / resolution),
-        "unexplained": _finite(model.unexplained[0]),
-        "unexplained_slow": _finite(model.unexplained[1]),
+        "held_out": finite(model.error),
+        "held_out_counts": finite(model.error / resolution),
+        "unexplained": finite(model.unexplained[0]),
+        "unexplained_slow": finite(model.unexplained[1]),
         "parameters": _parameters_json(model),
     }
 
@@ -162,8 +164,8 @@ def _step_json(step: Step) -> dict[str, object]:
         "term": step.candidate.says,
         "score": step.candidate.z,
         "gain": step.gain,
-        "needed": _finite(step.needed),
-        "held_out": _finite(step.error),
+        "needed": finite(step.needed),
+        "held_out": finite(step.error),
         "verdict": step.verdict,
     }
 
@@ -191,9 +193,7 @@ def search_drive(
             "order for the structure of a transfer function"
         )
     check_numbers_known(axis, "pmfid terms")
-    if model.lag == ESTIMATE:
-        raise UsageError("pmfid terms takes a lag that is known: pmfid identify finds it; write its value into [model]")
-    axis = Drives().prepared(data, axis)
+    axis = _fast_enough(data, axis)
     Drives().check(data, axis)
     check_sampling(axis, data.dt)
     known = believed_of(data, axis)
@@ -213,6 +213,14 @@ def round_up(number: float) -> float:
     """To three digits, never down."""
     digit = 10.0 ** (math.floor(math.log10(number)) - 2)
     return math.ceil(number / digit) * digit
+
+
+def _fast_enough(data: Record, axis: Axis) -> Axis:
+    """With a cutoff: where none is given one behind which a part of the record can be predicted."""
+    found, least = Drives().prepared(data, axis), cutoff_for(data.u.size // PARTS, data.dt)
+    if axis.estimator.cutoff is not None or least is None or found.estimator.pole >= least:
+        return found
+    return found.model_copy(update={"estimator": found.estimator.model_copy(update={"cutoff": least})})
 
 
 def _method(model: Drive, data: Record, axis: Axis) -> IntervalML:
@@ -241,10 +249,11 @@ def _told(data: Record, bench: Bench, found: Terms, told: tuple[str, ...], statu
     models = nested(bench, found.trials[0].model, list(pairs))
     judged = _judged(bench, models[-1])
     own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * (not found.adequacy.adequate or bool(found.refused))
-    notes = (*told, *_sentences(found), *texts(judged))
+    notes = tuple(dict.fromkeys((*told, *_sentences(found), *texts(judged))))
     names = tuple(dict.fromkeys((*status, *own, *codes(judged))))
     hidden = tuple(_hidden(found, found.trials[0].model.equation.motion.force))
-    return TermSearch(data.name, int(data.u.size), data.resolution, found, models, hidden, names, notes)
+    weighed = tuple(weighed_terms(found, models[-1].fit))
+    return TermSearch(data.name, int(data.u.size), data.resolution, found, models, weighed, hidden, names, notes)
 
 
 def _judged(bench: Bench, chosen: Nested) -> tuple[Finding, ...]:
@@ -254,7 +263,11 @@ def _judged(bench: Bench, chosen: Nested) -> tuple[Finding, ...]:
         return (Finding("uncertain", "the chosen model has no error bars on this record", "excite it more"),)
     record = Record(bench.u, bench.counts, trial.method.dt, trial.method.encoder.resolution, (), "")
     estimator, u, counts, theta, std = all_known(trial.method, record, chosen.fit.theta, chosen.fit.theta_std)
-    return judge(estimator, u, counts, theta, std, weigh(known_shapes(trial.best)))
+    found = judge(estimator, u, counts, theta, std, weigh(known_shapes(trial.best)))
+    # what to set in [model] the search itself has fitted, and kept or refused
+    return tuple(
+        replace(one, sentence=UNEXPLAINED) if one.code == UNMODELLED else one for one in found if one.code != LATE
+    )
 
 
 def _sentences(found: Terms) -> Iterator[str]:
@@ -265,7 +278,7 @@ def _sentences(found: Terms) -> Iterator[str]:
         own = " and ".join(setting(*pair) for pair in step.candidate.change.items())
         yield f"not {own}, though the score asks for it: {step.verdict}"
     if not found.adequacy.adequate:
-        yield "something is left that no term of the list explains on data that it was not fitted to"
+        yield UNEXPLAINED
 
 
 def _hidden(found: Terms, force: str) -> Iterator[Hidden]:

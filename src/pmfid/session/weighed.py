@@ -1,0 +1,63 @@
+"""The terms of a search one by one: size, error bar, and the prediction of other parts with each and without it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmfid.estimators.configuration import changed
+from pmfid.estimators.lacks import setting
+from pmfid.estimators.results import Fit
+from pmfid.judge.term_trials import Trial
+from pmfid.judge.terms import Step, Terms
+from pmfid.models.drive import Drive
+from pmfid.session.nested import bars, finite
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A term that was fitted. setting: its lines of [model]; values: name, value, standard error and unit of what the
+    model has with it alone, NaN where there is no error bar; kept; with_it, without: errors of free runs over what the
+    models were not fitted to [unit of y], not finite where there is none; verdict."""
+
+    setting: str
+    values: tuple[tuple[str, float, float, str], ...]
+    kept: bool
+    with_it: float
+    without: float
+    verdict: str
+
+    def to_json(self) -> dict[str, object]:
+        values = {name: {"value": value, "std": finite(bar), "unit": unit} for name, value, bar, unit in self.values}
+        held_out = {"held_out_with": finite(self.with_it), "held_out_without": finite(self.without)}
+        return {"set": self.setting, "values": values, "kept": self.kept, **held_out, "verdict": self.verdict}
+
+
+def weighed_terms(found: Terms, fit: Fit | None) -> Iterator[Weighed]:
+    """Each term of the chosen model, with its error bars `fit`, and after them those that were fitted and not kept."""
+    first, last = found.trials[0].model, dict[str, Step]()
+    for step in found.without:
+        yield _weighed(step, first, found.chosen, fit)
+    for step in (step for tried in found.steps for step in tried):
+        if step.trial is not None and not step.kept and not step.candidate.change.items() <= found.added.items():
+            last[_setting(step)] = step
+    for step in last.values():
+        if step.trial is not None:
+            yield _weighed(step, first, step.trial, bars(step.trial))
+
+
+def _setting(step: Step) -> str:
+    return ", ".join(setting(*pair) for pair in step.candidate.change.items())
+
+
+def _weighed(step: Step, first: Drive, trial: Trial, fit: Fit | None) -> Weighed:
+    """first: the model to begin with; trial: one with the term."""
+    equation = trial.model.equation
+    rest = changed(trial.model, {key: getattr(first, key) for key in step.candidate.change}).equation
+    names, units = (*equation.names, *dict(equation.further)), (*equation.units, *dict(equation.further).values())
+    std = np.full(len(names), np.nan) if fit is None else fit.theta_std
+    rows = zip(names, trial.theta.tolist(), std.tolist(), units, strict=True)
+    values = tuple(row for row in rows if row[0] not in {*rest.names, *dict(rest.further)})
+    return Weighed(_setting(step), values, step.kept, step.error, step.without, step.verdict)

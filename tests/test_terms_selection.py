@@ -1,0 +1,221 @@
+"""Which terms a search keeps: a lag next to a dead time, the simpler of two, none that predicts worse, pairs."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid.estimators.interval import IntervalML
+from pmfid.findings import Finding
+from pmfid.judge import terms as rules
+from pmfid.judge.term_fits import Bench
+from pmfid.judge.term_trials import Trial, known_shapes
+from pmfid.judge.terms import is_worse, removable, search
+from pmfid.report.terms import term_rows
+from pmfid.session import terms as session
+from pmfid.session.terms import TermSearch
+from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs
+from studies.term_machines import KINDS, TERMS, kind_of, machine_of, truths
+from tests.test_terms import CUTOFF, DRIVE, DT, GAIN, STEP, Made, made, searched
+
+METHOD = IntervalML(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, CUTOFF)
+
+
+@pytest.fixture(scope="module")
+def lagging() -> Made:
+    return made("stop-and-go", samples=2400, lag=4e-3)
+
+
+@pytest.fixture(scope="module")
+def lag(lagging: Made) -> TermSearch:
+    return searched(lagging)
+
+
+@pytest.fixture(scope="module")
+def loaded() -> TermSearch:
+    machine = Machine(DriveParameters(DRIVE.mass, DRIVE.viscous_friction, DRIVE.coulomb_friction, GAIN, 0.01))
+    rng = np.random.default_rng(4)
+    run = drive_machine(machine, prbs(2400, clock=25, amplitude=0.7, rng=rng), DT, STEP)
+    return searched(Made(machine, run.u, run.counts))
+
+
+def size_of(found: TermSearch, name: str) -> tuple[float, float]:
+    values = {own[0]: own[1:3] for one in found.weighed for own in one.values if one.kept}
+    return values[name]
+
+
+# --- late inputs ------------------------------------------------------------------------------------------------------
+
+
+def test_a_lag_is_judged_as_it_was_found(lag: TermSearch) -> None:
+    """The mass was taken for the lag, which then asked for `lag = 0`."""
+    best = lag.chosen.trial.best
+    known = known_shapes(best)
+    assert known.difference.equation.lag == pytest.approx(4e-3, rel=0.02)
+    assert known.difference(known.q) == pytest.approx(best.difference(best.q))
+    assert set(lag.added) == {"lag"}
+    assert not {"unmodelled", "dead_time", "not_followed"} & set(lag.status)
+
+
+def test_a_search_goes_on_from_the_lines_that_it_has_printed(lag: TermSearch, lagging: Made) -> None:
+    """A lag that is to be found was refused."""
+    assert 'lag = "estimate"' in lag.lines
+    again = searched(lagging, model=lag.model)
+    assert again.added == {}
+    assert again.chosen.trial.theta == pytest.approx(lag.chosen.trial.theta, rel=1e-3)
+
+
+@pytest.mark.parametrize(("there", "other"), [("dead_time", "lag"), ("lag", "dead_time")])
+def test_each_way_of_being_late_is_tried_next_to_the_other(there: str, other: str, lag: TermSearch) -> None:
+    trial = dataclasses.replace(lag.chosen.trial, model=pmfid.Drive(GAIN, **{there: "estimate"}))  # type: ignore[arg-type]
+    assert [one.change for one in rules._otherwise_late(trial)] == [{other: "estimate"}]
+    both = dataclasses.replace(trial, model=pmfid.Drive(GAIN, dead_time="estimate", lag="estimate"))
+    assert not rules._otherwise_late(both)
+
+
+def test_a_dead_time_and_a_lag_are_found_together() -> None:
+    found = searched(made(samples=2400, dead_time=3e-3, lag=5e-3))
+    assert set(found.added) == {"dead_time", "lag"}
+    for name, true in (("dead_time", 3e-3), ("lag", 5e-3)):
+        value, bar = size_of(found, name)
+        assert abs(value - true) < max(3 * bar, 1e-3 * true)
+
+
+# --- what is kept -----------------------------------------------------------------------------------------------------
+
+
+def test_a_load_is_no_directional_friction(loaded: TermSearch) -> None:
+    """Both explain every count, and directional friction was named: it has one parameter more."""
+    assert loaded.added == {"offset": True}
+    assert "ambiguous_term" not in loaded.status
+    assert size_of(loaded, "offset")[0] == pytest.approx(0.01, rel=0.01)
+
+
+def test_a_term_that_predicts_worse_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within half as much again as chance alone would give, it was."""
+    record = made(samples=1800, asymmetry=0.15)
+    own, model = Bench.elsewhere, pmfid.Drive(GAIN)
+
+    def elsewhere(bench: Bench, trial: Trial) -> float:
+        return own(bench, trial) if trial.model == model else 1.05 * own(bench, first)
+
+    bench = Bench(METHOD, record.u, record.counts)
+    first = bench.first(model)
+    assert search(bench, model, scan=False).added
+    monkeypatch.setattr(Bench, "elsewhere", elsewhere)
+    found = search(bench, model, scan=False)
+    assert found.added == {}
+    assert any(step.verdict == rules.WORSE and is_worse(step.error, step.without) for step in found.steps[0])
+
+
+def test_a_term_that_turns_out_to_predict_worse_goes_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    record = made(samples=1800, asymmetry=0.15)
+    monkeypatch.setattr(rules, "is_worse", lambda error, before: False)
+    bench = Bench(METHOD, record.u, record.counts)
+    kept = search(bench, pmfid.Drive(GAIN), scan=False)
+    (step,) = kept.without
+    assert step.kept
+    assert step.gain > step.needed
+    calls = iter([False])  # it is no worse when it is tried, and worse when it is left out
+    monkeypatch.setattr(rules, "is_worse", lambda error, before: next(calls, True))
+    found = search(bench, pmfid.Drive(GAIN), scan=False)
+    assert found.added == {}
+    assert found.steps[1][0].verdict == rules.DROPPED
+
+
+def test_two_terms_are_tried_at_once_where_no_single_one_suffices(monkeypatch: pytest.MonkeyPatch) -> None:
+    record = made("stop-and-go", samples=2400, asymmetry=0.15, stiffness=0.01)
+    own = rules.against
+
+    def against(step: Any, found: Any) -> str:
+        return "refused" if len(set(step.candidate.change) - {"offset"}) == 1 else own(step, found)
+
+    monkeypatch.setattr(rules, "against", against)
+    found = search(Bench(METHOD, record.u, record.counts), pmfid.Drive(GAIN), scan=False)
+    assert set(found.added) == {"friction", "spring"}
+    assert {step.candidate.key for step in found.without} == {"friction", "spring"}
+
+
+def test_a_term_that_was_as_good_is_compared_again_in_the_end(lag: TermSearch, lagging: Made) -> None:
+    """A lag explained as much as a dead time while Stribeck friction was missing, and was said to in the end."""
+    bench = Bench(lag.chosen.trial.method, lagging.u, lagging.counts)
+    under_way = rules._Search(bench, (), False, list(lag.terms.trials), list(lag.terms.errors), lambda part: None)
+    kept = lag.terms.steps[0][0]
+    other = dataclasses.replace(
+        kept, candidate=dataclasses.replace(kept.candidate, change={"dead_time": "estimate"}), verdict=rules.EITHER
+    )
+    found = dataclasses.replace(lag.terms, steps=((kept, other),))
+    assert found.either == ((kept, other),)
+    assert under_way._decided(found).either == ()
+
+
+def test_each_term_is_left_out_by_itself() -> None:
+    first, last = pmfid.Drive(1.0, offset=True), pmfid.Drive(1.0, friction="directional", stribeck="estimate")
+    assert removable(first, last) == [dict(rules.DIRECTIONAL), {"stribeck": "estimate"}]
+    assert removable(pmfid.Drive(1.0), pmfid.Drive(1.0, offset=True, lag="estimate")) == [
+        {"offset": True},
+        {"lag": "estimate"},
+    ]
+
+
+def test_without_a_cutoff_the_filters_leave_parts_to_predict() -> None:
+    """The slow filters that the record says most behind were refused with the advice to set faster ones."""
+    found = searched(made(samples=1800), cutoff=None)
+    assert found.samples == 1800
+
+
+# --- what is shown ----------------------------------------------------------------------------------------------------
+
+
+def test_each_term_has_a_value_a_bar_and_both_errors(loaded: TermSearch) -> None:
+    header, rows = term_rows(loaded)
+    assert header[:3] == ["set", "value", "kept"]
+    kept = [dict(zip(header, row, strict=True)) for row in rows if row[2] == "yes"]
+    assert [row["set"] for row in kept] == ["offset = true"]
+    assert kept[0]["value"].startswith("offset 0.01")
+    assert " ± " in kept[0]["value"]
+    assert float(kept[0]["held out with"]) < float(kept[0]["without"])
+    refused = {row[0]: row for row in rows if row[2] == "no"}
+    assert 'friction = "directional", offset = false' in refused
+    assert loaded.chosen.error == pytest.approx(loaded.weighed[0].with_it)
+    written = json.loads(json.dumps(loaded.to_json(), allow_nan=False))["terms"]
+    assert [one["set"] for one in written if one["kept"]] == ["offset = true"]
+
+
+def test_no_advice_on_the_model_stands_next_to_its_lines(monkeypatch: pytest.MonkeyPatch, lagging: Made) -> None:
+    advice = (Finding("unmodelled", "set quadratic = true"), Finding("dead_time", "set lag = 0"))
+    monkeypatch.setattr(session, "judge", lambda *arguments: advice)
+    found = searched(lagging)
+    assert not any("set " in note for note in found.notes)
+    assert "unmodelled" in found.status
+
+
+def test_a_search_says_how_far_it_is() -> None:
+    record, told = made(samples=1800, asymmetry=0.15), list[float]()
+    search(Bench(METHOD, record.u, record.counts), pmfid.Drive(GAIN), scan=False, done=told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    assert len(told) >= 3
+
+
+# --- the machines of the study ----------------------------------------------------------------------------------------
+
+
+def test_machines_of_the_study_have_their_terms_alone() -> None:
+    assert [len(one) for one in truths()].count(2) == 24
+    assert set().union(*truths()) == set(TERMS)
+    plain = Machine(machine_of(0, 0)[0].drive)
+    for number in range(len(truths())):
+        bench, machine, record, motion = machine_of(number, 0)
+        assert kind_of(number) in KINDS
+        assert record.u.size == record.counts.size == bench.samples, motion
+        fields = {field.name for field in dataclasses.fields(Machine)} - {"drive"}
+        own = {name for name in fields if getattr(machine, name) != getattr(plain, name)}
+        assert bool(own or machine.drive.offset) == bool(truths()[number])
+        assert math.isfinite(float(np.sum(record.u)))
