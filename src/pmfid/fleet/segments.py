@@ -16,31 +16,36 @@ import numpy as np
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.bridges import parts_of
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.fleet.marks import MARKS, lasting_status, settled_std
 from pmfid.fleet.rows import Piece
 from pmfid.fleet.settings import Settings, quarter_of, record_at
+from pmfid.fleet.shares import Share, shares_of
 from pmfid.fleet.survey import Problem
-from pmfid.types import Counts, Floats
+from pmfid.session.records import Record
+from pmfid.types import Counts, Flags, Floats
 
 if TYPE_CHECKING:
     import polars as pl
 
 #: Samples of a batch at most [axes times samples].
 BATCH = 2**22
-#: Quarters of a whole segment. What is left at the end of a piece is one if it has two; all of a piece, if it has one.
-WHOLE, REST, LEAST = 4, 2, 1
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Samples (n,) of one segment, without a gap. lost: part of them that was filled in."""
+    """Samples (n,) of one segment, without a gap. samples: of the record, with the rests that are left out; lost: part
+    of them that was filled in; repeats: how often each is among the n."""
 
     axis: str
     start: float
+    end: float
+    samples: int
     dt: float
     resolution: float
     u: Floats
     counts: Counts
     lost: float
+    repeats: float
 
 
 @dataclass(frozen=True)
@@ -80,35 +85,37 @@ def solve(pieces: Iterable[Piece], settings: Settings) -> Segments:
 def _stretches(piece: Piece, settings: Settings) -> list[Stretch]:
     """Raises UsageError for a piece that is no record, or too short for an estimate."""
     record = record_at(piece.table, settings.axis)
-    quarter = quarter_of(settings, record.dt)
+    quarter, settled = quarter_of(settings, record.dt), settings.estimator.settle_samples
+    span = round(settings.span / record.dt)
     filled = np.zeros(record.u.size, bool) if record.there is None else ~record.there
-    parts = [part for whole in parts_of(record.u) for part in _cut(whole, quarter)]
-    if not parts:
+    found = [
+        _stretch(piece, record, filled, whole.start, share)
+        for whole in parts_of(record.u)
+        for share in shares_of(record.counts[whole], settled, quarter, span)
+    ]
+    if not found:
         raise UsageError(
             f"{record.u.size} samples without a gap are too few: an estimate takes {quarter * record.dt:.3g} s of them"
         )
-    return [
-        Stretch(
-            piece.axis,
-            piece.start + part.start * record.dt,
-            record.dt,
-            record.resolution,
-            record.u[part],
-            record.counts[part],
-            float(filled[part].mean()),
-        )
-        for part in parts
-    ]
+    return found
 
 
-def _cut(whole: slice, quarter: int) -> list[slice]:
-    """Whole segments, and what is left; a whole number of quarters each, so that many have the same length."""
-    size = WHOLE * quarter
-    starts = range(whole.start, whole.stop - size + 1, size)
-    found = [slice(start, start + size) for start in starts]
-    start = whole.start + len(found) * size
-    rest = (whole.stop - start) // quarter
-    return [*found, slice(start, start + rest * quarter)] if rest >= (REST if found else LEAST) else found
+def _stretch(piece: Piece, record: Record, filled: Flags, first: int, share: Share) -> Stretch:
+    """first: sample of the record that the share counts from."""
+    places = share.places + first
+    begin, end = int(places[0]), int(places[-1]) + 1
+    return Stretch(
+        piece.axis,
+        piece.start + begin * record.dt,
+        piece.start + end * record.dt,
+        end - begin,
+        record.dt,
+        record.resolution,
+        share.input(record.u[first:]),
+        share.counts(record.counts[first:]),
+        float(filled[places].mean()),
+        share.repeats,
+    )
 
 
 def _estimated(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> list[pl.DataFrame]:
@@ -127,19 +134,20 @@ def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> pl.Da
     import polars as pl
 
     u, counts = np.stack([one.u for one in stretches]), np.stack([one.counts for one in stretches])
-    tracks = estimator.start().side_by_side(len(stretches), workers=1).run(u, counts)
-    samples = stretches[0].u.size
+    tracks = estimator.start().side_by_side(len(stretches), workers=1).run(u, counts, every=max(1, u.shape[1] // MARKS))
+    theta = tracks.theta[:, -1]
+    std = settled_std(tracks) * np.sqrt([[one.repeats] for one in stretches])
     columns: dict[str, object] = {
         "axis": [one.axis for one in stretches],
         "start": np.array([one.start for one in stretches]),
-        "end": np.array([one.start + samples * one.dt for one in stretches]),
-        "samples": np.full(len(stretches), samples),
+        "end": np.array([one.end for one in stretches]),
+        "samples": np.array([one.samples for one in stretches]),
         "dt": np.array([one.dt for one in stretches]),
         "lost": np.array([one.lost for one in stretches]),
-        "status": tracks.status[:, -1],
+        "status": lasting_status(tracks),
     }
     for i, name in enumerate(tracks.names):
-        columns |= {name: tracks.theta[:, -1, i], f"{name}_std": tracks.theta_std[:, -1, i]}
+        columns |= {name: theta[:, i], f"{name}_std": std[:, i]}
     return pl.DataFrame(columns)
 
 

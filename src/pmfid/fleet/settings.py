@@ -21,8 +21,10 @@ from pmfid.session.tables import Table
 SEGMENTS = (60.0, 120.0, 300.0, 600.0, 1800.0)
 #: The same in memories.
 MEMORIES = 2.5
+#: Rests that are left out may lengthen a segment by this factor.
+SPAN = 10
 #: A segment has so many times the samples after which the filters have settled, and never less than so many.
-SETTLED, LEAST_SETTLED = 10, 4
+SETTLED, LEAST_SETTLED = 20, 4
 #: Part of a piece whose samples may be missing.
 MOST_MISSING = 0.2
 
@@ -30,11 +32,12 @@ MOST_MISSING = 0.2
 @dataclass(frozen=True)
 class Settings:
     """axis: with method and pole of the filters; estimator: at the sample period of the record that they were chosen
-    by; segment: [s] of an estimate."""
+    by; segment: [s] of an estimate; span: [s] that it may take with the rests that are left out."""
 
     axis: Axis
     estimator: RecursiveEstimator
     segment: float
+    span: float
 
     def at(self, dt: float, resolution: float) -> RecursiveEstimator:
         """The estimator of an axis with another sample period [s] and resolution. Raises UsageError where the pole of
@@ -103,7 +106,7 @@ def make_settings(axis: Axis, chosen: Chosen, most: float, segment: float | None
             "or segments, or a higher cutoff"
         )
     estimator = replace(estimator, forgetting=forgetting_of(segment, chosen.dt), forgetting_scheme="exponential")
-    return Settings(axis, estimator, segment)
+    return Settings(axis, estimator, segment, max(segment, min(SPAN * segment, most)))
 
 
 def recursive(estimator: Estimator) -> RecursiveEstimator:

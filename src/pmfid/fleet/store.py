@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 #: To be raised with every change of what a segment is, or of these files.
-VERSION = 3
+VERSION = 4
 #: Of the folders in which rows are put aside during a call.
 ASIDE = "aside-"
 

@@ -1,0 +1,39 @@
+"""What the estimates on the way through a segment say of that at its end: whether it has settled, and whether the
+equation holds in all of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.estimators.track import Tracks
+from pmfid.status import Status
+from pmfid.types import Floats
+
+#: Estimates of a segment that are kept.
+MARKS = 16
+#: Standard deviations by which those after the first quarter differ in any case.
+USUAL = 3.0
+#: Part of the second half in which the equation is off, from which on the segment is.
+OFF = 0.25
+
+
+def settled_std(tracks: Tracks) -> Floats:
+    """(n, p) standard deviations at the end, with what the estimate still moved by beyond chance: a start from a biased
+    estimate, or a change within the segment, is forgotten no faster than the samples are."""
+    std = tracks.theta_std[:, -1]
+    moved = np.ptp(tracks.theta[:, _after(tracks, 4) :], axis=1)
+    return np.asarray(np.hypot(std, np.maximum(moved - USUAL * std, 0.0)))
+
+
+def lasting_status(tracks: Tracks) -> NDArray[np.uint32]:
+    """(n,) at the end, and unmodelled where it was that for a part of the second half: the kernel's verdict is on the
+    last motion alone."""
+    off = (tracks.status[:, _after(tracks, 2) :] & Status.UNMODELLED) != 0
+    wrong = np.mean(off, axis=1) >= OFF
+    return np.asarray(tracks.status[:, -1] | np.where(wrong, Status.UNMODELLED, 0), np.uint32)
+
+
+def _after(tracks: Tracks, part: int) -> int:
+    """The first of the estimates after one in so many parts of the segment."""
+    return (tracks.samples.size - 1) // part
