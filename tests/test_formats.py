@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import h5py
@@ -225,3 +226,20 @@ def test_damage_is_told_or_harmless(tmp_path: Path, suffix: str) -> None:
         except UsageError as error:
             refused += bool(str(error))
     assert refused > 0
+
+
+@pytest.mark.parametrize(
+    ("suffix", "good", "bad"), [(".tdms", b"/'run'/'u'", b"/'\xffun'/'u'"), (".mf4", b"##CN", b"##XN")]
+)
+def test_damage_is_reported_by_the_error_alone(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], suffix: str, good: bytes, bad: bytes
+) -> None:
+    """The libraries have handlers of their own for their logs, on standard error."""
+    path = tmp_path / f"run{suffix}"
+    WRITERS[suffix](path, {name: np.arange(50.0) for name in ("t", "u", "y")})
+    data = path.read_bytes()
+    assert good in data
+    path.write_bytes(data.replace(good, bad, 1))
+    with suppress(UsageError):
+        read_table(path)
+    assert capfd.readouterr().err == ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,7 +28,7 @@ from pmfid.session.formats.mdf_file import parse_mdf
 from pmfid.session.formats.numpy_file import parse_numpy
 from pmfid.session.formats.parquet_file import ParquetTable
 from pmfid.session.formats.rosbag_file import file_of, parse_rosbag
-from pmfid.session.formats.safety import readable
+from pmfid.session.formats.safety import readable, silent
 from pmfid.session.formats.tdms_file import MAGIC as TDMS
 from pmfid.session.formats.tdms_file import parse_tdms
 from pmfid.session.formats.wpilog_file import parse_wpilog
@@ -94,8 +93,7 @@ def read_table(path: Path, stated: Stated = NOTHING) -> Table:
         raise UsageError(f"file type {path.suffix!r} is not known; use one of {', '.join(SUFFIXES)}")
     if not data or data.isspace():
         raise UsageError("the file is empty; export the record again")
-    with readable(suffix if kind == named else kind), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what damage does to a library is told by its error
+    with readable(suffix if kind == named else kind), silent():
         table = parse_csv(data, stated) if kind == ".csv" else READERS[kind](data)
     del data  # of the size of the columns, which are copied next
     return _in_one_piece(table)
