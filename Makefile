@@ -140,6 +140,7 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.dead_time --out docs/dead_time.md
 	.venv/bin/python -m studies.no_settings --out docs/no_settings.md
 	.venv/bin/python -m studies.model_spread --out docs/model_spread.md
+	.venv/bin/python -m studies.verdict --out docs/verdict.md
 	.venv/bin/python -m studies.known_mass --out docs/known_mass.md
 	.venv/bin/python -m studies.design --out docs/design.md
 	.venv/bin/python -m studies.design_machines --out docs/commissioning.md

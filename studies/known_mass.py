@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 import pmfid
+from pmfid.judge.matter import NORMAL_95
 from pmfid.paper.truth import CartRecord, Study, Task, table
-from pmfid.session.result import NORMAL_95, Result
+from pmfid.session.result import Result
 from pmfid.simulation import Schedule, prbs, quantize, simulate_drive
 from pmfid.simulation.changes import slipping_belt
 from studies.friction_axes import BENCHES

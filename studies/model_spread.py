@@ -18,10 +18,10 @@ from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
 from pmfid.estimators.output_error import OE
 from pmfid.judge.drive import examined
+from pmfid.judge.matter import NORMAL_95
 from pmfid.judge.spread import model_spread
 from pmfid.models.drive import Drive
 from pmfid.paper.truth import CartRecord, Study, Task, table, triple
-from pmfid.session.result import NORMAL_95
 from pmfid.types import Floats
 from studies.confidence import estimates
 from studies.friction_axes import BENCHES, FRICTIONS, HELD_BACK

@@ -14,8 +14,8 @@ import numpy as np
 
 import pmfid
 from pmfid.errors import NotIdentifiableError
+from pmfid.judge.matter import NORMAL_95
 from pmfid.paper.truth import Study, Task, table, triple
-from pmfid.session.result import NORMAL_95
 from pmfid.simulation import Machine
 from studies.machines import MOTIONS, record_of, truth
 from studies.real_axes import REAL

@@ -53,7 +53,10 @@ class Adequacy:
     else None; lacks: k forces; z: (k,) how many standard deviations their scores are from zero; size, size_std: (k,)
     coefficients that the counts ask for, to first order, and their standard deviations; expected: (k,) the information
     on each; moves: (p, k) by how much the parameters of that fit move for a unit of each; elsewhere: (k,) doubled gain
-    of the log-likelihood of parts of the record, each with the coefficient that the other parts ask for.
+    of the log-likelihood of parts of the record, each with the coefficient that the other parts ask for; unseen: (p,)
+    by how much plausible forces would move the parameters that no record of this input shows, as a dead zone under an
+    input of one size: it is an error of the gain; explained: part, root mean square, of what is left
+    beyond the encoder's own error that the force explains which explains most.
     """
 
     difference: Difference
@@ -66,6 +69,8 @@ class Adequacy:
     expected: Floats
     moves: Floats
     elsewhere: Floats
+    unseen: Floats
+    explained: float
 
     @property
     def follows(self) -> bool:
@@ -183,18 +188,25 @@ def _tested(best: Best, information: float, slope: Floats, places: Sequence[Plac
     own = without_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:])
     candidates = lacks(difference, q, places)
     effects = np.column_stack([_effect(difference, q, lack) for lack in candidates] or [np.zeros((slope.size, 0))])
+    effects = np.where(np.all(np.isfinite(effects), axis=0), effects, 0.0)  # of next to nothing, beyond numbers
     beside = without_nuisance(difference, effects, sensitivity[:, p:])
     scale = np.maximum(np.linalg.norm(own, axis=0), TINY)
     shift = np.linalg.lstsq(own / scale, beside)[0] / scale[:, None]
     alone = beside - own @ shift
     apart = np.linalg.norm(alone, axis=0) > APART * np.linalg.norm(beside, axis=0)
-    alone, moves = alone[:, apart], -shift[:, apart] * difference.scale[:p, None]
+    moves = -shift * difference.scale[:p, None]
+    hidden = moves[:, ~apart] * np.array([lack.plausible for lack in candidates])[~apart]
+    alone, moves = alone[:, apart], moves[:, apart]
     score, expected = alone.T @ slope, np.sum(alone**2, axis=0) * information
     variance = score_variance(best, alone, information, slope)
     z, size, std = score / np.sqrt(variance), score / expected, np.sqrt(variance) / expected
     found = tuple(lack for lack, there in zip(candidates, apart, strict=True) if there)
     elsewhere = gain_elsewhere(alone * slope[:, None], alone**2 * information)
-    return Adequacy(difference, q, best.noise, found, z, size, std, expected, moves, elsewhere)
+    unseen = np.linalg.norm(hidden, axis=1)
+    of_encoder = slope.size * (1.0 if best.noise is not None else information / 12)
+    left = max(float(slope @ slope) / information - of_encoder, TINY)
+    explained = min(float(np.sqrt(np.max(size**2 * expected, initial=0.0) / left)), 1.0)
+    return Adequacy(difference, q, best.noise, found, z, size, std, expected, moves, elsewhere, unseen, explained)
 
 
 def gain_elsewhere(scores: Floats, informations: Floats) -> Floats:

@@ -264,15 +264,21 @@ def _hidden(
             f"count has {best[worst]:.4g}; under control through a coarse encoder its error comes back through the "
             "input, and interval or output-error are the ones to use",
         )
-    for name, value, own, bar in zip(estimator.equation.names, theta, spread, std, strict=True):
-        if own > bar:
-            yield Finding(
-                "model_spread",
-                f"friction or a dead time that the model lacks, and that this record would not show, may move {name} "
-                f"by {100 * own / max(abs(value), TINY):.2g} %, more than its error bar: a finer encoder or a richer "
-                "motion would show it",
-            )
-            return
+    if np.any(spread > std):
+        yield Finding(
+            "model_spread",
+            "friction or a dead time that the model lacks, and that this record would not show, may move a parameter "
+            "by more than its error bar: a finer encoder or a richer motion would show it",
+        )
+    if np.any(found.unseen[: std.size] > std):
+        part = float(np.max(found.unseen[: std.size] / np.maximum(np.abs(theta), TINY)))
+        yield Finding(
+            "model_spread",
+            "what this motion cannot show at all, as a dead zone under an input of one size, would move the parameters "
+            f"by {100 * part:.2g} %, and is in the interval",
+            "an input of several sizes shows it",
+            severity="note",
+        )
 
 
 def _feedback(

@@ -6,7 +6,8 @@ from __future__ import annotations
 FLAGS = {
     "model_spread": (
         "something that machines have, Stribeck friction or a dead time, would not show in this record, and would move "
-        "a parameter beyond its error bar; of a transfer function, the record does not tell the hold of its input"
+        "a parameter beyond its error bar and the tolerance; of a transfer function, the record does not tell the hold "
+        "of its input"
     ),
     "biased": "the method has an error of its own here, beyond its error bar; the note has the better number",
     "std_too_small": "the error bar leaves out the method's own error; the note says how large that is",

@@ -16,7 +16,7 @@ Of differences counts only what is beyond their noise (the moment estimate of De
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -55,22 +55,39 @@ def model_spread(
     twin = like(IV, estimator, prefilter_zeros=None)
     best = found.q[equation] * found.difference.scale[equation]
     columns = twin.columns_at(best, u, counts)
-    with np.errstate(over="ignore", invalid="ignore"):  # of an estimate beyond numbers, which is refused as such
-        views = list(_views(estimator, twin, columns, theta[equation], std[equation], best, found))
-        spread[equation] = np.sqrt(np.max(views, axis=0))
+    with np.errstate(all="ignore"):  # a view beyond numbers shows nothing
+        largest = _largest(list(_views(estimator, twin, columns, theta[equation], std[equation], best, found)))
+        spread[equation] = np.sqrt(largest + found.unseen[: largest.size] ** 2)
     return spread
+
+
+def spread_without_motion(estimator: Estimator, u: Floats, counts: NDArray[np.int64], theta: Floats) -> Floats:
+    """The same where no motion of the model can be fitted to the counts, so that nothing says what it lacks: by the
+    parts of the record alone, and by as much as the estimate itself where these say nothing either."""
+    p = len(estimator.equation.names)
+    spread, twin = np.full(theta.size, np.nan), like(IV, estimator, prefilter_zeros=None)
+    at = np.where(estimator.equation.positive, np.maximum(theta[:p], 0.0), theta[:p])
+    velocity = np.diff(counts, append=counts[-1]) * (estimator.encoder.resolution / estimator.dt)
+    views = list[Floats]()
+    with np.errstate(all="ignore"), suppress(NotIdentifiableError):
+        views += _contradictions(twin, twin.columns_at(at, u, counts), velocity)
+    spread[:p] = np.sqrt(_largest(views or [theta[:p] ** 2]))
+    return spread
+
+
+def _largest(views: Sequence[Floats]) -> Floats:
+    """(p,) of mean squares; a view beyond numbers shows nothing."""
+    each = np.array(views)
+    return np.asarray(np.max(np.where(np.isfinite(each), each, 0.0), axis=0))
 
 
 def _views(
     estimator: Estimator, twin: IV, columns: Columns, theta: Floats, std: Floats, best: Floats, found: Adequacy
 ) -> Iterator[Floats]:
     """Mean squares (p,), one for each way to look at it."""
-    squares, follows = believed_squares(found), isinstance(estimator, Following)
-    yield (found.moves**2 @ squares)[: theta.size]
+    follows = isinstance(estimator, Following)
+    yield (_own_moves(found, twin, columns, follows) ** 2 @ believed_squares(found))[: theta.size]
     yield np.maximum((theta - best) ** 2 - std**2, 0.0)
-    if not follows:
-        with suppress(NotIdentifiableError):
-            yield (force_moves(found, twin, columns) ** 2 @ squares)[: theta.size]
     if found.adequate or (follows and found.follows):
         return
     whole = _solved(twin, columns, np.ones(columns.z.size, dtype=bool))
@@ -78,18 +95,32 @@ def _views(
         return
     if follows:
         yield np.maximum((whole[0] - theta) ** 2 - whole[1] - std**2, 0.0)
-    for part in _parts(twin, columns, found):
+    yield from _contradictions(twin, columns, found.difference.motion(found.q)[1])
+
+
+def _contradictions(twin: IV, columns: Columns, velocity: Floats) -> Iterator[Floats]:
+    """Mean squares (p,) by which parts of a record contradict each other, along its mean velocities (n,)."""
+    for part in _parts(twin, columns, velocity):
         first, second = _solved(twin, columns, part), _solved(twin, columns, ~part)
         if first is not None and second is not None:
             share = _share(columns, part)
             yield np.maximum((first[0] - second[0]) ** 2 - first[1] - second[1], 0.0) * share * (1 - share)
 
 
+def _own_moves(found: Adequacy, twin: IV, columns: Columns, follows: bool) -> Floats:
+    """(p, k) by how much the estimate moves for a unit of each force: that of a motion that fits, or of instruments."""
+    if not follows:
+        with suppress(NotIdentifiableError):
+            return force_moves(found, twin, columns)
+    return found.moves
+
+
 def believed_squares(found: Adequacy) -> Floats:
     """(k,) mean squares of the coefficients of the forces, as the record and what is plausible in machines say.
 
-    Where the model is contradicted, a force counts by its part of what the one explains that explains most; one that
-    is tested for, but not supposed, only where it explains nearly as much as that.
+    Where the model is contradicted, a force counts by its part of what the one explains that explains most, and that
+    by its part of all that is wrong: noise of the force has no single cause, and is in the standard deviation. One that
+    is tested for, but not supposed, counts only where it explains nearly as much as the first.
     """
     prior, variance = np.array([lack.plausible for lack in found.lacks]) ** 2, found.size_std**2
     share = prior / (prior + variance)
@@ -97,17 +128,17 @@ def believed_squares(found: Adequacy) -> Floats:
     weight = 1 / (1 + np.exp(-np.clip(evidence, -MOST_EVIDENCE, MOST_EVIDENCE)) / ODDS)
     squares = weight * (share * variance + (share * found.size) ** 2)
     if not found.missed:
-        return np.where(prior > 0, squares, 0.0)
+        return np.where(prior > 0, squares, 0.0) * (1.0 if found.follows else found.explained)
     explained = np.minimum(found.gain / found.gain[found.missed[0]], 1.0)
     asked = np.where(explained > NEARLY, found.size**2, 0.0)
-    return np.where(prior > 0, squares * explained, asked)
+    return np.where(prior > 0, squares * explained, asked) * found.explained
 
 
-def _parts(twin: IV, columns: Columns, found: Adequacy) -> Iterator[NDArray[np.bool_]]:
+def _parts(twin: IV, columns: Columns, velocity: Floats) -> Iterator[NDArray[np.bool_]]:
     """Which of the samples in use are in one of the two parts: the first half, fast, forward."""
     n = columns.z.size
     yield np.arange(n) < n // 2
-    velocity = filtered(found.difference.motion(found.q)[1], twin, columns.used.size)[columns.used]
+    velocity = filtered(velocity, twin, columns.used.size)[columns.used]
     speed = np.abs(velocity)
     yield speed > np.median(speed)
     yield velocity > 0

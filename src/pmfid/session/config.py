@@ -14,6 +14,7 @@ from pydantic import AfterValidator, Field, model_validator
 from pmfid.errors import UsageError
 from pmfid.estimators import Method
 from pmfid.estimators.facts import INPUT_GAIN, check_known
+from pmfid.judge.matter import TOLERANCE
 from pmfid.models.equation import ESTIMATE
 from pmfid.monitor.names import DetectorName
 from pmfid.session.conversion import Sections, axis_kind
@@ -65,6 +66,9 @@ class EstimatorConfig(FileSection):
         None, strict=False, description="two different negative numbers in 1/s, for example [-30.0, -60.0]"
     )
     precision: Literal["float64", "float32"] = Field("float64", description="the arithmetic of the kernel")
+    tolerance: float = Field(
+        TOLERANCE, ge=0, lt=1, description="the relative error of a parameter that is of no matter, for example 0.01"
+    )
 
     @property
     def pole(self) -> float:
@@ -107,6 +111,7 @@ _KEYS_OF_ONE_KIND = (
     ("encoder", "standstill_time", False),
     ("encoder", "max_speed", False),
     ("estimator", "window", False),
+    ("estimator", "tolerance", False),
 )
 #: What serves the purpose instead.
 _CURE = {

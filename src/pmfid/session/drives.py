@@ -33,7 +33,8 @@ from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.findings import Finding, codes, noted, ordered, texts
 from pmfid.judge.drive import examined, judge, recent
 from pmfid.judge.free_run import FreeRun, drive_run
-from pmfid.judge.spread import model_spread
+from pmfid.judge.matter import Matter, matter_of, weighed
+from pmfid.judge.spread import model_spread, spread_without_motion
 from pmfid.models.drive import EquationModel
 from pmfid.models.equation import ESTIMATE, LATE
 from pmfid.session import checks
@@ -257,9 +258,10 @@ def _estimate(
     notes = noted("record", record.notes) + noted("method", fit.notes) + noted("unused", unused)
     judged = judge(*asked, adequacy)
     notes += _check_error(estimator, fit.relative_error, adequacy, judged)
-    findings = ordered((*status_findings(fit.status & ~_told(record)), *judged, *notes))
+    matter = _matter(asked[0], asked[3], asked[4], spread, adequacy, axis)
+    findings = ordered((*status_findings(fit.status & ~_told(record)), *weighed(judged, matter), *notes))
     found = fit.theta, fit.theta_std, findings
-    result = DriveResult(estimator, *found, record, fit.relative_error, fit=fit, model_spread=spread)
+    result = DriveResult(estimator, *found, record, fit.relative_error, matter, fit=fit, model_spread=spread)
     return result if known is None else put_together(result, known, axis, known.of(fit, spread))
 
 
@@ -294,15 +296,27 @@ def _spread(
 ) -> tuple[Adequacy | None, Floats]:
     """What the counts say on the model, if anything, and by how much what it lacks may move the estimate (p,), NaN
     where that is not known. known: the former, where it is known."""
-    unknown = np.full(theta.size, np.nan)
+    part = recent(estimator, record.u.size)
+    u, counts = record.u[part], record.counts[part]
     try:
         found = examined(estimator, record.u, record.counts, theta, known)
     except NotIdentifiableError:
-        return None, unknown
+        return None, spread_without_motion(estimator, u, counts, theta)
     if found is None:
-        return None, unknown
-    part = recent(estimator, record.u.size)
-    return found, model_spread(estimator, record.u[part], record.counts[part], theta, std, found)
+        return None, np.full(theta.size, np.nan)
+    return found, model_spread(estimator, u, counts, theta, std, found)
+
+
+def _matter(
+    estimator: Estimator, theta: Floats, std: Floats, spread: Floats, known: Adequacy | None, axis: Axis
+) -> Matter:
+    """How far an estimate may be off for what its record shows, or might; what no record of this input shows is told
+    once and for all."""
+    p = len(estimator.equation.names)
+    unseen = np.zeros(p) if known is None else known.unseen[:p]
+    shown = np.sqrt(np.maximum(spread[:p] ** 2 - unseen**2, 0.0))
+    shown = shown if known is not None else np.full(p, np.nan)
+    return matter_of(estimator, theta, std, shown, axis.estimator.tolerance)
 
 
 def all_known(
@@ -379,8 +393,9 @@ def _recursive(
     adequacy, spread = _spread(method, record, theta, std, None)
     judged = judge(method, record.u, record.counts, theta, std, adequacy)
     notes = noted("record", record.notes) + _check_error(method, relative, adequacy, judged)
-    findings = ordered((*status_findings(held), *judged, *notes))
-    result = DriveResult(method, theta, std, findings, record, relative, track=told, model_spread=spread)
+    matter = _matter(method, theta, std, spread, adequacy, axis)
+    findings = ordered((*status_findings(held), *weighed(judged, matter), *notes))
+    result = DriveResult(method, theta, std, findings, record, relative, matter, track=told, model_spread=spread)
     return result if known is None else put_together(result, known, axis, known.of(last_estimate, spread))
 
 

@@ -15,6 +15,7 @@ from pmfid.estimators.results import Fit
 from pmfid.estimators.track import Track
 from pmfid.findings import Finding, codes, ordered, texts
 from pmfid.judge.assess import Assessment
+from pmfid.judge.matter import NORMAL_95, Matter, weighed
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.parameters import parameter_header, parameter_rows
 from pmfid.session.records import Record
@@ -22,9 +23,6 @@ from pmfid.shown import Parameters, Shown, Summary, plain_dict
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.process import Process
 from pmfid.types import Floats
-
-#: Standard deviations within which 95 % of a normal variable are, to either side.
-NORMAL_95 = 1.96
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -188,13 +186,18 @@ class Result(Shown):
 @dataclass(frozen=True, eq=False, repr=False)
 class DriveResult(Result):
     """Of a machine with friction. relative_error: of the filtered equation at theta; fit or track: the details of an
-    off-line or of a recursive method, of what the record alone says; known: what was known beside it."""
+    off-line or of a recursive method, of what the record alone says; known: what was known beside it; matter: how far
+    the parameters may be off for what the model lacks, which decides what is a status."""
 
     record: Record
     relative_error: float
+    matter: Matter
     fit: Fit | None = None
     track: Track | None = None
     known: Known | None = None
+
+    def with_findings(self, *further: Finding) -> Self:
+        return super().with_findings(*weighed(further, self.matter))
 
     @property
     def names(self) -> tuple[str, ...]:
