@@ -225,6 +225,11 @@ class Acting:
     text: StringIO
 
     def run(self, *steps: Callable[[], None]) -> Events:
+        """What was told, of a service whose log is JSON."""
+        self.act(*steps)
+        return events(self.text.getvalue(), "alarm", "state", "settled", "reload", "ended", "gap", "unusable")
+
+    def act(self, *steps: Callable[[], None]) -> None:
         errors: list[BaseException] = []
 
         def act() -> None:
@@ -240,7 +245,6 @@ class Acting:
         self.service.run()
         thread.join()
         assert not errors, errors
-        return events(self.text.getvalue(), "alarm", "state", "settled", "reload", "ended", "gap", "unusable")
 
     def until(self, *kinds: str, times: int = 1) -> None:
         end = time.monotonic() + 20

@@ -99,8 +99,10 @@ class OpcuaSection(SourceSection):
         return self
 
     def make(self, name: str, context: Context) -> OpcuaSource:
-        """The source, not yet running."""
-        return OpcuaSource(name, self, context.axes, context.tell, context.folder)
+        """The source, not yet running. Raises UsageError without asyncua, and for a password that is not there."""
+        source = OpcuaSource(name, self, context.axes, context.tell, context.folder)
+        source.client()  # what is wrong with it is said at the start
+        return source
 
 
 @dataclass
@@ -122,7 +124,7 @@ class OpcuaSource:
         that cannot work, and without asyncua."""
         self._mark, waiting = dict(mark or {}), pauses()
         while not self._stopped.is_set():
-            client = self._client()
+            client = self.client()
             try:
                 asyncio.run(self._connected(client, take))
                 return
@@ -136,7 +138,8 @@ class OpcuaSource:
         """Ends `run` after the reading in hand."""
         self._stopped.set()
 
-    def _client(self) -> Client:
+    def client(self) -> Client:
+        """One that is not connected yet. Raises UsageError without asyncua, and for a password that is not there."""
         try:
             from asyncua.client.client import Client
         except ImportError:

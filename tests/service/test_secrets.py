@@ -1,0 +1,356 @@
+"""Every secret of a plant, in good and failing operation: in no log, row, page, metric, message, file or checkpoint."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import shutil
+import signal
+import subprocess
+import threading
+from base64 import b64encode
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from io import StringIO
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, urlsplit
+
+import pytest
+
+from pmfid.cli.serve_lines import line
+from pmfid.service.kinds import SINKS, SOURCES
+from pmfid.service.log import Log, json_line
+from pmfid.service.plant import load_plant
+from pmfid.service.run import Service
+from pmfid.service.web.config import PageConfig
+from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
+from tests.service.loopback import until
+from tests.service.test_serve import Acting, called, folder  # noqa: F401 a fixture
+from tests.service.web_servers import Server, web_server
+
+pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed: pip install 'pmfid[serve]'")
+pytest.importorskip("asyncua", reason="asyncua is not installed: pip install 'pmfid[opcua]'")
+PASSWD = shutil.which("mosquitto_passwd")
+
+#: Variables and files -> secrets, each another one; those with WRONG are refused by who gets them.
+SECRETS = {
+    "PAGE_TOKEN": "page-token-Zq81kd93mvLx0",
+    "reader.token": "reader-token-Yw72jc84nuKw",
+    "BROKER_PASSWORD": "broker-Xe63+hb75/mtJv",
+    "wrong.password": "WRONG-source-Vr54ga66lsIu",
+    "PLC_PASSWORD": "plc-Ut45fz57krHt",
+    "HOOK_SECRET": "Bearer hook-Sy36ey48jqGs",
+    "HOOK_URL": "http://127.0.0.1:{web}/hook-path-Ri27dx39ipFr",
+    "down.secret": "Bearer down-Qo18cw20hoEq",
+    "down.url": "http://127.0.0.1:9/down-path-Pl09bv11gnDp",
+    "ANGRY_SECRET": "Bearer WRONG-angry-Ok90au02fmCo",
+    "INFLUX_TOKEN": "influx-Nj81zt93elBn",
+    "influx.token": "influx-down-Mh72ys84dkAm",
+    "phone.password": "broker-Xe63+hb75/mtJv",
+    "SINK_PASSWORD": "WRONG-sink-Lg63xr75cjZl",
+}
+#: What someone sends in place of a token.
+GUESSES = ("page-token-Zq81kd93mvLx1", "Kf54wq66biYk-guessed-by-nobody")
+
+PLANT = """
+[service]
+name = "hall"
+state = "state"
+window = 0.0
+every = 0.1
+silence = 2.0
+[page]
+port = 0
+token_env = "PAGE_TOKEN"
+read_token_file = "reader.token"
+[axes.x1]
+config = "axis.toml"
+[sources.log]
+kind = "file"
+path = "log.csv"
+axis = "x1"
+[sources.broker]
+kind = "mqtt"
+port = {broker}
+user = "me"
+password_env = "BROKER_PASSWORD"
+topics = ["in/#"]
+[sources.refused]
+kind = "mqtt"
+port = {broker}
+user = "me"
+password_file = "wrong.password"
+topics = ["in/#"]
+[sources.plc]
+kind = "opcua"
+url = "opc.tcp://127.0.0.1:9"
+user = "me"
+password_env = "PLC_PASSWORD"
+[sources.plc.axes.x1.nodes]
+u = "ns=2;s=u"
+x = "ns=2;s=x"
+[sinks.hook]
+kind = "webhook"
+url_env = "HOOK_URL"
+secret_env = "HOOK_SECRET"
+events = ["alarm", "cleared", "source", "sink", "serving", "reload", "gap", "state"]
+[sinks.down]
+kind = "webhook"
+url_file = "down.url"
+secret_file = "down.secret"
+[sinks.angry]
+kind = "webhook"
+url = "http://127.0.0.1:{angry}/"
+secret_env = "ANGRY_SECRET"
+[sinks.influx]
+kind = "line_protocol"
+to = "http://127.0.0.1:{web}/api/v2/write"
+token_env = "INFLUX_TOKEN"
+[sinks.influx-down]
+kind = "line_protocol"
+to = "http://127.0.0.1:9/api/v2/write"
+token_file = "influx.token"
+[sinks.phone]
+kind = "mqtt"
+port = {broker}
+user = "me"
+password_file = "phone.password"
+[sinks.wrong]
+kind = "mqtt"
+port = {broker}
+user = "me"
+password_env = "SINK_PASSWORD"
+[sinks.db]
+kind = "sqlite"
+[sinks.rows]
+kind = "arrow"
+folder = "rows"
+[sinks.lines]
+kind = "line_protocol"
+to = "lines.lp"
+"""
+
+
+def test_the_plant_has_every_key_that_names_a_secret() -> None:
+    sections = {"page": PageConfig} | {kind: made() for kinds in (SOURCES, SINKS) for kind, made in kinds.items()}
+    keys = {key for made in sections.values() for key in made.model_fields if key.endswith(("_env", "_file"))}
+    stems = {key.rpartition("_")[0] for key in keys}
+    assert stems == {"token", "read_token", "password", "url", "secret"}
+    assert {stem for stem in stems if f"{stem}_env" in PLANT or f"{stem}_file" in PLANT} == stems
+
+
+def forms(secret: str) -> set[bytes]:
+    """As it could be written somewhere; of an address and a header the part that is secret."""
+    bare = secret.rpartition("/")[2] if secret.startswith("http") else secret.removeprefix("Bearer ")
+    encoded = b64encode(bare.encode()).rstrip(b"=")
+    return {bare.encode(), quote(bare, safe="").encode(), encoded, b64encode(f"me:{bare}".encode()).rstrip(b"=")}
+
+
+def found_in(content: bytes) -> list[str]:
+    """Names of the secrets that stand in something."""
+    whole = SECRETS | {f"guess {k}": guess for k, guess in enumerate(GUESSES)}
+    return [name for name, secret in whole.items() if any(form in content for form in forms(secret))]
+
+
+def test_the_search_finds_a_secret_in_each_form() -> None:
+    for name, secret in SECRETS.items():
+        for form in forms(secret):
+            assert name in found_in(b"x" + form + b"\n")
+
+
+@dataclass
+class Running:
+    """A plant in its folder, with a broker and servers; seen: what came out, by where."""
+
+    place: Path
+    web: Server
+    angry: Server
+    broker: Broker
+    seen: dict[str, bytes] = field(default_factory=dict)
+
+    def acting(self, form: Any) -> Acting:
+        text = StringIO()
+        return Acting(Service(lambda: load_plant(self.place / "plant.toml"), Log(text, form)), text)
+
+    def ask(self, acting: Acting, path: str, token: str | None, method: str = "GET") -> int:
+        """What the page answers is kept; of a stream, its beginning."""
+        page = acting.service._page
+        assert page is not None
+        connection = http.client.HTTPConnection(urlsplit(page.url).netloc, timeout=10)
+        headers = {"content-type": "application/json"} | ({} if token is None else {"authorization": f"Bearer {token}"})
+        connection.request(method, path, b'{"note": "seen"}' if method == "POST" else None, headers)
+        answer = connection.getresponse()
+        body = answer.read(40_000) if path.startswith("/api/stream") else answer.read()
+        self.seen[f"{method} {path} by {token}"] = str(answer.getheaders()).encode() + body
+        connection.close()
+        return answer.status
+
+
+@pytest.fixture
+def running(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:  # noqa: F811
+    place = folder / "secrets"
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir()
+    for name in ("axis.toml", "normal.csv"):
+        (place / name).write_text((folder / name).read_text())
+    (place / "log.csv").write_text("")
+    with ExitStack() as stack:
+        web, angry = stack.enter_context(web_server()), stack.enter_context(web_server(401))
+        for name, secret in SECRETS.items():
+            value = secret.format(web=web.port)
+            if name.isupper():
+                monkeypatch.setenv(name, value)
+            else:
+                (place / name).write_text(f"{value}\n")
+                (place / name).chmod(0o600)
+        (place / "mosquitto").mkdir()
+        assert PASSWD is not None
+        subprocess.run(
+            [PASSWD, "-b", "-c", place / "mosquitto" / "users", "me", SECRETS["BROKER_PASSWORD"]],
+            check=True,
+            capture_output=True,
+        )
+        (place / "mosquitto" / "users").chmod(0o644)
+        broker = Broker(place / "mosquitto", f"password_file {place / 'mosquitto' / 'users'}\n").start()
+        text = PLANT.replace("{broker}", str(broker.port)).replace("{web}", str(web.port))
+        (place / "plant.toml").write_text(text.replace("{angry}", str(angry.port)))
+        yield Running(place, web, angry, broker)
+
+
+PATHS = (
+    *("/", "/app.js", "/healthz", "/metrics", "/none", "/api/plant", "/api/stream", "/api/stream?axis=x1"),
+    *("/api/axis/x1/history", "/api/axis/x1/reference.csv", "/api/trends?group=0&axes=0", "/api/alarms/1/acknowledge"),
+)
+
+
+@pytest.mark.skipif(PASSWD is None, reason="mosquitto_passwd is not installed")
+@needs_broker
+@pytest.mark.usefixtures("stopped_brokers")
+@pytest.mark.parametrize("form", [json_line, line], ids=["json", "text"])
+def test_no_secret_comes_out_anywhere(
+    folder: Path,  # noqa: F811
+    running: Running,
+    form: Any,
+    capfd: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    place, acting = running.place, running.acting(form)
+    rows = (folder / "run.csv").read_text().splitlines(keepends=True)
+
+    def counted(name: str, **labels: str) -> float:
+        return acting.service.counters.values().get((name, tuple(sorted(labels.items()))), 0.0)
+
+    def operate(publish: Callable[[], None]) -> None:
+        with (place / "log.csv").open("a") as file:
+            file.write("".join(rows[:900]))
+        acting.samples(800)
+        publish()
+        for path in PATHS:
+            for token in (SECRETS["PAGE_TOKEN"], SECRETS["reader.token"], None, *GUESSES):
+                running.ask(acting, path, token)
+        for token in (*GUESSES, SECRETS["reader.token"], SECRETS["PAGE_TOKEN"]):
+            running.ask(acting, "/api/axis/x1/anew", token, "POST")
+        assert running.ask(acting, "/api/plant", SECRETS["PAGE_TOKEN"]) == 200
+        assert until(lambda: counted("pmfid_sink_silent", sink="down") == 1, 30), "alarms of silence are among it"
+        _reload_of(place)
+        assert until(lambda: "reload" in acting.text.getvalue() or "read again" in acting.text.getvalue(), 20)
+        for sink in ("down", "angry", "influx-down", "wrong"):
+            assert counted("pmfid_sink_working", sink=sink) == 0
+        for sink in ("hook", "influx", "phone"):
+            assert counted("pmfid_sink_working", sink=sink) == 1
+        values = acting.service.counters.values()
+        assert [values["pmfid_source_working", (("source", name),)] for name in ("refused", "plc")] == [0.0, 0.0]
+        assert any(dict(labels).get("source") == "broker" for name, labels in values if name == "pmfid_unusable_total")
+        running.ask(acting, "/metrics", SECRETS["PAGE_TOKEN"])
+        running.ask(acting, "/api/stream", SECRETS["PAGE_TOKEN"])
+
+    with listening(running.broker) as (got, publish):
+        acting.act(lambda: operate(publish))
+    messages = b"\n".join(got)
+    out, err = capfd.readouterr()
+    seen = running.seen | {
+        "log": acting.text.getvalue().encode(),
+        "stdout": out.encode(),
+        "stderr": err.encode(),
+        "logging": caplog.text.encode(),
+        "messages": messages,
+        "posted": b"\n".join(body for _, _, body in [*running.web.got, *running.angry.got]),
+    }
+    own = {place / name for name in SECRETS} | {place / "mosquitto" / "users"}
+    seen |= {str(path): path.read_bytes() for path in place.rglob("*") if path.is_file() and path not in own}
+    assert sum(len(content) for content in seen.values()) > 300_000
+    assert {name: found for name, content in seen.items() if (found := found_in(content))} == {}
+    _were_used(running, seen, messages)
+
+
+def _reload_of(place: Path) -> None:
+    """A plant that cannot be read."""
+    text = (place / "plant.toml").read_text()
+    (place / "plant.toml").write_text(text.replace('kind = "webhook"', 'kind = "webhok"'))
+    os.kill(os.getpid(), signal.SIGHUP)
+
+
+@contextmanager
+def listening(broker: Broker) -> Iterator[tuple[list[bytes], Callable[[], None]]]:
+    """(all that is published, what publishes no samples)"""
+    from paho.mqtt import client as mqtt
+    from paho.mqtt.enums import CallbackAPIVersion
+
+    got: list[bytes] = []
+    listener = mqtt.Client(CallbackAPIVersion.VERSION2, "listener")
+    listener.on_message = lambda client, data, message: got.append(message.topic.encode() + b" " + message.payload)
+    listener.connect("127.0.0.1", broker.port)
+    listener.subscribe("#")
+    listener.loop_start()
+    yield got, lambda: listener.publish("in/x1", b"no samples at all", 1).wait_for_publish(10)
+    listener.loop_stop()
+
+
+def _were_used(running: Running, seen: dict[str, bytes], messages: bytes) -> None:
+    """Otherwise that they are nowhere would say nothing."""
+    headers = [headers.get("Authorization") for _, headers, _ in running.web.got]
+    assert {SECRETS["HOOK_SECRET"], f"Token {SECRETS['INFLUX_TOKEN']}"} <= set(headers)
+    assert SECRETS["ANGRY_SECRET"] in [headers["Authorization"] for _, headers, _ in running.angry.got]
+    assert any(path.endswith("hook-path-Ri27dx39ipFr") for path, _, _ in running.web.got)
+    assert b"pmfid/hall/status online" in messages
+    names = [Path(name).name for name in seen]
+    assert {"checkpoint-0", "db.sqlite", "lines.lp"} <= set(names)
+    assert any(name.endswith((".arrows", ".parquet")) for name in names)
+    for what in ("refused", "plc", "down", "angry", "influx-down", "wrong"):
+        assert what.encode() in seen["log"], "its failure is told"
+
+
+def _spoil(place: Path, name: str, how: str, patch: pytest.MonkeyPatch) -> None:
+    if name.isupper():
+        patch.delenv(name) if how == "missing" else patch.setenv(name, f"{SECRETS[name]}\nline ü")
+    elif how == "missing":
+        (place / name).unlink()
+    else:
+        (place / name).chmod(0o644)
+
+
+@pytest.mark.skipif(PASSWD is None, reason="mosquitto_passwd is not installed")
+@needs_broker
+@pytest.mark.usefixtures("stopped_brokers")
+def test_no_secret_comes_out_of_a_start_that_is_refused(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    refused = 0
+    for name in SECRETS:
+        for how in ("missing", "spoiled"):
+            if name.isupper() and how == "spoiled" and "PASSWORD" in name:
+                continue  # any text is a password
+            with monkeypatch.context() as patch:
+                content = None if name.isupper() else (running.place / name).read_text()
+                _spoil(running.place, name, how, patch)
+                late = threading.Timer(30, os.kill, (os.getpid(), signal.SIGTERM))  # it would serve for ever
+                late.start()
+                told = called("serve", str(running.place / "plant.toml"), "--json", "--until-end", code=2)
+                late.cancel()
+                assert found_in(told.encode()) == []
+                assert "Traceback" not in told
+                refused += 1
+                if content is not None:
+                    (running.place / name).write_text(content)
+                    (running.place / name).chmod(0o600)
+    assert refused > 20
