@@ -136,6 +136,7 @@ typedef struct {
     whole_t seen; /* the first samples and those in motion, until it has learned */
     whole_t suspect; /* suspicious changes in a row */
     whole_t doubt; /* on the last two inputs */
+    whole_t wait; /* samples until it learns again what a motion may do */
     whole_t reading; /* the last count while it is suspicious */
     integer_t change; /* the last one, read or predicted, that the next is predicted from */
     real_t rate; /* how that had changed */
@@ -143,6 +144,8 @@ typedef struct {
     real_t peak; /* of the input, leaking as fast */
     real_t gain; /* change of the change by a unit of the input's */
     real_t missed; /* what the last prediction missed by */
+    real_t last; /* and that of the last believed count, while the next ones are suspicious */
+    real_t lesson; /* what scatter grew by last */
     real_t held; /* input that the filters had last */
 } pmf_guard_state_t;
 #endif

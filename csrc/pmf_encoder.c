@@ -156,11 +156,15 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
 }
 
 #if PMF_WITH_GUARD
-/* Did counts come where they belong, as far as an encoder can tell? A stop could hide where it is slow. */
-static whole_t bridged(const pmf_encoder_state_t *state, integer_t change, integer_t motion)
+/* Did counts come where they belong, as far as an encoder can tell? A stop could hide where it is slow, and anything
+ * where one wrong count follows the other. */
+static whole_t bridged(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, integer_t change,
+                       integer_t motion)
 {
     truth_t close = (change - motion <= 1) & (motion - change <= 1);
-    return PMF_BIT(close & (magnitude(motion) >= FAST_COUNTS) & (state->guard.doubt == 0U), PMF_BRIDGED);
+    return PMF_BIT(close & (magnitude(motion) >= FAST_COUNTS) & (state->guard.doubt == 0U) &
+                       (state->guard.wait <= CALM(config)),
+                   PMF_BRIDGED);
 }
 #endif
 
@@ -178,7 +182,7 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
         status |= pmf_guard(config, state, input, count, apart, &change);
         counts = magnitude(change);
         motion = PMF_IF(apart, change, state->guard.change); /* counts that are put back are none */
-        status |= bridged(state, change, motion);
+        status |= bridged(config, state, change, motion);
     } else {
         state->count = count;
         motion = change;

@@ -10,6 +10,11 @@
  * is lost, and the filters settle again, for it did not come all at once. An input far beyond the largest one lately is
  * judged before the filters get it, two samples later: by then the counts have answered, or it has stayed; else the
  * last one counts in its place. Nothing here touches a sample that is not suspicious.
+ *
+ * A wrong count that is smaller than the limit is believed; the next one then misses by three times as much, the other
+ * way, and comes back to the motion before both: the first one is taken out of what is foreseen, and the filters
+ * settle. Wrong counts must not widen the limit, or each lets a larger one in. So what swings back is no lesson, nor is
+ * anything within CALM samples after a suspicious one, and a lesson that a suspicion follows is taken back.
  */
 #ifndef PMF_GUARD_H
 #define PMF_GUARD_H
@@ -34,6 +39,12 @@
 #define LEAST_PEAK PMF_R(1e-12) /* of an input that is one: its inverse squared is a number */
 #define LARGEST_RATE PMF_R(1e9) /* of a predicted change: it has to fit an integer */
 #define ANY_SHARE PMF_R(1e20)
+#define LESSON PMF_R(0.125) /* part of an excess that counts, once it has learned */
+#define LARGEST_SWING PMF_R(5.1) /* times the last miss, backwards: a wrong count may do that */
+#define SPOILT_BAND PMF_R(0.7) /* of what a wrong count spoils; else the next one is rather wrong */
+#define GOES_ON PMF_R(0.3) /* from sample to sample a blow differs by less */
+#define LARGEST_BLOW PMF_R(100.0) /* times the scatter */
+#define CALM(config) ((config)->guard >> 3) /* samples after a suspicious one that teach nothing */
 
 static integer_t signed_count(uint32_t mask, whole_t count); /* of pmf_encoder.c */
 
@@ -42,14 +53,41 @@ static real_t size_of(real_t x)
     return PMF_IF(x < PMF_R(0.0), -x, x);
 }
 
-/* From a sample that is believed. */
+/* From a sample that is believed. Once it has learned, nothing that may come of a wrong count is a lesson: that is
+ * missed by J, -3 J, 3 J, -J, and wrong ones come in flocks. */
 PMF_SELDOM void learn_scatter(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t where,
                               real_t missed)
 {
     real_t excess = size_of(missed) - (guard->scatter + STEP);
-    where = where & (excess > PMF_R(0.0)) & (guard->doubt == 0U) & (guard->seen >= FIRST_SAMPLES);
-    excess = PMF_IF(guard->seen >= config->guard, PMF_R(0.5) * excess, excess);
+    truth_t learned = guard->seen >= config->guard;
+    truth_t swings = (missed * guard->missed < PMF_R(0.0)) & (size_of(missed) < LARGEST_SWING * size_of(guard->missed));
+    where = where & (excess > PMF_R(0.0)) & (guard->doubt == 0U) & (guard->seen >= FIRST_SAMPLES) &
+            PMF_NOT(learned & (swings | (guard->wait > 0U)));
+    excess = PMF_IF(learned, LESSON * excess, excess);
+    guard->lesson = PMF_IF(where, excess, guard->lesson);
     guard->scatter = PMF_IF(where, guard->scatter + excess, guard->scatter);
+}
+
+/* A suspicion begins: what was learned from a sample just before was no lesson. */
+PMF_SELDOM void begin_suspicion(pmf_guard_state_t *guard, truth_t where, real_t last)
+{
+    truth_t fresh = where & ((guard->wait > 0U) | (size_of(guard->missed) > guard->scatter + STEP));
+    guard->scatter -= PMF_IF(fresh & (guard->lesson < guard->scatter), guard->lesson, PMF_R(0.0));
+    guard->lesson = PMF_IF(where, PMF_R(0.0), guard->lesson);
+    guard->last = PMF_IF(where, last, guard->last);
+}
+
+/* By how much the last count was missed that was believed at once. */
+PMF_SELDOM real_t last_miss(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, truth_t suspected)
+{
+    whole_t wait = guard->wait + 1U;
+    truth_t judged = (wait == CALM(config)) | (wait == 2U * CALM(config));
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) { /* its output may step there and back */
+        return PMF_R(0.0);
+    }
+#endif
+    return PMF_IF(suspected, guard->last, PMF_IF(judged, PMF_R(0.0), guard->missed));
 }
 
 /* What an input does, from a sample that nobody doubts. */
@@ -103,6 +141,23 @@ static integer_t foreseen_change(integer_t change, real_t rate)
     return sum_of(change, rounded(PMF_IF(rate < PMF_R(0.0), -sure, sure)));
 }
 
+/* Two wrong readings in a row may look like the first two samples of a blow; a third one goes on only after a blow. */
+PMF_SELDOM truth_t is_blow(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t missed,
+                           real_t pending, real_t limit)
+{
+    real_t before = guard->missed, most = PMF_R(2.0) * PMF_TO_REAL((integer_t)guard->suspect) * size_of(missed) + limit;
+    truth_t third = guard->suspect > 1U;
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) { /* its output may do anything */
+        return (third & (size_of(missed - PMF_R(1.25) * before) <= PMF_R(0.75) * size_of(before) + limit)) |
+               (guard->suspect > 2U);
+    }
+#endif
+    (void)config;
+    return third & (size_of(missed - before) <= GOES_ON * size_of(before) + limit) &
+           (size_of(missed) < LARGEST_BLOW * (guard->scatter + STEP)) & (size_of(pending) <= most);
+}
+
 /* While it learns: a jump is missed by J and -2 J, a wrong reading by J and -3 J. Was that the largest so far? */
 PMF_SELDOM truth_t was_wild(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t missed)
 {
@@ -132,7 +187,7 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
 {
     pmf_guard_state_t *guard = &state->guard;
     uint32_t mask = config->count_mask;
-    truth_t suspected = guard->suspect != 0U, back, anew, real, sound, open, closes, wild;
+    truth_t suspected = guard->suspect != 0U, back, anew, real, sound, open, closes, wild, rough;
     integer_t read = PMF_IF(suspected, signed_count(mask, (count - guard->reading) & mask), *change), foreseen;
     real_t driven = PMF_IF((guard->doubt & 1U) == 0U, state->input,
                            PMF_IF((guard->doubt & 2U) == 0U, state->input_before, guard->held));
@@ -141,27 +196,36 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     real_t part = PMF_TO_REAL(read) - before, whole = PMF_TO_REAL(*change) - before, pending = whole - part;
     real_t missed = part - predicted, missed_whole = whole - predicted, size = size_of(missed), most, limit, rate,
            share, expected;
-    real_t steady = before - guard->rate;
+    real_t steady = before - guard->rate, last = last_miss(config, guard, suspected), spoilt;
+    truth_t undone, ends, lost, learned = guard->seen >= config->guard;
     limit = (PMF_R(1.0) + gap) * limit_of(config, state, &open); /* what is missed adds up until the next good sample */
     back = size_of(missed_whole) <= limit;
     back = (back & PMF_NOT(suspected & (size < size_of(missed_whole)))) | open | apart;
+    /* or the last believed count was wrong: then it comes back to the motion before that */
+    spoilt = PMF_R(0.5) * (gap + PMF_R(2.0)) * (gap + PMF_R(3.0)) * last;
+    undone = PMF_NOT(back) & (size_of(missed_whole + spoilt) < SPOILT_BAND * size_of(spoilt));
+    begin_suspicion(guard, PMF_NOT(suspected | back), last);
+    last = PMF_IF(undone, last, PMF_R(0.0));
+    missed_whole += PMF_IF(undone, spoilt, PMF_R(0.0));
+    predicted -= last;
+    gap += PMF_IF(undone, PMF_R(1.0), PMF_R(0.0));
+    back = back | undone;
     anew = suspected & PMF_NOT(back) & (size <= limit) & (size < size_of(missed - pending));
-    /* two wrong readings in a row may look like the first two samples of a blow; a third one goes on only after a blow
-     */
-    real = (guard->suspect > 1U) &
-           (size_of(missed - PMF_R(1.25) * guard->missed) <= PMF_R(0.75) * size_of(guard->missed) + limit);
-    real = suspected & PMF_NOT(back | anew) & (real | (guard->suspect >= PMF_GUARD_SUSPECTS));
+    real = suspected & PMF_NOT(back | anew) & is_blow(config, guard, missed, pending, limit);
     sound = back | anew | real;
-    wild = back & PMF_NOT(suspected | apart) & was_wild(config, guard, missed_whole);
+    ends = sound | (guard->suspect >= PMF_GUARD_SUSPECTS);
+    wild = back & PMF_NOT(suspected | apart | undone) & was_wild(config, guard, missed_whole);
     /* What was missed since the last good sample came evenly: all at once, it would be taken for an acceleration. */
-    closes = suspected & sound & PMF_NOT(real | open | apart);
+    closes = (suspected | undone) & sound & PMF_NOT(real | open | apart);
     rate = PMF_IF(back, whole, part - guard->missed); /* a blow goes on from the reading before */
-    guard->missed = PMF_IF(back, missed_whole, missed);
-    share = guard->missed / (PMF_R(1.0) + gap);
+    missed = PMF_IF(back, missed_whole, missed);
+    share = missed / (PMF_R(1.0) + gap);
     most = CAUTION * guard->scatter + MOTION_EDGE;
-    most = PMF_IF(real & (size > most), most, guard->missed);
-    learn_scatter(config, guard, sound & PMF_NOT(apart | wild), PMF_IF(closes, share, most));
-    expected = PMF_IF(size_of(predicted) > LARGEST_RATE, PMF_R(0.0), predicted);
+    most = PMF_IF(real & (size > most), most, missed);
+    learn_scatter(config, guard, sound & PMF_NOT(apart | wild | undone | (closes & learned)),
+                  PMF_IF(closes, share, most));
+    guard->missed = missed;
+    expected = PMF_IF((size_of(predicted) > LARGEST_RATE) | (guard->suspect > 1U), PMF_R(0.0), predicted);
     foreseen = foreseen_change(guard->change, expected);
     rate = PMF_IF(sound, PMF_IF(closes, predicted + share, rate), expected);
     guard->rate = PMF_IF(apart, PMF_R(0.0), rate);
@@ -171,16 +235,21 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     }
 #endif
     /* nobody knows what a moved zero hid; its neighbours' mean is the best guess */
-    read = PMF_IF(closes & back, sum_of(guard->change, rounded(predicted + share)), read);
+    read = PMF_IF(closes & back, sum_of(guard->change, rounded(predicted + share - gap * last)), read);
     *change = PMF_IF(sound, PMF_IF(anew, sum_of(read, rounded(missed - share)), *change), foreseen);
     guard->change = PMF_IF(apart, guard->change, PMF_IF(sound, PMF_IF(closes | real, read, *change), foreseen));
     if (PMF_ANY(wild)) {
         learn_anew(guard, wild, steady);
     }
+    lost = ends & PMF_NOT(sound) & (guard->scatter < LARGEST_RATE);
+    guard->scatter = PMF_IF(lost, PMF_R(2.0) * guard->scatter + STEP, guard->scatter);
+    guard->wait = PMF_IF(ends & (suspected | undone),
+                         PMF_IF(guard->wait > 0U, PMF_W(2U * CALM(config)), PMF_W(CALM(config))), guard->wait);
+    rough = real | undone | (ends & (guard->suspect > 1U));
     guard->reading = PMF_IF(sound, guard->reading, count);
-    guard->suspect = PMF_IF(sound, PMF_W(0), guard->suspect + 1U);
-    state->count = PMF_IF(sound, count, (state->count + (whole_t)*change) & 0xffffffffU);
-    return PMF_BIT(PMF_NOT(sound), PMF_COUNT_JUMP) | PMF_BIT(real, PMF_SETTLING);
+    guard->suspect = PMF_IF(ends, PMF_W(0), guard->suspect + 1U);
+    state->count = PMF_IF(ends, count, (state->count + (whole_t)*change) & 0xffffffffU);
+    return PMF_BIT(PMF_NOT(sound) | undone, PMF_COUNT_JUMP) | PMF_BIT(rough, PMF_SETTLING);
 }
 
 /* The largest input, and with it what a motion may do. */
@@ -259,6 +328,9 @@ static whole_t pmf_guard(const pmf_encoder_config_t *config, pmf_encoder_state_t
     truth_t looks =
         (guard->seen < config->guard) & (missed * missed > REST_EDGE * REST_EDGE); /* the lesson may be wrong */
     whole_t status = PMF_W(0);
+    if (PMF_ANY(guard->wait > 0U)) {
+        guard->wait -= PMF_BIT((guard->wait > 0U) & (guard->suspect == 0U), 1U);
+    }
     if (PMF_ALL(plain & PMF_NOT(looks))) {
         if (PMF_ANY(missed * missed > beyond * beyond)) {
             learn_scatter(config, guard, plain, missed);

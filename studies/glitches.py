@@ -22,6 +22,7 @@ from pmfid.models.drive import Drive
 from pmfid.paper.truth import CartRecord, table
 from pmfid.status import Status
 from pmfid.types import Counts, Floats
+from studies import glitch_sizes
 from studies.machines import AXES, Axis, machine_record
 
 KINDS = ("jump", "jump at rest", "glitch", "1 % glitches", "spike")
@@ -152,8 +153,49 @@ def healthy(name: str) -> tuple[int, int]:
     return flagged, samples
 
 
-def page(places: int) -> str:
-    """The page, with so many places of each kind on every record."""
+def sizes_part(seeds: int, seconds: float) -> list[str]:
+    """Wrong counts of every size, on so many records of an axis, and an adversary of so many seconds."""
+    study = glitch_sizes
+    rates = ", ".join(f"{100 * rate:g}" for rate in study.RATES)
+    return [
+        "## Wrong counts of every size",
+        "",
+        f"{rates} % of the counts are wrong; sizes {', '.join(study.KINDS)} ({study.CLUSTER} within {study.WITHIN} "
+        f"samples), up to {', '.join(f'{size:,}' for size in study.LARGEST)} counts; {seeds} records per axis of "
+        f"{', '.join(MOTIONS)} and multisine, encoders of {', '.join(map(str, study.INCREMENTS))} increments, float64 "
+        f"and float32, a memory of {study.MEMORY} samples; only where the mass is within {100 * study.CLEAN:g} % "
+        "without wrong counts. Deviation of the mass from the track without them, in percent of the mass, where the "
+        "status flags nothing (`standstill`, `feedback` and `fallback` are no flags), and two memories after the last "
+        "one.",
+        "",
+        *table(
+            [
+                "axis",
+                "method",
+                "runs",
+                f"silent beyond {100 * study.FAR:g} %",
+                "silent, 99 % [%]",
+                "largest [%]",
+                f"after beyond {100 * study.FORGOTTEN:g} %",
+                "largest [%]",
+                "flagged samples [%]",
+            ],
+            study.size_rows(seeds),
+        ),
+        "",
+        f"An adversary changes sizes and places of 1 % of the counts for {seconds:g} s in all, and keeps what makes "
+        "the silent deviation larger:",
+        "",
+        *table(
+            ["axis", "method", "tried", "silent at first [%]", "silent [%]", "largest [%]", "after [%]"],
+            study.adversary_rows(seconds),
+        ),
+        "",
+    ]
+
+
+def page(places: int, seeds: int, seconds: float) -> str:
+    """The page, with so many places of each kind on every record; seeds, seconds: of `sizes_part`."""
     rows = []
     for name in AXES:
         for kind in KINDS:
@@ -204,6 +246,7 @@ def page(places: int) -> str:
             "",
             *table(["axis", "flagged samples", "of"], flags),
             "",
+            *sizes_part(seeds, seconds),
         ]
     )
 
@@ -212,8 +255,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, help="the page")
     parser.add_argument("--places", type=int, default=50, help="of each fault on every record (default: %(default)s)")
+    parser.add_argument("--seeds", type=int, default=20, help="records of each axis (default: %(default)s)")
+    parser.add_argument("--adversary", type=float, default=3600.0, help="its time [s] (default: %(default)s)")
     options = parser.parse_args()
-    text = page(options.places)
+    text = page(options.places, options.seeds, options.adversary)
     print(text)
     if options.out is not None:
         options.out.write_text(text, "utf-8")

@@ -1,0 +1,199 @@
+"""Wrong counts of every size, and those that an adversary chooses: what they do to the mass. For `studies.glitches`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import product
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.encoder import Encoder
+from pmfid.estimators.bcrls import BCRLS
+from pmfid.estimators.iv import RIV
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.rls import RLS
+from pmfid.estimators.track import Track
+from pmfid.models.drive import Drive
+from pmfid.paper.truth import CartRecord
+from pmfid.status import Status
+from pmfid.types import Counts
+from studies.machines import AXES, MOTIONS, machine_record
+
+KINDS = ("uniform", "log-uniform", "constant", "constant, one sign", "clustered")
+RATES = (0.001, 0.01, 0.03)
+#: Largest size [counts].
+LARGEST = (3, 5, 10, 30, 100, 300, 1000, 5000, 100_000, 1_000_000)
+METHODS: Mapping[str, type[RecursiveEstimator]] = MappingProxyType({"rls": RLS, "bcrls": BCRLS, "riv": RIV})
+PRECISIONS = ("float64", "float32")
+INCREMENTS = (16384, 4096, 1024, 256)
+#: A cluster has so many wrong counts in as many samples.
+CLUSTER, WITHIN = 5, 20
+#: Of the estimators [samples], and the pole of their filters times the sample period.
+MEMORY, CUTOFF = 200, 0.5
+#: The guard was chosen on the others.
+HELD_BACK = ("spindle", "stage", "gantry")
+#: A method whose mass is further off without a wrong count is not judged on that record.
+CLEAN = 0.02
+FAR, FORGOTTEN = 0.05, 0.01
+#: These bits say nothing of the mass, or not that it is wrong.
+FLAGS = ~(Status.STANDSTILL | Status.FEEDBACK | Status.FALLBACK)
+
+
+@dataclass(frozen=True)
+class Case:
+    """An estimator on the record of an axis, its track without wrong counts, and the first and last place of one."""
+
+    axis: str
+    method: str
+    estimator: RecursiveEstimator
+    record: CartRecord
+    clean: Track
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Harm:
+    """Deviation of the mass from the track without wrong counts, in parts of the mass: largest where nothing is
+    flagged, largest at all, and two memories after the last wrong count. flagged: part of the samples."""
+
+    silent: float
+    largest: float
+    after: float
+    flagged: float
+
+
+def case_of(axis: str, method: str, seed: int, precision: str = "float64") -> Case | None:
+    """The seed chooses motion and encoder; None where the method is not within `CLEAN` without wrong counts."""
+    machine = AXES[axis]
+    motion, increments = MOTIONS[seed % 3], INCREMENTS[seed // 3 % len(INCREMENTS)]
+    record = machine_record(machine, "nothing", motion, increments, 700 + seed)
+    estimator = METHODS[method](
+        Drive(machine.drive.input_gain),
+        Encoder(record.resolution),
+        machine.dt,
+        CUTOFF / machine.dt,
+        forgetting=1 - 1 / MEMORY,
+        precision=precision,
+    )
+    clean, n = estimator.run(record.u, record.counts), record.u.size
+    if not np.max(np.abs(clean.theta[n // 3 :, 0] / machine.drive.mass - 1)) < CLEAN:
+        return None
+    return Case(axis, method, estimator, record, clean, n // 3, n - 2 * MEMORY - 60)
+
+
+def wrong_sizes(kind: str, largest: int, faults: int, rng: np.random.Generator) -> Counts:
+    """Signed sizes (faults,) [counts]."""
+    signs = rng.choice([-1, 1], faults)
+    if kind == "constant":
+        return largest * signs
+    if kind == "constant, one sign":
+        return np.full(faults, largest * signs[0])
+    if kind == "log-uniform":
+        return signs * np.rint(3.0 * (largest / 3) ** rng.random(faults)).astype(np.int64)
+    return rng.integers(-largest, largest + 1, faults)
+
+
+def wrong_places(kind: str, rate: float, case: Case, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Places (k,), at least one."""
+    samples = case.last - case.first
+    faults = max(1, round(rate * samples))
+    if kind != "clustered":
+        return np.sort(case.first + rng.choice(samples, faults, replace=False))
+    starts = case.first + rng.choice(samples - WITHIN, max(1, round(faults / CLUSTER)), replace=False)
+    return np.unique([start + rng.choice(WITHIN, CLUSTER, replace=False) for start in starts])
+
+
+def harm(case: Case, places: NDArray[np.intp], sizes: Counts) -> Harm:
+    """What wrong counts of sizes (k,) at places (k,) do."""
+    counts = case.record.counts.copy()
+    counts[places] += sizes
+    case.estimator.reset()
+    track = case.estimator.run(case.record.u, counts)
+    apart = np.abs(track.theta[:, 0] - case.clean.theta[:, 0])[case.first :] / AXES[case.axis].drive.mass
+    flagged = track.flagged(FLAGS)[case.first :]
+    after = apart[places[-1] + 2 * MEMORY + 1 - case.first]
+    return Harm(float(np.max(apart[~flagged], initial=0.0)), float(apart.max()), float(after), float(flagged.mean()))
+
+
+def harm_of(case: Case, kind: str, rate: float, largest: int, seed: int) -> Harm:
+    """Of wrong counts at this rate, of this kind, up to a largest size."""
+    rng = np.random.default_rng([seed, largest, round(1e4 * rate), KINDS.index(kind)])
+    places = wrong_places(kind, rate, case, rng)
+    return harm(case, places, wrong_sizes(kind, largest, places.size, rng))
+
+
+def harms(axis: str, method: str, seeds: int) -> Iterator[Harm]:
+    """The harm of every kind, rate and size, in both precisions."""
+    for seed in range(seeds):
+        for precision in PRECISIONS:
+            case = case_of(axis, method, seed, precision)
+            if case is not None:
+                for kind, rate, largest in product(KINDS, RATES, LARGEST):
+                    yield harm_of(case, kind, rate, largest, seed)
+
+
+def mutated(
+    case: Case, places: NDArray[np.intp], sizes: Counts, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Some sizes by another factor or sign, some places elsewhere, often next to another one."""
+    places, sizes = places.copy(), sizes.astype(np.float64)
+    some = rng.random(places.size) < rng.choice([1.5 / places.size, 0.2])
+    sizes[some] *= np.exp(rng.normal(0.0, rng.choice([0.1, 1.0]), some.sum())) * rng.choice([1, 1, 1, -1], some.sum())
+    sizes = np.clip(np.where(np.abs(sizes) < 3, np.copysign(3.0, sizes), sizes), -1e6, 1e6)
+    moved = rng.random(places.size) < rng.choice([0.0, 1.0 / places.size])
+    near = rng.choice(places, moved.sum()) + rng.integers(1, 4, moved.sum())
+    places[moved] = np.where(rng.random(moved.sum()) < 0.7, near, rng.integers(case.first, case.last, moved.sum()))
+    places, first = np.unique(np.minimum(places, case.last), return_index=True)
+    return places, np.rint(sizes[first]).astype(np.int64)
+
+
+def climb(case: Case, rate: float, seconds: float, rng: np.random.Generator) -> tuple[float, Harm, int]:
+    """Sizes and places that make the largest deviation without a flag, by hill climbing: where it began, the worst, and
+    how many were tried."""
+    places = wrong_places("uniform", rate, case, rng)
+    sizes = wrong_sizes("log-uniform", 1000, places.size, rng)
+    worst = harm(case, places, sizes)
+    began, tried, end = worst.silent, 1, time.monotonic() + seconds
+    while time.monotonic() < end:
+        other = mutated(case, places, sizes, rng)
+        found, tried = harm(case, *other), tried + 1
+        if found.silent >= worst.silent:
+            worst, (places, sizes) = found, other
+    return began, worst, tried
+
+
+def size_rows(seeds: int) -> list[list[str]]:
+    """A row for each axis and method."""
+    rows = []
+    for axis in AXES:
+        for method in METHODS:
+            found = list(harms(axis, method, seeds))
+            if found:
+                silent, after = (100 * np.array([getattr(one, part) for one in found]) for part in ("silent", "after"))
+                held = " (held back)" if axis in HELD_BACK else ""
+                numbers = [np.quantile(silent, 0.99), silent.max(), after.max()]
+                beyond = [str(int(np.sum(x > 100 * most))) for x, most in ((silent, FAR), (after, FORGOTTEN))]
+                flagged = f"{100 * np.mean([one.flagged for one in found]):.0f}"
+                usual, largest, late = (f"{x:.2g}" for x in numbers)
+                row = [axis + held, method, str(len(found)), beyond[0], usual, largest, beyond[1], late, flagged]
+                rows.append(row)
+                print(" | ".join(rows[-1]), flush=True)
+    return rows
+
+
+def adversary_rows(seconds: float, rate: float = 0.01) -> list[list[str]]:
+    """A row for each axis and method, of equal parts of the time."""
+    rows, rng = [], np.random.default_rng(29)
+    for axis in AXES:
+        for method in METHODS:
+            case = next(one for one in (case_of(axis, method, seed) for seed in (4, 1, 7, 0)) if one is not None)
+            began, worst, tried = climb(case, rate, seconds / (len(AXES) * len(METHODS)), rng)
+            numbers = [f"{100 * x:.2g}" for x in (began, worst.silent, worst.largest, worst.after)]
+            rows.append([axis, method, str(tried), *numbers])
+            print(" | ".join(rows[-1]), flush=True)
+    return rows
