@@ -20,6 +20,7 @@ from pmfid.fleet.source import Part
 from pmfid.fleet.store import Store, whole
 from pmfid.fleet.times import other_unit, seconds_of
 from pmfid.fleet.walk import RESULTS
+from pmfid.session.tables import LONGEST_CELL
 from studies.fleet_data import AXIS_TOML, machines, rows
 
 AXES, SAMPLES = 9, 6000
@@ -153,6 +154,13 @@ def test_text_of_iso_8601_is_a_time(ahead: str, ending: str) -> None:
     text = (stamps.dt.strftime("%Y-%m-%dT%H:%M:%S%.6f") + ending).extend(pl.Series(["2026-03-01", "yes", None]))
     found = pl.DataFrame({"t": text}).select(seconds_of(pl.col("t"), "t", pl.String(), 1.0))["t"]
     assert found.to_list() == [*there.to_list(), None, None, None]
+
+
+def test_a_long_text_is_no_time() -> None:
+    """A packed file of 5 kB repeated one of 20 kB in 400 000 rows: its parts took 6 GB."""
+    stamp = "2026-03-01 00:00:00.25"
+    frame = pl.DataFrame({"t": [stamp, stamp + " " * LONGEST_CELL]})
+    assert frame.select(seconds_of(pl.col("t"), "t", pl.String(), 1.0))["t"].to_list() == [1_772_323_200.25, None]
 
 
 @pytest.mark.parametrize("kind", [pl.Date(), pl.Time(), pl.Boolean()])

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
 from pmfid.session.clock import EPOCHS, UNITS
+from pmfid.session.tables import LONGEST_CELL
 
 if TYPE_CHECKING:
     import polars as pl
@@ -43,7 +44,8 @@ def _dated(column: pl.Expr) -> pl.Expr:
     """Of text as ISO 8601 has it."""
     import polars as pl
 
-    text = column.str.strip_chars().str.replace("T", " ", literal=True).str.replace(",", ".", literal=True)
+    short = pl.when(column.str.len_bytes() <= LONGEST_CELL).then(column)  # a packed file may repeat a long one
+    text = short.str.strip_chars().str.replace("T", " ", literal=True).str.replace(",", ".", literal=True)
     plain = text.str.replace(_OFFSET, "").str.strip_suffix("Z").str.strip_chars_end()
     # a day ends in a sign and digits, too: an offset stands behind a time
     plain = pl.when(text.str.contains(":")).then(plain)
