@@ -20,6 +20,8 @@ from pmfid.types import Floats
 DT, RESOLUTION = 0.01, 22.75e-6
 #: Of which every machine differs a little: standard deviation of the logarithm.
 NOMINAL, SPREAD = DriveParameters(1.07, 10.0, 2.5, 2.0), 0.05
+#: Of the input: over its largest, and for how many samples.
+SIZES, HELD = (0.8, 1.0), 300
 #: Axes in a file.
 IN_A_FILE = 25
 CAUSES = ("mass", "friction", "input_gain")
@@ -85,9 +87,10 @@ def changed_drive(drive: DriveParameters, change: Change) -> DriveParameters:
 
 
 def rows(machine: Machine, samples: int, seed: int) -> pl.DataFrame:
-    """The log of an axis under a random binary input of its own size and pace."""
+    """The log of an axis under a random binary input of its own pace, whose size changes every few seconds."""
     rng = np.random.default_rng([seed, 2, machine.number])
-    u: Floats = np.round(prbs(samples, clock=int(rng.integers(15, 41)), amplitude=rng.uniform(5, 9), rng=rng), 3)
+    binary: Floats = prbs(samples, clock=int(rng.integers(15, 41)), amplitude=rng.uniform(5, 9), rng=rng)
+    u = np.round(binary * np.repeat(rng.uniform(*SIZES, samples // HELD + 1), HELD)[:samples], 3)
     parts = [(0.0, machine.drive)]
     if machine.change is not None:
         parts.append((machine.change.time, changed_drive(machine.drive, machine.change)))

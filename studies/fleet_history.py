@@ -67,9 +67,19 @@ them for each shard anew took 3.7, 7.9 and 26 s. A Delta table is read by its lo
 memory is that of three full shards at most, however many threads, and of the packed row group of a Parquet file. An
 Arrow file is unpacked batch by batch as a whole, and other formats file by file: write Arrow in batches of about a
 million rows, or as Parquet.
-Where the model lacks something of the
-machine, the bars do not hold that (`unmodelled` in the findings); changes are then still found against the
-axis's own past.
+Where the model lacks something of the machine, the bars do not hold that; changes are then still found against the
+axis's own past. The findings say so, and the quality of a period and of an axis is then `doubt`: `unmodelled`,
+`dead_time` and `feedback` if at least half of the segments of a period have it, and of all periods of an axis if a part
+of its segments has it (a tenth, a quarter, a quarter); `one_way` if estimates from moves forward contradict those
+from moves backward, as with a load, or if there is one direction alone; `one_size` if the input has one size alone,
+where saturation or a dead zone looks like another force per input.
+
+Rests longer than four settling times of the filters take no place in a segment, so that a segment may span up to ten
+times its length, and no more than a period. A few moves from rest to rest are gone through more than once, until the
+method has settled; the bars count them once. `visible` in `axes.parquet` is the relative step of any parameter that
+would be named if it came in the middle of the history; an axis in which it is 10 % or more has `little_information`
+among its findings. `python -m studies.fleet_kinds` has what became of motion of many kinds, simulated by an integrator
+of its own.
 
 """.splitlines()
 

@@ -31,7 +31,8 @@ class Step:
     """cause: name of a parameter, FRICTION or INPUT_GAIN; size, std: relative; since, until: [s] of the segment in
     which it came; settled: [s] from which on estimates are of the time after it; score: the largest deviation
     beyond the tolerance, in standard deviations; relative, bars: (p,) change of every parameter with its standard
-    deviation; misfit: sum of squares that it leaves, in standard deviations."""
+    deviation; misfit: sum of squares that it leaves, in standard deviations; middle: (p,) standard deviations that a
+    step in the middle of the series would have."""
 
     cause: str
     size: float
@@ -43,6 +44,7 @@ class Step:
     relative: Floats
     bars: Floats
     misfit: float
+    middle: Floats
 
 
 @dataclass(frozen=True)
@@ -91,14 +93,16 @@ def _sized(series: Series, k: int, names: Sequence[str], tolerance: float) -> St
     rest = np.concatenate([(first.theta - old) / first.std, (second.theta - new) / second.std])
     size = np.maximum(np.abs(old), np.finfo(float).tiny)
     known = (first.std**-2.0).sum(axis=0), (second.std**-2.0).sum(axis=0)
-    bars = np.sqrt(1 / known[0] + 1 / known[1]) * np.maximum(1.0, lasting(rest)) / size
+    scatter = np.maximum(1.0, lasting(rest)) / size
+    bars = np.sqrt(1 / known[0] + 1 / known[1]) * scatter
     relative = (new - old) / size
     scores = (np.abs(relative) - tolerance) / bars
     cause, change, std = explained(relative, bars, _correlation(rest), names)
     times = _since(series, k), float(series.end[k]), float(series.start[later])
     whole = np.where(np.arange(n)[:, None] < k, old, new)
     misfit = float(np.sum(((series.theta - whole) / series.std) ** 2))
-    return Step(cause, change, std, *times, float(np.max(scores)), relative, bars, misfit)
+    middle = 2 / np.sqrt(known[0] + known[1]) * scatter
+    return Step(cause, change, std, *times, float(np.max(scores)), relative, bars, misfit, middle)
 
 
 def _since(series: Series, k: int) -> float:

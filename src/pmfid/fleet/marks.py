@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.estimators.track import Tracks
+from pmfid.fleet.series import BACKWARD, FORWARD, ONE_SIZE
 from pmfid.status import Status
-from pmfid.types import Floats
+from pmfid.types import Counts, Floats
 
 #: Estimates of a segment that are kept.
 MARKS = 16
@@ -16,6 +17,8 @@ MARKS = 16
 USUAL = 3.0
 #: Part of the second half in which the equation is off, from which on the segment is.
 OFF = 0.25
+#: Part of the travel that goes the other way, at least; mean over largest size of an input of several sizes, at most.
+BACK, LEVEL = 0.05, 0.98
 
 
 def settled_std(tracks: Tracks) -> Floats:
@@ -32,6 +35,17 @@ def lasting_status(tracks: Tracks) -> NDArray[np.uint32]:
     off = (tracks.status[:, _after(tracks, 2) :] & Status.UNMODELLED) != 0
     wrong = np.mean(off, axis=1) >= OFF
     return np.asarray(tracks.status[:, -1] | np.where(wrong, Status.UNMODELLED, 0), np.uint32)
+
+
+def unshown(u: Floats, counts: Counts) -> NDArray[np.uint32]:
+    """(n,) bits of what inputs and counts (n, samples) cannot show."""
+    steps = np.diff(counts, axis=1)
+    there, travel = steps.sum(axis=1), np.abs(steps).sum(axis=1)
+    one_way = travel - np.abs(there) < 2 * BACK * travel
+    way = np.where(one_way, np.where(there > 0, FORWARD, BACKWARD), 0)
+    sizes = np.abs(u)
+    one_size = sizes.mean(axis=1) > LEVEL * sizes.max(axis=1)
+    return np.asarray(way | np.where(one_size, ONE_SIZE, 0), np.uint32)
 
 
 def _after(tracks: Tracks, part: int) -> int:

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     import polars as pl
 
 
+#: Said of an axis in which a step of this size might be overlooked.
+LITTLE, SOUGHT = "little_information", 0.1
+
+
 @dataclass(frozen=True)
 class Outcome:
     """As in `History`."""
@@ -157,6 +161,8 @@ def _axes(follows: Sequence[Follow], verdicts: Sequence[Verdict], names: Sequenc
         row: dict[str, object] = {"axis": one.axis, "type": one.type, "named": verdict.named, "kind": verdict.kind}
         row |= {"score": verdict.score, "cause": verdict.cause, "size": verdict.size, "std": verdict.std}
         row |= {"since": verdict.since, "until": verdict.until, "why": sentence(verdict), "segments": one.segments}
+        codes = one.codes | ({LITTLE} if not verdict.visible < SOUGHT else set())
+        row |= {"quality": one.quality, "findings": " ".join(sorted(codes)), "visible": verdict.visible}
         for i, name in enumerate(names):
             deviation = float(verdict.deviation[i]) if verdict.deviation.size else math.nan
             changed = math.nan if one.step is None else float(one.step.relative[i])

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.fleet.series import Series, mean_of
+from pmfid.fleet.series import BACKWARD, FORWARD, ONE_SIZE, Series, mean_of
 from pmfid.fleet.source import seconds
 from pmfid.status import Status
 
@@ -21,7 +21,12 @@ PAUSE = 60.0
 #: Status of segments that is told of a period where at least half of its segments have it.
 TOLD = (Status.FALLBACK, Status.UNMODELLED, Status.FEEDBACK, Status.DEAD_TIME)
 #: Findings with which an estimate may be further off than its bar says; a period with a change in it has two truths.
-DOUBT = {"missing", "changed", *(str(bit.name).lower() for bit in TOLD)}
+DOUBT = {"missing", "changed", "one_way", "one_size", *(str(bit.name).lower() for bit in TOLD)}
+#: Segments that have such a status from which on it is one of the axis, not of a time, and part of them: a right model
+#: is unmodelled in one of fifty, late or under feedback in up to one of ten; a change is in one or two more.
+SEVERAL, SHARE = 3, {Status.UNMODELLED: 0.1, Status.DEAD_TIME: 0.25, Status.FEEDBACK: 0.25, Status.FALLBACK: 0.5}
+#: Standard deviations, and part of their size, by which estimates of one direction and the others may differ.
+AGREES, SAME_WAY = 4.0, 0.02
 #: Sample periods within this part of one another are the same.
 SAME = 1e-3
 #: Part of the samples that is filled in, from which on that is told.
@@ -66,12 +71,12 @@ def period_rows(
     codes: Collection[tuple[float, str]],
 ) -> Iterator[dict[str, object]]:
     """A row for each period of an axis; kind: its type; codes: times [s] and names of findings of its rows."""
-    numbers = periods.numbers(series, segment)
+    numbers, always = periods.numbers(series, segment), standing(series)
     for number in np.unique(numbers):
         part = series[numbers == number]
         begin = periods.begin(int(number), float(part.start[0]))
         end = float(part.end[-1]) if periods.length is None else begin + periods.length
-        own = {code for at, code in codes if not at < begin and at < end}
+        own = always | {code for at, code in codes if not at < begin and at < end}
         yield _row(axis, kind, part, names, begin, own)
 
 
@@ -79,22 +84,51 @@ def _row(axis: str, kind: str, part: Series, names: Sequence[str], begin: float,
     used = part[part.usable]
     theta, std = mean_of(used)
     lost = float(np.average(part.lost, weights=part.samples))
-    told = codes | _codes(part, used, lost)
+    told = codes | codes_of(part)
     row: dict[str, object] = {"axis": axis, "type": kind, "period": begin}
     row |= {"first": float(part.start[0]), "last": float(part.end[-1]), "samples": int(part.samples.sum())}
     row |= {"segments": int(used.start.size), "lost": lost, "dt": float(np.median(part.dt))}
     for i, name in enumerate(names):
         row |= {name: float(theta[i]), f"{name}_std": float(std[i])}
-    quality = "none" if not used.start.size else "doubt" if told & DOUBT else "good"
-    return row | {"quality": quality, "findings": " ".join(sorted(told))}
+    return row | {"quality": quality_of(int(used.start.size), told), "findings": " ".join(sorted(told))}
 
 
-def _codes(part: Series, used: Series, lost: float) -> set[str]:
-    found = {"missing"} if lost > LOST else set()
+def quality_of(segments: int, codes: Collection[str]) -> str:
+    """What an estimate of so many usable segments with these findings is worth."""
+    return "none" if not segments else "doubt" if DOUBT.intersection(codes) else "good"
+
+
+def standing(series: Series) -> set[str]:
+    """Findings of the whole of an axis: in which moves an equation that is off shows it, is chance."""
+    used = series[series.known]
+    many = {bit: np.count_nonzero(used.status & int(bit)) for bit in TOLD}
+    which = (bit for bit in TOLD if many[bit] >= max(SEVERAL, SHARE[bit] * used.start.size))
+    return {str(bit.name).lower() for bit in which} | ({"one_way"} if _uneven(used) else set())
+
+
+def _uneven(used: Series) -> bool:
+    """Do segments of one direction contradict the others, as with a load, or are there no others to tell?"""
+    for bit in (FORWARD, BACKWARD):
+        own = (used.status & bit) != 0
+        if np.all(own) and own.size:
+            return True
+        if np.any(own):
+            (one, bar), (rest, other) = mean_of(used[own]), mean_of(used[~own])
+            apart = np.abs(one - rest)
+            if np.any((apart > AGREES * np.hypot(bar, other)) & (apart > SAME_WAY * np.abs(rest))):
+                return True
+    return False
+
+
+def codes_of(part: Series) -> set[str]:
+    """Findings of some segments."""
+    used = part[part.usable]
+    found = {"missing"} if np.average(part.lost, weights=part.samples) > LOST else set()
     if np.ptp(part.dt) > SAME * np.max(part.dt):
         found.add("mixed_dt")
     status = Counter(bit for bit in TOLD for one in used.status if int(one) & bit)
     found |= {str(bit.name).lower() for bit, many in status.items() if 2 * many >= used.start.size}
+    found |= {"one_size"} if np.all(part.status & ONE_SIZE) else set()
     if not used.start.size:
         occurred = int(np.bitwise_or.reduce(part.status))
         found |= {str(bit.name).lower() for bit in Status if bit & occurred}

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 #: An estimate with one of these at its end says nothing.
 UNUSABLE = int(Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION | Status.COMPENSATION_HELD | Status.RESET)
+#: Bits of a segment that are no `Status`: it moved forward or backward alone, where a load looks like friction; its
+#: input had one size alone, where saturation or a dead zone looks like another force per input.
+FORWARD, BACKWARD, ONE_SIZE = 1 << 31, 1 << 30, 1 << 29
 #: Batches whose means show what lasts, at least.
 BATCHES = 4
 #: Standard deviations that segments are known to be too sure or unsure by, at least: of few, their own word counts.
@@ -46,6 +49,13 @@ class Series:
 
     @property
     def usable(self) -> Flags:
+        """(n,) which segments count: of those that say something the ones in which the equation holds, if they are
+        most. A change within a segment, or a bad start, makes it another one."""
+        clean = self.known & ((self.status & int(Status.UNMODELLED)) == 0)
+        return clean if 2 * np.count_nonzero(clean) > np.count_nonzero(self.known) else self.known
+
+    @property
+    def known(self) -> Flags:
         """(n,) which segments say something: those of the method itself where there are some, not of the simpler one
         that it falls back on, whose bars hold less."""
         known = ((self.status & UNUSABLE) == 0) & np.all(np.isfinite(self.std) & (self.std > 0), axis=1)

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from pmfid.fleet.changes import Step, Trend, step_of, trend_of
+from pmfid.fleet.periods import codes_of, quality_of, standing
 from pmfid.fleet.series import Series, mean_of
 from pmfid.fleet.sorts import sorts_of
 from pmfid.fleet.wander import Beyond, beyond
@@ -37,7 +38,7 @@ LINE = 1e-3
 @dataclass(frozen=True)
 class Follow:
     """What one axis says by itself. theta, std: (p,) at the end, since its last step; segments: usable ones; wander:
-    what step and trend explain beyond it, None where neither is clear; dt: the median [s]."""
+    what step and trend explain beyond it, None where neither is clear; dt: the median [s]; codes: findings of theta."""
 
     axis: str
     type: str
@@ -48,6 +49,12 @@ class Follow:
     trend: Trend | None
     wander: Beyond | None = None
     dt: float = math.nan
+    codes: frozenset[str] = frozenset()
+
+    @property
+    def quality(self) -> str:
+        """What theta is worth."""
+        return quality_of(self.segments, self.codes)
 
     @property
     def stepped(self) -> bool:
@@ -61,7 +68,8 @@ class Verdict:
     """kind: one of the above, empty: nothing to say; score: evidence over what chance would name, from 1 on it is
     named; cause: parameter, FRICTION or INPUT_GAIN; size, std: relative, of a drift per day, of one that wanders root
     mean square about the mean; since, until: [s], between which it came; days: of the history; deviation: (p,) relative
-    to the median of its sort, NaN of too few axes."""
+    to the median of its sort, NaN of too few axes; visible: relative step of any parameter that would be named if it
+    came in the middle of the history, infinite of too few segments."""
 
     kind: str
     score: float
@@ -72,6 +80,7 @@ class Verdict:
     until: float = math.nan
     days: float = 0.0
     deviation: Floats = field(default_factory=lambda: np.empty(0))
+    visible: float = math.inf
 
     @property
     def weight(self) -> float:
@@ -99,19 +108,31 @@ def followed(axis: str, kind: str, series: Series, names: Sequence[str], toleran
         whole = (used.start < step.since) | (used.start >= step.settled)  # not of both sides
         wander = beyond(used[whole], step.settled)
     late = used if step is None or not step.score > 0 else used[used.start >= step.settled]
-    theta, std = mean_of(late if late.start.size else used)
+    late = late if late.start.size else used
+    theta, std = mean_of(late)
+    codes = frozenset(standing(series) | (codes_of(late) if late.start.size else set()))
     dt = float(np.median(used.dt)) if used.dt.size else math.nan
-    return Follow(axis, kind, int(used.start.size), theta, std, step, trend, wander, dt)
+    return Follow(axis, kind, int(used.start.size), theta, std, step, trend, wander, dt, codes)
 
 
 def judged(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[Verdict]:
     """The verdict on each axis, in their order."""
     deviations = _deviations(follows, tolerance)
     limit = _limit(len(follows) * max(1, len(names)), math.inf)
-    return [
+    found = (
         _verdict(one, names, deviation, excess, len(follows), limit)
         for one, (deviation, excess) in zip(follows, deviations, strict=True)
+    )
+    trials = len(follows) * len(names)
+    return [
+        replace(verdict, visible=_visible(one, trials, tolerance)) for one, verdict in zip(follows, found, strict=True)
     ]
+
+
+def _visible(one: Follow, trials: int, tolerance: float) -> float:
+    if one.step is None:
+        return math.inf
+    return tolerance + _limit(trials * one.segments, one.segments - 2) * float(np.max(one.step.middle))
 
 
 def _verdict(one: Follow, names: Sequence[str], deviation: Floats, excess: Floats, axes: int, limit: float) -> Verdict:
