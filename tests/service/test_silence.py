@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+import sqlite3
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
@@ -32,11 +36,14 @@ from pmfid.service.plant import load_plant
 from pmfid.service.run import Service
 from pmfid.service.sinks.queued import Queued
 from pmfid.simulation import CART_DT
+from studies.service.processes import service
+from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.feed import Faulty, Host, kindred, notice, until
 from tests.service.feed import block as rows_of
+from tests.service.test_alarm_in_time import EXAMPLES, plant_of
 from tests.service.test_mqtt_sink import Link, sink_of
 from tests.service.test_page_browser import at_overview
-from tests.service.test_serve import Acting, events, folder  # noqa: F401 a fixture
+from tests.service.test_serve import Acting, Events, events, folder  # noqa: F401 a fixture
 from tests.service.web_servers import web_server
 
 LIMIT = 60.0
@@ -321,12 +328,15 @@ def test_files_have_both(told: list[Notice], tmp_path: Path, kind: str) -> None:
 def events_of(place: Path, kind: str) -> list[str]:
     if kind == "line_protocol":
         return re.findall(r"event=(\w+)", (place / "a.lp").read_text())
-    import sqlite3
+    return events_in(place / "a.sqlite")
 
-    database = sqlite3.connect(place / "a.sqlite")
-    assert database.execute("SELECT count(*) FROM alarms").fetchone() == (3,)
-    found = [event for (event,) in database.execute("SELECT event FROM notices ORDER BY id")]
-    database.close()
+
+def events_in(file: Path) -> list[str]:
+    """Of the notices of a database; its alarms have rows of their own."""
+    with closing(sqlite3.connect(file)) as database:
+        rows = database.execute("SELECT event FROM notices WHERE event IN ('alarm', 'cleared') ORDER BY id")
+        found = [event for (event,) in rows]
+        assert database.execute("SELECT count(*) FROM alarms").fetchone() == (found.count("alarm"),)
     return found
 
 
@@ -444,6 +454,64 @@ def test_a_service_tells_silence_once_over_a_restart_and_its_end(folder: Path) -
     assert first_told == dict.fromkeys(("axis", "sink", "source"), "cleared")
     written = (folder / "folder/that/is/a/file/a.lp").read_text()
     assert re.findall(r"event=(\w+),.*silent=.sink", written) == ["alarm", "cleared"], "once it works, it has it, too"
+
+
+@pytest.mark.long
+@needs_broker
+@pytest.mark.usefixtures("stopped_brokers")
+def test_the_plant_of_the_examples_is_silent_killed_and_back(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "broker").mkdir()
+    broker = Broker(tmp_path / "broker").start()
+    plant = plant_of(tmp_path, broker)
+    with web_server() as server:
+        more = f'[sinks.hook]\nkind = "webhook"\nurl = "{server.url}"\n[sinks.lines]\nkind = "line_protocol"\n'
+        text = plant.read_text().replace("[service]\n", "[service]\nsilence = 10.0\n")
+        plant.write_text(f'{text}\n{more}to = "a.lp"\nrows = false\n')
+        with service(plant, tmp_path / "first.jsonl") as served:
+            stopped = sent(broker, 15.0)
+            assert until(lambda: len(server.got) == 13, 30)
+            time.sleep(5.0)
+            assert served.total("pmfid_axes_silent") == 12
+            served.process.kill()
+        alarms = events((tmp_path / "first.jsonl").read_text(), "alarm")
+        with service(plant, tmp_path / "second.jsonl") as served:
+            time.sleep(15.0)
+            assert served.total("pmfid_axes_silent") == 12
+            assert served.total("pmfid_source_silent") == 1
+            assert len(server.got) == 13, "nothing is told twice"
+            sent(broker, 12.0)
+            assert until(lambda: len(server.got) == 26, 30)
+            assert served.total("pmfid_axes_silent") == served.total("pmfid_source_silent") == 0
+        posted = [json.loads(body)["event"] for _, _, body in server.got]
+    by_sink = {
+        "webhook": posted,
+        "line protocol": re.findall(r"event=(alarm|cleared)", (tmp_path / "a.lp").read_text()),
+        "sqlite": events_in(next((tmp_path / "state").rglob("*.sqlite"))),
+        "log": [e["event"] for name in ("first", "second") for e in both(tmp_path / f"{name}.jsonl")],
+    }
+    with capsys.disabled():
+        late = [alarm["wall"] - stopped for alarm in alarms]
+        counts = {
+            name: f"{found.count('alarm')} alarms, {found.count('cleared')} over" for name, found in by_sink.items()
+        }
+        print(f"\n12 axes and their source silent: alarms {min(late):.1f} to {max(late):.1f} s after the last block")
+        print(counts)
+    assert {name: sorted(found) for name, found in by_sink.items()} == dict.fromkeys(
+        by_sink, ["alarm"] * 13 + ["cleared"] * 13
+    )
+
+
+def sent(broker: Broker, seconds: float) -> float:
+    """The twelve carts send for so many seconds; when they ended."""
+    words = [EXAMPLES / "plant_machines.py", "--port", broker.port, "--seconds", seconds, "--step", 1000]
+    subprocess.run([sys.executable, *map(str, words)], check=True, capture_output=True)
+    return time.time()
+
+
+def both(log: Path) -> Events:
+    return events(log.read_text(), "alarm", "cleared")
 
 
 # --- the page ---------------------------------------------------------------------------------------------------------

@@ -263,6 +263,23 @@ def test_deliveries_wait_for_a_checkpoint_that_has_them(prepared: Prepared, tmp_
     assert told == []
 
 
+def test_an_alarm_that_a_sink_got_is_in_no_checkpoint_for_long_though_nothing_else_comes(
+    prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(keeping, "REST", 0.0)
+    keeper, engine = Checkpoints(Vault(tmp_path), 0.0, Counters(), Told().append), engine_of(prepared)
+    waiting = [Notice("x1", 7, 0.0, {"event": "alarm"})]
+    engine.unwritten = lambda: {"hook": list(waiting)}
+    engine.urgent = True
+    for _ in range(3):
+        keeper.offer(engine)
+        with keeper._changed:
+            assert keeper._changed.wait_for(lambda: keeper._job is None, 10.0)
+        waiting.clear()
+    assert keeper.vault.sequence == 2, "one with the alarm, one without, and no more"
+    keeper.offer(engine, last=True)
+
+
 def test_the_engine_does_not_wait_for_new_memory(
     prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -93,7 +93,8 @@ class Checkpoints:
 
     def _make(self, engine: Engine) -> None:
         begun = monotonic()
-        self._made_at, engine.urgent = engine.changes, False
+        # what waits for a sink will be written by the next one, also where nothing else changes
+        self._made_at, engine.urgent = -1 if any(engine.unwritten().values()) else engine.changes, False
         job, self._undone = _Job(draft(engine, self._room), self._undone), []
         crash_point("checkpoint.made")
         self.counters.put("pmfid_checkpoint_made_seconds", monotonic() - begun)

@@ -143,7 +143,7 @@ class Silence:
         left = set(self._alarms.values())
         for group in groups:
             left.update(np.unique(group.positions.alarm).tolist())
-        for number in self._open.keys() - left:
+        for number in sorted(self._open.keys() - left):
             alarm = self._open.pop(number)
             what = {key: alarm.what[key] for key in ("silent", "name")}
             seconds = round(max(self.notices.wall() - alarm.wall, 0.0) + alarm.what["seconds"], 1)
