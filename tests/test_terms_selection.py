@@ -11,20 +11,29 @@ import numpy as np
 import pytest
 
 import pmfid
+from pmfid.estimators.configuration import like
 from pmfid.estimators.interval import IntervalML
 from pmfid.findings import Finding
+from pmfid.judge import term_fits
 from pmfid.judge import terms as rules
-from pmfid.judge.term_fits import Bench
+from pmfid.judge.term_fits import Bench, shortest_part
 from pmfid.judge.term_trials import Trial, known_shapes
 from pmfid.judge.terms import is_worse, removable, search
 from pmfid.report.terms import term_rows
 from pmfid.session import terms as session
+from pmfid.session.arrays import axis_of
+from pmfid.session.drives import Drives
+from pmfid.session.records import record_of
 from pmfid.session.terms import TermSearch
 from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs
 from studies.term_machines import KINDS, TERMS, kind_of, machine_of, truths
 from tests.test_terms import CUTOFF, DRIVE, DT, GAIN, STEP, Made, made, searched
 
 METHOD = IntervalML(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, CUTOFF)
+
+
+#: Slow filters chosen from the record, and given ones.
+SLOW, FIXED = (axis_of(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, {"cutoff": cutoff}) for cutoff in (None, 1.0))
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +86,14 @@ def test_each_way_of_being_late_is_tried_next_to_the_other(there: str, other: st
     assert [one.change for one in rules._otherwise_late(trial)] == [{other: "estimate"}]
     both = dataclasses.replace(trial, model=pmfid.Drive(GAIN, dead_time="estimate", lag="estimate"))
     assert not rules._otherwise_late(both)
+
+
+def test_a_lag_that_no_drive_has_is_no_fit(lag: TermSearch, lagging: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search ended with an error where a fit went there on its way."""
+    bench, model = Bench(METHOD, lagging.u, lagging.counts), pmfid.Drive(GAIN, lag="estimate")
+    monkeypatch.setattr(term_fits, "MOST_LATE", 1)
+    with pytest.raises(pmfid.NotIdentifiableError, match="settles nowhere"):
+        bench.further(lag.terms.trials[0], {"lag": model.lag})
 
 
 def test_a_dead_time_and_a_lag_are_found_together() -> None:
@@ -155,6 +172,28 @@ def test_a_term_that_was_as_good_is_compared_again_in_the_end(lag: TermSearch, l
     assert under_way._decided(found).either == ()
 
 
+def test_a_pitch_whose_quick_fit_goes_astray_is_fitted_as_others_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With Stribeck friction that was missing as well, no pitch was gone on from, and cogging was not found."""
+    record = made(samples=1800, cogging=0.012, cogging_pitch=1.3, cogging_phase=1.0)
+    monkeypatch.setattr(Bench, "pitches", lambda bench, trial: [])
+    monkeypatch.setattr(Bench, "promised", lambda bench, trial: [1.3])
+    found = search(Bench(METHOD, record.u, record.counts), pmfid.Drive(GAIN))
+    assert found.added == {"cogging": pytest.approx(1.3, rel=0.01)}
+
+
+def test_a_load_takes_the_place_of_directional_friction_that_explains_no_more(loaded: TermSearch) -> None:
+    """While a lag was missing, directional friction explained more than a load, and stayed when the lag had come."""
+    trial = loaded.chosen.trial
+    u, counts = trial.difference.u, np.round((trial.difference.y) / STEP).astype(np.int64)
+    bench = Bench(trial.method, u, counts)
+    both = bench.further(trial, rules.DIRECTIONAL)
+    under_way = rules._Search(
+        bench, (), False, [loaded.terms.trials[0], both], [*loaded.terms.errors[:1], math.inf], lambda part: None
+    )
+    assert [step.candidate.key for step in under_way._without_superfluous()] == ["offset"]
+    assert under_way.trials[-1].model == pmfid.Drive(GAIN, offset=True)
+
+
 def test_each_term_is_left_out_by_itself() -> None:
     first, last = pmfid.Drive(1.0, offset=True), pmfid.Drive(1.0, friction="directional", stribeck="estimate")
     assert removable(first, last) == [dict(rules.DIRECTIONAL), {"stribeck": "estimate"}]
@@ -164,10 +203,14 @@ def test_each_term_is_left_out_by_itself() -> None:
     ]
 
 
-def test_without_a_cutoff_the_filters_leave_parts_to_predict() -> None:
+@pytest.mark.parametrize("part", [201, 205, 300])
+def test_without_a_cutoff_the_filters_leave_parts_to_predict(part: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The slow filters that the record says most behind were refused with the advice to set faster ones."""
-    found = searched(made(samples=1800), cutoff=None)
-    assert found.samples == 1800
+    data = record_of({"u": np.zeros(6 * part), "y": np.zeros(6 * part)}, SLOW)
+    monkeypatch.setattr(Drives, "prepared", lambda drives, data, axis: FIXED)
+    cutoff = session._fast_enough(data, SLOW).estimator.pole
+    assert shortest_part(like(IntervalML, METHOD, cutoff=cutoff)) == part
+    assert session._fast_enough(data, FIXED) == FIXED
 
 
 # --- what is shown ----------------------------------------------------------------------------------------------------

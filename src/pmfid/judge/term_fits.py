@@ -25,7 +25,7 @@ from pmfid.judge.term_periods import APART, HUNDRED, apart, candidates, pitched
 from pmfid.judge.term_periods import FEWEST as FEWEST_PITCHES
 from pmfid.judge.term_trials import Trial, carried
 from pmfid.models.drive import Drive, EquationModel
-from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, LATE, Equation
+from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, LATE, MOST_LATE, Equation
 from pmfid.types import Floats
 
 #: Parts of a sample in which the motions of a search are simulated at most: with 2 the likelihoods of a cart under a
@@ -43,6 +43,8 @@ COARSELY, LOOSE = 1e-3, 0.1
 MOST_PITCHES = 2
 #: Lags to start from [samples].
 LAGS = (0.5, 2.0)
+#: Part of a sample that a cutoff may be rounded by.
+ROUNDING = 1e-6
 #: Windows of each part that the others predict it with.
 WINDOWS = 4
 
@@ -185,6 +187,7 @@ class Bench:
             start = (trial.best.q * trial.difference.scale)[-2:]
             q = np.maximum(np.r_[theta, start] / difference.scale, difference.lower)
             found.append(_at_top(method, model, difference, q, trial.best.status, hasty))
+        found = [one for one in found if _in_time(one)]
         if not found:
             raise refused
         return max(found, key=lambda one: one.log_likelihood)
@@ -247,6 +250,11 @@ def _lates(model: Drive, trial: Trial) -> list[tuple[float, float]]:
     return [(dead * time, lag * time) for time in times for dead, lag in shares]
 
 
+def _in_time(trial: Trial) -> bool:
+    """Is the input no later than that of a drive may be?"""
+    return max(_late_of(trial.model.equation, trial.theta).values(), default=0.0) <= MOST_LATE * trial.method.dt
+
+
 def _late_of(equation: Equation, theta: Floats) -> dict[str, float]:
     """Dead time and lag [s] by name, those that are parameters, of theta (p,)."""
     values = dict(zip((*equation.names, *dict(equation.further)), theta.tolist(), strict=True))
@@ -272,7 +280,7 @@ def _different(found: Sequence[tuple[float, float]], travel: float) -> list[tupl
 
 def shortest_part(method: IntervalML) -> int:
     """Samples of a part of a record that can be predicted: in less there is little but its start."""
-    return max(FEWEST, math.ceil(SHORTEST / (method.cutoff * method.dt)))
+    return max(FEWEST, math.ceil(SHORTEST / (method.cutoff * method.dt) - ROUNDING))
 
 
 def cutoff_for(samples: int, dt: float) -> float | None:

@@ -101,6 +101,8 @@ class Step:
         return self.gain * self.candidate.inflation
 
 
+#: The special case of directional friction.
+LOAD: Change = MappingProxyType({"offset": True})
 KEPT, EITHER, DROPPED, LESS = "kept", "either", "superfluous", "explains less"
 WORSE = "predicts other parts worse"
 UNCLEAR = "its pitch is unclear: give it"
@@ -255,16 +257,19 @@ class _Search:
 
     def _pairs(self, trial: Trial, tried: Sequence[Step], number: int) -> list[Step]:
         """Two terms at once, where no single one suffices: the two that explain most alone, and the first of them with
-        a force along the travel, whose own fit may go astray while the other is missing."""
+        a force along the travel, whose quick fit may go astray while the other is missing. That force alone, fitted as
+        others are, where another term was kept before, which may be in its place."""
         best = [step.candidate for step in tried if step.trial is not None][:2]
         looking = self.looking and trial.model.cogging is None
         pairs = [tuple(best)] if len(best) == 2 else []
-        pairs += [(best[0], along) for along in self._promised(trial)] if looking and best else []
+        along = self._promised(trial) if looking else []
+        pairs += [(best[0] if best and len(self.trials) == 1 else one, one) for one in along]
         fitted = list[Step]()
         for one, other in pairs:
             change = {**one.change, **other.change}
             if other.change.items() <= change.items() and one.change.items() <= change.items():
-                both = replace(one, change=change, says=f"{one.says}, and {other.says}", scanned="cogging" in change)
+                says = other.says if one is other else f"{one.says}, and {other.says}"
+                both = replace(one, change=change, says=says, scanned="cogging" in change)
                 fitted.append(_fitted(self.bench, trial, replace(both, elsewhere=math.inf), number**2))
             if fitted and fitted[-1].explains_all:
                 break
@@ -304,8 +309,10 @@ class _Search:
         one of chance, or the term worsens the prediction of other parts."""
         first = self.trials[0].model
         while True:
-            tried = [self._removed(change) for change in removable(first, self.trials[-1].model)]
-            gone = [step for step in tried if step.verdict == DROPPED and step.trial is not None]
+            last = self.trials[-1].model
+            tried = [self._removed(change) for change in removable(first, last)]
+            simpler = [self._removed(DIRECTIONAL, LOAD)] if last.friction != first.friction else []
+            gone = [step for step in (*tried, *simpler) if step.verdict == DROPPED and step.trial is not None]
             if not gone:
                 return tuple(tried)
             least = min(gone, key=lambda step: step.gain)
@@ -313,12 +320,14 @@ class _Search:
             if least.trial is not None:
                 self._take(least.trial, least.without)
 
-    def _removed(self, change: Change) -> Step:
+    def _removed(self, change: Change, instead: Change = MappingProxyType({})) -> Step:
+        """instead: a simpler term that takes the place of another."""
         whole, first = self.trials[-1], self.trials[0].model
         own = {key: getattr(whole.model, key) for key in change}
         candidate = Candidate(own, " and ".join(setting(*pair) for pair in own.items()), 0.0, 1.0, 0.0, math.inf)
         try:
-            found = self.bench.fitted(changed(whole.model, {key: getattr(first, key) for key in change}), whole)
+            back = {key: getattr(first, key) for key in change} | dict(instead)
+            found = self.bench.fitted(changed(whole.model, back), whole)
         except (NotIdentifiableError, UsageError):  # nothing follows the record without it
             return Step(candidate, None, math.inf, 0.0, self.errors[-1], KEPT)
         candidate = replace(candidate, inflation=inflation(found, whole))
