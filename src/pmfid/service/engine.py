@@ -161,8 +161,7 @@ class Engine:
     def _step(self, ordered: Ordered) -> None:
         found, followed = ordered.found, self.followed()
         for waiting in ordered.rounds:
-            done = step(waiting, followed)
-            waiting.group.positions.heard[waiting.busy] = self.silence.now
+            done = step(waiting, followed, self.silence.now)
             self.counters.add("pmfid_samples_total", done.samples, group=waiting.group.kindred.config)
             self.counters.add("pmfid_samples_without_input_total", done.lost, group=waiting.group.kindred.config)
             found += [one for one in done.found if self._wanted(one)]

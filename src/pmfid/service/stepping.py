@@ -40,10 +40,12 @@ class Stepped:
     lost: int = 0
 
 
-def step(waiting: Waiting, followed: frozenset[str] = frozenset()) -> Stepped:
-    """Steps all that waits for the axes of a group; followed: names of axes of which every row is wanted."""
+def step(waiting: Waiting, followed: frozenset[str] = frozenset(), now: float = 0.0) -> Stepped:
+    """Steps all that waits for the axes of a group; followed: names of axes of which every row is wanted; now: time at
+    which they are heard [s], by the clock of `Silence`."""
     done = Stepped()
     for batch in waiting.batches():
+        waiting.group.positions.heard[batch.index] = now
         _run(waiting.group, batch, followed, done)
     return done
 

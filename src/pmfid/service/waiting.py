@@ -68,11 +68,6 @@ class Waiting:
     def __post_init__(self) -> None:
         self._busy: Flags = np.zeros(len(self.group.seats), np.bool_)
 
-    @property
-    def busy(self) -> Flags:
-        """(axes,) of which something waits."""
-        return self._busy
-
     def may_put(self, index: NDArray[np.int64]) -> bool:
         """Whether nothing waits for any of these axes (k,)."""
         return not self._busy[index].any()
