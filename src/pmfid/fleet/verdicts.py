@@ -29,6 +29,8 @@ LEAST_AXES = 8
 PARTS = (0.5, 0.7, 0.8, 0.9)
 #: Ways of being named, in words.
 CHANGED, DRIFTS, DIFFERS, WANDERS, UNKNOWN = "changed", "drifts", "differs", "wanders", "no estimate"
+#: Segments that tell a step from wandering in any case, at least.
+SURE = 8
 #: Standard deviations of a step or trend below which nobody is named, so that nothing else need explain it.
 LOOKED_AT = 2.0
 #: Chance with which the line through an axis that wanders is a drift: of those that have a clear line only.
@@ -130,7 +132,7 @@ def judged(follows: Sequence[Follow], names: Sequence[str], tolerance: float) ->
 
 
 def _visible(one: Follow, trials: int, tolerance: float) -> float:
-    if one.step is None:
+    if one.step is None or one.segments < SURE:
         return math.inf
     return tolerance + _limit(trials * one.segments, one.segments - 2) * float(np.max(one.step.middle))
 
