@@ -146,6 +146,7 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.design_machines --out docs/commissioning.md
 	.venv/bin/python -m studies.monitoring --out docs/monitoring.md
 	.venv/bin/python -m studies.monitoring_wrong_models --out docs/monitoring_wrong_models.md
+	.venv/bin/python -m studies.alarms --out docs/alarms.md
 	.venv/bin/python -m studies.laboratory --out docs/laboratory.md --images docs/images
 	.venv/bin/python -m studies.black_box --out docs/black_box.md
 	.venv/bin/python -m studies.gaps --out docs/gaps.md

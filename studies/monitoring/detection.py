@@ -63,7 +63,7 @@ def work(detector: str, change: str, tolerance: float, seed: int) -> dict[str, A
     first = after[0]
     return {
         "delay": first.time - when,
-        "cause": first.parameter,
+        "cause": "" if first.others else first.parameter,
         "size": first.relative,
         "since": first.changed_at - when,
         "before": len(alarms) - len(after),

@@ -29,7 +29,8 @@ def _alarm(event: Told) -> str:
     name = event["parameter"].replace("_", " ")
     size = f"{event['change']:+.3g} ± {event['std']:.1g} {event['unit']}".rstrip()
     part = f"{100 * event['relative']:+.1f} %"
-    return f"{event['time']:.2f} s  ALARM  {name} {part} ({size}) since {event['changed_at']:.2f} s"
+    others = f", or {event['others'].replace('_', ' ')}" if "others" in event else ""
+    return f"{event['time']:.2f} s  ALARM  {name} {part} ({size}) since {event['changed_at']:.2f} s{others}"
 
 
 def _settled(event: Told) -> str:

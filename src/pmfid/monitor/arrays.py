@@ -149,7 +149,8 @@ class Disturbed(Rows):
     """What an alarm needs and changes. units: (n, LOOK_BACK, width) the last, in a ring; begun: (n, LOOK_BACK) their
     times; gathered: information since the suspicion, or since the alarm; suspected: units since the suspicion; crossed:
     the statistic at it; refined: whether the estimate is the model already; before: (n, p) the reference until then;
-    settled: (n, width) sum of the blocks beside that model; gain: of the input, over that of the estimator."""
+    settled: (n, width) sum of the blocks beside that model; gain: of the input, over that of the estimator;
+    by_gain: whether the alarm was of the gain of the input."""
 
     units: Floats
     begun: Floats
@@ -160,6 +161,7 @@ class Disturbed(Rows):
     before: Floats
     settled: Floats
     gain: Floats
+    by_gain: NDArray[np.uint8]
 
     @classmethod
     def empty(cls, axes: int, p: int) -> Disturbed:
@@ -175,6 +177,7 @@ class Disturbed(Rows):
             np.zeros((axes, p)),
             np.zeros((axes, width)),
             np.ones(axes),
+            np.zeros(axes, np.uint8),
         )
 
     def recent(self, axis: int, units: int) -> tuple[Floats, Floats]:

@@ -16,7 +16,7 @@ from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.arrays import Disturbed, Watched
 from pmfid.monitor.calibration import Calibration
-from pmfid.monitor.cause import TRANSITION, Cause, explain, sized
+from pmfid.monitor.cause import TRANSITION, Cause, Evidence, explain, new_gain
 from pmfid.monitor.events import SETTLING, SUSPICIOUS, WATCHING, Alarm, Event, Settled, StateChange, Watch
 from pmfid.monitor.rows import STATES
 from pmfid.monitor.scores import Blocks, ScoreFilter, Scoring, start_blocks
@@ -28,12 +28,15 @@ from pmfid.types import Floats
 SILENT_TIME, SILENT_BLOCKS = 2.0, 6
 #: Information, in average blocks, until the estimate after an alarm serves as a model, and then as a reference.
 MODEL_INFORMATION, REFERENCE_INFORMATION = 15.0, 60.0
-#: Information after which a cause that explains so much of what is to explain is named, and after which the best is.
-CAUSE_INFORMATION, CAUSE_SHARE, CAUSE_LATEST = 4.0, 0.95, 8.0
+#: Information after which a cause is named if all others are excluded, and after which the most likely one is: if
+#: there is no estimate, and if there is one. A machine almost without friction tells mass from gain only as it brakes.
+CAUSE_INFORMATION, CAUSE_BLIND, CAUSE_LATEST = 4.0, 16.0, 32.0
 #: A single block counts for no more: where the model is wrong, it errs in every block in another way.
 MOST_INFORMATION = 1.5
 #: What is kept at the first suspicion of what was gathered before.
 KEEP = 0.003
+#: An estimate with one of these says nothing of the plant.
+UNUSABLE = Status.STARTING | Status.POOR_EXCITATION | Status.FALLBACK | Status.SETTLING
 FIRST = np.zeros(1, np.int64)
 
 
@@ -150,14 +153,14 @@ class Axis:
     def _alarm(self, estimate: Estimate) -> list[Event]:
         units, begun = self._rest.recent(0, int(self._own.units[0]))
         cause, gathered = self._cause(units, estimate), float(self._rest.gathered[0])
-        clear = gathered >= CAUSE_INFORMATION and cause.share >= CAUSE_SHARE
-        if not clear and gathered < CAUSE_LATEST:
+        if gathered < _enough(cause):
             return []
         if abs(cause.relative) <= self.watch.tolerance:
             self.watching.restart(self._own)
             return self._enter(WATCHING, "the deviation is within the tolerance")
         alarm = self._told(cause, float(begun[cause.start]))
         self._rest.gathered[0], self._rest.refined[0] = 0.0, 0
+        self._rest.by_gain[0] = cause.name == INPUT_GAIN
         return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
 
     def _told(self, cause: Cause, begun: float) -> Alarm:
@@ -174,20 +177,27 @@ class Axis:
             cause.relative,
             float(self._rest.crossed[0]),
             self.threshold,
+            cause.others or (),
         )
 
     def _cause(self, units: Floats, estimate: Estimate) -> Cause:
         reference, seen = self.reference, self.watching.seen(self._own.sigma[0])
         latest = max(0, len(units) - int(self._rest.suspected[0])) + TRANSITION
-        names, gain = self._front.names, self.estimator.equation.input_gain
+        names, gain = self._front.names, self._given_gain
         fixed = () if self.known is None else tuple(self.known.given)
         friction = self._friction()
         recent = Blocks.of(units, reference.size)
-        cause = explain(recent, seen, reference, names, gain, latest, fixed, friction)
-        if not self._usable(estimate):
-            return cause
-        found = np.array(estimate.theta), np.array(estimate.theta_cov)
-        return sized(cause, *found, reference, names, gain, friction)
+        return explain(recent, seen, reference, names, gain, latest, fixed, friction, self._evidence(estimate))
+
+    @property
+    def _given_gain(self) -> float:
+        return float(self.estimator.equation.input_gain)
+
+    def _evidence(self, estimate: Estimate) -> Evidence | None:
+        """What the estimate says of the cause; None while it is none."""
+        found = Evidence(np.array(estimate.theta), np.array(estimate.theta_cov))
+        silent = estimate.status & UNUSABLE or not np.all(np.isfinite(np.r_[found.theta, found.covariance.ravel()]))
+        return None if silent else found
 
     def _friction(self) -> Floats | None:
         """(p,) the frictions of the reference; None where there is but one, and where a cause is named within blocks,
@@ -224,14 +234,27 @@ class Axis:
         before, _ = self._beside(self._rest.before[0].copy(), std)
         if self.known is not None and self.known.find_gain:
             self._rest.gain[0] = float(now[-1]) / self.estimator.equation.input_gain
-        return [Settled(self._time, now, bars, before), *self._enter(WATCHING, "")]
+        return [Settled(self._time, now, bars, before, self._gain(theta, std)), *self._enter(WATCHING, "")]
+
+    def _gain(self, theta: Floats, std: Floats) -> tuple[float, float, float] | None:
+        """The gain of the input, its standard deviation, and before, if the alarm was of it: what makes theta (p,) of
+        the reference of before."""
+        if not self._rest.by_gain[0] or self.known is not None:
+            return None
+        return new_gain(Evidence(theta, np.diag(std**2)), self._rest.before[0], self._given_gain)
 
     def _usable(self, estimate: Estimate) -> bool:
-        unusable = Status.STARTING | Status.POOR_EXCITATION | Status.FALLBACK | Status.SETTLING
-        return not estimate.status & unusable and self.plausible(np.array(estimate.theta))
+        return not estimate.status & UNUSABLE and self.plausible(np.array(estimate.theta))
 
     def plausible(self, theta: Floats) -> bool:
         """Whether a machine may have the parameters (p,): mass positive, frictions not negative."""
         equation = self.estimator.equation
         never_negative = np.array(equation.positive)
         return bool(np.all(np.isfinite(theta)) and theta[equation.leading] > 0 and np.all(theta[never_negative] >= 0))
+
+
+def _enough(cause: Cause) -> float:
+    """Information with which a cause is named."""
+    if cause.others is None:
+        return CAUSE_BLIND
+    return CAUSE_LATEST if cause.others else CAUSE_INFORMATION

@@ -9,7 +9,7 @@ import numpy as np
 
 from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.monitor.scores import Blocks, Scale
-from pmfid.types import Floats
+from pmfid.types import Flags, Floats
 
 #: A guide that runs dry has more friction of every kind.
 FRICTION = "friction"
@@ -19,8 +19,12 @@ RIDGE = 1e-6
 TRANSITION = 2
 #: Information, in average blocks, that is left for the size where they are left out.
 LEAST_INFORMATION = 2.0
-#: Two sizes contradict each other from so many standard deviations of their difference on.
-CONTRADICTED = 2.0
+#: A cause is excluded where it leaves so much more of the estimate's deviation than another one does, in squared
+#: standard errors: three of them.
+EXCLUDED = 9.0
+#: Part of a size from blocks that their bar does not hold: the reversals of the reference's motion come at other
+#: instants than those of the changed plant.
+MOVED = 0.05
 #: Neighbours that a block's deviation goes with.
 LAGS = 2
 
@@ -28,15 +32,23 @@ LAGS = 2
 @dataclass(frozen=True)
 class Cause:
     """name: of the parameter, INPUT_GAIN or FRICTION; change, std: [its unit], of FRICTION relative; relative: change
-    over the reference value, over std where that is 0; start: index of the first block that shows it; share: of all
-    that a change of all parameters together would explain."""
+    over the reference value, over std where that is 0; start: index of the first block that shows it; others: causes
+    that are as likely; None where only the blocks were asked."""
 
     name: str
     change: float
     std: float
     relative: float
     start: int
-    share: float
+    others: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a recursive estimate says since the suspicion. theta (p,); covariance (p, p) of its error."""
+
+    theta: Floats
+    covariance: Floats
 
 
 def explain(
@@ -48,8 +60,9 @@ def explain(
     latest: int | None = None,
     fixed: Collection[str] = (),
     friction: Floats | None = None,
+    evidence: Evidence | None = None,
 ) -> Cause:
-    """The single change at one of the blocks' starts that takes most from the error of the equation.
+    """The most likely single change, at one of the blocks' starts.
 
     For a direction v and the blocks from a start on, with sums S, W, Z,
 
@@ -59,6 +72,10 @@ def explain(
     reference; directions: each parameter but those that are known to stay, fixed, and theta itself for a loss of
     force, which looks as if all parameters had grown alike; latest: the last start that is possible, as the deviation
     was noticed then; friction: (p,) theta without what is none, where all of it may grow alike.
+
+    Blocks are those of a motion simulated with the reference: it reverses at other instants than the changed plant,
+    which the blocks take for a part of the change. The motion of the estimate reverses where the plant does. So causes
+    that the estimate excludes are left out, and it has its part in the size.
     """
     S, W, Z = (np.cumsum(part[::-1], axis=0)[::-1] for part in (blocks.score, blocks.cross, blocks.square))
     Z = Z + RIDGE * np.diag(np.diagonal(Z[0]))
@@ -70,46 +87,49 @@ def explain(
     known = np.maximum(np.einsum("npd,npd->nd", weighted, W @ directions.T), np.finfo(float).tiny)
     gain = match**2 / known
     start = _start(gain[: None if latest is None else latest + 1])
-    total = max(float(S[start] @ np.linalg.solve(Z[start], S[start])), np.finfo(float).tiny)
-    which = int(np.argmax(gain[start]))
-    size, std = _size(blocks, scale, directions[which], start)
-    name, share = called[which], float(gain[start, which]) / total
-    return _told(Cause(name, 0.0, 0.0, 0.0, start, share), size, std, theta, names, input_gain)
+    possible = np.ones(len(called), bool) if evidence is None else _possible(evidence, theta, directions)
+    which = int(np.argmax(np.where(possible, gain[start], -np.inf)))
+    others = None if evidence is None else tuple(called[k] for k in np.flatnonzero(possible) if k != which)
+    size = _combined(_size(blocks, scale, directions[which], start), evidence, theta, directions[which])
+    return _told(Cause(called[which], 0.0, 0.0, 0.0, start, others), *size, theta, names, input_gain)
 
 
-def sized(
-    cause: Cause,
-    estimate: Floats,
-    covariance: Floats,
-    theta: Floats,
-    names: Sequence[str],
-    input_gain: float,
-    friction: Floats | None = None,
-) -> Cause:
-    """The same cause, its size compared with the one that an estimate (p,) with covariance (p, p), of the time since
-    the change, gives it if nothing else has changed; theta: (p,) reference. As it is where the estimate knows no size.
+def _along(evidence: Evidence, theta: Floats, directions: Floats) -> tuple[Floats, Floats, float]:
+    """Sizes (k,) along directions (k, p) that the estimate gives a change of each alone, their information (k,), and
+    the squared deviation of the estimate from theta (p,) in standard errors."""
+    precision = np.linalg.pinv(evidence.covariance, hermitian=True)
+    apart, weighted = evidence.theta - theta, directions @ precision
+    known = np.maximum(np.einsum("kp,kp->k", weighted, directions), np.finfo(float).tiny)
+    return weighted @ apart / known, known, float(apart @ precision @ apart)
 
-    The blocks are those of a motion simulated with the reference: reversals come at other instants in the changed
-    plant, which they take for a part of the change, while the estimate's own motion has them where they are. But the
-    estimate remembers some of the time before, more of it the larger the motion was. So it counts where the two
-    contradict each other, and half of their difference is in the error bar.
-    """
-    if cause.name in names:
-        direction = np.eye(theta.size)[list(names).index(cause.name)]
-    else:
-        direction = theta if friction is None or cause.name == INPUT_GAIN else friction
-    try:
-        weight = np.linalg.solve(covariance, direction)
-    except np.linalg.LinAlgError:
-        return cause
-    known = float(direction @ weight)
-    size = float((estimate - theta) @ weight) / known if known > 0 else 0.0
-    if not known * size**2 > 1:
-        return cause
-    other = _told(cause, size, known**-0.5, theta, names, input_gain)
-    apart = abs(other.change - cause.change)
-    chosen = other if apart > CONTRADICTED * np.hypot(other.std, cause.std) else cause
-    return replace(chosen, std=float(np.hypot(chosen.std, apart / 2)))
+
+def _possible(evidence: Evidence, theta: Floats, directions: Floats) -> Flags:
+    """(k,) whether the estimate leaves a change along each of the directions (k, p) possible."""
+    size, known, total = _along(evidence, theta, directions)
+    left = total - size**2 * known
+    return np.asarray(left < left.min() + EXCLUDED)
+
+
+def _combined(
+    by_blocks: tuple[float, float], evidence: Evidence | None, theta: Floats, direction: Floats
+) -> tuple[float, float]:
+    """Size along a direction (p,) and its standard deviation, from both; by how much they differ beyond their bars is
+    an error of the blocks."""
+    size, std = by_blocks
+    doubt = std**2 + (MOVED * size) ** 2
+    if evidence is None:
+        return size, float(np.sqrt(doubt))
+    other, known, _ = (np.ravel(part)[0] for part in _along(evidence, theta, direction[None]))
+    doubt += max((other - size) ** 2 - std**2 - 1 / known, 0.0)
+    total = known + 1 / doubt
+    return float((known * other + size / doubt) / total), float(total**-0.5)
+
+
+def new_gain(evidence: Evidence, theta: Floats, input_gain: float) -> tuple[float, float, float]:
+    """The gain of the input, its standard deviation, and the one of before, if it alone has moved theta (p,)."""
+    size, known, _ = (np.ravel(part)[0] for part in _along(evidence, theta, theta[None]))
+    cause = _told(Cause(INPUT_GAIN, 0.0, 0.0, 0.0, 0), float(size), float(known**-0.5), theta, (), input_gain)
+    return input_gain + cause.change, cause.std, input_gain
 
 
 def _told(cause: Cause, size: float, std: float, theta: Floats, names: Sequence[str], input_gain: float) -> Cause:

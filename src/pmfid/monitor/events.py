@@ -44,7 +44,8 @@ class Watch:
 class Alarm:
     """A change. time: of the alarm [s]; changed_at: when it began to show [s]; parameter: name, or "input_gain",
     or "friction" where all of it grew alike; change, std: [unit], of "friction" as relative: to the reference, to std
-    where that is 0; statistic at the first suspicion, and its threshold."""
+    where that is 0; statistic at the first suspicion, and its threshold; others: causes that the samples so far do not
+    tell from this one."""
 
     time: float
     changed_at: float
@@ -55,17 +56,20 @@ class Alarm:
     relative: float
     statistic: float
     threshold: float
+    others: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Settled:
     """A new reference after an alarm. time [s]; theta, std: (q,) of what the monitor tells; before: (q,) the reference
-    until then."""
+    until then. gain: of the input, its standard deviation, and before, if the alarm was of the gain: theta is what the
+    gain of before makes of it."""
 
     time: float
     theta: Floats
     std: Floats
     before: Floats
+    gain: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)

@@ -184,6 +184,7 @@ def _counts_fit(judge: Judge, saved: Saved) -> bool:
         sampled.progress[:, 1] <= sampled.progress[:, 0],
         watched.state < len(STATES),
         rest.refined <= 1,
+        rest.by_gain <= 1,
         ~uneasy | (watched.units > 0) | (rest.refined == 1),
         (watched.opened >= 0) & (rest.gathered >= 0),
     ]

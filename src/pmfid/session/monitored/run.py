@@ -8,6 +8,7 @@ from typing import Any
 
 from pmfid._estimate import Estimate
 from pmfid.errors import UsageError
+from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.estimators.known import Seen
 from pmfid.monitor.events import Event, Outlier, Settled, StateChange
 from pmfid.monitor.monitor import Monitor
@@ -163,12 +164,7 @@ def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> To
     if isinstance(event, StateChange):
         return {"event": "state", "time": event.time + shift, "state": event.state, "reason": event.reason}
     if isinstance(event, Settled):
-        rows = zip(names, event.theta.tolist(), event.std.tolist(), event.before.tolist(), strict=True)
-        values = {
-            name: {"value": value, "std": std, "change": value / before - 1 if before else None}
-            for name, value, std, before in rows
-        }
-        return {"event": "settled", "time": event.time + shift, "parameters": values}
+        return {"event": "settled", "time": event.time + shift, "parameters": _settled(event, names)}
     if isinstance(event, Outlier):
         return {"event": "outlier", "time": event.time + shift, "signal": event.signal}
     return {
@@ -183,4 +179,17 @@ def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> To
         "changed_at": event.changed_at + shift,
         "statistic": event.statistic,
         "threshold": event.threshold,
+        **({"others": ", ".join(event.others)} if event.others else {}),
+    }
+
+
+def _settled(event: Settled, names: tuple[str, ...]) -> dict[str, dict[str, float | None]]:
+    """Value, standard deviation and relative change by name; after an alarm of the gain of the input the gain leads,
+    and the others are of the machine with the gain that it has now."""
+    gain = {} if event.gain is None else {INPUT_GAIN: event.gain}
+    factor = event.gain[0] / event.gain[2] if event.gain else 1.0
+    own = zip((factor * event.theta).tolist(), (factor * event.std).tolist(), event.before.tolist(), strict=True)
+    return {
+        name: {"value": value, "std": std, "change": value / before - 1 if before else None}
+        for name, (value, std, before) in (gain | dict(zip(names, own, strict=True))).items()
     }

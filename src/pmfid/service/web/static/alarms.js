@@ -9,7 +9,8 @@ export function causeOf(alarm) {
   if (alarm.silent) return alarm.problem;
   const std = Number.isFinite(alarm.std) ? ` ± ${number(alarm.std, 2)}` : "";
   const size = Number.isFinite(alarm.change) ? ` (${alarm.change > 0 ? "+" : ""}${number(alarm.change, 3)}${std}${unitOf(alarm.unit)})` : "";
-  return `${words(alarm.parameter)} ${percent(alarm.relative)}${size}`;
+  const others = alarm.others ? `, or ${words(alarm.others)}` : "";
+  return `${words(alarm.parameter)} ${percent(alarm.relative)}${size}${others}`;
 }
 
 export const sinceOf = (alarm) => `${alarm.silent ? "" : `since ${moment(alarm.changed_at)}, `}found ${wall(alarm.wall)}`;

@@ -110,9 +110,14 @@ export class Rows {
     const group = plant.groups[plant.groupOf[i]];
     const lead = plant.lead[plant.groupOf[i]];
     const known = Number.isFinite(plant.received[i]);
-    say(cells.value, known ? `${words(group.names[lead])} ${withError(plant.value[i], plant.std[i])}${unitOf(group.units[lead])}` : "–");
-    say(cells.percent, percent(plant.deviation[i]));
-    const off = Math.max(-0.1, Math.min(0.1, plant.deviation[i] || 0));
+    // a weaker motor looks like more of every parameter: then the gain is shown, and no mass that nobody put on
+    const changed = plant.changed(i);
+    const gain = changed?.parameter === "input_gain" ? changed : null;
+    const value = known ? `${words(group.names[lead])} ${withError(plant.value[i], plant.std[i])}${unitOf(group.units[lead])}` : "–";
+    const deviation = gain ? gain.relative : plant.deviation[i];
+    say(cells.value, gain ? "input gain" : value);
+    say(cells.percent, percent(deviation));
+    const off = Math.max(-0.1, Math.min(0.1, deviation || 0));
     cells.bar.style.setProperty("--off", off / 0.1);
     say(cells.age, age(plant.age(i)));
     say(cells.why, this.why(i, kind));
