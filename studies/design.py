@@ -113,11 +113,9 @@ The same in Python:
 ```python
 from pathlib import Path
 
-from pmfid.design.trial.sequential import sequential, simulated_experiment
-from pmfid.design.search.solver import solve
-from pmfid.session.design_spec import load_spec, make_problem
-from pmfid.design.search.standard import standard_inputs
 import numpy as np
+from pmfid.design import sequential, simulated_experiment, solve, standard_inputs
+from pmfid.session.design_spec import load_spec, make_problem
 
 problem = make_problem(load_spec(Path("examples/cart_design.toml")))
 design = solve(problem, "D", starts=20, seed=0)  # t, u, x, v, fisher, value, predicted_std
@@ -147,8 +145,8 @@ sensitivities promise information that stiction takes away. Part that survives, 
 little smaller, larger, or both:
 """
 PATTERN = """
-The least speed itself matters, too: at a whole number of counts per sample the encoder's error stays the same from
-sample to sample while the axis creeps, and does not average out. `pmfid design` warns where that shows.
+At a whole number of counts per sample the encoder's error stays the same from sample to sample while the axis creeps.
+Over machines that are known to 0.5 %, none of which comes to rest, little of that is left:
 """
 WRONG = """
 ## A wrong mass
