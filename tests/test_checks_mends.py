@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -13,17 +12,15 @@ from click.testing import CliRunner
 from pmfid.cli.main import main
 from pmfid.findings import Finding, codes
 from pmfid.session.checks import checked
-from pmfid.session.checks.log import Log
 from pmfid.session.checks.readings import as_velocity
 from pmfid.session.checks.stops import long_stops, sudden
-from pmfid.session.checks.timing import FITTED, acts_late
 from pmfid.session.outliers import believed
 from studies.check_logs import ALL, Logged, clean, faulty, limited
 from tests.test_checks import written
 
 
 def found_in(log: Logged) -> tuple[str, ...]:
-    return codes(checked(log.record(), log.configuration, judged=True))
+    return codes(checked(log.record(), log.configuration))
 
 
 @pytest.mark.parametrize("seed", [3006, 3019])
@@ -84,7 +81,7 @@ def test_a_short_record_whose_input_explains_it_is_not() -> None:
     log = clean(5023)
     record = log.record()
     short = replace(record, u=record.u[:120], counts=record.counts[:120])
-    assert "rate_low" not in codes(checked(short, log.configuration, judged=True))
+    assert "rate_low" not in codes(checked(short, log.configuration))
 
 
 # --- limits of the input ----------------------------------------------------------------------------------------------
@@ -93,7 +90,7 @@ def test_a_short_record_whose_input_explains_it_is_not() -> None:
 def test_what_the_log_cuts_off_is_told_from_the_limit_of_the_drive() -> None:
     assert found_in(faulty("saturated input", 3027)) == ("saturated",)
     log = limited(3041)
-    found = checked(log.record(), log.configuration, judged=True)
+    found = checked(log.record(), log.configuration)
     assert [(one.code, one.severity) for one in found] == [("saturated", "note")]
 
 
@@ -101,11 +98,11 @@ def test_a_note_ends_no_search_and_is_no_fault(tmp_path: Path) -> None:
     assert found_in(faulty("sample rate too low", 5002)) == ("rate_low",)
     log = limited(5044, {"slide": ALL["slide"]})
     record, axis = written(log, tmp_path)
-    with mock.patch("pmfid.session.checks.acts_late", return_value=iter(())):
-        result = CliRunner().invoke(main, ["check", str(record), "--config", str(axis)])
-    assert result.exit_code == 0
-    assert result.stdout.splitlines()[0].endswith("samples, nothing wrong found")
-    assert "note: the input column" in result.stdout
+    result = CliRunner().invoke(main, ["check", str(record), "--config", str(axis)])
+    assert result.exit_code == 1  # for the model, which is wrong there
+    assert "\nnote: the input column" in result.stdout
+    assert "\ndoubt: the counts show what the model lacks" in result.stdout
+    assert "doubt: the input column" not in result.stdout
 
 
 # --- clean logs -------------------------------------------------------------------------------------------------------
@@ -125,14 +122,3 @@ def test_a_motion_that_starts_with_all_its_force_has_no_wrong_first_row() -> Non
 
 def test_findings_are_told_by_their_weight() -> None:
     assert codes((Finding("saturated", "at a limit", severity="note"),)) == ()
-
-
-def test_a_late_input_is_looked_for_in_a_part_of_a_long_record() -> None:
-    log = clean(1, {"cart": ALL["cart"]})
-    record = log.record()
-    times = FITTED // record.u.size + 2
-    u, counts = np.tile(record.u, times), np.tile(record.counts - record.counts[0], times)
-    seen = mock.Mock(return_value=None)
-    with mock.patch("pmfid.session.checks.timing.examined", seen):
-        assert list(acts_late(Log(replace(record, u=u, counts=counts), log.configuration))) == []
-    assert seen.call_args.args[1].size == FITTED

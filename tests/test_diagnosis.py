@@ -69,7 +69,7 @@ def axis_of(output_kind: str = "position", method: str = "auto", **model: object
 
 def named(record: Record, axis: Axis) -> str:
     """What is wrong with the log, as one sentence."""
-    return "; ".join(texts(checked(record, axis, judged=True)))
+    return "; ".join(texts(checked(record, axis)))
 
 
 MISTAKES = {

@@ -14,8 +14,9 @@ import pmfid
 from pmfid.estimators.configuration import like
 from pmfid.estimators.interval import IntervalML
 from pmfid.findings import Finding
-from pmfid.judge import term_fits
+from pmfid.judge import said, term_fits
 from pmfid.judge import terms as rules
+from pmfid.judge.matter import Matter
 from pmfid.judge.term_fits import Bench, shortest_part
 from pmfid.judge.term_trials import Trial, known_shapes
 from pmfid.judge.terms import is_worse, removable, search
@@ -233,7 +234,8 @@ def test_each_term_has_a_value_a_bar_and_both_errors(loaded: TermSearch) -> None
 
 def test_no_advice_on_the_model_stands_next_to_its_lines(monkeypatch: pytest.MonkeyPatch, lagging: Made) -> None:
     advice = (Finding("unmodelled", "set quadratic = true"), Finding("dead_time", "set lag = 0"))
-    monkeypatch.setattr(session, "judge", lambda *arguments: advice)
+    monkeypatch.setattr(said, "judge", lambda *arguments: advice)
+    monkeypatch.setattr(said, "matter_of", lambda *arguments: Matter("mass", 0.1, True))
     found = searched(lagging)
     assert not any("set " in note for note in found.notes)
     assert "unmodelled" in found.status

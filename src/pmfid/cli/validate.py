@@ -75,5 +75,10 @@ def _print(found: Validation, out: Path | None) -> None:
     console = Console()
     # a number is never cut: what does not fit then runs over the edge
     Console(width=max(console.width, Console(width=10_000).measure(table).maximum)).print(table)
-    for line in (*(f"note: {note}" for note in found.notes), *([f"report: {out / 'validation.html'}"] if out else [])):
+    status = [f"status: {', '.join(found.status)}"] if found.status else []
+    for line in (
+        *status,
+        *(f"note: {note}" for note in found.notes),
+        *([f"report: {out / 'validation.html'}"] if out else []),
+    ):
         console.print(printable(line), highlight=False, markup=False, soft_wrap=True)

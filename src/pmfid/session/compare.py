@@ -45,7 +45,7 @@ def compare(data: Records, axis: Axis, done: Progress | None = None) -> Comparis
         if done is not None:
             done(count / len(methods))
     unknown = {method: error for method, error in refused.items() if isinstance(error, NotIdentifiableError)}
-    found = kind.checked(data, axis, judged=True) if unknown else ()
+    found = kind.checked(data, axis) if unknown else ()
     told = refused | {method: explained(error, found) for method, error in unknown.items()}
     if not results:
         raise next(iter(told.values()))

@@ -31,10 +31,9 @@ from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.track import Track, joined
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.findings import Finding, codes, noted, ordered, texts
-from pmfid.judge.drive import examined, judge, recent
+from pmfid.judge.drive import examined
 from pmfid.judge.free_run import FreeRun, drive_run
-from pmfid.judge.matter import Matter, matter_of, weighed
-from pmfid.judge.spread import model_spread, spread_without_motion
+from pmfid.judge.said import Verdict, verdict
 from pmfid.models.drive import EquationModel
 from pmfid.models.equation import ESTIMATE, LATE
 from pmfid.session import checks
@@ -115,8 +114,8 @@ class Drives(Kind[Record]):
     def glanced(self, data: Record, axis: Axis) -> tuple[Finding, ...]:
         return checks.glanced(data, axis)
 
-    def checked(self, data: Record, axis: Axis, judged: bool = False) -> tuple[Finding, ...]:
-        return checks.checked(data, axis, judged) or believed_of(data, axis).findings
+    def checked(self, data: Record, axis: Axis) -> tuple[Finding, ...]:
+        return checks.checked(data, axis) or believed_of(data, axis).findings
 
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
         known = believed_of(data, axis)
@@ -205,15 +204,13 @@ def _check_known(result: DriveResult) -> None:
         raise NotIdentifiableError(f"this record does not fit the model: {advice}")
 
 
-def _check_error(
-    estimator: Estimator, relative: float, adequacy: Adequacy | None, judged: tuple[Finding, ...]
-) -> list[Finding]:
+def _check_error(estimator: Estimator, relative: float, said: Verdict) -> list[Finding]:
     """What to say where the equation leaves more than all of the input, as it does at the right parameters where a
     coarse encoder's steps are in the acceleration. Raises NotIdentifiableError where no simulated motion says that
     these are right."""
     if not relative > 1:
         return []
-    told = f"the filtered equation leaves {100 * relative:.3g} % of the input"
+    told, adequacy = f"the filtered equation leaves {100 * relative:.3g} % of the input", said.adequacy
     if adequacy is not None and adequacy.left < FOLLOWED:
         return noted(
             "relative_error",
@@ -222,8 +219,10 @@ def _check_error(
                 f"{100 * adequacy.left:.2g} % of the measured one"
             ],
         )
-    if adequacy is not None or estimator.equation.without_simulation or "unmodelled" in codes(judged):
-        advice = "; ".join(texts(judged)) or "check the columns and the scales of input and output, or lower the cutoff"
+    if adequacy is not None or estimator.equation.without_simulation or "unmodelled" in codes(said.judged):
+        advice = (
+            "; ".join(texts(said.judged)) or "check the columns and the scales of input and output, or lower the cutoff"
+        )
         raise NotIdentifiableError(
             f"{told}, more than no motion at all would, and no simulated motion follows the measured one: this record "
             f"cannot identify the parameters as it is read ({advice})"
@@ -248,20 +247,18 @@ def _estimate(
         estimator, residual = known.estimator, fit.residual * known.estimator.equation.input_gain / before
         fit = replace(fit, theta=there.theta, theta_cov=there.theta_cov, residual=residual)
     asked = all_known(estimator, record, fit.theta, fit.theta_std)
-    adequacy, spread = _spread(asked[0], record, asked[3], asked[4], _adequacy(estimator, record, fit, choice))
-    spread = np.r_[spread, np.full(fit.theta.size - spread.size, np.nan)]  # of parameters it is not linear in
+    said = verdict(*asked, _adequacy(estimator, record, fit, choice), axis.estimator.tolerance)
+    spread = np.r_[said.spread, np.full(fit.theta.size - said.spread.size, np.nan)]  # of parameters it is not linear in
     unused = []
     if axis.estimator.window is not None and not isinstance(estimator, OE):
         unused.append(f'{estimator.method} simulates no windows: window is not used; set method = "output-error"')
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
         unused.append(f"{estimator.method} is an off-line method: forgetting is not used")
     notes = noted("record", record.notes) + noted("method", fit.notes) + noted("unused", unused)
-    judged = judge(*asked, adequacy)
-    notes += _check_error(estimator, fit.relative_error, adequacy, judged)
-    matter = _matter(asked[0], asked[3], asked[4], spread, adequacy, axis)
-    findings = ordered((*status_findings(fit.status & ~_told(record)), *weighed(judged, matter), *notes))
+    notes += _check_error(estimator, fit.relative_error, said)
+    findings = ordered((*status_findings(fit.status & ~_told(record)), *said.findings, *notes))
     found = fit.theta, fit.theta_std, findings
-    result = DriveResult(estimator, *found, record, fit.relative_error, matter, fit=fit, model_spread=spread)
+    result = DriveResult(estimator, *found, record, fit.relative_error, said.matter, fit=fit, model_spread=spread)
     return result if known is None else put_together(result, known, axis, known.of(fit, spread))
 
 
@@ -289,34 +286,6 @@ def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: Choice | N
     with suppress(NotIdentifiableError):
         return examined(free, record.u, record.counts, fit.theta)
     return None
-
-
-def _spread(
-    estimator: Estimator, record: Record, theta: Floats, std: Floats, known: Adequacy | None
-) -> tuple[Adequacy | None, Floats]:
-    """What the counts say on the model, if anything, and by how much what it lacks may move the estimate (p,), NaN
-    where that is not known. known: the former, where it is known."""
-    part = recent(estimator, record.u.size)
-    u, counts = record.u[part], record.counts[part]
-    try:
-        found = examined(estimator, record.u, record.counts, theta, known)
-    except NotIdentifiableError:
-        return None, spread_without_motion(estimator, u, counts, theta)
-    if found is None:
-        return None, np.full(theta.size, np.nan)
-    return found, model_spread(estimator, u, counts, theta, std, found)
-
-
-def _matter(
-    estimator: Estimator, theta: Floats, std: Floats, spread: Floats, known: Adequacy | None, axis: Axis
-) -> Matter:
-    """How far an estimate may be off for what its record shows, or might; what no record of this input shows is told
-    once and for all."""
-    p = len(estimator.equation.names)
-    unseen = np.zeros(p) if known is None else known.unseen[:p]
-    shown = np.sqrt(np.maximum(spread[:p] ** 2 - unseen**2, 0.0))
-    shown = shown if known is not None else np.full(p, np.nan)
-    return matter_of(estimator, theta, std, shown, axis.estimator.tolerance)
 
 
 def all_known(
@@ -390,13 +359,12 @@ def _recursive(
     if known is not None and known.find_gain:
         known, last_estimate = known.rescaled(last_estimate)
         method, theta, std = known.estimator, last_estimate.theta, last_estimate.theta_std
-    adequacy, spread = _spread(method, record, theta, std, None)
-    judged = judge(method, record.u, record.counts, theta, std, adequacy)
-    notes = noted("record", record.notes) + _check_error(method, relative, adequacy, judged)
-    matter = _matter(method, theta, std, spread, adequacy, axis)
-    findings = ordered((*status_findings(held), *weighed(judged, matter), *notes))
-    result = DriveResult(method, theta, std, findings, record, relative, matter, track=told, model_spread=spread)
-    return result if known is None else put_together(result, known, axis, known.of(last_estimate, spread))
+    said = verdict(method, record.u, record.counts, theta, std, None, axis.estimator.tolerance)
+    notes = noted("record", record.notes) + _check_error(method, relative, said)
+    findings = ordered((*status_findings(held), *said.findings, *notes))
+    found = method, theta, std, findings, record, relative, said.matter
+    result = DriveResult(*found, track=told, model_spread=said.spread)
+    return result if known is None else put_together(result, known, axis, known.of(last_estimate, said.spread))
 
 
 def _relative_error(columns: Columns, theta: Floats, status: NDArray[np.uint32]) -> float:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import cast
 
-from pmfid.errors import NotIdentifiableError
-from pmfid.findings import Finding, noted, texts
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.findings import Finding, codes, noted, ordered, texts
+from pmfid.judge.matter import OF_LOG, weighed
 from pmfid.session.config import Axis
 from pmfid.session.drives import Drives
 from pmfid.session.kinds import Kind, Progress, Records
 from pmfid.session.processes import Processes
-from pmfid.session.result import Result
+from pmfid.session.result import DriveResult, Result
 
 #: Flags of results that a mistake in the columns may explain, however long it takes to find.
 SUSPICIOUS = {"implausible", "uncertain", "count_jump", "fallback", "not_followed", "unmodelled"}
@@ -43,9 +45,9 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     try:
         result = kind.estimate(data, axis, progress)
     except NotIdentifiableError as error:
-        raise explained(error, kind.checked(data, axis, judged=True)) from None
+        raise explained(error, kind.checked(data, axis)) from None
     suspicious = bool(SUSPICIOUS & set(result.status))
-    log = kind.checked(data, axis, judged=True) if suspicious else kind.glanced(data, axis)
+    log = kind.checked(data, axis) if suspicious else kind.glanced(data, axis)
     return result.with_findings(*log, *noted("cutoff", chosen(given, axis)))
 
 
@@ -64,5 +66,14 @@ def explained(error: NotIdentifiableError, findings: tuple[Finding, ...]) -> Not
 
 
 def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
-    """What a log may have got wrong, most important first, before anything is estimated."""
-    return kind_of(axis).checked(data, axis)
+    """What a log may have got wrong, most important first; of a machine's log that is right, what `identify` has to
+    doubt in its model, in the same words."""
+    kind = kind_of(axis)
+    log = kind.checked(data, axis)
+    if not isinstance(kind, Drives) or set(codes(log)) - OF_LOG:
+        return log
+    with suppress(NotIdentifiableError, UsageError):
+        result = cast(DriveResult, identify(data, axis))
+        doubts = (finding for finding in result.findings if finding.severity != "note")
+        return ordered((*weighed(log, result.matter), *doubts))
+    return log

@@ -86,8 +86,8 @@ class Kind(ABC, Generic[Data]):
         """What the log may have got wrong, as far as it costs next to nothing to tell."""
         return ()
 
-    def checked(self, data: Data, axis: Axis, judged: bool = False) -> tuple[Finding, ...]:
-        """All that the log may have got wrong; judged: but for what an estimate is judged by as well."""
+    def checked(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
+        """All that the log may have got wrong."""
         return self.glanced(data, axis)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -15,7 +16,8 @@ from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Place, setting
 from pmfid.estimators.ls import LS
 from pmfid.findings import Finding, codes, texts
-from pmfid.judge.drive import judge
+from pmfid.judge.matter import weighed
+from pmfid.judge.said import verdict
 from pmfid.judge.term_fits import Bench, cutoff_for, shortest_part
 from pmfid.judge.term_trials import known_shapes
 from pmfid.judge.terms import Step, Terms, search
@@ -23,12 +25,13 @@ from pmfid.models.drive import Drive
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.drives import Drives, all_known, of_kind
 from pmfid.session.gaps.longest import unbroken
-from pmfid.session.identify import explained
+from pmfid.session.identify import explained, identify
 from pmfid.session.kinds import Progress
 from pmfid.session.known import check_numbers_known
 from pmfid.session.nested import Nested, finite, nested, spoken
 from pmfid.session.outliers import believed_of
 from pmfid.session.records import Record
+from pmfid.session.result import DriveResult
 from pmfid.session.weighed import Weighed, weighed_terms
 from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 
@@ -37,6 +40,8 @@ AMBIGUOUS, UNRESOLVED = "ambiguous_term", "unresolved"
 #: Flags of `pmfid identify` whose advice on [model] the search replaces.
 UNMODELLED, LATE = "unmodelled", "dead_time"
 UNEXPLAINED = "something is left that no term of the list explains on data that it was not fitted to"
+#: What is found of the chosen model, and whether it matters.
+Said = tuple[tuple[Finding, ...], bool]
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,8 +210,20 @@ def search_drive(
     try:
         found = search(bench, model, places, scan, done)
     except NotIdentifiableError as error:
-        raise explained(error, Drives().checked(data, axis, judged=True)) from None
-    return _told(data, bench, found, tuple(filter(None, (*data.notes, known.told))), known.status)
+        raise explained(error, Drives().checked(data, axis)) from None
+    notes = tuple(filter(None, (*data.notes, known.told)))
+    own = None if found.added else _identified(data, axis)
+    return _told(data, bench, found, notes, known.status, axis.estimator.tolerance, own)
+
+
+def _identified(data: Record, axis: Axis) -> Said | None:
+    """The verdict of `pmfid identify` on the model to begin with, which the search leaves as it is."""
+    with suppress(NotIdentifiableError):
+        result = identify(data, axis)
+        if isinstance(result, DriveResult):
+            doubts = tuple(finding for finding in result.findings if finding.severity != "note")
+            return doubts, result.matter.beyond
+    return None
 
 
 def round_up(number: float) -> float:
@@ -244,30 +261,40 @@ def _check(method: IntervalML, record: Record) -> None:
     check_identifiable(seen.columns(record.u, record.counts), seen.names, seen.least_part)
 
 
-def _told(data: Record, bench: Bench, found: Terms, told: tuple[str, ...], status: tuple[str, ...]) -> TermSearch:
+def _told(
+    data: Record,
+    bench: Bench,
+    found: Terms,
+    told: tuple[str, ...],
+    status: tuple[str, ...],
+    tolerance: float,
+    own_said: Said | None,
+) -> TermSearch:
     pairs = zip(found.trials, found.errors, strict=True)
     models = nested(bench, found.trials[0].model, list(pairs))
-    judged = _judged(bench, models[-1])
-    own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * (not found.adequacy.adequate or bool(found.refused))
+    judged, beyond = own_said or _judged(bench, models[-1], tolerance)
+    unresolved = beyond and (not found.adequacy.adequate or bool(found.refused))
+    own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * unresolved
     notes = tuple(dict.fromkeys((*told, *_sentences(found), *texts(judged))))
     names = tuple(dict.fromkeys((*status, *own, *codes(judged))))
     hidden = tuple(_hidden(found, found.trials[0].model.equation.motion.force))
-    weighed = tuple(weighed_terms(found, models[-1].fit))
-    return TermSearch(data.name, int(data.u.size), data.resolution, found, models, weighed, hidden, names, notes)
+    terms = tuple(weighed_terms(found, models[-1].fit))
+    return TermSearch(data.name, int(data.u.size), data.resolution, found, models, terms, hidden, names, notes)
 
 
-def _judged(bench: Bench, chosen: Nested) -> tuple[Finding, ...]:
+def _judged(bench: Bench, chosen: Nested, tolerance: float) -> Said:
     """As on an estimate."""
     trial = chosen.trial
     if chosen.fit is None:
-        return (Finding("uncertain", "the chosen model has no error bars on this record", "excite it more"),)
+        return (Finding("uncertain", "the chosen model has no error bars on this record", "excite it more"),), True
     record = Record(bench.u, bench.counts, trial.method.dt, trial.method.encoder.resolution, (), "")
-    estimator, u, counts, theta, std = all_known(trial.method, record, chosen.fit.theta, chosen.fit.theta_std)
-    found = judge(estimator, u, counts, theta, std, weigh(known_shapes(trial.best)))
+    asked = all_known(trial.method, record, chosen.fit.theta, chosen.fit.theta_std)
+    said = verdict(*asked, weigh(known_shapes(trial.best)), tolerance)
     # what to set in [model] the search itself has fitted, and kept or refused
-    return tuple(
-        replace(one, sentence=UNEXPLAINED) if one.code == UNMODELLED else one for one in found if one.code != LATE
-    )
+    own = [
+        replace(one, sentence=UNEXPLAINED) if one.code == UNMODELLED else one for one in said.judged if one.code != LATE
+    ]
+    return weighed(own, said.matter), said.matter.beyond
 
 
 def _sentences(found: Terms) -> Iterator[str]:

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from pmfid.errors import UsageError
+from pmfid.findings import Finding, codes, ordered, texts
 from pmfid.judge.free_run import FreeRun, Horizon
 from pmfid.session.config import Axis
-from pmfid.session.identify import kind_of
+from pmfid.session.identify import check, kind_of
 from pmfid.session.kinds import Records, parameters_of
 from pmfid.session.known import at_stored_gain
 from pmfid.session.stored import Stored
@@ -27,7 +28,8 @@ WITHIN = 1.5
 @dataclass(frozen=True, eq=False, repr=False)
 class Validation(Shown):
     """Free runs over one record or more. kind, method: of the model and of its estimate; names, units, theta: (p,) of
-    its parameters; unit: of the output, empty where it has none."""
+    its parameters; unit: of the output, empty where it has none; findings: what these records give to doubt in the
+    model, as `identify` says it of each."""
 
     kind: str
     method: str
@@ -36,11 +38,18 @@ class Validation(Shown):
     theta: Floats
     unit: str
     runs: tuple[FreeRun, ...]
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """Names of what is more than a note among the findings."""
+        return codes(self.findings)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What to mind, for people."""
-        return tuple(dict.fromkeys(note for run in self.runs for note in (*run.notes, *_remarks(run))))
+        own = (note for run in self.runs for note in (*run.notes, *_remarks(run)))
+        return tuple(dict.fromkeys((*own, *texts(self.findings))))
 
     def to_json(self) -> dict[str, object]:
         """The object that `--json` prints."""
@@ -51,6 +60,7 @@ class Validation(Shown):
             "parameters": {name: {"value": value, "unit": unit} for name, unit, value in rows},
             "unit": self.unit,
             "records": [_as_json(run) for run in self.runs],
+            "status": list(self.status),
             "notes": list(self.notes),
         }
 
@@ -61,7 +71,7 @@ class Validation(Shown):
             header,
             [(run.name, str(run.t.size), *_numbers(run), self.unit) for run in self.runs],
             [self._line(run) for run in self.runs],
-            remarks_of((), self.notes),
+            remarks_of(self.status, self.notes),
         )
 
     def _line(self, run: FreeRun) -> str:
@@ -142,10 +152,11 @@ def validated(method: str, theta: Floats, data: Sequence[Records], axis: Axis) -
     kind, (names, units) = kind_of(axis), parameters_of(axis.model.make())
     if not data:
         raise UsageError("there is no record to validate on; give one")
-    axis = kind.prepared(data[0], axis)
+    asked, axis = axis, kind.prepared(data[0], axis)
     if not np.all(np.isfinite(theta)):
         raise UsageError("a parameter is not finite: identify it again")
     for record in data:
         kind.check(record, axis)
     runs = tuple(run for record in data for run in kind.free_runs(record, axis, theta))
-    return Validation(axis.model.kind, method, names, units, theta, kind.unit_of_output(axis), runs)
+    findings = ordered(finding for record in data for finding in check(record, asked))
+    return Validation(axis.model.kind, method, names, units, theta, kind.unit_of_output(axis), runs, findings)

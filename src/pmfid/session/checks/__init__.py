@@ -14,7 +14,7 @@ from pmfid.session.checks.inputs import held_input, saturated
 from pmfid.session.checks.log import Log
 from pmfid.session.checks.motion import no_inertia, no_motion
 from pmfid.session.checks.readings import read_as
-from pmfid.session.checks.timing import acts_late, drifts, too_fast, too_slow
+from pmfid.session.checks.timing import drifts, too_fast, too_slow
 from pmfid.session.config import Axis
 from pmfid.session.gaps.longest import unbroken
 from pmfid.session.records import Record
@@ -38,10 +38,9 @@ def glanced(record: Record, axis: Axis) -> tuple[Finding, ...]:
     return ordered(_found(Log(unbroken(record), axis), SOON))
 
 
-def checked(record: Record, axis: Axis, judged: bool = False) -> tuple[Finding, ...]:
-    """All that is found; judged: but for an input that acts late, which an estimate is judged by as well."""
-    families = (*SOON, *LATER) if judged else (*SOON, *LATER, (acts_late,))
-    return ordered(_found(Log(unbroken(record), axis), families))
+def checked(record: Record, axis: Axis) -> tuple[Finding, ...]:
+    """All that is found."""
+    return ordered(_found(Log(unbroken(record), axis), (*SOON, *LATER)))
 
 
 def _found(log: Log, families: tuple[tuple[Check, ...], ...]) -> Iterator[Finding]:

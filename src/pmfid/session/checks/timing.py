@@ -1,30 +1,19 @@
-"""Clocks: a sample rate that does not suit the axis, an input of another clock, an input that acts late."""
+"""Clocks: a sample rate that does not suit the axis, an input of another clock."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 
-from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.configuration import like
-from pmfid.estimators.cutoff import choose_cutoff
-from pmfid.estimators.interval import IntervalML
 from pmfid.findings import Finding
 from pmfid.judge.counts import counts_per_sample
-from pmfid.judge.drive import examined
-from pmfid.judge.late import late
-from pmfid.models.drive import Drive
-from pmfid.models.equation import ESTIMATE
 from pmfid.session.checks.log import Log, hasty, liveliest
 from pmfid.session.checks.shift import Drift, drift_of
 from pmfid.session.checks.view import view
-from pmfid.session.known import at_some_gain
 from pmfid.types import Counts, Floats
 
-__all__ = ["acts_late", "drifts", "too_fast", "too_slow"]
+__all__ = ["drifts", "too_fast", "too_slow"]
 
 #: Change of the velocity from sample to sample, in parts of the velocity, beyond which samples miss the motion; counts
 #: per sample from which on that is not the encoder's.
@@ -39,8 +28,8 @@ IDLE, PLENTY = 0.02, 0.2
 DRIFT_TIMES, DRIFTED, SURE, LESS = (10.0, 30.0, 100.0), 1.5, 4.5, 0.95
 #: Looks behind a correction, and how far these may move a drift, in parts of the first.
 CORRECTIONS, MOST = 3, 1.5
-#: Samples in which it is looked for, and a late input, which is fitted again and again.
-MOST_SAMPLES, FITTED = 40_000, 6000
+#: Samples in which it is looked for.
+MOST_SAMPLES = 40_000
 
 
 def too_slow(log: Log) -> Iterator[Finding]:
@@ -128,39 +117,3 @@ def _surest(log: Log, u: Floats, counts: Counts) -> Drift | None:
     found = [drift for one in views if one is not None and (drift := drift_of(one)) is not None]
     sure = [one for one in found if abs(one.samples) >= DRIFTED and one.sure > SURE and one.less < LESS]
     return max(sure, key=lambda one: one.sure, default=None)
-
-
-def acts_late(log: Log) -> Iterator[Finding]:
-    """An input that acts later than the model has it, as `judge` says it of an estimate."""
-    if not log.is_machine:
-        return
-    axis, record = at_some_gain(log.axis), log.known
-    model = axis.model.make()
-    if model.equation.further:
-        return
-    part, encoder = liveliest(record.counts, FITTED), axis.encoder.made(record.resolution)
-    u, counts = record.u[part], record.counts[part]
-    with suppress(NotIdentifiableError, UsageError):
-        cutoff = axis.estimator.cutoff or choose_cutoff([model], encoder, record.dt, u, counts)
-        method = IntervalML(model, encoder, record.dt, cutoff, order=axis.estimator.order)
-        found = examined(method, u, counts, np.zeros(len(method.equation.names)))
-        if found is None or found.adequate:
-            return
-        told = list(late(found))
-        if told and any(_is_enough(method, key, u, counts) for key in ("dead_time", "lag")):
-            yield from told
-
-
-def _is_enough(method: IntervalML, key: str, u: Floats, counts: Counts) -> bool:
-    """Does the model explain the counts with a dead time or a lag, and nothing else? Friction that it lacks may look
-    like one."""
-    if not isinstance(method.model, Drive):
-        return True
-    with suppress(NotIdentifiableError, UsageError):
-        late_by = (
-            replace(method.model, dead_time=ESTIMATE) if key == "dead_time" else replace(method.model, lag=ESTIMATE)
-        )
-        wider = like(IntervalML, method, model=late_by)
-        found = examined(wider, u, counts, np.zeros(len(wider.equation.names)))
-        return found is not None and found.adequate
-    return False
