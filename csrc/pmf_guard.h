@@ -171,11 +171,10 @@ PMF_SELDOM truth_t was_wild(const pmf_encoder_config_t *config, const pmf_guard_
     return wild & (size > MOTION_EDGE) & (guard->seen < config->guard);
 }
 
-/* What a wrong count taught would hide all others. */
+/* What a wrong count taught would hide all others. It does not begin from the start: it might never end. */
 PMF_SELDOM void learn_anew(pmf_guard_state_t *guard, truth_t where, real_t change)
 {
     guard->scatter = PMF_IF(where, PMF_R(0.0), guard->scatter);
-    guard->seen = PMF_IF(where & (guard->seen > FIRST_SAMPLES), PMF_W(FIRST_SAMPLES), guard->seen);
     guard->missed = PMF_IF(where, PMF_R(0.0), guard->missed);
     guard->rate = PMF_IF(where, PMF_R(0.0), guard->rate);
     guard->change = PMF_IF(where, rounded(change), guard->change);
@@ -245,6 +244,8 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     guard->scatter = PMF_IF(lost, PMF_R(2.0) * guard->scatter + STEP, guard->scatter);
     guard->wait = PMF_IF(ends & (suspected | undone),
                          PMF_IF(guard->wait > 0U, PMF_W(2U * CALM(config)), PMF_W(CALM(config))), guard->wait);
+    wild = wild & (guard->seen > CALM(config)); /* before, the filters settle anyway */
+    undone = undone | wild;
     rough = real | undone | (ends & (guard->suspect > 1U));
     guard->reading = PMF_IF(sound, guard->reading, count);
     guard->suspect = PMF_IF(ends, PMF_W(0), guard->suspect + 1U);

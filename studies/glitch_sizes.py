@@ -45,7 +45,8 @@ FLAGS = ~(Status.STANDSTILL | Status.FEEDBACK | Status.FALLBACK)
 
 @dataclass(frozen=True)
 class Case:
-    """An estimator on the record of an axis, its track without wrong counts, and the first and last place of one."""
+    """An estimator on the record of an axis, its track without wrong counts, the first and last place of one, and the
+    first sample that is judged."""
 
     axis: str
     method: str
@@ -54,6 +55,7 @@ class Case:
     clean: Track
     first: int
     last: int
+    judged: int
 
 
 @dataclass(frozen=True)
@@ -67,8 +69,9 @@ class Harm:
     flagged: float
 
 
-def case_of(axis: str, method: str, seed: int, precision: str = "float64") -> Case | None:
-    """The seed chooses motion and encoder; None where the method is not within `CLEAN` without wrong counts."""
+def case_of(axis: str, method: str, seed: int, precision: str = "float64", start: bool = False) -> Case | None:
+    """The seed chooses motion and encoder; None where the method is not within `CLEAN` without wrong counts. start:
+    counts are wrong from the start, not from a third on."""
     machine = AXES[axis]
     motion, increments = MOTIONS[seed % 3], INCREMENTS[seed // 3 % len(INCREMENTS)]
     record = machine_record(machine, "nothing", motion, increments, 700 + seed)
@@ -83,7 +86,7 @@ def case_of(axis: str, method: str, seed: int, precision: str = "float64") -> Ca
     clean, n = estimator.run(record.u, record.counts), record.u.size
     if not np.max(np.abs(clean.theta[n // 3 :, 0] / machine.drive.mass - 1)) < CLEAN:
         return None
-    return Case(axis, method, estimator, record, clean, n // 3, n - 2 * MEMORY - 60)
+    return Case(axis, method, estimator, record, clean, 0 if start else n // 3, n - 2 * MEMORY - 60, n // 3)
 
 
 def wrong_sizes(kind: str, largest: int, faults: int, rng: np.random.Generator) -> Counts:
@@ -114,9 +117,9 @@ def harm(case: Case, places: NDArray[np.intp], sizes: Counts) -> Harm:
     counts[places] += sizes
     case.estimator.reset()
     track = case.estimator.run(case.record.u, counts)
-    apart = np.abs(track.theta[:, 0] - case.clean.theta[:, 0])[case.first :] / AXES[case.axis].drive.mass
-    flagged = track.flagged(FLAGS)[case.first :]
-    after = apart[places[-1] + 2 * MEMORY + 1 - case.first]
+    apart = np.abs(track.theta[:, 0] - case.clean.theta[:, 0])[case.judged :] / AXES[case.axis].drive.mass
+    flagged = track.flagged(FLAGS)[case.judged :]
+    after = apart[places[-1] + 2 * MEMORY + 1 - case.judged]
     return Harm(float(np.max(apart[~flagged], initial=0.0)), float(apart.max()), float(after), float(flagged.mean()))
 
 
@@ -127,11 +130,11 @@ def harm_of(case: Case, kind: str, rate: float, largest: int, seed: int) -> Harm
     return harm(case, places, wrong_sizes(kind, largest, places.size, rng))
 
 
-def harms(axis: str, method: str, seeds: int) -> Iterator[Harm]:
+def harms(axis: str, method: str, seeds: int, start: bool) -> Iterator[Harm]:
     """The harm of every kind, rate and size, in both precisions."""
     for seed in range(seeds):
         for precision in PRECISIONS:
-            case = case_of(axis, method, seed, precision)
+            case = case_of(axis, method, seed, precision, start)
             if case is not None:
                 for kind, rate, largest in product(KINDS, RATES, LARGEST):
                     yield harm_of(case, kind, rate, largest, seed)
@@ -167,12 +170,12 @@ def climb(case: Case, rate: float, seconds: float, rng: np.random.Generator) -> 
     return began, worst, tried
 
 
-def size_rows(seeds: int) -> list[list[str]]:
-    """A row for each axis and method."""
+def size_rows(seeds: int, start: bool = False) -> list[list[str]]:
+    """A row for each axis and method; start: as in `case_of`."""
     rows = []
     for axis in AXES:
         for method in METHODS:
-            found = list(harms(axis, method, seeds))
+            found = list(harms(axis, method, seeds, start))
             if found:
                 silent, after = (100 * np.array([getattr(one, part) for one in found]) for part in ("silent", "after"))
                 held = " (held back)" if axis in HELD_BACK else ""

@@ -122,6 +122,16 @@ def test_wrong_counts_of_like_sizes_do_not_widen_the_limit(method: str, largest:
         assert found.after < glitch_sizes.FORGOTTEN
 
 
+@pytest.mark.parametrize("seed", [1, 7])
+@pytest.mark.parametrize("method", glitch_sizes.METHODS)
+def test_wrong_counts_from_the_start_do_not_keep_it_learning(method: str, seed: int) -> None:
+    """Each wrong count that was found let it begin from the first sample: with 3 % it never came to an end."""
+    case = glitch_sizes.case_of("cart", method, seed, start=True)
+    assert case is not None
+    for kind in ("uniform", "log-uniform"):
+        assert glitch_sizes.harm_of(case, kind, 0.03, 1000, seed).silent < glitch_sizes.FAR
+
+
 def wrong_record(axis: str, seed: int, largest: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Clusters of wrong counts, and 60 samples that are nothing but wrong."""
     case = glitch_sizes.case_of(axis, "riv", seed)
