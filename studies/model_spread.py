@@ -175,7 +175,7 @@ model has not moves the value by the same amount in every record. `interval_95` 
   model spread is made of the forces that the counts ask for, of another method, and of the parts of the record (halves,
   slow and fast, forward and backward), whichever is largest. It says how wrong the number may be, not which number is
   right: set the term that is missing, and the number moves, mostly by less than this.
-- **The flag `model_spread`** is more cautious than the number: it is up where a force as large as machines well may
+- **The note `model_spread`** is more cautious than the number: it is there where a force as large as machines well may
   have, and the record would not show, moves a parameter by more than its std. The number weighs each force by how
   likely the record leaves it.
 - **The interval is of the machine's own parameters**: mass, and the friction of the equation's terms beside what it
