@@ -27,8 +27,8 @@ from studies.fleet_data import IN_A_FILE, write_fleet
 ROW = 32
 #: Parts of the data set whose time and memory are compared; beyond 1 its axes come again, by names that end so.
 PARTS, COPY = (0.25, 0.5, 1.0, 2.0, 4.0), " copy "
-#: To which size it is extrapolated [GB].
-FARTHER = 100.0
+#: To which size it is extrapolated [GB], and by which factor at most.
+FARTHER, FAR = 100.0, 20.0
 #: Of the peers: axes side by side, samples of each; and samples of the one by one.
 SIDE_BY_SIDE, SAMPLES, SINGLE = 1000, 2000, 20_000
 #: Processes of the pool.
@@ -215,9 +215,9 @@ def pool_rate() -> float:
 
 def farther(costs: Sequence[Cost]) -> list[str]:
     """What a data set of FARTHER would take, by the straight lines through what was measured."""
-    if len(costs) < 3:
-        return []
     sizes = ROW * np.array([cost.samples for cost in costs]) / 1e9
+    if len(costs) < 3 or not sizes[-1] > FARTHER / FAR:
+        return []
     pace, slope, grown = (
         float(np.polyfit(sizes, [getattr(cost, name) for cost in costs], 1)[0]) for name in ("wall", "cpu", "memory")
     )

@@ -39,8 +39,7 @@ def lasting_status(tracks: Tracks) -> NDArray[np.uint32]:
 
 def unshown(u: Floats, counts: Counts) -> NDArray[np.uint32]:
     """(n,) bits of what inputs and counts (n, samples) cannot show."""
-    steps = np.diff(counts, axis=1)
-    there, travel = steps.sum(axis=1), np.abs(steps).sum(axis=1)
+    there, travel = counts[:, -1] - counts[:, 0], np.abs(np.diff(counts, axis=1)).sum(axis=1)
     one_way = travel - np.abs(there) < 2 * BACK * travel
     way = np.where(one_way, np.where(there > 0, FORWARD, BACKWARD), 0)
     sizes = np.abs(u)
