@@ -194,8 +194,11 @@ class Axis:
         return float(self.estimator.equation.input_gain)
 
     def _evidence(self, estimate: Estimate) -> Evidence | None:
-        """What the estimate says of the cause; None while it is none."""
-        found = Evidence(np.array(estimate.theta), np.array(estimate.theta_cov))
+        """What the estimate says of the cause; None while it is none. Where the model lacks something, without what is
+        off all the time, and no surer than a unit of normal work."""
+        found, work = Evidence(np.array(estimate.theta), np.array(estimate.theta_cov)), self.calibration.work
+        if work is not None:
+            found = Evidence(found.theta - work.offset, found.covariance + np.diag(work.scale.sigma**2))
         silent = estimate.status & UNUSABLE or not np.all(np.isfinite(np.r_[found.theta, found.covariance.ravel()]))
         return None if silent else found
 
