@@ -82,8 +82,9 @@ test-long: .venv/tools firmware-tools service-tools
 
 # An hour of a hundred axes at their full rate: memory, latency and open files over time.
 soak: .venv/tools service-tools
+	mkdir -p results/images
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m studies.service.load --axes 100 --seconds 3600 \
-	--out docs/service_soak.md --image docs/images/service_soak.png
+	--out results/service_soak.md --image results/images/service_soak.png
 
 # The service killed without notice, at named points and at random; every state and row must be as without.
 KILLS ?= 1000
@@ -99,7 +100,8 @@ broker-kills: .venv/tools service-tools
 
 # The service when something else fails: messages, disks, browsers, the process itself. Wants a broker, and root for disks.
 service-faults: .venv/tools service-tools
-	.venv/bin/python -m studies.service.faults --out docs/service_faults.md
+	mkdir -p results/images
+	.venv/bin/python -m studies.service.faults --out results/service_faults.md
 
 KERNEL = $(wildcard csrc/*.[ch] csrc/many/*.[ch] csrc/wire/*.[ch])
 
@@ -125,44 +127,48 @@ bench: .venv/peers
 	.venv/bin/python -m pytest benchmarks --benchmark-only --benchmark-sort=name --benchmark-json=.benchmarks/latest.json
 	.venv/bin/python -m benchmarks.instructions .benchmarks/instructions.json
 	.venv/bin/python -m benchmarks.reading .benchmarks/reading.json
+	mkdir -p results
 	.venv/bin/python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json .benchmarks/reading.json \
-		docs/benchmarks.md
+		results/benchmarks.md
 
 firmware: .venv/tools
-	.venv/bin/python -m tests.firmware.study --out docs/footprint.md
+	mkdir -p results/images
+	.venv/bin/python -m tests.firmware.study --out results/footprint.md
 
+# Every page of results, into results/: hours.
 study: .venv/tools .venv/spark
+	mkdir -p results/images
 	.venv/bin/pmfid explain --page > docs/axis_toml.md
 	.venv/bin/pmfid explain --plant --page > docs/plant_toml.md
-	.venv/bin/python -m studies.accuracy --out docs/accuracy.md
-	.venv/bin/python -m studies.automatic --out docs/automatic.md
-	.venv/bin/python -m studies.confidence --out docs/confidence.md
-	.venv/bin/python -m studies.dead_time --out docs/dead_time.md
-	.venv/bin/python -m studies.no_settings --out docs/no_settings.md
-	.venv/bin/python -m studies.model_spread --out docs/model_spread.md
-	.venv/bin/python -m studies.verdict --out docs/verdict.md
-	.venv/bin/python -m studies.known_mass --out docs/known_mass.md
-	.venv/bin/python -m studies.design --out docs/design.md
-	.venv/bin/python -m studies.design_machines --out docs/commissioning.md
-	.venv/bin/python -m studies.monitoring --out docs/monitoring.md
-	.venv/bin/python -m studies.monitoring_wrong_models --out docs/monitoring_wrong_models.md
-	.venv/bin/python -m studies.alarms --out docs/alarms.md
-	.venv/bin/python -m studies.laboratory --out docs/laboratory.md --images docs/images
-	.venv/bin/python -m studies.black_box --out docs/black_box.md
-	.venv/bin/python -m studies.gaps --out docs/gaps.md
-	.venv/bin/python -m studies.glitches --out docs/glitches.md
-	.venv/bin/python -m studies.glitches_watched --out docs/glitches_watched.md
-	.venv/bin/python -m studies.scale --out docs/scale.md
-	.venv/bin/python -m studies.prediction --out docs/prediction.md
-	.venv/bin/python -m studies.terms --out docs/terms.md
-	.venv/bin/python -m studies.logs --out docs/logs.md
-	.venv/bin/python -m studies.checks --out docs/checks.md
-	.venv/bin/python -m studies.fleet_history --out docs/fleet_history.md
+	.venv/bin/python -m studies.accuracy --out results/accuracy.md
+	.venv/bin/python -m studies.automatic --out results/automatic.md
+	.venv/bin/python -m studies.confidence --out results/confidence.md
+	.venv/bin/python -m studies.dead_time --out results/dead_time.md
+	.venv/bin/python -m studies.no_settings --out results/no_settings.md
+	.venv/bin/python -m studies.model_spread --out results/model_spread.md
+	.venv/bin/python -m studies.verdict --out results/verdict.md
+	.venv/bin/python -m studies.known_mass --out results/known_mass.md
+	.venv/bin/python -m studies.design --out results/design.md
+	.venv/bin/python -m studies.design_machines --out results/commissioning.md
+	.venv/bin/python -m studies.monitoring --out results/monitoring.md
+	.venv/bin/python -m studies.monitoring_wrong_models --out results/monitoring_wrong_models.md
+	.venv/bin/python -m studies.alarms --out results/alarms.md
+	.venv/bin/python -m studies.laboratory --out results/laboratory.md --images results/images
+	.venv/bin/python -m studies.black_box --out results/black_box.md
+	.venv/bin/python -m studies.gaps --out results/gaps.md
+	.venv/bin/python -m studies.glitches --out results/glitches.md
+	.venv/bin/python -m studies.glitches_watched --out results/glitches_watched.md
+	.venv/bin/python -m studies.scale --out results/scale.md
+	.venv/bin/python -m studies.prediction --out results/prediction.md
+	.venv/bin/python -m studies.terms --out results/terms.md
+	.venv/bin/python -m studies.logs --out results/logs.md
+	.venv/bin/python -m studies.checks --out results/checks.md
+	.venv/bin/python -m studies.fleet_history --out results/fleet_history.md
 	@$(MAKE) --no-print-directory spark-tools INSTALL_TOOLS=1
-	.venv/bin/python -m studies.fleet_stream --out docs/fleet_stream.md --seconds 120
-	.venv/bin/python -m studies.million --out docs/million.md
-	.venv/bin/python -m studies.cost --out docs/cost.md
-	.venv/bin/python -m tests.hostile.study --out docs/hostile.md
+	.venv/bin/python -m studies.fleet_stream --out results/fleet_stream.md --seconds 120
+	.venv/bin/python -m studies.million --out results/million.md
+	.venv/bin/python -m studies.cost --out results/cost.md
+	.venv/bin/python -m tests.hostile.study --out results/hostile.md
 
 # Attacks at length, an hour at most: crafted states under the sanitizers, openings, names in exports, calls, pipes.
 hostile: .venv/tools
@@ -172,4 +178,4 @@ images: .venv/installed
 	.venv/bin/python -m pmfid.demo --images docs/images
 
 clean:
-	rm -rf .venv build demo-report reproduced
+	rm -rf .venv build demo-report reproduced results

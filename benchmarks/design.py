@@ -42,7 +42,7 @@ STARTS, PEER_STARTS = {40: 1000, 200: 100}, 50
 PAGE = """\
 # How fast designs are found
 
-Written by `python -m benchmarks.design docs/design_benchmarks.md` with pmfid {pmfid}, highspy {highspy} and
+Written by `python -m benchmarks.design results/design_benchmarks.md` with pmfid {pmfid}, highspy {highspy} and
 CasADi {casadi} (IPOPT with MUMPS). The case: m = 1.5 kg, d = 6 N s/m, F_c = 0.6 N, 2 N/V; 0.4 m in 2 s from rest to
 rest, |u| <= 3 V, speed at least 0.01 m/s on the way. Parameters: the mass; with the viscous friction; with the Coulomb
 friction. Times are processor time on one thread, because the machine is shared.

@@ -64,7 +64,7 @@ Written by `make bench`, which runs
     python -m benchmarks.instructions .benchmarks/instructions.json
     python -m benchmarks.reading .benchmarks/reading.json
     python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json .benchmarks/reading.json \\
-        docs/benchmarks.md
+        results/benchmarks.md
 
 and keeps the figures in [benchmarks.json](benchmarks.json).
 

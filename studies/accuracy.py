@@ -1,4 +1,4 @@
-"""The study of all methods by Monte Carlo: `python -m studies.accuracy --out docs/accuracy.md`."""
+"""The study of all methods by Monte Carlo: `python -m studies.accuracy --out results/accuracy.md`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an alarm says, on machines drawn at random and on benches: `python -m studies.alarms --out docs/alarms.md`."""
+"""What an alarm says, on machines drawn at random and on benches: `python -m studies.alarms --out PAGE.md`."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ def page(runs: int, first: int) -> str:
         "",
         *table(["bench", *HEADER], list(causes_rows(runs))),
     ]
-    lines += ["", f"Written by `python -m studies.alarms --out docs/alarms.md --runs {runs} --first {first}`."]
+    lines += ["", f"Written by `python -m studies.alarms --out results/alarms.md --runs {runs} --first {first}`."]
     return "\n".join(lines) + "\n"
 
 

@@ -112,7 +112,7 @@ def main() -> None:
     lines = [
         "# The automatic choice",
         "",
-        f"Written by `python -m studies.automatic --out docs/automatic.md --seeds {arguments.seeds}`. Root mean "
+        f"Written by `python -m studies.automatic --out results/automatic.md --seeds {arguments.seeds}`. Root mean "
         f"square error of the mass in percent over {arguments.seeds} seeds; creep: a count per 20 samples, with 4 mm "
         "steps every 3 s.",
         "",

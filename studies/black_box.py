@@ -1,4 +1,4 @@
-"""The study of transfer functions by Monte Carlo: `python -m studies.black_box --out docs/black_box.md`."""
+"""The study of transfer functions by Monte Carlo: `python -m studies.black_box --out results/black_box.md`."""
 
 from __future__ import annotations
 

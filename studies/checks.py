@@ -1,6 +1,6 @@
 """Study: does `pmfid check` name the faults of logs, and none in clean ones?
 
-`python -m studies.checks --out docs/checks.md`
+`python -m studies.checks --out results/checks.md`
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Study: is anything confident and wrong? Six machines, their models right and wrong, motions and encoders.
 
-`python -m studies.confidence --out docs/confidence.md`
+`python -m studies.confidence --out results/confidence.md`
 """
 
 from __future__ import annotations

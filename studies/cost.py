@@ -1,5 +1,5 @@
 """What the sums of `pmfid fleet cost` are made of, measured, and a page of them:
-`python -m studies.cost --out docs/cost.md`."""
+`python -m studies.cost --out results/cost.md`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FEW, MANY = (1, 4), (16, 100)
 LOADS = ((100, 1000.0), (1000, 100.0), (10_000, 100.0), (100_000, 10.0), (100_000, 100.0), (1_000_000, 10.0))
 MACHINES = (Machine(2, 16e9), Machine(16, 64e9), Machine(64, 256e9))
 RATES = (1.0, 10.0, 100.0, 1000.0)
-HERE = "docs/cost.md"
+HERE = "results/cost.md"
 #: A page of measurements -> the constants that it has, once it is there.
 Reader = Callable[[str], Mapping[str, tuple[float, str, str]]]
 
@@ -119,7 +119,7 @@ def _first(text: str) -> float:
 
 
 def service(text: str) -> dict[str, tuple[float, str, str]]:
-    """Of docs/service_load.md: the slowest of its runs decides, and memory grows by what it did between them."""
+    """Of results/service_load.md: the slowest of its runs decides, and memory grows by what it did between them."""
     runs = next(one for one in tables(text) if one and "1e6 samples/s" in one[0])
     block = int(re.search(r"blocks of (\d+)", text)[1])  # type: ignore[index]
     cores = [_first(run["cores of service, broker, machines"]) / (1e6 * _first(run["1e6 samples/s"])) for run in runs]
@@ -134,7 +134,7 @@ def service(text: str) -> dict[str, tuple[float, str, str]]:
 
 
 def history(text: str) -> dict[str, tuple[float, str, str]]:
-    """Of docs/fleet_history.md: the largest of its runs."""
+    """Of results/fleet_history.md: the largest of its runs."""
     run = next(one for one in tables(text) if one and "samples per processor second" in one[0] and "MiB" in one[0])[-1]
     rate = 1e6 * _first(run["samples per processor second"])
     return {
@@ -144,7 +144,7 @@ def history(text: str) -> dict[str, tuple[float, str, str]]:
 
 
 def engines(text: str) -> dict[str, tuple[float, str, str]]:
-    """Of docs/fleet_engines.md: the start is in the processor time, so a short run is dearer than a long one."""
+    """Of results/fleet_engines.md: the start is in the processor time, so a short run is dearer than a long one."""
     runs = next(one for one in tables(text) if one and "engine" in one[0])
     run = next(one for one in runs if one["engine"] == "spark")
     rate = 1e6 * _first(run["per processor second"])
@@ -155,8 +155,8 @@ def engines(text: str) -> dict[str, tuple[float, str, str]]:
 
 
 def streamed(text: str) -> dict[str, tuple[float, str, str]]:
-    """Of docs/fleet_stream.md: the largest of the rates that hold; what a process needs without any samples, which is
-    much of a small rate, is in it."""
+    """Of results/fleet_stream.md: the largest of the rates that hold, with what a process needs without any samples,
+    much of a small rate."""
     runs = next(one for one in tables(text) if one and "states written with a batch" in one[0])
     run = max((one for one in runs if one["holds"] == "yes"), key=lambda one: _first(one["samples/s"]))
     each = _first(run["processors"]) / _first(run["samples/s"])
@@ -164,10 +164,10 @@ def streamed(text: str) -> dict[str, tuple[float, str, str]]:
 
 
 PAGES: Mapping[str, Reader] = {
-    "docs/service_load.md": service,
-    "docs/fleet_history.md": history,
-    "docs/fleet_engines.md": engines,
-    "docs/fleet_stream.md": streamed,
+    "results/service_load.md": service,
+    "results/fleet_history.md": history,
+    "results/fleet_engines.md": engines,
+    "results/fleet_stream.md": streamed,
 }
 
 
@@ -244,7 +244,7 @@ def page(fleet: Cost) -> str:
         "    pmfid fleet cost --axes 20000 --rate 50 --cores 16 --memory 64",
         "",
         f"Cores are busy ones on average; a machine is filled to {100 * cost.USED:.0f} % of its cores and memory. A "
-        "call or a message of an axis comes each second. *process*: a `ShardedFleet` (docs/million.md), estimates "
+        "call or a message of an axis comes each second. *process*: a `ShardedFleet` (results/million.md), estimates "
         "alone; *serve*: `pmfid serve`, which watches, one core for each process; *spark stream*: the same kernel "
         "under Structured Streaming; *history*, *spark history*: a day of stored samples estimated once a day. "
         "Storage: two generations of checkpoints, for histories the samples of a day. A dash: not of this way, or not "

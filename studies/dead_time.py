@@ -1,5 +1,5 @@
 """A dead time, or a lag, of the input, estimated and left out, as a page:
-`python -m studies.dead_time --out docs/dead_time.md`."""
+`python -m studies.dead_time --out results/dead_time.md`."""
 
 from __future__ import annotations
 
@@ -266,7 +266,7 @@ def page(pieces: Sequence[Piece]) -> str:
         "",
         "Written by",
         "",
-        "    python -m studies.dead_time --out docs/dead_time.md",
+        "    python -m studies.dead_time --out results/dead_time.md",
         "",
         'The model has dead_time = "estimate", or lag = "estimate". The errors of the parameters are the largest of',
         f"all runs; `riv` after {ON_THE_WAY} samples, from a dead time of 0 on, where its status does not say that it",

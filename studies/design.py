@@ -1,4 +1,4 @@
-"""The page on designed inputs: how to get one, and what was measured."""
+"""What designed inputs gain, and whether their predictions are true."""
 
 from __future__ import annotations
 
@@ -6,28 +6,8 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
-from pmfid.design.trial.appraisal import Appraisal
 from pmfid.paper.truth import table
-from pmfid.report.design import criteria_table, std_table
-from pmfid.session.design_run import appraised, designed
-from pmfid.session.design_spec import Spec, load_spec
 from studies import design_case, design_runs, design_wrong
-
-SPEC = Path("examples/cart_design.toml")
-
-
-def how_to(spec: Spec, text: str, appraisal: Appraisal) -> Iterator[str]:
-    """Lines of the instructions; text: of the SPEC.toml."""
-    yield from _paragraphs(INTRODUCTION)
-    yield from ("```toml", *text.rstrip().splitlines(), "```", "")
-    yield from _paragraphs(RUN)
-    yield from table(*criteria_table(appraisal))
-    yield from _paragraphs(DEVIATIONS)
-    yield from table(*std_table(appraisal))
-    yield from _paragraphs(ENCODER)
-    yield from table(*std_table(appraisal, through_encoder=True))
-    yield from _paragraphs(AFTER)
-    yield from _paragraphs(PYTHON)
 
 
 def measured(runs: int) -> Iterator[str]:
@@ -57,79 +37,10 @@ def _paragraphs(text: str) -> list[str]:
     return [*text.strip().splitlines(), ""]
 
 
-INTRODUCTION = """
-# From an axis data sheet to a commissioning motion
-
-`pmfid design` finds the input that tells most about an axis and keeps it within its limits. It needs rough values of
-what is to be found, as data sheets give them:
-
-| what | from |
-|---|---|
-| `input_gain` | force per unit of the input: torque constant times 2 pi / lead of a screw, or over a pinion's radius |
-| `mass` | everything that moves, with motor and coupling: inertia times (2 pi / lead)^2 |
-| `viscous_friction`, `coulomb_friction` | friction torque over speed, of motor, screw and guides; the drag of seals |
-| `resolution` | travel per count: lead over counts per turn, all edges counted |
-| limits | peak voltage or torque, travel between the end switches, top speed, jerk; `rms`: what the motor bears long |
-
-Write them into a file. This is `examples/cart_design.toml`:
-"""
-RUN = """
-Leave `end` and `end_velocity` out where they are free. `min_speed` keeps the axis away from standstill, see below.
-`[prior]` holds standard deviations that are known beforehand, `[robust]` by which part the values above may be wrong.
-Then:
-
-    pmfid design examples/cart_design.toml --out design-report
-
-prints this table, tries to prove how near the optimum is, and writes a report, and `t, u, x, v` as CSV, the design's
-and those of the standard inputs. Drive with `u`, or let a position controller follow `x` and `v`. `--motions 3` adds a
-campaign: several motions that tell more together than the best one repeated.
-"""
-DEVIATIONS = """
-*Gain* is the criterion of the design over that of a standard input within the same limits; *survives* is the part of
-the information that is still there in a simulation with stiction. Standard deviations to be expected in percent, if the
-error of the position were white and the start known (Cramér-Rao):
-"""
-ENCODER = """
-And those of `pmfid commission` from the counts of this encoder, whose start and error are not white noise. Where the
-design is worse than the trapezoid by these, a line recommends another input:
-"""
-AFTER = """
-Run it, record `t, u, counts`, and let the next round use what is known by then:
-
-    pmfid commission examples/cart_design.toml run1.csv --want mass=0.001 --out next
-
-It estimates the unknown parameters from all runs so far: of all values whose motion passes through every count, the
-mean, with the scatter as the deviation. It says whether the wanted standard deviation is reached, and if not writes the
-next input: the design, one with another least speed, or a standard profile, whichever leaves the least open by these
-counts, with no parameter worse than by the trapezoid. Where no motion of the model passes through all counts, the model
-is wrong: a line says so, the deviations grow by what is missing, and beyond half a count nothing counts as reached.
-
-Without a record it writes the first one; with `--truth mass=1.8` it plays all rounds on a simulated axis. The limits
-cannot be met: exit code 3, and one line says which limit to relax and by how much.
-"""
-PYTHON = """
-The same in Python:
-
-```python
-from pathlib import Path
-
-import numpy as np
-from pmfid.design import sequential, simulated_experiment, solve, standard_inputs
-from pmfid.session.design_spec import load_spec, make_problem
-
-problem = make_problem(load_spec(Path("examples/cart_design.toml")))
-design = solve(problem, "D", starts=20, seed=0)  # t, u, x, v, fisher, value, predicted_std
-trapezoid = standard_inputs(problem)["trapezoid"]  # u, x, v within the same limits
-
-experiment = simulated_experiment(problem, {"mass": 1.8}, np.random.default_rng(0))  # or your machine: Design -> Run
-state = sequential(problem, experiment, {"mass": 0.001}, rounds=5)
-mass = state.rounds[-1].known.parameters["mass"]
-```
-"""
 GAINS = """
-# What was measured
+# Designed inputs, measured
 
-All on the case above. Parameters are scaled by their nominal values.
+All on the case of `examples/cart_design.toml`. Parameters are scaled by their nominal values.
 
 ## Gain over standard inputs
 
@@ -187,12 +98,9 @@ the difference on the constant velocity of a trapezoid. `interval` takes the cou
 
 def page(runs: int) -> str:
     """The whole page."""
-    spec = load_spec(SPEC)
-    appraisal = appraised(spec, designed(spec))
     lines = [
-        *how_to(spec, SPEC.read_text(encoding="utf-8"), appraisal),
         *measured(runs),
-        f"Written by `python -m studies.design --out docs/design.md --runs {runs}`.",
+        f"Written by `python -m studies.design --out results/design.md --runs {runs}`.",
     ]
     return "\n".join(lines) + "\n"
 

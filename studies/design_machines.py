@@ -214,7 +214,7 @@ def page(runs: int, few: int) -> str:
     lines += [*table(("machine", "value of D", "gap", "time [s]"), list(proofs())), *WRONG_MODELS.splitlines(), ""]
     header = ("machine", "step [um]", "what the model lacks", "unexplained", "error / claimed m, d, F_c")
     lines += [*table(header, list(wrong_models(few)))]
-    lines += [f"Written by `python -m studies.design_machines --out docs/commissioning.md --runs {runs}`."]
+    lines += [f"Written by `python -m studies.design_machines --out results/commissioning.md --runs {runs}`."]
     return "\n".join(lines) + "\n"
 
 

@@ -1,5 +1,5 @@
 """The history of a fleet by both engines, from the same files: the same bytes, and what each costs:
-`python -m studies.fleet_engines --out docs/fleet_engines.md`; needs `pmfid[spark]` and a Java runtime."""
+`python -m studies.fleet_engines --out results/fleet_engines.md`; needs `pmfid[spark]` and a Java runtime."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """A fleet of a thousand axes and its history, as a page: who is found, how long it takes, and what it costs in memory:
-`python -m studies.fleet_history --out docs/fleet_history.md`."""
+`python -m studies.fleet_history --out results/fleet_history.md`."""
 
 from __future__ import annotations
 

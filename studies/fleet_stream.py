@@ -1,6 +1,6 @@
 """How many axes `pmfid fleet stream` keeps up with on this machine.
 
-python -m studies.fleet_stream --out docs/fleet_stream.md
+python -m studies.fleet_stream --out results/fleet_stream.md
 
 A gateway writes a Parquet file with a block of each axis every so many seconds; the stream runs as a process of its
 own. It holds a rate if it is not further behind at the end than two of its batches were long.
@@ -216,7 +216,7 @@ def _row(run: Run) -> str:
 
 
 def page(runs: Sequence[Run], shards: int, interval: float, others: float) -> str:
-    """docs/fleet_stream.md; others: processes that wanted a processor before the first run, on average."""
+    """results/fleet_stream.md; others: processes that wanted a processor before the first run, on average."""
     lines = [
         "# What a stream on Spark keeps up with",
         "",

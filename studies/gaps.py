@@ -1,5 +1,5 @@
 """What missing samples do to a drive's estimates, and several records in one, as a page:
-`python -m studies.gaps --out docs/gaps.md`."""
+`python -m studies.gaps --out results/gaps.md`."""
 
 from __future__ import annotations
 
@@ -273,7 +273,7 @@ def main(arguments: list[str] | None = None) -> int:
     lines = [
         "# Missing samples and several records",
         "",
-        "Made by `python -m studies.gaps --out docs/gaps.md`"
+        "Made by `python -m studies.gaps --out results/gaps.md`"
         + (f" --seeds {given.seeds}.\n" if given.seeds != parser.get_default("seeds") else ".\n"),
         f"{given.seeds} runs of each axis, encoders of 4096 increments, `iv`. Errors are root mean squares of mass, "
         'viscous and Coulomb friction, in percent of the truth. "Bound over clean" is by how much less the counts and '

@@ -1,5 +1,5 @@
 """What jumps of the counter, wrong readings and spikes do to the estimators, as a page:
-`python -m studies.glitches --out docs/glitches.md`."""
+`python -m studies.glitches --out results/glitches.md`."""
 
 from __future__ import annotations
 

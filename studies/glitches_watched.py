@@ -1,5 +1,5 @@
 """What jumps of the counter, wrong readings and spikes do to the monitor, as a page:
-`python -m studies.glitches_watched --out docs/glitches_watched.md`."""
+`python -m studies.glitches_watched --out results/glitches_watched.md`."""
 
 from __future__ import annotations
 

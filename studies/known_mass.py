@@ -1,6 +1,6 @@
 """Study: a gain of the input that nobody knows, with a mass that somebody does.
 
-`python -m studies.known_mass --out docs/known_mass.md`
+`python -m studies.known_mass --out results/known_mass.md`
 """
 
 from __future__ import annotations

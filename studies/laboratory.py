@@ -1,4 +1,4 @@
-"""The page of the laboratory: `python -m studies.laboratory --out docs/laboratory.md --images docs/images`."""
+"""The page of the laboratory: `python -m studies.laboratory --out results/laboratory.md --images results/images`."""
 
 from __future__ import annotations
 
@@ -23,35 +23,11 @@ HEAD = """\
 
 Written by
 
-    python -m studies.laboratory --out docs/laboratory.md --images docs/images
+    python -m studies.laboratory --out results/laboratory.md --images results/images
 
 A cart on a rack, driven by a voltage and watched by an encoder, as in the paper: 1.07 kg (1.44 kg with its load),
 12.8 N s/m, 0.8 N of Coulomb friction with stiction, 2 N/V, a sample every 10 ms; an encoder of 4096 increments has
 22.75 µm per count. The paper gives the encoder, the sample period and the machine constant; mass and friction are ours.
-
-## A run
-
-    pmfid simulate stop-and-go --out run.csv --increments 512 --seed 3   # writes run.csv and run.toml
-    pmfid identify run.csv --config run.toml
-
-The same name and seed give the same bytes. `--truth` adds the true position, velocity and parameters. What a cheap
-encoder does wrong: `--bits 8` (the counter wraps), `--missed 0.001` (of the edges), `--jitter 0.1` (of the edges, in
-counts), `--line-error 0.2` (of the lines of the disc, at most, in counts). Under position control the controller sees
-the same counts.
-
-In Python, with any drive, any change and any controller:
-
-```python
-from pmfid.simulation import CART, CART_CONTROL, CART_DT, Faults, mass_ramp, position_control, random_moves
-import numpy as np
-
-reference = random_moves(3000, CART_DT, stroke=0.4, move_time=0.8, dwell_time=0.5, rng=np.random.default_rng(1))
-filling = mass_ramp(CART, mass=1.44, at=10.0, ramp=10.0)  # kg, s, s
-motion, counts = position_control(
-    filling, reference, CART_DT, **CART_CONTROL, resolution=182e-6, faults=Faults(missed=1e-4, seed=1)
-)
-assert abs(motion.x[-1] - reference[-1]) < 0.02
-```
 """
 
 

@@ -1,4 +1,4 @@
-"""Study: what becomes of logs as they come? `python -m studies.logs --out docs/logs.md`."""
+"""Study: what becomes of logs as they come? `python -m studies.logs --out results/logs.md`."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ PAGE = """\
 
 Written by
 
-    python -m studies.logs --out docs/logs.md
+    python -m studies.logs --out results/logs.md
 
 Logs of a rotary and a linear axis with known truth, in every format, layout, unit and way to tell the time, with every
 defect, alone and in twos. The AXIS.toml of each is that of a user who knows the names of the columns and the numbers of

@@ -1,5 +1,5 @@
 """A million axes in one process, as a page: what stepping, keeping and taking them up costs, and what a kill leaves:
-`python -m studies.million --out docs/million.md`."""
+`python -m studies.million --out results/million.md`."""
 
 from __future__ import annotations
 

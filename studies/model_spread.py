@@ -1,6 +1,6 @@
 """Study: do the intervals with model spread cover, and are they short where the model is right?
 
-`python -m studies.model_spread --out docs/model_spread.md`
+`python -m studies.model_spread --out results/model_spread.md`
 """
 
 from __future__ import annotations

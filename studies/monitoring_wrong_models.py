@@ -1,6 +1,6 @@
 """Study of the monitor on machines whose friction the model lacks: false alarms, and friction that grows.
 
-`python -m studies.monitoring_wrong_models --out docs/monitoring_wrong_models.md`
+`python -m studies.monitoring_wrong_models --out results/monitoring_wrong_models.md`
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Study: fourteen real axes without a single setting of the estimator. Bias, coverage, and what is said.
 
-`python -m studies.no_settings --out docs/no_settings.md`
+`python -m studies.no_settings --out results/no_settings.md`
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Study: what predicts a motion best? `python -m studies.prediction --out docs/prediction.md`."""
+"""Study: what predicts a motion best? `python -m studies.prediction --out results/prediction.md`."""
 
 from __future__ import annotations
 

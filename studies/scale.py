@@ -1,5 +1,5 @@
 """What a change of the input's amplitude leaves of a memory, as a page:
-`python -m studies.scale --out docs/scale.md`."""
+`python -m studies.scale --out results/scale.md`."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ class Page:
         return max(1, round(seeds * self.parts.get(name, 1.0)))
 
     def _head(self, seeds: int, names: Sequence[str]) -> list[str]:
-        command = f"python -m studies.{self.name} --out docs/{self.name}.md"
+        command = f"python -m studies.{self.name} --out results/{self.name}.md"
         command += "" if seeds == self.seeds else f" --seeds {seeds}"
         command += "" if len(names) == len(self.studies) else f" --only {' '.join(names)}"
         return [f"# {self.title}", "", "Written by", "", f"    {command}", "", *self.introduction.splitlines()]

@@ -1,4 +1,4 @@
-"""Study: does the search name the terms that a drive has? `python -m studies.terms --out docs/terms.md`."""
+"""Study: does the search name the terms that a drive has? `python -m studies.terms --out results/terms.md`."""
 
 from __future__ import annotations
 

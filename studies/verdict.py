@@ -1,7 +1,7 @@
 """Study: is the status empty where the model is right, is it up where an error matters, and do the intervals cover?
 
 Random machines, motions and encoders, each with one thing that the model lacks, two, or none.
-`python -m studies.verdict --out docs/verdict.md`
+`python -m studies.verdict --out results/verdict.md`
 """
 
 from __future__ import annotations

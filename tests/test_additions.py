@@ -43,7 +43,7 @@ def test_every_detector_is_made_and_told_of_and_every_file_and_option_may_name_i
     assert set(make_detectors(0.9)) == set(DETECTORS)
     (option,) = (parameter for parameter in monitor.params if parameter.name == "detector")
     assert tuple(option.to_info_dict()["type"]["choices"]) == DETECTORS
-    steps, _, choosing = (REPOSITORY / "docs/monitoring.md").read_text(encoding="utf-8").partition("## Choosing")
+    steps, _, choosing = (REPOSITORY / "docs/guide/monitoring.md").read_text(encoding="utf-8").partition("## Choosing")
     for name in DETECTORS:
         assert MonitorConfig(detector=name).detector == name
         assert name in steps.partition("# detector =")[2].partition("\n")[0]

@@ -22,7 +22,7 @@ def test_a_page_has_the_section_that_was_asked_for(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     assert accuracy.main(["--out", str(page), "--seeds", "1", "--jobs", "1", "--only", "starts"]) == 0
     text = page.read_text(encoding="utf-8")
-    assert "    python -m studies.accuracy --out docs/accuracy.md --seeds 1 --only starts\n" in text
+    assert "    python -m studies.accuracy --out results/accuracy.md --seeds 1 --only starts\n" in text
     assert "## How wrong a start may be" in text
     assert "## Open loop" not in text
     assert not any(line != line.rstrip() for line in text.splitlines())

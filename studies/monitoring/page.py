@@ -1,4 +1,4 @@
-"""The figures of docs/monitoring.md."""
+"""The figures of results/monitoring.md."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from studies.monitoring import detection, false_alarms
 from studies.monitoring.axis import CUTOFF, FORGETTING, INCREMENTS
 from studies.monitoring.pipe import PipeFigures
 
-HEAD = "## Figures"
+HEAD = "# A machine that is watched"
 
 
 def figures(
@@ -24,7 +24,7 @@ def figures(
         "",
         "Written by",
         "",
-        "    python -m studies.monitoring --out docs/monitoring.md",
+        "    python -m studies.monitoring --out results/monitoring.md",
         "",
         f"The simulated cart, {INCREMENTS} increments per turn unless said otherwise, T = 10 ms, cutoff {CUTOFF:g} "
         f"rad/s, `riv` with forgetting {FORGETTING}; moves to and fro of 0.2 m in 0.8 s with dwells of 0.5 s, each "
@@ -45,7 +45,7 @@ def _false_alarms(results: list[dict[str, Any]]) -> list[str]:
     near, far = (", ".join(f"{value:+.2f}" for value in row) for row in correlation)
     head = ["detector", "asked [h]", "alarms", "found [h]", "95 % interval (Poisson) [h]", "within a factor of 2"]
     return [
-        "### False alarms",
+        "## False alarms",
         "",
         f"{hours:.0f} simulated hours of normal work under control, tolerance 0, all detectors on the same runs; after "
         f"an alarm a detector starts anew {false_alarms.HOLD:g} s later.",
@@ -66,7 +66,7 @@ def _detection(results: list[dict[str, Any]], tasks: Sequence[Any]) -> list[str]
     head = ["change", "detector", "tolerance [%]", "runs", "told within 3 s [%]", "median [s]", "95 % [s]"]
     head += ["right cause [%]", "size, median [%]", "alarms before"]
     return [
-        "### Detection",
+        "## Detection",
         "",
         f"A change at any moment of the cycle; mean time between false alarms {detection.MTBF_HOURS:g} h. Time to the "
         "alarm with its cause, dwells included.",
@@ -106,7 +106,7 @@ def _recovery(results: list[tuple[float, float]], tasks: Sequence[Any]) -> list[
         "ratio of medians",
     ]
     return [
-        "### Recovery",
+        "## Recovery",
         "",
         f"Mass step of 1.07 to {detection.LOADED} kg (paper, figure 4): time until the estimate is within 5 % for "
         f"good, with constant forgetting {FORGETTING}, and with the memory opened by the alarm.",
@@ -124,7 +124,7 @@ def _standstill(results: list[dict[str, Any]], tasks: Sequence[Any]) -> list[str
         rows.append([detector, str(len(found)), str(sum(result["alarms"] for result in found)), *cells])
     head = ["detector", "runs", "alarms", "drift while it stands [%]", "first second after [%]", "later [%]"]
     return [
-        "### An hour of standstill",
+        "## An hour of standstill",
         "",
         "A minute of motion, an hour at rest, a minute of motion; tolerance 0. Drift: largest difference of mass, "
         "viscous and Coulomb friction from their values at the beginning of the rest.",
@@ -138,14 +138,14 @@ def _pipe(pipe: PipeFigures | None) -> list[str]:
         return []
     lost = pipe.sent - pipe.received
     return [
-        "### In a pipe",
+        "## In a pipe",
         "",
         f"`pmfid monitor - --out -`, fed with {pipe.sent} lines at 1 kHz: delay from line in to estimate out "
         f"{1e3 * pipe.median:.2f} ms (median), {1e3 * pipe.worst:.1f} ms (largest); {lost} estimates missing. Fed as "
         f"fast as it takes them, {pipe.long_samples} samples with `--out FILE.parquet`: {pipe.rate:.0f} samples per "
         f"second, {pipe.early_memory:.0f} MiB resident after a tenth of them, {pipe.late_memory:.0f} MiB at the end.",
         "",
-        "### The lines of a run",
+        "## The lines of a run",
         "",
         "The load grows by a fifth after 20 s:",
         "",

@@ -1,4 +1,4 @@
-"""Runs the study: `python -m studies.monitoring --out docs/monitoring.md`.
+"""Runs the study: `python -m studies.monitoring --out results/monitoring.md`.
 
 The page up to its heading "Figures" is written by hand and stays.
 """
@@ -78,9 +78,9 @@ def results_of(every: dict[str, list[tuple[Any, ...]]], jobs: int) -> dict[str, 
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Writes the figures into the page."""
+    """Writes the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True, help="the page; what stands above its figures stays")
+    parser.add_argument("--out", type=Path, required=True, help="the page")
     parser.add_argument("--hours", type=float, default=HOURS, help="of normal work (default: %(default)s)")
     parser.add_argument("--seeds", type=int, default=SEEDS, help="runs of each change (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
@@ -92,7 +92,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with tempfile.TemporaryDirectory() as folder:
             pipe = measure(Path(folder), PIPE_SECONDS, LONG_SAMPLES)
     lines = page.figures(results_of(every, options.jobs), every, pipe)
-    text = options.out.read_text("utf-8") if options.out.exists() else "# Monitoring\n\n"
-    above = text.partition(page.HEAD)[0]
-    options.out.write_text(above + "\n".join(lines).rstrip("\n") + "\n", "utf-8")
+    options.out.write_text("\n".join(lines).rstrip("\n") + "\n", "utf-8")
     return 0

@@ -1,7 +1,7 @@
 """What a service does when something else fails, each fault played for real: `pmfid serve`, Mosquitto and machines as
 processes of one computer. For disks it wants root.
 
-    python -m studies.service.faults --out docs/service_faults.md
+    python -m studies.service.faults --out results/service_faults.md
 """
 
 from __future__ import annotations

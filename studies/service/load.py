@@ -1,6 +1,6 @@
 """How many axes a service bears, and for how long: machines, broker and `pmfid serve` on one computer.
 
-python -m studies.service.load --out docs/service_load.md --image docs/images/service_load.png
+python -m studies.service.load --out results/service_load.md --image results/images/service_load.png
 """
 
 from __future__ import annotations

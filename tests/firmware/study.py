@@ -1,4 +1,4 @@
-"""Bits and costs of the exported C, as a page: `python -m tests.firmware.study --out docs/footprint.md`."""
+"""Bits and costs of the exported C, as a page: `python -m tests.firmware.study --out results/footprint.md`."""
 
 from __future__ import annotations
 

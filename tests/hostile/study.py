@@ -1,4 +1,4 @@
-"""Random calls of the commands, as a page: `python -m tests.hostile.study --out docs/hostile.md`."""
+"""Random calls of the commands, as a page: `python -m tests.hostile.study --out results/hostile.md`."""
 
 from __future__ import annotations
 

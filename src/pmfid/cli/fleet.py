@@ -112,7 +112,7 @@ def cost(axes: int, rate: float, block: float, cores: int, memory: float, as_jso
     """Compute what a fleet costs in one process, with `pmfid serve`, on Spark, and as a history of stored data, and
     where the next larger way begins.
 
-    From measurements on one machine, which docs/cost.md names; another processor is faster or slower by its own factor.
+    From measurements on one machine, by `python -m studies.cost`; another processor differs by a factor of its own.
 
     Exit code 0: a result; 2: wrong usage.
     """
