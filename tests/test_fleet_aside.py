@@ -112,7 +112,7 @@ def test_a_damaged_mixed_file_is_named_and_the_other_is_used(mixed: Path, config
     damaged = mixed / "0.parquet"
     data = bytearray(damaged.read_bytes())
     whole = fleet.estimate(mixed / "1.parquet", axis=config, by="machine", period="1min")
-    data[len(data) // 3 : 2 * len(data) // 3] = bytes(len(data) // 3)
+    data[4 : len(data) // 3] = bytes(len(data) // 3 - 4)  # heads of pages, too: Parquet has no checksum of numbers
     damaged.write_bytes(data)
     found = fleet.estimate(mixed, axis=config, by="machine", period="1min")
     assert found.problems.filter(pl.col("file") == "0.parquet")["code"].to_list() == ["unreadable"]
