@@ -24,24 +24,13 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.fleet.history import History
 from pmfid.paper.truth import table
 from pmfid.types import Floats
+from studies.fleet_data import AXIS_TOML, RESOLUTION
 
-RESOLUTION, GAIN, MASS, VISCOUS, COULOMB = 22.75e-6, 2.0, 1.07, 10.0, 2.5
+GAIN, MASS, VISCOUS, COULOMB = 2.0, 1.07, 10.0, 2.5
 #: Relative error and error in bars beyond which a good estimate is wrong.
 WRONG, BARS = 0.02, 3.0
 STEP = 0.1
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
-AXIS_TOML = f"""[record]
-input = "u"
-output = "counts"
-output_kind = "counts"
-time = "t"
-
-[encoder]
-resolution = {RESOLUTION}
-
-[model]
-input_gain = {GAIN}
-"""
 
 
 FIELDS = """mass viscous coulomb offset gain stribeck stribeck_speed quadratic cogging pitch limit backward stiffness

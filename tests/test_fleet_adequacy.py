@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmfid.fleet.marks import unshown
+from pmfid.fleet.marks import evidence_gaps
 from pmfid.fleet.periods import Periods, codes_of, period_rows, standing
 from pmfid.fleet.series import BACKWARD, FORWARD, ONE_SIZE, Series
 from pmfid.fleet.verdicts import CHANGED, followed, judged
@@ -64,7 +64,7 @@ def test_the_bits_are_of_counts_and_inputs() -> None:
     t = np.arange(1000)
     there, to_and_fro = t, np.abs(t - 500)
     binary, levels = np.where(t % 90 < 45, -3.0, 3.0), 3 * np.sin(t / 7)
-    bits = unshown(np.stack([binary, levels, levels]), np.stack([to_and_fro, there, -there]))
+    bits = evidence_gaps(np.stack([binary, levels, levels]), np.stack([to_and_fro, there, -there]))
     assert bits.tolist() == [ONE_SIZE, FORWARD, BACKWARD]
 
 

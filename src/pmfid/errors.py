@@ -18,6 +18,9 @@ __all__ = [
     "whole_number",
 ]
 
+#: Exit code of a command that Ctrl-C ended: 128 + SIGINT.
+INTERRUPTED = 130
+
 
 class PmfidError(Exception):
     """Base of all errors that pmfid raises on purpose; its text is the whole message for the user."""

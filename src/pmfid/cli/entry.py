@@ -10,10 +10,10 @@ import threading
 from contextlib import suppress
 
 from pmfid.cli.progress import CLEAR
+from pmfid.errors import INTERRUPTED
 
 #: Time after Ctrl-C for the command to remove what is half written [s].
 GRACE = 0.3
-INTERRUPTED = 130
 
 
 def main() -> None:

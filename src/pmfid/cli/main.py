@@ -25,12 +25,11 @@ from pmfid.cli.serve import serve
 from pmfid.cli.simulate import simulate
 from pmfid.cli.terms import terms
 from pmfid.cli.validate import validate
-from pmfid.errors import PmfidError, printable
+from pmfid.errors import INTERRUPTED, PmfidError, printable
 from pmfid.estimators import METHODS
 from pmfid.session.formats import SPOKEN
 
 EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
-INTERRUPTED = 130
 #: More threads for products of small matrices only wait for each other: a search took four times as long.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 

@@ -94,7 +94,7 @@ def _row(axis: str, kind: str, part: Series, names: Sequence[str], begin: float,
 
 
 def quality_of(segments: int, codes: Collection[str]) -> str:
-    """What an estimate of so many usable segments with these findings is worth."""
+    """The quality of an estimate from this number of usable segments with these findings."""
     return "none" if not segments else "doubt" if DOUBT.intersection(codes) else "good"
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.bridges import parts_of
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.fleet.marks import MARKS, lasting_status, settled_std, unshown
+from pmfid.fleet.marks import MARKS, evidence_gaps, lasting_status, settled_std
 from pmfid.fleet.rows import Piece
 from pmfid.fleet.settings import Settings, quarter_of, record_at
 from pmfid.fleet.shares import Share, shares_of
@@ -144,7 +144,7 @@ def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> pl.Da
         "samples": np.array([one.samples for one in stretches]),
         "dt": np.array([one.dt for one in stretches]),
         "lost": np.array([one.lost for one in stretches]),
-        "status": lasting_status(tracks) | unshown(u, counts),
+        "status": lasting_status(tracks) | evidence_gaps(u, counts),
     }
     for i, name in enumerate(tracks.names):
         columns |= {name: theta[:, i], f"{name}_std": std[:, i]}

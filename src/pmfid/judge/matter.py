@@ -41,8 +41,8 @@ class Matter:
 
 
 def matter_of(estimator: Estimator, theta: Floats, std: Floats, spread: Floats, tolerance: float) -> Matter:
-    """Of an estimate theta (p,) with standard deviations std (p,); spread (p,): what the model lacks, as the record
-    says, may move it by so much, NaN: not known, and then it matters."""
+    """Of an estimate theta (p,) with standard deviations std (p,); spread (p,): by how much unmodelled
+    effects that the record shows may move it. NaN: not known, and then the effects matter."""
     p = len(estimator.equation.names)
     half, size = NORMAL_95 * np.hypot(std[:p], spread[:p]), sizes(estimator, theta[:p])
     beyond = ~(half <= np.maximum(tolerance * size, BARS * std[:p]))
@@ -60,12 +60,12 @@ def sizes(estimator: Estimator, theta: Floats) -> Floats:
     return np.where(estimator.equation.positive, own, largest)
 
 
-def weighed(findings: Iterable[Finding], matter: Matter) -> tuple[Finding, ...]:
+def weigh_findings(findings: Iterable[Finding], matter: Matter) -> tuple[Finding, ...]:
     """The same findings, each that is about the model with the size of it, or as a note where that is of no matter."""
-    return ordered(_weighed(finding, matter) for finding in findings)
+    return ordered(_weigh_finding(finding, matter) for finding in findings)
 
 
-def _weighed(finding: Finding, matter: Matter) -> Finding:
+def _weigh_finding(finding: Finding, matter: Matter) -> Finding:
     if finding.severity != "doubt" or finding.code not in OF_MODEL | OF_LOG:
         return finding
     if not matter.beyond:

@@ -12,7 +12,7 @@ from pmfid.estimators.adequacy import Adequacy
 from pmfid.estimators.base import Estimator
 from pmfid.findings import Finding
 from pmfid.judge.drive import examined, judge, recent
-from pmfid.judge.matter import BARS, Matter, matter_of, weighed
+from pmfid.judge.matter import BARS, Matter, matter_of, weigh_findings
 from pmfid.judge.spread import model_spread, spread_without_motion
 from pmfid.types import Floats
 
@@ -20,7 +20,7 @@ from pmfid.types import Floats
 @dataclass(frozen=True)
 class Verdict:
     """What there is to say of an estimate of p parameters. judged: all that is found, whatever comes of it; spread
-    (p,): by how much what the model lacks may move it, NaN: not known; matter: whether that matters; adequacy: what the
+    (p,): by how much unmodelled effects may move it, NaN: not known; matter: whether that matters; adequacy: what the
     counts say on the model, None: nothing."""
 
     judged: tuple[Finding, ...]
@@ -31,7 +31,7 @@ class Verdict:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What matters with its size, and what does not as notes."""
-        return weighed(self.judged, self.matter)
+        return weigh_findings(self.judged, self.matter)
 
 
 def verdict(
@@ -54,7 +54,7 @@ def verdict(
 
 def _shown(found: Adequacy, theta: Floats, std: Floats, spread: Floats) -> Floats:
     """(p,) by how much what the record shows may move an estimate: of a model that it contradicts all but what no
-    record of this input shows, which is told once and for all. Of any other only forces that it nearly shows, and by
+    record of this input shows, which is reported once. Of any other only forces that it nearly shows, and by
     how much the estimate differs from the motion that fits: what would not show is in the interval."""
     p = theta.size
     if not found.adequate:
@@ -72,7 +72,7 @@ def _spread(
     std: Floats,
     known: Adequacy | None,
 ) -> tuple[Adequacy | None, Floats]:
-    """What the counts say on the model, if anything, and by how much what it lacks may move the estimate (p,)."""
+    """What the counts say on the model, if anything, and by how much unmodelled effects may move the estimate (p,)."""
     part = recent(estimator, u.size)
     try:
         found = examined(estimator, u, counts, theta, known)

@@ -62,7 +62,7 @@ def model_spread(
 
 
 def spread_without_motion(estimator: Estimator, u: Floats, counts: NDArray[np.int64], theta: Floats) -> Floats:
-    """The same where no motion of the model can be fitted to the counts, so that nothing says what it lacks: by the
+    """The same where no motion of the model can be fitted to the counts, so that no effect is singled out: by the
     parts of the record alone, and by as much as the estimate itself where these say nothing either."""
     p = len(estimator.equation.names)
     spread, twin = np.full(theta.size, np.nan), like(IV, estimator, prefilter_zeros=None)

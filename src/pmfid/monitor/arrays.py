@@ -149,7 +149,7 @@ class Disturbed(Rows):
     """What an alarm needs and changes. units: (n, LOOK_BACK, width) the last, in a ring; begun: (n, LOOK_BACK) their
     times; gathered: information since the suspicion, or since the alarm; suspected: units since the suspicion; crossed:
     the statistic at it; refined: whether the estimate is the model already; before: (n, p) the reference until then;
-    settled: (n, width) sum of the blocks beside that model; gain: of the input, over that of the estimator;
+    settled: (n, width) sum of the blocks relative to that model; gain: of the input, over that of the estimator;
     by_gain: whether the alarm was of the gain of the input."""
 
     units: Floats

@@ -18,10 +18,10 @@ from pmfid.service.outcome import Notice
 
 __all__ = ["Silence", "Taker"]
 
-#: Time between two looks [s]; a longer pause of the engine counts as so much time [s], for while the process was
-#: stopped nothing could come.
+#: Time between two looks [s]; the most that a pause of the engine counts [s], because nothing could
+#: come while the process was stopped.
 LOOK, LONGEST_PAUSE = 1.0, 5.0
-#: An axis may be quiet for so many of its sample periods, however short the limit is.
+#: Sample periods for which an axis may be quiet, however short the limit is.
 PERIODS = 5.0
 #: Axes that fall silent between two looks and have an alarm each; more have one for all of them. Names that it lists.
 MOST, MOST_NAMES = 100, 100
@@ -30,7 +30,7 @@ Key = tuple[str, str]
 
 
 class Taker(Protocol):
-    """A sink behind its queue."""
+    """A sink that takes rows from a queue."""
 
     name: str
 

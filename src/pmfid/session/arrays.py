@@ -56,7 +56,7 @@ def identify(
     model: `Drive`, `EquationModel` or `TransferFunction`. dt: sample period [s]. cutoff: pole of the filters [rad/s];
     None, of a machine: that behind which the record says most. encoder: of a machine. settings: those of [estimator] in
     AXIS.toml: method ("auto"), order, forgetting, forgetting_scheme, discretization, prefilter_zeros, precision; of a
-    machine tolerance, and given and prior, what is known beside the record, {"mass": 1.25} and {"mass": (1.0, 0.1)}, as
+    machine tolerance, and given and prior, prior information, {"mass": 1.25} and {"mass": (1.0, 0.1)}, as
     the mass in place of Drive(input_gain="estimate").
     axis: in place of all that, an AXIS.toml or its path, and for u what it names the columns of: a frame of pandas,
     Polars or Arrow, a dict of arrays, or the path of a file.

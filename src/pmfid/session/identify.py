@@ -7,7 +7,7 @@ from typing import cast
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.findings import Finding, codes, noted, ordered, texts
-from pmfid.judge.matter import OF_LOG, weighed
+from pmfid.judge.matter import OF_LOG, weigh_findings
 from pmfid.session.config import Axis
 from pmfid.session.drives import Drives
 from pmfid.session.kinds import Kind, Progress, Records
@@ -75,5 +75,5 @@ def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
     with suppress(NotIdentifiableError, UsageError):
         result = cast(DriveResult, identify(data, axis))
         doubts = (finding for finding in result.findings if finding.severity != "note")
-        return ordered((*weighed(log, result.matter), *doubts))
+        return ordered((*weigh_findings(log, result.matter), *doubts))
     return log

@@ -15,7 +15,7 @@ from pmfid.estimators.results import Fit
 from pmfid.estimators.track import Track
 from pmfid.findings import Finding, codes, ordered, texts
 from pmfid.judge.assess import Assessment
-from pmfid.judge.matter import NORMAL_95, Matter, weighed
+from pmfid.judge.matter import NORMAL_95, Matter, weigh_findings
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.parameters import parameter_header, parameter_rows
 from pmfid.session.records import Record
@@ -186,8 +186,8 @@ class Result(Shown):
 @dataclass(frozen=True, eq=False, repr=False)
 class DriveResult(Result):
     """Of a machine with friction. relative_error: of the filtered equation at theta; fit or track: the details of an
-    off-line or of a recursive method, of what the record alone says; known: what was known beside it; matter: how far
-    the parameters may be off for what the model lacks, which decides what is a status."""
+    off-line or of a recursive method, of what the record alone says; known: prior information; matter: how far
+    unmodelled effects may move the parameters, which decides what is a status."""
 
     record: Record
     relative_error: float
@@ -197,7 +197,7 @@ class DriveResult(Result):
     known: Known | None = None
 
     def with_findings(self, *further: Finding) -> Self:
-        return super().with_findings(*weighed(further, self.matter))
+        return super().with_findings(*weigh_findings(further, self.matter))
 
     @property
     def names(self) -> tuple[str, ...]:

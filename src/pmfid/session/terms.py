@@ -16,7 +16,7 @@ from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Place, setting
 from pmfid.estimators.ls import LS
 from pmfid.findings import Finding, codes, texts
-from pmfid.judge.matter import weighed
+from pmfid.judge.matter import weigh_findings
 from pmfid.judge.said import verdict
 from pmfid.judge.term_fits import Bench, cutoff_for, shortest_part
 from pmfid.judge.term_trials import known_shapes
@@ -233,7 +233,7 @@ def round_up(number: float) -> float:
 
 
 def _fast_enough(data: Record, axis: Axis) -> Axis:
-    """With a cutoff: where none is given one behind which a part of the record can be predicted."""
+    """With a cutoff: if none is given, one after whose filters a part of the record can be predicted."""
     found, least = Drives().prepared(data, axis), cutoff_for(data.u.size // PARTS, data.dt)
     if axis.estimator.cutoff is not None or least is None or found.estimator.pole >= least:
         return found
@@ -294,7 +294,7 @@ def _judged(bench: Bench, chosen: Nested, tolerance: float) -> Said:
     own = [
         replace(one, sentence=UNEXPLAINED) if one.code == UNMODELLED else one for one in said.judged if one.code != LATE
     ]
-    return weighed(own, said.matter), said.matter.beyond
+    return weigh_findings(own, said.matter), said.matter.beyond
 
 
 def _sentences(found: Terms) -> Iterator[str]:
