@@ -98,13 +98,7 @@ def test_without_a_time_every_line_is_the_next_sample(axis: Axis, name: str) -> 
         assert len(samples) - len(clean) == (name == "a line cut in two")
 
 
-#: The input of the line between stays for a sample too long: a suspicion, in whose memory the change is named wrongly.
-MISNAMED = pytest.mark.xfail(
-    strict=True, reason="a suspicion before the change: the alarm names coulomb_friction, not mass"
-)
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=MISNAMED if n == "a line between two" else ()) for n in FAULTS])
+@pytest.mark.parametrize("name", FAULTS)
 def test_the_change_is_found_behind_a_fault(axis: Axis, calibration: Calibration, rows: list[Row], name: str) -> None:
     rng, fault = np.random.default_rng(len(name)), FAULTS[name]
     run = monitored(axis, calibration, fault.do(rows, int(rng.integers(200, 600)), rng))

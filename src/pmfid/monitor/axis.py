@@ -153,9 +153,10 @@ class Axis:
     def _alarm(self, estimate: Estimate) -> list[Event]:
         units, begun = self._rest.recent(0, int(self._own.units[0]))
         cause, gathered = self._cause(units, estimate), float(self._rest.gathered[0])
-        if gathered < _enough(cause):
+        ends = gathered >= CAUSE_INFORMATION and cause.largest <= self.watch.tolerance  # a single fault, as a rule
+        if gathered < _enough(cause) and not ends:
             return []
-        if abs(cause.relative) <= self.watch.tolerance:
+        if ends or abs(cause.relative) <= self.watch.tolerance:
             self.watching.restart(self._own)
             return self._enter(WATCHING, "the deviation is within the tolerance")
         alarm = self._told(cause, float(begun[cause.start]))

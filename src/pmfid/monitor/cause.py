@@ -42,6 +42,11 @@ class Cause:
     start: int
     others: tuple[str, ...] | None = None
 
+    @property
+    def largest(self) -> float:
+        """Relative size that three standard errors leave possible."""
+        return abs(self.relative) * (1 + 3 * self.std / abs(self.change)) if self.change else np.inf
+
 
 @dataclass(frozen=True)
 class Evidence:
