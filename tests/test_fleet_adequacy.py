@@ -11,7 +11,7 @@ import pytest
 
 from pmfid.fleet.marks import evidence_gaps
 from pmfid.fleet.periods import Periods, codes_of, period_rows, standing
-from pmfid.fleet.series import BACKWARD, FORWARD, ONE_SIZE, Series
+from pmfid.fleet.series import BACKWARD, FORWARD, LOOKED_AT, MOVED, ONE_SIZE, Series
 from pmfid.fleet.verdicts import CHANGED, followed, judged
 from pmfid.status import Status
 from pmfid.types import Floats
@@ -42,6 +42,18 @@ def test_an_equation_that_is_off_in_some_moves_is_off_in_all_periods(bit: Status
     assert qualities(one) == ["doubt"] * N
     status[2 * every :] = 0  # as a change does it
     assert qualities(seen(np.random.default_rng(0), status)).count("good") == N - 2
+
+
+def test_what_a_second_look_finds_in_some_segments_is_said_of_all() -> None:
+    status = np.zeros(N, np.int64)
+    status[::10] = LOOKED_AT
+    status[0] |= MOVED  # one of four: a change is in it
+    assert standing(seen(np.random.default_rng(0), status)) == set()
+    status[10] |= MOVED
+    one = seen(np.random.default_rng(0), status)
+    assert standing(one) == {"unmodelled"}
+    assert qualities(one) == ["doubt"] * N
+    assert np.all(one.usable)
 
 
 @pytest.mark.parametrize(("load", "found"), [(0.0, set()), (0.3, {"one_way"}), (-0.1, {"one_way"})])
@@ -100,3 +112,12 @@ def test_slow_moves_of_another_integrator_are_good_or_said_to_be_wrong(effect: s
     if effect == "none":
         assert score.good > 0.8 * score.periods
         assert score.named == score.steps
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler for the integrator of the study")
+@pytest.mark.parametrize(("effect", "good"), [("none", True), ("quadratic", False)])
+def test_friction_that_grows_with_the_square_of_the_speed_is_no_viscous_friction(effect: str, good: bool) -> None:
+    """Moves of one top speed: the mean of what is left passed most minutes, up to 39 % off with bars of 0.1 %."""
+    score = run(Kind("shuttle", effect, seconds=300), axes=4, seed=3)
+    assert score.wrong + score.axes_wrong == []
+    assert (score.good > 0.5 * score.periods) == good

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.fleet.series import BACKWARD, FORWARD, ONE_SIZE, Series, mean_of
+from pmfid.fleet.series import BACKWARD, FORWARD, LOOKED_AT, MOVED, ONE_SIZE, Series, mean_of
 from pmfid.fleet.source import seconds
 from pmfid.status import Status
 
@@ -25,6 +25,8 @@ DOUBT = {"missing", "changed", "one_way", "one_size", *(str(bit.name).lower() fo
 #: Segments that have such a status from which on it is one of the axis, not of a time, and part of them: a right model
 #: is unmodelled in one of fifty, late or under feedback in up to one of ten; a change is in one or two more.
 SEVERAL, SHARE = 3, {Status.UNMODELLED: 0.1, Status.DEAD_TIME: 0.25, Status.FEEDBACK: 0.25, Status.FALLBACK: 0.5}
+#: Of the segments that had a second look the part that may be off: a change is in one.
+LOOKS = 0.25
 #: Standard deviations, and part of their size, by which estimates of one direction and the others may differ.
 AGREES, SAME_WAY = 4.0, 0.02
 #: Sample periods within this part of one another are the same.
@@ -103,7 +105,9 @@ def standing(series: Series) -> set[str]:
     used = series[series.known]
     many = {bit: np.count_nonzero(used.status & int(bit)) for bit in TOLD}
     which = (bit for bit in TOLD if many[bit] >= max(SEVERAL, SHARE[bit] * used.start.size))
-    return {str(bit.name).lower() for bit in which} | ({"one_way"} if _uneven(used) else set())
+    told = {str(bit.name).lower() for bit in which} | ({"one_way"} if _uneven(used) else set())
+    looked_at, moved = (np.count_nonzero(used.status & bit) for bit in (LOOKED_AT, MOVED))
+    return told | ({"unmodelled"} if moved > LOOKS * looked_at else set())
 
 
 def _uneven(used: Series) -> bool:

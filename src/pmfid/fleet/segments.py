@@ -18,34 +18,21 @@ from pmfid.estimators.bridges import parts_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.fleet.marks import MARKS, evidence_gaps, lasting_status, settled_std
 from pmfid.fleet.rows import Piece
+from pmfid.fleet.second_look import second_looks
 from pmfid.fleet.settings import Settings, quarter_of, record_at
 from pmfid.fleet.shares import Share, shares_of
+from pmfid.fleet.stretch import Stretch
 from pmfid.fleet.survey import Problem
 from pmfid.session.records import Record
-from pmfid.types import Counts, Flags, Floats
+from pmfid.types import Flags
 
 if TYPE_CHECKING:
     import polars as pl
 
 #: Samples of a batch at most [axes times samples].
 BATCH = 2**22
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """Samples (n,) of one segment, without a gap. samples: of the record, with the rests that are left out; lost: part
-    of them that was filled in; repeats: how often each is among the n."""
-
-    axis: str
-    start: float
-    end: float
-    samples: int
-    dt: float
-    resolution: float
-    u: Floats
-    counts: Counts
-    lost: float
-    repeats: float
+#: One of so many segments of a piece has a second look.
+ONE_OF = 16
 
 
 @dataclass(frozen=True)
@@ -88,11 +75,12 @@ def _stretches(piece: Piece, settings: Settings) -> list[Stretch]:
     quarter, settled = quarter_of(settings, record.dt), settings.estimator.settle_samples
     span = round(settings.span / record.dt)
     filled = np.zeros(record.u.size, bool) if record.there is None else ~record.there
-    found = [
-        _stretch(piece, record, filled, whole.start, share)
+    shares = (
+        (whole.start, share)
         for whole in parts_of(record.u)
         for share in shares_of(record.counts[whole], settled, quarter, span)
-    ]
+    )
+    found = [_stretch(piece, record, filled, first, share, k % ONE_OF == 0) for k, (first, share) in enumerate(shares)]
     if not found:
         raise UsageError(
             f"{record.u.size} samples without a gap are too few: an estimate takes {quarter * record.dt:.3g} s of them"
@@ -100,7 +88,7 @@ def _stretches(piece: Piece, settings: Settings) -> list[Stretch]:
     return found
 
 
-def _stretch(piece: Piece, record: Record, filled: Flags, first: int, share: Share) -> Stretch:
+def _stretch(piece: Piece, record: Record, filled: Flags, first: int, share: Share, looked_at: bool) -> Stretch:
     """first: sample of the record that the share counts from."""
     places = share.places + first
     begin, end = int(places[0]), int(places[-1]) + 1
@@ -115,6 +103,7 @@ def _stretch(piece: Piece, record: Record, filled: Flags, first: int, share: Sha
         share.counts(record.counts[first:]),
         float(filled[places].mean()),
         share.repeats,
+        looked_at,
     )
 
 
@@ -144,8 +133,10 @@ def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> pl.Da
         "samples": np.array([one.samples for one in stretches]),
         "dt": np.array([one.dt for one in stretches]),
         "lost": np.array([one.lost for one in stretches]),
-        "status": lasting_status(tracks) | evidence_gaps(u, counts),
     }
+    columns["status"] = second_looks(
+        stretches, estimator, theta, std, lasting_status(tracks) | evidence_gaps(u, counts)
+    )
     for i, name in enumerate(tracks.names):
         columns |= {name: theta[:, i], f"{name}_std": std[:, i]}
     return pl.DataFrame(columns)

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 #: An estimate with one of these at its end says nothing.
 UNUSABLE = int(Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION | Status.COMPENSATION_HELD | Status.RESET)
 #: Bits of a segment that are no `Status`: it moved forward or backward alone, where a load looks like friction; its
-#: input had one size alone, where saturation or a dead zone looks like another force per input.
-FORWARD, BACKWARD, ONE_SIZE = 1 << 31, 1 << 30, 1 << 29
+#: input had one size alone, where saturation or a dead zone looks like another force per input; it had a second look,
+#: by which a force that the model lacks may move it.
+FORWARD, BACKWARD, ONE_SIZE, LOOKED_AT, MOVED = 1 << 31, 1 << 30, 1 << 29, 1 << 28, 1 << 27
 #: Batches whose means show what lasts, at least.
 BATCHES = 4
 #: Standard deviations that segments are known to be too sure or unsure by, at least: of few, their own word counts.

@@ -122,16 +122,23 @@ def believed_squares(found: Adequacy) -> Floats:
     by its part of all that is wrong: noise of the force has no single cause, and is in the standard deviation. One that
     is tested for, but not supposed, counts only where it explains nearly as much as the first.
     """
-    prior, variance = np.array([lack.plausible for lack in found.lacks]) ** 2, found.size_std**2
-    share = prior / (prior + variance)
-    evidence = (np.log(variance / (prior + variance)) + share * (found.size / found.size_std) ** 2) / 2
-    weight = 1 / (1 + np.exp(-np.clip(evidence, -MOST_EVIDENCE, MOST_EVIDENCE)) / ODDS)
-    squares = weight * (share * variance + (share * found.size) ** 2)
+    prior = np.array([lack.plausible for lack in found.lacks])
+    squares = believed_square(found.size, found.size_std, prior)
     if not found.missed:
         return np.where(prior > 0, squares, 0.0) * (1.0 if found.follows else found.explained)
     explained = np.minimum(found.gain / found.gain[found.missed[0]], 1.0)
     asked = np.where(explained > NEARLY, found.size**2, 0.0)
     return np.where(prior > 0, squares * explained, asked) * found.explained
+
+
+def believed_square(size: Floats, std: Floats, plausible: Floats) -> Floats:
+    """(k,) mean squares of coefficients that a record finds to be size (k,) with standard deviations std (k,), where a
+    machine has one of the plausible size (k,) or none."""
+    prior, variance = plausible**2, std**2
+    share = prior / (prior + variance)
+    evidence = (np.log(variance / (prior + variance)) + share * (size / std) ** 2) / 2
+    weight = 1 / (1 + np.exp(-np.clip(evidence, -MOST_EVIDENCE, MOST_EVIDENCE)) / ODDS)
+    return np.asarray(weight * (share * variance + (share * size) ** 2))
 
 
 def _parts(twin: IV, columns: Columns, velocity: Floats) -> Iterator[NDArray[np.bool_]]:
