@@ -26,7 +26,7 @@ from pmfid.estimators.least_squares import solve_with_instruments
 from pmfid.estimators.scatter import block_scatter
 from pmfid.fleet.series import LOOKED_AT, MOVED, UNUSABLE
 from pmfid.fleet.stretch import Stretch
-from pmfid.judge.matter import BARS, TOLERANCE
+from pmfid.judge.matter import BARS
 from pmfid.judge.spread import believed_square
 from pmfid.models.equation import VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
 from pmfid.models.shapes import Square
@@ -36,6 +36,9 @@ from pmfid.types import Counts, Floats
 if TYPE_CHECKING:
     from pmfid.estimators.recursive import RecursiveEstimator
 
+#: Part of its size that a parameter may be moved by: forces that are not there seem to move it by up to 2 % where a
+#: controller feeds the encoder's error back.
+TOLERANCE = 0.02
 #: Counts that a velocity is taken over, at least, at the usual speed.
 COUNTS = 4.0
 #: Estimates with one of these are not looked at again.
