@@ -5,18 +5,21 @@ SERVICE_TOOLS = mosquitto chromium
 SPARK_TOOLS = openjdk-17-jre-headless
 BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
-SOURCES = $(shell find src csrc -name '*.py' -o -name '*.py[ix]' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.j2' \
-    -o -path '*/static/*')
+SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')
 
 .PHONY: demo test test-long spark kills broker-kills service-faults soak check format bench study hostile firmware \
     firmware-tools service-tools spark-tools images clean
 
-# What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. Not compiled to
-# bytecode before it is imported: most of it never is.
+# What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. An edit of Python
+# counts at once, an edit of C after `make`. What a command imports is compiled to bytecode, as some environments forbid
+# Python to do so later.
+IMPORTED = click highspy jinja2 matplotlib narwhals numpy polars pydantic rich scipy
 .venv/installed: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	test -x .venv/bin/python || $(PYTHON) -m venv .venv
 	$(PIP) install --no-compile -c requirements-dev.txt $(BUILD_TOOLS)
-	$(PIP) install --no-compile -c requirements-dev.txt --no-build-isolation .
+	$(PIP) install --no-compile -c requirements-dev.txt --no-build-isolation -e .
+	cd .venv/lib/python3*/site-packages && env -u PYTHONDONTWRITEBYTECODE ../../../bin/python -m compileall -q -j 0 \
+	$(IMPORTED) ../../../../src
 	touch $@
 
 # What tests, checks and studies need beyond that.
