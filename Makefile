@@ -28,7 +28,7 @@ IMPORTED = click highspy jinja2 matplotlib narwhals numpy polars pydantic rich s
 	touch $@
 
 demo: .venv/installed
-	.venv/bin/pmfid demo --out demo-report
+	.venv/bin/python -m examples.demo --out demo-report
 
 # Cross compiler, emulator and checkers for the tests of the firmware; without them those tests skip. Installed only on
 # request, as .ci/run does, and only where apt answers.
@@ -170,7 +170,6 @@ study: .venv/tools .venv/spark
 	@$(MAKE) --no-print-directory spark-tools INSTALL_TOOLS=1
 	.venv/bin/python -m studies.fleet_stream --out results/fleet_stream.md --seconds 120
 	.venv/bin/python -m studies.million --out results/million.md
-	.venv/bin/python -m studies.cost --out results/cost.md
 	.venv/bin/python -m tests.hostile.study --out results/hostile.md
 
 # Attacks at length, an hour at most: crafted states under the sanitizers, openings, names in exports, calls, pipes.
@@ -178,7 +177,7 @@ hostile: .venv/tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.hostile.campaign $(PARTS)
 
 images: .venv/installed
-	.venv/bin/python -m pmfid.demo --images docs/images
+	.venv/bin/python -m examples.demo --out demo-report --images docs/images
 
 clean:
 	rm -rf .venv build demo-report reproduced results

@@ -19,11 +19,11 @@ from pmfid.models.drive import Drive
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.events import Alarm, Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.paper.truth import table
 from pmfid.simulation import DriveParameters, Schedule, position_control, prbs, quantize, simulate_drive
 from pmfid.types import Counts, Floats
 from studies.machines import AXES
 from studies.monitoring.axis import random_stop_and_go
+from studies.paper.truth import table
 
 #: Parameter and factor of each change; a run with number k has change k, over and over.
 CHANGES = (

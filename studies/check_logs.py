@@ -8,13 +8,13 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pmfid.paper.truth import CartRecord
 from pmfid.session.config import Axis as Configuration
 from pmfid.session.records import Record, record_of
 from pmfid.simulation import Machine, control_machine, stop_and_go
 from studies import machines
 from studies.friction_axes import BENCHES, FRICTIONS
 from studies.machines import Axis
+from studies.paper.truth import CartRecord
 from studies.real_axes import REAL
 
 #: The limits of the checks were chosen on logs of REAL; BENCHES were held back.

@@ -12,10 +12,10 @@ from typing import Any
 
 from pmfid.errors import UsageError
 from pmfid.findings import codes
-from pmfid.paper.truth import Study, Task, table
 from pmfid.session.identify import check
 from studies.check_logs import ALL, FAULTS, clean, faulty, limited
 from studies.friction_axes import BENCHES
+from studies.paper.truth import Study, Task, table
 from studies.sections import Page, by_name
 
 #: Logs of each fault, and clean ones for each of these.

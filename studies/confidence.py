@@ -25,9 +25,9 @@ from pmfid.estimators.results import Fit
 from pmfid.findings import codes
 from pmfid.judge.drive import judge
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import CartRecord, Study, Task, table, tally
 from pmfid.status import status_names
 from studies.machines import AXES, MOTIONS, WRONG, machine_record, truth
+from studies.paper.truth import CartRecord, Study, Task, table, tally
 from studies.sections import Page, by_name
 
 METHODS = (AUTO, "iv", "output-error", "interval")

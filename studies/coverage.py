@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.paper.truth import SLOW, TRUTH, Study, Task, estimate, scenario_record, table, tally
+from studies.paper.truth import SLOW, TRUTH, Study, Task, estimate, scenario_record, table, tally
 
 CONDITIONS = tuple((name, inc) for name in ("prbs", "stop-and-go") for inc in (1024, 256))
 METHODS = ("iv", "known-step", "bcls", *SLOW)

@@ -23,11 +23,11 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.judge.late import late
 from pmfid.models.drive import Drive, Late
 from pmfid.models.equation import ESTIMATE
-from pmfid.paper.truth import CartRecord, table
 from pmfid.simulation import Machine, control_machine, drive_machine, prbs, stop_and_go
 from pmfid.status import Status
 from pmfid.types import Floats
 from studies.machines import AXES, OTHERWISE, Axis, truth
+from studies.paper.truth import CartRecord, table
 
 MOTIONS = ("prbs", "stop-and-go")
 #: The pole of the filters times the sample period, and the time [samples] at which `riv` is looked at on the way.

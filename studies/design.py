@@ -6,8 +6,8 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
-from pmfid.paper.truth import table
 from studies import design_case, design_runs, design_wrong
+from studies.paper.truth import table
 
 
 def measured(runs: int) -> Iterator[str]:

@@ -17,9 +17,9 @@ from pmfid.design.trial.choice import USUAL, Choice, choose
 from pmfid.design.trial.simulated import drive_of, simulate
 from pmfid.encoder import quantize
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import table
 from pmfid.simulation.machine import Machine, drive_machine
 from pmfid.types import Flags, Floats
+from studies.paper.truth import table
 
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
 STARTS = 10

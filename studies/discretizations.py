@@ -13,10 +13,10 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.exact import refined
 from pmfid.estimators.ls import LS
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.paper.truth import Study, Task, table
 from pmfid.simulation.process import Plant, simulate_process
 from pmfid.simulation.signals import prbs
 from pmfid.types import Floats
+from studies.paper.truth import Study, Task, table
 
 DT = 0.01
 SAMPLES = 4000

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.paper.truth import Study, Task, table
 from pmfid.simulation.process import PLANTS
 from pmfid.types import Floats
+from studies.paper.truth import Study, Task, table
 from studies.processes import cramer_rao, efficiencies, last_estimate, model_of, noisy_record
 
 METHOD = "srivc"

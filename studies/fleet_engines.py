@@ -18,8 +18,8 @@ from os import getpid, sysconf
 from pathlib import Path
 
 from pmfid import fleet
-from pmfid.paper.truth import table
 from studies.fleet_data import write_fleet
+from studies.paper.truth import table
 
 TABLES = ("periods", "axes", "problems")
 #: Tasks at once, of both.

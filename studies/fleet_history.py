@@ -20,8 +20,8 @@ import numpy as np
 
 from pmfid import fleet
 from pmfid.fleet.history import History
-from pmfid.paper.truth import table
 from studies.fleet_data import IN_A_FILE, write_fleet
+from studies.paper.truth import table
 
 #: Bytes of a row as arrays: name of the axis, time, input, counts.
 ROW = 32

@@ -22,9 +22,9 @@ import polars as pl
 from pmfid import fleet
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.fleet.history import History
-from pmfid.paper.truth import table
 from pmfid.types import Floats
 from studies.fleet_data import AXIS_TOML, RESOLUTION
+from studies.paper.truth import table
 
 GAIN, MASS, VISCOUS, COULOMB = 2.0, 1.07, 10.0, 2.5
 #: Relative error and error in bars beyond which a good estimate is wrong.

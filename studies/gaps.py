@@ -20,7 +20,6 @@ from pmfid.estimators.bridges import gaps_in
 from pmfid.estimators.iv import IV, RIV
 from pmfid.models.drive import Drive
 from pmfid.monitor.lost import guess, longest
-from pmfid.paper.truth import CartRecord, table
 from pmfid.session.gaps.motion import by_motion, doubt
 from pmfid.session.gaps.standing import ALWAYS, filled, gaps_of, is_held
 from pmfid.simulation import prbs, quantize, simulate_drive
@@ -28,6 +27,7 @@ from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
 from studies.gap_information import bound, sensitivities
 from studies.machines import AXES, machine_record, truth
+from studies.paper.truth import CartRecord, table
 from studies.several_records import compared_page
 
 #: What is missing -> its part of the samples, and of how many in a row.

@@ -18,10 +18,10 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.rls import RLS
 from pmfid.estimators.track import Track
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import CartRecord
 from pmfid.status import Status
 from pmfid.types import Counts
 from studies.machines import AXES, MOTIONS, machine_record
+from studies.paper.truth import CartRecord
 
 KINDS = ("uniform", "log-uniform", "constant", "constant, one sign", "clustered")
 RATES = (0.001, 0.01, 0.03)

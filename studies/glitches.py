@@ -19,11 +19,11 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.rls import RLS
 from pmfid.estimators.track import Track
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import CartRecord, table
 from pmfid.status import Status
 from pmfid.types import Counts, Floats
 from studies import glitch_sizes
 from studies.machines import AXES, Axis, machine_record
+from studies.paper.truth import CartRecord, table
 
 KINDS = ("jump", "jump at rest", "glitch", "1 % glitches", "spike")
 #: Smallest and largest size, as powers of ten [counts, times the largest input].

@@ -17,12 +17,12 @@ from pmfid.models.drive import Drive
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.events import Alarm, Outlier, Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.paper.truth import table
 from pmfid.simulation import Schedule, position_control
 from pmfid.types import Counts, Floats
 from studies.glitches import CUTOFF, KINDS, Spoiled, sizes_of, spoil_at
 from studies.machines import AXES, Axis, truth
 from studies.monitoring.axis import random_stop_and_go
+from studies.paper.truth import table
 
 WATCHED = ("cart", "rotary", "gantry")
 INCREMENTS, MEMORY = 1024, 100  # samples

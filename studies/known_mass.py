@@ -13,12 +13,12 @@ import numpy as np
 
 import pmfid
 from pmfid.judge.matter import NORMAL_95
-from pmfid.paper.truth import CartRecord, Study, Task, table
 from pmfid.session.result import Result
 from pmfid.simulation import Schedule, prbs, quantize, simulate_drive
 from pmfid.simulation.changes import slipping_belt
 from studies.friction_axes import BENCHES
 from studies.machines import Axis, machine_record
+from studies.paper.truth import CartRecord, Study, Task, table
 from studies.sections import Page, by_name
 
 #: Motion and encoder of each machine.

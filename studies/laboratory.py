@@ -11,12 +11,12 @@ from pathlib import Path
 from shutil import copyfile
 
 from pmfid.errors import UsageError
-from pmfid.paper.merit import Merit
-from pmfid.paper.page import PICTURES, sections
-from pmfid.paper.run import SEEDS, reproduce
-from pmfid.paper.truth import table
 from pmfid.simulation import SCENARIOS
 from studies.exactness import RTOL, agreement
+from studies.paper.merit import Merit
+from studies.paper.page import PICTURES, sections
+from studies.paper.run import SEEDS, reproduce
+from studies.paper.truth import table
 
 HEAD = """\
 # The laboratory
@@ -78,8 +78,8 @@ def _figures(seeds: int) -> list[str]:
     return [
         "## The paper's figures",
         "",
-        "    pmfid reproduce             # all of them: pictures, a CSV of what is drawn, table.csv",
-        "    pmfid reproduce 3 4 --seeds 20 --out here",
+        "    python -m studies.paper     # all of them: pictures, a CSV of what is drawn, table.csv",
+        "    python -m studies.paper 3 4 --seeds 20 --out here",
         "",
         f"{seeds} runs for each row. A seed draws the place of the start on the encoder's lattice; stop-and-go and the "
         "inputs of figure 5 are otherwise the same in every run, so that a bias of theirs does not average out and the "

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.paper.truth import table
 from pmfid.session.config import Axis
 from pmfid.session.guess.axis_file import guess
 from pmfid.session.identify import identify, kind_of
@@ -23,6 +22,7 @@ from pmfid.session.units import Quantity, gain
 from pmfid.types import Floats
 from studies.log_bench import BENCHES, Keys, Log
 from studies.log_folder import clean, logs
+from studies.paper.truth import table
 
 #: Parameters may differ by this part from those of the clean log.
 SAME = 0.005

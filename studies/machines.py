@@ -8,7 +8,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pmfid.paper.truth import CartRecord
 from pmfid.simulation import (
     CART,
     DriveParameters,
@@ -22,6 +21,7 @@ from pmfid.simulation import (
     simulate_drive,
     stop_and_go,
 )
+from studies.paper.truth import CartRecord
 
 MOTIONS = ("prbs", "stop-and-go", "multisine")
 #: By which part the stroke of one experiment differs from that of the next.

@@ -11,8 +11,8 @@ import numpy as np
 
 from pmfid import BCRLS, RIV, RLS, Drive
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.paper.truth import table
 from pmfid.simulation import CART
+from studies.paper.truth import table
 from studies.sharded_runs import BEFORE, CALL, Cost, Kill, estimator, in_a_process, kills, per_sample
 
 #: Axes of the fleets, of those for samples, models and methods, and samples in a call.

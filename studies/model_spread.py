@@ -21,11 +21,11 @@ from pmfid.judge.drive import examined
 from pmfid.judge.matter import NORMAL_95
 from pmfid.judge.spread import model_spread
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import CartRecord, Study, Task, table, triple
 from pmfid.types import Floats
 from studies.confidence import estimates
 from studies.friction_axes import BENCHES, FRICTIONS, HELD_BACK
 from studies.machines import MOTIONS, record_of, truth
+from studies.paper.truth import CartRecord, Study, Task, table, triple
 from studies.said import SAID
 from studies.sections import Page, by_name
 

@@ -18,11 +18,11 @@ from pmfid.monitor.events import Alarm, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.names import DETECTORS
 from pmfid.monitor.scores import Blocks, scores, start_blocks
-from pmfid.paper.truth import Study, Task, table
 from pmfid.simulation import Machine
 from studies.friction_axes import BENCHES
 from studies.machines import Axis
 from studies.monitoring.false_alarms import ASKED, HOLD, count_alarms, poisson_interval
+from studies.paper.truth import Study, Task, table
 from studies.sections import Page, by_name
 from studies.watched_machines import FRICTIONS, HELD_BACK, MACHINES, growing, learned, normal_work
 

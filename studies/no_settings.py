@@ -15,9 +15,9 @@ import numpy as np
 import pmfid
 from pmfid.errors import NotIdentifiableError
 from pmfid.judge.matter import NORMAL_95
-from pmfid.paper.truth import Study, Task, table, triple
 from pmfid.simulation import Machine
 from studies.machines import MOTIONS, record_of, truth
+from studies.paper.truth import Study, Task, table, triple
 from studies.real_axes import REAL
 from studies.sections import Page, by_name
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.paper.truth import SLOW, TIME_CONSTANT, Study, Task, cramer_rao, estimate, percent, scenario_record, table
 from pmfid.types import Floats
+from studies.paper.truth import SLOW, TIME_CONSTANT, Study, Task, cramer_rao, estimate, percent, scenario_record, table
 
 TIME_CONSTANTS = (2, 3, 5, 10)
 INCREMENTS = (4096, 1024, 512, 256, 128)

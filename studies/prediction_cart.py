@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import Study, Task, table
+from studies.paper.truth import Study, Task, table
 from studies.predicted import METHODS, Motion, predicted
 
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "real" / "cart_relay"

@@ -12,9 +12,9 @@ import numpy as np
 from pmfid.encoder import Encoder
 from pmfid.errors import PmfidError
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import Study, Task, table
 from pmfid.session.arrays import search_terms
 from pmfid.session.nested import spoken
+from studies.paper.truth import Study, Task, table
 from studies.predicted import EXPLAINED, METHODS, Motion, Predicted, free_run, predicted
 
 EMPS = Path(__file__).parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"

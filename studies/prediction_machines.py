@@ -12,10 +12,10 @@ from pmfid.encoder import Encoder
 from pmfid.errors import PmfidError
 from pmfid.estimators.output_error import OE
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import Study, Task, table
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.types import Floats
 from studies.machines import AXES, MOTIONS, machine_record
+from studies.paper.truth import Study, Task, table
 from studies.predicted import EXPLAINED, METHODS, Motion, predicted
 
 LACKING = ("nothing", "Stribeck 30 %", "quadratic 15 %", "directional 15 %")

@@ -17,12 +17,12 @@ from pmfid.estimators.srivc import SRIVC, make_problem, spread
 from pmfid.judge.assess import FALSE_ALARM, assess
 from pmfid.judge.verdict import flags_on
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.paper.truth import Study, Task, table
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.order import UNSTABLE, Candidate, accepted_first, search_structure
 from pmfid.transfer.process import Process
 from pmfid.transfer.solve import visit
 from pmfid.types import Floats
+from studies.paper.truth import Study, Task, table
 from studies.process_records import (
     INPUTS,
     LENGTHS,

@@ -15,10 +15,10 @@ from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.paper.truth import Study, Task, table
 from pmfid.simulation.process import PLANTS, Plant, simulate_process
 from pmfid.transfer.written import polynomial
 from pmfid.types import Floats
+from studies.paper.truth import Study, Task, table
 
 #: Ratio of the powers of output and noise.
 SNR = 10.0

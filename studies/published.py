@@ -13,9 +13,9 @@ from pmfid.estimators.iv import IV
 from pmfid.estimators.ls import LS
 from pmfid.estimators.srivc import SRIVC
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.paper.truth import Study, Task, table
 from pmfid.simulation.process import PLANTS, simulate_process
 from pmfid.types import Floats
+from studies.paper.truth import Study, Task, table
 
 #: Ratio of the powers of signal and noise.
 SNR = 10.0

@@ -13,11 +13,11 @@ from pmfid.errors import PmfidError
 from pmfid.estimators.srivc import SRIVC, make_problem
 from pmfid.models.equation import ESTIMATE
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.paper.truth import Study, Task, table
 from pmfid.simulation.process import Controller, simulate_late, simulate_loop
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.solve import visit
 from pmfid.types import Floats
+from studies.paper.truth import Study, Task, table
 
 #: Ratio of the powers of output and noise.
 SNR = 100.0

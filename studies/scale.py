@@ -18,9 +18,9 @@ from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.rls import RLS
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import CartRecord, table
 from pmfid.simulation import Schedule, prbs, quantize, simulate_drive
 from studies.machines import AXES, Axis
+from studies.paper.truth import CartRecord, table
 
 #: The new amplitude over the old one.
 FACTORS = (1 / 100, 1 / 30, 1 / 10, 1 / 3, 1.0, 3.0, 10.0, 30.0, 100.0)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pmfid.errors import UsageError
-from pmfid.paper.truth import Study, Task
+from studies.paper.truth import Study, Task
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.iv import IV
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import CartRecord, table
 from pmfid.session.gaps.joining import one_of
 from pmfid.session.records import Record
 from pmfid.simulation import prbs, quantize, simulate_drive
 from pmfid.types import Floats
 from studies.gap_information import sensitivities
 from studies.machines import AXES, truth
+from studies.paper.truth import CartRecord, table
 
 DT, SAMPLES, CLOCK, CUTOFF, RECORDS = 0.01, 18_000, 10, 20.0, 3
 #: Axis, method and runs, over those that are asked for.

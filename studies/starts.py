@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.paper.truth import (
+from pmfid.simulation import CART_DT
+from pmfid.status import Status
+from studies.paper.truth import (
     NAMES,
     TRUTH,
     CartRecord,
@@ -20,8 +22,6 @@ from pmfid.paper.truth import (
     track_of,
     vouched,
 )
-from pmfid.simulation import CART_DT
-from pmfid.status import Status
 
 CONDITIONS = tuple((name, inc) for name in ("stop-and-go", "prbs") for inc in (1024, 256))
 FACTORS = (0.25, 0.5, 2.0, 4.0)

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.paper.truth import SLOW, Study, Task, estimate, percent, scenario_record, table, track_of, triple
 from pmfid.simulation import CART_DT
 from pmfid.status import Status
 from pmfid.types import Floats
+from studies.paper.truth import SLOW, Study, Task, estimate, percent, scenario_record, table, track_of, triple
 
 TIME_CONSTANTS = (3, 5)
 INCREMENTS = (4096, 2048, 1024, 512, 256, 128, 64)

@@ -9,7 +9,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pmfid.paper.truth import CartRecord
 from pmfid.simulation import (
     DriveParameters,
     Machine,
@@ -19,6 +18,7 @@ from pmfid.simulation import (
     prbs,
     stop_and_go,
 )
+from studies.paper.truth import CartRecord
 
 MOTIONS = ("prbs", "stop-and-go", "multisine")
 SAMPLES = (3000, 4500)

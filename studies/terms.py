@@ -12,9 +12,9 @@ import numpy as np
 
 import pmfid
 from pmfid.estimators.results import Fit
-from pmfid.paper.truth import Study, Task, table
 from pmfid.session.terms import AMBIGUOUS, UNRESOLVED, TermSearch
 from pmfid.simulation import Machine
+from studies.paper.truth import Study, Task, table
 from studies.sections import Page, by_name
 from studies.term_machines import HELD_BACK, KINDS, MOTIONS, SAMPLES, Bench, kind_of, machine_of, truths
 

@@ -10,10 +10,10 @@ import numpy as np
 from pmfid.encoder import Encoder
 from pmfid.estimators.srivc import SRIVC
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.paper.truth import Study, Task, table
 from pmfid.simulation.process import PLANTS, Plant, simulate_process
 from pmfid.transfer.experiment import Experiment
 from pmfid.types import Floats
+from studies.paper.truth import Study, Task, table
 
 SNR = 10.0
 JITTER, MISSING, RECORDS, BURSTS = 0.3, 0.1, 3, 10

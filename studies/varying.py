@@ -12,10 +12,10 @@ from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.rls import RLS
 from pmfid.estimators.rsrivc import RSRIVC
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.paper.truth import Study, Task, table
 from pmfid.simulation.process import simulate_varying
 from pmfid.simulation.signals import prbs
 from pmfid.types import Floats
+from studies.paper.truth import Study, Task, table
 
 DT, SECONDS, CLOCK, CUTOFF = 0.01, 1000.0, 10, 10.0
 NOISE_VARIANCE = 0.1

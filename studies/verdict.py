@@ -17,7 +17,6 @@ import numpy as np
 import pmfid
 from pmfid.estimators.configuration import changed
 from pmfid.judge.matter import BARS, NORMAL_95, TOLERANCE
-from pmfid.paper.truth import CartRecord, Study, Task, table, tally, triple
 from pmfid.simulation import (
     Machine,
     control_machine,
@@ -31,6 +30,7 @@ from pmfid.simulation import (
 )
 from pmfid.types import Floats
 from studies.machines import TONES, Axis, truth
+from studies.paper.truth import CartRecord, Study, Task, table, tally, triple
 from studies.real_axes import axis as axis_of
 from studies.sections import Page, by_name
 

@@ -9,7 +9,9 @@ import numpy as np
 
 from pmfid.estimators.registry import methods_for
 from pmfid.models.drive import Drive
-from pmfid.paper.truth import (
+from pmfid.simulation import CART, CART_DT, position_control, resolution_of
+from pmfid.status import Status, status_names
+from studies.paper.truth import (
     SLOW,
     TRUTH,
     CartRecord,
@@ -24,8 +26,6 @@ from pmfid.paper.truth import (
     triple,
     vouched,
 )
-from pmfid.simulation import CART, CART_DT, position_control, resolution_of
-from pmfid.status import Status, status_names
 from studies.wrong_plants import DESCRIPTIONS, KD, KP, PLANTS, U_MAX, wrong_record
 
 SCENARIOS = ("prbs", "stop-and-go")

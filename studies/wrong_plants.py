@@ -8,7 +8,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pmfid.paper.truth import CartRecord
 from pmfid.simulation import (
     CART,
     CART_DT,
@@ -19,6 +18,7 @@ from pmfid.simulation import (
     resolution_of,
     stop_and_go,
 )
+from studies.paper.truth import CartRecord
 
 KP, KD, U_MAX = 200.0, 5.0, 6.0  # those of the scenario "stop-and-go"
 #: What is wrong -> the plant; the first is right, so that the simulation itself can be judged.

@@ -59,9 +59,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "service": SESSION | {"session"},
     "fleet": SESSION | {"session", "service", "door", "pmfid"},
     "report": SESSION | {"session", "fleet"},
-    "demo": JUDGE | {"simulation", "report"},
-    "paper": JUDGE | {"judge", "design", "simulation", "report", "demo"},
-    "cli": SESSION | {"session", "service", "fleet", "report", "demo", "paper", "simulation", "pmfid"},
+    "cli": SESSION | {"session", "service", "fleet", "report", "simulation", "pmfid"},
     "pmfid": SESSION | {"session"},
 }
 

@@ -246,7 +246,6 @@ def test_configuration_that_does_not_exist(tmp_path: Path, cart: Cart) -> None:
         (["identify", "run.csv", "--config", "axis.toml", "--cutoff", "fast"], "'fast' is not a valid float"),
         (["identify", "run.csv", "--config", "axis.toml", "--jsn"], "'--json'"),
         (["idenify"], "'identify'"),
-        (["demo", "--seed", "-1"], "x>=0"),
     ],
 )
 def test_wrong_command_line(arguments: list[str], what: str) -> None:
@@ -526,7 +525,7 @@ def test_help_names_every_option(name: str, flag: str) -> None:
 def test_help_of_the_whole_lists_the_commands() -> None:
     result = CliRunner().invoke(main, ["--help"])
     assert result.exit_code == 0
-    assert {"identify", "demo"} <= set(main.commands)
+    assert {"identify", "monitor"} <= set(main.commands)
     assert all(f"  {name} " in result.stdout for name in main.commands)
 
 

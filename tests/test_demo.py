@@ -13,9 +13,9 @@ import pytest
 from rich.console import Console
 
 import pmfid
-from pmfid.demo.__main__ import main
-from pmfid.demo.report import demo_table, findings, write_demo
-from pmfid.demo.run import (
+from examples.demo.__main__ import main
+from examples.demo.report import demo_table, findings, write_demo
+from examples.demo.run import (
     COLUMNS,
     INCREMENTS,
     METHODS,
@@ -127,7 +127,7 @@ def test_the_record_gives_the_new_mass(folder: Path) -> None:
 
 
 def test_main_draws_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    main(["--images", str(tmp_path / "new")])
+    main(["--out", str(tmp_path), "--images", str(tmp_path / "new")])
     assert (tmp_path / "new" / "demo.png").stat().st_size > 10_000
     assert "BCRLS" in capsys.readouterr().out
 

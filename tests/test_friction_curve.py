@@ -14,12 +14,12 @@ import pmfid
 from pmfid.cli.main import main
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.friction_curve import FrictionCurve
-from pmfid.paper.truth import CartRecord
 from pmfid.report.friction import curve_figure
 from pmfid.simulation import DriveParameters, Machine
 from pmfid.types import Floats
 from studies.friction_axes import BENCHES, FRICTIONS, stribeck
 from studies.machines import Axis, _control, record_of
+from studies.paper.truth import CartRecord
 
 #: None of the study's: a lift of 120 kg, slow at the ends of its moves, and an indexing table.
 LIFT = Axis(

@@ -16,15 +16,16 @@ import pytest
 from click.testing import CliRunner
 
 import pmfid
+from examples.demo.__main__ import main as demo
 from pmfid.cli import progress as progress_module
 from pmfid.cli.main import main
 from pmfid.cli.progress import progress
 from pmfid.errors import UnknownParameterError, UsageError
 from pmfid.estimators import METHODS
-from pmfid.paper import run as paper
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.identify import identify
 from pmfid.session.records import Record, read_experiment
+from studies.paper import run as paper
 from tests.conftest import cart_run
 
 CART = """
@@ -112,9 +113,11 @@ def test_the_help_of_method_names_them_all() -> None:
 # --- the demo ---------------------------------------------------------------------------------------------------------
 
 
-def test_what_the_demo_writes_can_be_identified_as_it_stands(tmp_path: Path) -> None:
-    done = CliRunner().invoke(main, ["demo", "--out", str(tmp_path)], catch_exceptions=False)
-    command = done.output.splitlines()[-1].split()
+def test_what_the_demo_writes_can_be_identified_as_it_stands(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    demo(["--out", str(tmp_path)])
+    command = capsys.readouterr().out.splitlines()[-1].split()
     assert command[:2] == ["pmfid", "identify"]
     result = CliRunner().invoke(main, command[1:], catch_exceptions=False)
     assert result.exit_code == 0

@@ -20,7 +20,6 @@ from pmfid.estimators.known import Known, Posterior
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.events import Alarm, Settled, Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.paper.truth import CartRecord
 from pmfid.session.parameters import parameter_rows
 from pmfid.session.result import DriveResult
 from pmfid.simulation import CART, DriveParameters, Machine, Schedule, prbs, quantize, simulate_drive
@@ -29,6 +28,7 @@ from pmfid.types import Floats
 from studies.friction_axes import BENCHES
 from studies.machines import Axis, machine_record, record_of
 from studies.monitoring.axis import changing, make_riv, normal_work
+from studies.paper.truth import CartRecord
 
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
 

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 import pmfid
 from pmfid import RIV, RLS, Drive, Encoder, Status
-from pmfid.paper.truth import CartRecord
 from pmfid.session.checks import checked
 from pmfid.simulation import CART, quantize, simulate_drive
 from studies import glitch_sizes
 from studies.glitches import AXES, STDS, SUSPICIOUS, effects, make
 from studies.machines import Axis, machine_record
+from studies.paper.truth import CartRecord
 from tests.test_diagnosis import axis_of, logged
 
 WRONG = 54_321

@@ -13,11 +13,11 @@ from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
 from pmfid.findings import Finding
 from pmfid.judge.matter import matter_of, sizes
-from pmfid.paper.truth import CartRecord
 from pmfid.session.result import DriveResult
 from pmfid.simulation import Machine, quantize, simulate_drive
 from studies.friction_axes import FRICTIONS
 from studies.machines import Axis, record_of, truth
+from studies.paper.truth import CartRecord
 from studies.real_axes import axis as axis_of
 from tests.test_model_spread import LIFT, TABLE, identified
 

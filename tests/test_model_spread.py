@@ -16,7 +16,6 @@ from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import DEAD_ZONE
 from pmfid.judge.matter import NORMAL_95
 from pmfid.judge.spread import ODDS, believed_squares
-from pmfid.paper.truth import CartRecord, Task
 from pmfid.session.parameters import UNKNOWN, between, parameter_header, parameter_rows
 from pmfid.session.result import DriveResult
 from pmfid.simulation import CART, CART_DT, DriveParameters, Machine, drive_machine, prbs
@@ -24,6 +23,7 @@ from pmfid.types import Floats
 from studies.friction_axes import BENCHES, FRICTIONS
 from studies.machines import Axis, _control, record_of, truth
 from studies.model_spread import METHODS, write_right, write_wrong
+from studies.paper.truth import CartRecord, Task
 
 #: None of the study's: an indexing table, 0.3 kg m2, and a lift of 120 kg.
 TABLE = Axis(DriveParameters(0.3, 1.1, 0.5, 2.0), 0.004, 4000, 2.0, 15, _control(60, 6, 12), 1.2, 0.5, 0.25, 3e-4, 0.05)

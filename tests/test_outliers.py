@@ -14,10 +14,10 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
-from pmfid.paper.truth import CartRecord
 from pmfid.session.outliers import believed
 from pmfid.session.records import Record
 from studies.machines import AXES, MOTIONS, machine_record
+from studies.paper.truth import CartRecord
 
 AXIS = "rotary"
 #: Kind of fault -> rows from 0 on that are wrong, of 3000; a jump: from there on.

@@ -12,19 +12,19 @@ import pytest
 from click.testing import CliRunner
 from matplotlib.colors import to_hex
 
-from pmfid.cli.main import main
 from pmfid.errors import UsageError
 from pmfid.estimators.auto import choose, first_choice
-from pmfid.paper import encoders, figure2, figure3, figure4, figure5
-from pmfid.paper.drawing import Drawing, draw, write_drawing
-from pmfid.paper.estimates import EXTENDED, mass_of, record_of, track_of
-from pmfid.paper.inputs import STROKE, designed, experiments, information, problem, pulse
-from pmfid.paper.merit import HEADER, NO_ANSWER, Merit, cells, merit, score, write_table
-from pmfid.paper.page import GOALS, sections
-from pmfid.paper.run import FIGURES, reproduce
-from pmfid.paper.truth import make_estimator
 from pmfid.report.figures import COLOURS, MAGENTA
 from pmfid.simulation import CART, make_scenario
+from studies.paper import encoders, figure2, figure3, figure4, figure5
+from studies.paper.__main__ import main
+from studies.paper.drawing import Drawing, draw, write_drawing
+from studies.paper.estimates import EXTENDED, mass_of, record_of, track_of
+from studies.paper.inputs import STROKE, designed, experiments, information, problem, pulse
+from studies.paper.merit import HEADER, NO_ANSWER, Merit, cells, merit, score, write_table
+from studies.paper.page import GOALS, sections
+from studies.paper.run import FIGURES, reproduce
+from studies.paper.truth import make_estimator
 
 ROOT = Path(__file__).parents[1]
 
@@ -225,7 +225,7 @@ def test_every_figure_has_the_tasks_of_its_seeds(name: str) -> None:
 
 
 def test_command_prints_the_table(tmp_path: Path) -> None:
-    result = CliRunner().invoke(main, ["reproduce", "2", "--out", str(tmp_path / "out"), "--jobs", "1"])
+    result = CliRunner().invoke(main, ["2", "--out", str(tmp_path / "out"), "--jobs", "1"])
     assert result.exit_code == 0, result.output
     assert "mass 20 % too large" in result.output
     assert (tmp_path / "out" / "table.csv").exists()
@@ -242,7 +242,7 @@ def test_command_prints_the_table(tmp_path: Path) -> None:
     ],
 )
 def test_bad_usage_is_one_error(arguments: list[str], message: str, tmp_path: Path) -> None:
-    result = CliRunner().invoke(main, ["reproduce", *arguments, "--out", str(tmp_path / "out")])
+    result = CliRunner().invoke(main, [*arguments, "--out", str(tmp_path / "out")])
     assert result.exit_code == 2
     assert message in result.output
     assert not (tmp_path / "out").exists()

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.paper import truth
-from pmfid.paper.truth import TRUTH, Outcome, cramer_rao, estimate, percent, positions, scenario_record
 from pmfid.simulation import CART, CART_DT, Machine, drive_machine, make_scenario, quantize, simulate_drive
 from studies import accuracy, coverage, open_loop, starts, stop_and_go, wrong_models
+from studies.paper import truth
+from studies.paper.truth import TRUTH, Outcome, cramer_rao, estimate, percent, positions, scenario_record
 from studies.wrong_plants import PLANTS, wrong_record
 
 # --- the page ---------------------------------------------------------------------------------------------------------

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.paper.truth import table
 from studies.monitoring import detection, false_alarms
 from studies.monitoring.axis import CUTOFF, FORGETTING, INCREMENTS
 from studies.monitoring.pipe import PipeFigures
+from studies.paper.truth import table
 
 HEAD = "# A machine that is watched"
 

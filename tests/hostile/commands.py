@@ -137,9 +137,7 @@ def _friction(rng: Rng, folder: Path) -> Case:
 
 
 def _fleet(rng: Rng, folder: Path) -> Case:
-    """A record in place of a data set, a folder of such, or what is none; or what a fleet costs."""
-    if rng.random() < 0.4:
-        return _cost(rng)
+    """A record in place of a data set, a folder of such, or what is none."""
     files, name = _recorded(rng, folder)
     by = str(rng.choice(["t", "u", "counts", "machine", ""]))
     source = str(rng.choice([name, ".", "nowhere", "axis.toml"]))
@@ -148,14 +146,6 @@ def _fleet(rng: Rng, folder: Path) -> Case:
     chosen = options(rng, 0.2, period=["day", "run", "shift", "10min", "1e9"], segment=["60", "5"], workers=["1", "2"])
     chosen += [*options(rng, 0.1, engine=["local"], master=["local[1]", "x"], type=["u"]), *_flags(rng, 0.6, "--json")]
     return Case(("fleet", "history", source, "--config", "axis.toml", "--axis", by, "--out", "out", *chosen), files)
-
-
-def _cost(rng: Rng) -> Case:
-    numbers = {"--axes": ["1", "1000", "1000000", "10"], "--rate": ["0.1", "10", "100", "1e6"]}
-    numbers |= {"--block": ["1", "0.01", "1e5"], "--cores": ["1", "64"], "--memory": ["1", "256"]}
-    chosen = [(name, str(rng.choice([*values, str(rng.choice(ODD))]))) for name, values in numbers.items()]
-    words = [word for pair in chosen if rng.random() < 0.9 for word in pair]
-    return Case(("fleet", "cost", *words, *_flags(rng, 0.6, "--json")), {})
 
 
 def _fleet_stream(rng: Rng, name: str) -> tuple[str, ...]:
@@ -325,27 +315,6 @@ def _commission(rng: Rng, folder: Path) -> Case:
 # --- the rest ---------------------------------------------------------------------------------------------------------
 
 
-def _demo(rng: Rng, folder: Path) -> Case:
-    """Refusals alone: a demo takes a minute."""
-    wrong = [["--seed", "-1"], ["--seed", "x"], ["--seed"], ["--out"], ["--what"], ["prbs"], ["--out", "taken"]]
-    return Case(("demo", *wrong[rng.integers(len(wrong))]), {"taken": b"a file"})
-
-
-def _reproduce(rng: Rng, folder: Path) -> Case:
-    """Refusals alone, too."""
-    wrong = [
-        ["6"],
-        ["2", "x"],
-        ["--seeds", "0"],
-        ["--seeds", "-1"],
-        ["--seeds", "x"],
-        ["--jobs", "0"],
-        ["--jobs", "-2"],
-    ]
-    wrong += [["encoders", "--out", "taken"], ["\x1b[31m"], ["--jobs", "nan"]]
-    return Case(("reproduce", *wrong[rng.integers(len(wrong))]), {"taken": b"a file"})
-
-
 def _explain(rng: Rng, folder: Path) -> Case:
     """Keys and words that there are, halves of them, and what nobody calls so."""
     words = ["record.time_unit", "[model] stribeck", "poor_excitation", "dead time", "mass", "", *ODD]
@@ -357,7 +326,7 @@ def _explain(rng: Rng, folder: Path) -> Case:
 
 def _none(rng: Rng, folder: Path) -> Case:
     """No command, a wrong one, none of its files."""
-    further = ["--help", "-h", "--json", "nowhere.csv", "--config"]  # with --out a demo would run
+    further = ["--help", "-h", "--json", "nowhere.csv", "--config"]
     words: list[tuple[str, ...]] = [(), ("--version",), ("--help",), ("identfy",), ("",), ("\x1b[31m",), ("-x",)]
     words = [*words, *((name, *rng.choice(further, 2).tolist()) for name in COMMANDS)]
     return Case(words[rng.integers(len(words))], {})
@@ -380,8 +349,6 @@ COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "friction": (_friction, 0.002),
     "fleet": (_fleet, 0.002),
     "order": (_order, 0.002),
-    "demo": (_demo, 0.01),
-    "reproduce": (_reproduce, 0.01),
     "explain": (_explain, 0.008),
     "none": (_none, 0.028),
 }

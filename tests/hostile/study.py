@@ -26,7 +26,7 @@ as {formats} files, packed, damaged, with another ending; pipes with what logger
 scaled, empty, as text, with NaN; rows left out, repeated, reversed; counters that wrap; options of no, another or 400
 digits' value; places that are taken or not there; names with control characters. Every warning counts as an error, and
 so do a file that is no longer what it was, {hangs:g} s of the processor, and 400 MB. A monitor is calibrated on
-{run:g} s of simulated work; of `demo` and `reproduce`, which take a minute, only refusals are called.
+{run:g} s of simulated work.
 
 | command | calls | an estimate, a design, a file: exit code 0 | wrong usage, unreadable input: 2 | \
 cannot be identified, or met: 3 | a traceback, a warning, another exit code | a number that is not finite, \

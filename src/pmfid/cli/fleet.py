@@ -11,15 +11,12 @@ from pmfid.cli.fleet_stream import state, stream
 from pmfid.cli.options import JSON, config_option
 from pmfid.cli.output import print_json
 from pmfid.cli.progress import progress
-from pmfid.cli.tables import print_bills
 from pmfid.errors import NotIdentifiableError, UsageError, printable
 
 if TYPE_CHECKING:
     from pmfid.fleet.history import History
     from pmfid.fleet.local import Engine
 
-#: Bytes of a GB, as machines are sold.
-GB = 1e9
 #: Axes that are printed.
 SHOWN = 30
 
@@ -99,33 +96,6 @@ def history(
         told = found.problems.filter(found.problems["code"] != "type")["text"]
         reason = next(iter(told), "too little motion for every parameter")
         raise NotIdentifiableError(f"no axis of {source} can be identified: {printable(reason)}")
-
-
-@fleet.command(short_help="What watching so many axes takes: cores, memory, network, storage.")
-@click.option("--axes", type=int, required=True, metavar="N", help="How many.")
-@click.option("--rate", type=float, required=True, metavar="HZ", help="Samples of each per second.")
-@click.option("--block", type=float, default=1.0, show_default=True, metavar="S", help="Time between its messages.")
-@click.option("--cores", type=int, default=8, show_default=True, metavar="N", help="Of a machine.")
-@click.option("--memory", type=float, default=32.0, show_default=True, metavar="GB", help="Of a machine.")
-@JSON
-def cost(axes: int, rate: float, block: float, cores: int, memory: float, as_json: bool) -> None:
-    """Compute what a fleet costs in one process, with `pmfid serve`, on Spark, and as a history of stored data, and
-    where the next larger way begins.
-
-    From measurements on one machine, by `python -m studies.cost`; another processor differs by a factor of its own.
-
-    Exit code 0: a result; 2: wrong usage.
-    """
-    from pmfid.fleet.cost import WAYS, Load, Machine, advice, bill
-
-    load, machine = Load(axes, rate, block), Machine(cores, memory * GB)
-    bills, said = [bill(way, load, machine) for way in WAYS], advice(load, machine)
-    if as_json:
-        print_json({"ways": [vars(one) for one in bills], "advice": said})
-        return
-    print_bills(bills, f"{axes} axes at {rate:g} Hz, machines of {cores} cores and {memory:g} GB")
-    for line in said:
-        click.echo(line)
 
 
 def _engine(name: str, master: str | None, workers: int | None) -> Engine:

@@ -20,7 +20,6 @@ from pmfid.cli.monitor import monitor
 from pmfid.cli.options import CUTOFF, JSON, RECORDS, config_option, folder_option, step
 from pmfid.cli.output import print_json
 from pmfid.cli.progress import progress
-from pmfid.cli.reproduce import reproduce
 from pmfid.cli.serve import serve
 from pmfid.cli.simulate import simulate
 from pmfid.cli.terms import terms
@@ -201,38 +200,6 @@ def compare(
         print_comparison(comparison, out)
 
 
-@main.command(short_help="Watch a cart's mass step with four encoders.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("demo-report"),
-    show_default=True,
-    metavar="DIR",
-    help="Where the report goes.",
-)
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Of the input and the start phase.",
-)
-def demo(out: Path, seed: int) -> None:
-    """Watch a cart's mass step with four encoders, by four methods on-line, beside the truth."""
-    with progress("demo"):
-        from rich.console import Console
-
-        from pmfid.demo.report import demo_table, write_demo
-        from pmfid.demo.run import run_demo
-
-        result = run_demo(seed=seed)
-        write_demo(out, result)
-    Console().print(demo_table(result))
-    click.echo(f"\nreport: {out / 'report.html'}\nrecord: {out / 'cart.csv'}")
-    click.echo(f"its AXIS.toml: {out / 'cart.toml'}; change a value in it, and go on with")
-    click.echo(f"pmfid identify {out / 'cart.csv'} --config {out / 'cart.toml'}")
-
-
 main.add_command(check)
 main.add_command(init)
 main.add_command(design)
@@ -242,7 +209,6 @@ main.add_command(serve)
 main.add_command(simulate)
 main.add_command(terms)
 main.add_command(validate)
-main.add_command(reproduce)
 main.add_command(explain)
 main.add_command(export)
 main.add_command(fleet)

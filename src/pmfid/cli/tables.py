@@ -11,8 +11,6 @@ from pmfid.errors import printable
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pmfid.fleet.cost import Bill
-    from pmfid.paper.merit import Merit
     from pmfid.session.compare import Comparison
     from pmfid.session.result import ProcessResult, Result
     from pmfid.transfer.order import Search
@@ -115,33 +113,6 @@ def _width(table: Table) -> int:
     return Console(width=10_000).measure(table).maximum
 
 
-def print_merits(rows: Sequence[Merit], out: Path) -> None:
-    """The figures of merit, a table for each figure and condition; columns without a number are left out."""
-    from itertools import groupby
-
-    from rich.console import Console
-    from rich.table import Table
-
-    from pmfid.paper.merit import HEADER, cells
-
-    console = Console()
-    for (figure, condition), group in groupby(rows, key=lambda row: (row.figure, row.condition)):
-        texts = [cells(row)[2:] for row in group]
-        columns = list(zip(HEADER[2:], zip(*texts, strict=True), strict=True))
-        given = [(name, values) for name, values in columns if set(values) - {"–", "0"}]
-        common = ", ".join(f"{name} {values[0]}" for name, values in given[1:] if len(set(values)) == 1)
-        console.print(f"\n{figure}: {condition} ({common})", style="bold", highlight=False, markup=False)
-        table = Table(box=None)
-        for name, values in given:
-            if name == "method" or len(set(values)) > 1:
-                heading = name.replace(" [", "\n\\[").replace("increments", "inc")
-                table.add_column(heading, justify="left" if name == "method" else "right", no_wrap=True)
-        for row in zip(*(values for name, values in given if name == "method" or len(set(values)) > 1), strict=True):
-            table.add_row(*map(_safe, row))
-        console.print(table)
-    console.print(f"table, pictures and their data: {out}", highlight=False, markup=False, soft_wrap=True)
-
-
 def print_search(search: Search, name: str, out: Path | None) -> None:
     """The best structures."""
     from rich.console import Console
@@ -170,19 +141,3 @@ def _safe(text: str) -> str:
     from rich.markup import escape
 
     return escape(printable(text))
-
-
-def print_bills(bills: Sequence[Bill], title: str) -> None:
-    """What each way to watch a fleet costs, a column for each: so it fits a narrow terminal."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from pmfid.fleet.cost import HEADER, row
-
-    table = Table(title=title)
-    cells = [list(HEADER), *map(row, bills)]
-    for k, column in enumerate(cells):
-        table.add_column(column[0], justify="right" if k else "left")
-    for line in list(zip(*cells, strict=True))[1:]:
-        table.add_row(*line)
-    Console().print(table)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmfid.demo.run import (
+from examples.demo.run import (
     BAND,
     COLUMNS,
     CUTOFF,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pmfid.paper.merit import Merit
+from studies.paper.merit import Merit
 
 #: The arguments of one work, and what each of them gave: the figure's own `rows` knows what that is.
 Task = tuple[Any, ...]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from pmfid.estimators.auto import AUTO
-from pmfid.paper.estimates import OFF_LINE, mass_of, mass_score, record_of, track_of, track_score
-from pmfid.paper.figure import PaperFigure, Results, Task
-from pmfid.paper.merit import Merit, Score, merit
 from pmfid.simulation import CART, CART_DT, make_scenario
+from studies.paper.estimates import OFF_LINE, mass_of, mass_score, record_of, track_of, track_score
+from studies.paper.figure import PaperFigure, Results, Task
+from studies.paper.merit import Merit, Score, merit
 
 #: Scenario -> increments of the encoder.
 RUNS = {"prbs": (4096, 1024, 512, 256), "stop-and-go": (4096, 1024, 512, 256, 128, 64), "moves": (256,)}

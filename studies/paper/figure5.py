@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from pmfid.demo.run import settling_time
+from examples.demo.run import settling_time
 from pmfid.design.trial.simulated import simulate
-from pmfid.paper.drawing import Drawing, Motions, write_drawing, write_motions
-from pmfid.paper.estimates import OFF_LINE, TITLES, known_mass, mass_of, mass_score, track_of, track_score
-from pmfid.paper.figure import PaperFigure, Results, Task
-from pmfid.paper.inputs import HORIZON, INTERVALS, experiments, information, problem
-from pmfid.paper.merit import Merit, Score, merit
-from pmfid.paper.truth import CartRecord, make_estimator
 from pmfid.simulation import CART, CART_DT, quantize, resolution_of, simulate_drive
 from pmfid.types import Floats
+from studies.paper.drawing import Drawing, Motions, write_drawing, write_motions
+from studies.paper.estimates import OFF_LINE, TITLES, known_mass, mass_of, mass_score, track_of, track_score
+from studies.paper.figure import PaperFigure, Results, Task
+from studies.paper.inputs import HORIZON, INTERVALS, experiments, information, problem
+from studies.paper.merit import Merit, Score, merit
+from studies.paper.truth import CartRecord, make_estimator
 
 ON_LINE = ("rls", "bcrls", "rknown-step", "riv")
 INCREMENTS = 4096

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.paper import encoders, figure2, figure3, figure4, figure5
-from pmfid.paper.figure import PaperFigure, Task
-from pmfid.paper.merit import Merit, write_table
+from studies.paper import encoders, figure2, figure3, figure4, figure5
+from studies.paper.figure import PaperFigure, Task
+from studies.paper.merit import Merit, write_table
 
 T = TypeVar("T")
 

@@ -12,11 +12,11 @@ from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.plants import default_zeros
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.track import Track
-from pmfid.paper.merit import NO_ANSWER, Score, score
-from pmfid.paper.truth import CartRecord, make_estimator
 from pmfid.simulation import CART_DT, Scenario
 from pmfid.status import Status
 from pmfid.types import Floats
+from studies.paper.merit import NO_ANSWER, Score, score
+from studies.paper.truth import CartRecord, make_estimator
 
 #: RLS of the extended model, before its bias is compensated (paper eq. 19 to 21): where BCRLS starts from.
 EXTENDED = "extended rls"

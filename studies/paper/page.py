@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from pmfid.paper.encoders import without_encoder
-from pmfid.paper.figure5 import settle_time
-from pmfid.paper.merit import HEADER, Merit, cells
-from pmfid.paper.run import FIGURES
-from pmfid.paper.truth import table
+from studies.paper.encoders import without_encoder
+from studies.paper.figure5 import settle_time
+from studies.paper.merit import HEADER, Merit, cells
+from studies.paper.run import FIGURES
+from studies.paper.truth import table
 
 PICTURES: Mapping[str, tuple[str, ...]] = {
     "2": ("figure2",),

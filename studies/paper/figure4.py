@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pmfid.demo.run import settling_time
+from examples.demo.run import settling_time
 from pmfid.estimators.auto import AUTO
-from pmfid.paper.drawing import Drawing, write_drawing
-from pmfid.paper.estimates import EXTENDED, ON_LINE, TITLES, known_mass, record_of, track_of, track_score
-from pmfid.paper.figure import PaperFigure, Results, Task
-from pmfid.paper.merit import Merit, Score, merit
 from pmfid.simulation import CART, CART_DT, CART_LOADED, Scenario, make_scenario
+from studies.paper.drawing import Drawing, write_drawing
+from studies.paper.estimates import EXTENDED, ON_LINE, TITLES, known_mass, record_of, track_of, track_score
+from studies.paper.figure import PaperFigure, Results, Task
+from studies.paper.merit import Merit, Score, merit
 
 INCREMENTS = (4096, 1024, 512)
 #: The extended model has too little excitation within this memory: what is not forgotten would decide.

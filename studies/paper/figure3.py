@@ -6,8 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pmfid.paper.drawing import Drawing, write_drawing
-from pmfid.paper.estimates import (
+from pmfid.simulation import CART, CART_DT, CART_LOADED, Scenario, Schedule, make_scenario
+from pmfid.simulation.checks import sample_times
+from pmfid.types import Floats
+from studies.paper.drawing import Drawing, write_drawing
+from studies.paper.estimates import (
     OFF_LINE,
     ON_LINE,
     TITLES,
@@ -18,11 +21,8 @@ from pmfid.paper.estimates import (
     track_of,
     track_score,
 )
-from pmfid.paper.figure import PaperFigure, Results, Task
-from pmfid.paper.merit import Merit, Score, merit
-from pmfid.simulation import CART, CART_DT, CART_LOADED, Scenario, Schedule, make_scenario
-from pmfid.simulation.checks import sample_times
-from pmfid.types import Floats
+from studies.paper.figure import PaperFigure, Results, Task
+from studies.paper.merit import Merit, Score, merit
 
 INCREMENTS = (4096, 1024, 512)
 LOADS = {"1.07 kg": CART, "1.44 kg": CART_LOADED}

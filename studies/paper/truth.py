@@ -19,11 +19,11 @@ from pmfid.estimators.track import Track
 from pmfid.findings import codes
 from pmfid.judge.drive import judge
 from pmfid.models.drive import Drive
-from pmfid.paper.figure import Results
-from pmfid.paper.figure import Task as Task
 from pmfid.simulation import CART, CART_DT, make_scenario
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
+from studies.paper.figure import Results
+from studies.paper.figure import Task as Task
 
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
 TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])

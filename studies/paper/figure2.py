@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from pmfid.design.trial.simulated import simulate
-from pmfid.paper.drawing import Motions, write_motions
-from pmfid.paper.figure import PaperFigure, Results, Task
-from pmfid.paper.inputs import STROKE, designed, information, problem
-from pmfid.paper.merit import Merit
 from pmfid.simulation import CART, CART_INCREMENTS
+from studies.paper.drawing import Motions, write_motions
+from studies.paper.figure import PaperFigure, Results, Task
+from studies.paper.inputs import STROKE, designed, information, problem
+from studies.paper.merit import Merit
 
 #: What the design takes the mass for -> over its true value.
 GUESSES = {"nominal mass": 1.0, "mass 20 % too large": 1.2, "mass 20 % too small": 0.8}

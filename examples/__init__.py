@@ -1,0 +1,1 @@
+"""Examples: axes, a plant, a notebook, and the demo."""

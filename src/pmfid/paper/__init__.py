@@ -1,1 +1,0 @@
-"""The figures of the paper as pictures, data and numbers: `pmfid reproduce`."""

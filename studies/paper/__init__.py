@@ -1,0 +1,1 @@
+"""The figures of the paper as pictures, data and numbers: `python -m studies.paper`."""
