@@ -8,7 +8,7 @@ PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')
 
 .PHONY: demo test test-long spark kills broker-kills service-faults soak check format bench study hostile firmware \
-    firmware-tools service-tools spark-tools images clean
+    firmware-tools service-tools spark-tools golden images clean
 
 # What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. An edit of Python
 # counts at once, an edit of C after `make`. What a command imports is compiled to bytecode, as some environments forbid
@@ -175,6 +175,10 @@ study: .venv/tools .venv/spark
 # Attacks at length, an hour at most: crafted states under the sanitizers, openings, names in exports, calls, pipes.
 hostile: .venv/tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.hostile.campaign $(PARTS)
+
+# What every method computes on fixed records; the diff shows a change of numbers.
+golden: .venv/installed
+	.venv/bin/python -m tests.golden.make
 
 images: .venv/installed
 	.venv/bin/python -m examples.demo --out demo-report --images docs/images
