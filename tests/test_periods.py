@@ -90,11 +90,12 @@ def test_the_other_hold_is_tried():
 
 
 def test_a_pole_that_may_be_anywhere_is_not_known():
-    """One far beyond the samples: two standard deviations take it to the bound, half of it each, so that a limit of a
-    half was never reached; the bars of the other poles were 295 times too short."""
+    """Far beyond the samples, two standard deviations take a pole to the bound, half of it each, so that a limit of a
+    half was never reached: the error bars of the other poles were 295 times too short. On some processors the search
+    ends at an unstable pole instead; that one is not known either."""
     plant, record = swept("AR(1) 0.9")
     process, _, status = identified(estimator_of(plant), other(record))
-    assert np.max(np.abs(process.poles)) * plant.dt > 20
+    assert np.max(np.abs(process.poles)) * plant.dt > 20 or np.max(process.poles.real) > 0
     assert "uncertain" in status
 
 

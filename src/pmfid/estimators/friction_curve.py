@@ -205,7 +205,8 @@ def _weight(A: Floats, basis: Basis, bend: Floats) -> float:
         for fold in range(FOLDS):
             own = range(fold, BLOCKS, FOLDS)
             rest = square - sum(sums[k][0] for k in own) + weight * bend.T @ bend
-            theta = np.linalg.solve(rest, cross - sum(sums[k][1] for k in own))
+            right = cross - sum(sums[k][1] for k in own)
+            theta = np.linalg.lstsq(rest, right, rcond=None)[0]  # without these blocks a node may have no sample
             for k in own:
                 errors[row, k] = theta @ sums[k][2] @ theta - 2 * theta @ sums[k][3]
     apart = errors - errors[np.argmin(errors.sum(axis=1))]
