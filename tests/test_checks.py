@@ -27,7 +27,7 @@ from pmfid.session.config import Axis
 from pmfid.session.identify import check, identify
 from pmfid.session.records import Record, record_of
 from pmfid.session.result import Result
-from pmfid.simulation import make_scenario
+from pmfid.simulation import DriveParameters, Machine, control_machine, make_scenario
 from studies.check_logs import FAULTS, Logged, clean, faulty
 from studies.friction_axes import BENCHES
 
@@ -291,3 +291,15 @@ def test_a_relative_error_that_nobody_would_accept_is_no_result() -> None:
 def test_a_check_needs_whole_counts() -> None:
     with pytest.raises(UsageError):
         pmfid.check(np.ones(50), np.linspace(0, 1, 50), model=pmfid.Drive(1.0), dt=0.01, encoder=pmfid.Encoder(1e-3))
+
+
+def test_a_pendulum_under_slow_position_control_is_no_velocity() -> None:
+    """Gravity takes most of the input, and a plain drive explains a third; its gravity explains nearly all."""
+    drive = DriveParameters(0.02, 0.05, 0.1, 1.0)
+    t, dt, resolution = np.arange(3000) * 0.01, 0.01, 2 * np.pi / 4096
+    reference = 1.2 * np.sin(0.7 * t) + 0.5 * np.sin(2.9 * t + 1) + 0.2 * np.sin(7.1 * t)
+    machine = Machine(drive, gravity=0.8, gravity_angle=0.3)
+    run = control_machine(machine, reference, dt, resolution, kp=8.0, kd=0.8, u_max=5.0)
+    raw = {"record": {"input": "u", "output": "y", "dt": dt}, "encoder": {"resolution": resolution}}
+    axis = Axis.model_validate(raw | {"model": {"kind": "drive", "input_gain": 1.0, "axis": "rotary", "gravity": True}})
+    assert checked(Record(run.u, run.counts, dt, resolution, (), "pendulum"), axis) == ()

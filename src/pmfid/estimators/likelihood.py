@@ -21,6 +21,9 @@ GIVEN_AWAY = 1.5
 #: which is left by starts this many standard deviations around, with this noise [counts] on the way.
 AROUND = 1.5
 SHRINKING = (0.3, 0.1, 0.04)
+#: Starts after the first that must find the same maximum to end the search, and difference of the logarithms of two
+#: likelihoods of the same maximum. On 56 records with 10 to 300 counts of travel no further start found a larger one.
+AGREEING, SAME = 3, 0.01
 MAX_ITERATIONS = 100
 TOLERANCE = 1e-6
 MAX_DAMPING = 1e8
@@ -84,17 +87,21 @@ def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
     """q (q,) and noise [counts] of the largest likelihood, from the least squares q.
 
     With few counts there are local maxima, and a noise beyond the floor gives them away: then the search starts again
-    from around q, with a noise that shrinks step by step, and the best counts.
+    from around q, with a noise that shrinks step by step, and the best counts. It ends early if the first starts all
+    find the same maximum.
     """
     best = climb(difference, q, None)
     if best[2] <= GIVEN_AWAY * NOISE_FLOOR or difference.breaks:  # the starts behind gaps are those of least squares
         return best[1], best[2]
+    costs = [best[0]]
     for start in (q, *_around(difference, q)):
         place = start
         for noise in SHRINKING:
             place = climb(difference, place, noise)[1]
-        best = min(best, climb(difference, place, None), key=lambda found: found[0])
-        if best[2] <= GIVEN_AWAY * NOISE_FLOOR:
+        found = climb(difference, place, None)
+        costs.append(found[0])
+        best = min(best, found, key=lambda one: one[0])
+        if best[2] <= GIVEN_AWAY * NOISE_FLOOR or (len(costs) > AGREEING and max(costs) - min(costs) < SAME):
             break
     return best[1], best[2]
 

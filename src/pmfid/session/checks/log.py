@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from pmfid.encoder import Encoder
 from pmfid.estimators.plants import plant_of
+from pmfid.models.drive import Drive
 from pmfid.session.checks.stops import Stop, held_back, long_stops, sudden
 from pmfid.session.checks.view import View, best_view
 from pmfid.session.config import Axis
@@ -70,6 +71,19 @@ class Log:
     def view(self) -> View | None:
         """The record as it stands, behind filters; None where there is nothing to see."""
         return best_view(self.force[self.part], self.known.counts[self.part], self.encoder, self.record.dt)
+
+    @cached_property
+    def closest_view(self) -> View | None:
+        """The view that explains more of the input: of the plain drive, or of the configured one with its gravity,
+        spring or cogging."""
+        model = at_some_gain(self.axis).model.make()
+        if self.view is None or not isinstance(model, Drive):
+            return self.view
+        own = replace(model.symmetric, input_gain=1.0, offset=True, dead_time=0.0, lag=0.0, axis="linear")
+        counts = self.known.counts[self.part]
+        configured = best_view(self.force[self.part], counts, self.encoder, self.record.dt, model=own)
+        known = [one for one in (self.view, configured) if one is not None]
+        return min(known, key=lambda one: one.unexplained)
 
     @cached_property
     def sudden_stops(self) -> list[Stop]:

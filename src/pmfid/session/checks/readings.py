@@ -59,8 +59,9 @@ def read_as(log: Log) -> Iterator[Finding]:
 
 def _other_reading(log: Log) -> Finding | None:
     """Of exchanged columns or a velocity, where these explain the input so much better."""
-    heavy = log.view is not None and _has_inertia(log.view, log.record.dt) and _is_one_body(log.view)
-    left = _left(log.view)
+    view = log.closest_view
+    heavy = view is not None and _has_inertia(view, log.record.dt) and _is_one_body(view)
+    left = _left(view)
     if heavy and left < CLEARLY:
         return None
     velocity, exchanged = _left(_velocity(log)), _left(_exchanged(log))
@@ -68,10 +69,10 @@ def _other_reading(log: Log) -> Finding | None:
     bound = min(better * left, velocity)
     if exchanged < min(FOLLOWS, bound) or (exchanged < min(LOOSELY, bound) and not any(drifts(log))):
         return _said("exchanged", "input and output are exchanged", _exchange(log), exchanged)
-    if log.sudden_stops or log.view is None or log.view.one_way or log.axis.record.output_kind == "velocity":
+    if log.sudden_stops or view is None or view.one_way or log.axis.record.output_kind == "velocity":
         return None
-    bound = left * (BETTER if heavy else 1.0 if _is_one_body(log.view) else ALIKE)
-    loosely = velocity < LOOSELY and (velocity < bound or (velocity < FOLLOWS and _is_no_body(log.view)))
+    bound = left * (BETTER if heavy else 1.0 if _is_one_body(view) else ALIKE)
+    loosely = velocity < LOOSELY and (velocity < bound or (velocity < FOLLOWS and _is_no_body(view)))
     if velocity < min(FOLLOWS, bound, left) or (loosely and _is_in_time(log)):
         mistake = f"the output column {log.axis.record.output!r} is a velocity and no position"
         return _said("velocity", mistake, RATE, velocity)

@@ -30,12 +30,14 @@ ONE_WAY = 0.05
 #: Speed over which friction at rest falls, in parts of the usual speed.
 SLOW = 0.1
 MASS, VISCOUS, COULOMB, LOAD = range(4)
+#: The model of these four columns.
+PLAIN = Drive(1.0, offset=True)
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Columns phi (n, 4) of motion and the filtered input z (n,) behind filters with a time constant of `time`
-    samples."""
+    """Columns phi (n, p) of motion, the first those of the plain drive, and the filtered input z (n,), after filters
+    with a time constant of `time` samples."""
 
     time: float
     phi: Floats
@@ -59,19 +61,19 @@ class View:
 
     @cached_property
     def theta(self) -> Floats:
-        """(4,): mass, viscous and Coulomb friction and load per unit of the input; 0 where nothing tells."""
+        """(p,): mass, viscous and Coulomb friction, load, further terms, per unit of the input; 0 if not visible."""
         return solved(self.phi, self.z)
 
     @cached_property
     def pieces(self) -> Floats:
-        """(PARTS, 4): theta of the record without one piece each."""
+        """(PARTS, p): theta of the record without one piece each."""
         edges = np.linspace(0, self.z.size, PARTS + 1).astype(int)
         rows = np.arange(self.z.size)
         kept = [(rows < a) | (rows >= b) for a, b in pairwise(edges)]
         return np.array([solved(self.phi[keep], self.z[keep]) for keep in kept])
 
     def sure(self, weights: Floats) -> float:
-        """A sum of the theta (4,) with weights (4,), in its standard deviations (jackknife over the pieces)."""
+        """A sum of the theta (p,) with weights (p,), in its standard deviations (jackknife over the pieces)."""
         value, others = float(self.theta @ weights), self.pieces @ weights
         spread = float(np.sqrt((PARTS - 1) / PARTS * np.sum((others - others.mean()) ** 2)))
         return value / spread if spread > 0 else float(np.sign(value)) * np.inf
@@ -91,9 +93,10 @@ class View:
 
     @property
     def friction_work(self) -> Floats:
-        """Weights (4,) of the power that friction takes from the motion."""
-        velocity = self.phi[:, VISCOUS]
-        return np.array([0.0, np.mean(velocity**2), np.mean(self.phi[:, COULOMB] * velocity), 0.0])
+        """Weights (p,) of the power that friction takes from the motion."""
+        velocity, weights = self.phi[:, VISCOUS], np.zeros(self.theta.size)
+        weights[VISCOUS], weights[COULOMB] = np.mean(velocity**2), np.mean(self.phi[:, COULOMB] * velocity)
+        return weights
 
 
 def solved(phi: Floats, z: Floats) -> Floats:
@@ -103,19 +106,22 @@ def solved(phi: Floats, z: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(phi / scale, z, rcond=1e-10)[0] / scale)
 
 
-def view(u: Floats, counts: Counts, encoder: Encoder, dt: float, time: float) -> View | None:
-    """The record behind filters of a time constant [samples]; None where they do not settle within it."""
-    method = LS(Drive(1.0, offset=True), replace(encoder, guard=False), dt, 1 / (time * dt))
+def view(u: Floats, counts: Counts, encoder: Encoder, dt: float, time: float, model: Drive = PLAIN) -> View | None:
+    """The record after filters of a time constant [samples], with the columns of a model with input gain 1; None if the
+    filters do not settle within the record."""
+    method = LS(model, replace(encoder, guard=False), dt, 1 / (time * dt))
     if u.size < max(method.settle_samples + PARTS * SHORTEST, ENOUGH * time):
         return None
     columns = method.columns(u, counts)
     return View(time, columns.phi, columns.z)
 
 
-def best_view(u: Floats, counts: Counts, encoder: Encoder, dt: float, lasting: float = 0.0) -> View | None:
+def best_view(
+    u: Floats, counts: Counts, encoder: Encoder, dt: float, lasting: float = 0.0, model: Drive = PLAIN
+) -> View | None:
     """The view in which most of the input is explained, of those whose motion lasts for more than so many time
     constants; None where the record is too short, or nothing moves."""
-    views = [view(u, counts, encoder, dt, time) for time in TIMES]
+    views = [view(u, counts, encoder, dt, time, model) for time in TIMES]
     moved = [one for one in views if one is not None and np.any(one.z) and np.any(one.phi[:, VISCOUS])]
     seen = [one for one in moved if one.moving > lasting * one.time]
     return min(seen, key=lambda one: one.unexplained) if seen else None
