@@ -119,7 +119,8 @@ def climb(difference: Difference, q: Floats, fixed: float | None, settled: float
     """Negative log-likelihood, q (q,) and noise [counts] at a maximum near q: damped Newton steps, with the best noise
     after each or a fixed one. settled: a step that gains less is the last one."""
     damping, step, gain = 1e-3, np.inf, np.inf
-    e, jacobian = difference(q), difference.jacobian(q)
+    e = difference(q)
+    jacobian = difference.forward_jacobian(q, e)
     noise = fixed or likeliest_noise(e)
     for _ in range(MAX_ITERATIONS):
         now, slope, curvature = cost(e, noise)
@@ -131,7 +132,7 @@ def climb(difference: Difference, q: Floats, fixed: float | None, settled: float
         gain = now - cost(e_trial, noise)[0]
         if gain > 0:
             step, q, e, damping = float(np.max(np.abs(trial - q))), trial, e_trial, damping / 10
-            noise, jacobian = fixed or likeliest_noise(e), difference.jacobian(q)
+            noise, jacobian = fixed or likeliest_noise(e), difference.forward_jacobian(q, e)
         else:
             damping *= 10
         if step < TOLERANCE or damping > MAX_DAMPING or 0 < gain < settled:
