@@ -11,15 +11,14 @@ import pytest
 from pmfid.errors import UsageError
 from pmfid.service.broker import BrokerSection
 from pmfid.service.sources.mqtt import MqttSection, MqttSource
-from pmfid.service.sources.opcua import OpcuaSection, OpcuaSource
 from pmfid.service.sources.serial import SerialSection, SerialSource
 from pmfid.service.wire.sender import Sender
 
-LIBRARIES = {"paho", "serial", "asyncua"}
+LIBRARIES = {"paho", "serial"}
 
 
 def test_sections_and_sources_are_imported_without_their_libraries() -> None:
-    modules = ("sources.mqtt", "sources.serial", "sources.opcua", "sources.execd", "wire.sender")
+    modules = ("sources.mqtt", "sources.serial", "sources.execd", "wire.sender")
     program = "\n".join(f"import pmfid.service.{module}" for module in modules)
     program += "\nimport sys\nprint(*{name.partition('.')[0] for name in sys.modules})"
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
@@ -27,23 +26,19 @@ def test_sections_and_sources_are_imported_without_their_libraries() -> None:
     assert "pmfid" in run.stdout.split()
 
 
-def made(library: str) -> MqttSource | SerialSource | OpcuaSource:
+def made(library: str) -> MqttSource | SerialSource:
     if library == "paho":
         return MqttSource("a", MqttSection(kind="mqtt", topics=("a",)), {}, lambda what: None)
-    if library == "serial":
-        section = SerialSection(kind="serial", port="nowhere", format="block")
-        return SerialSource("a", section, {}, lambda what: None)
-    axes = {"x1": {"nodes": {"u": "ns=2;s=u"}}}
-    nodes = OpcuaSection.model_validate({"kind": "opcua", "url": "opc.tcp://127.0.0.1:9", "axes": axes})
-    return OpcuaSource("a", nodes, {}, lambda what: None)
+    section = SerialSection(kind="serial", port="nowhere", format="block")
+    return SerialSource("a", section, {}, lambda what: None)
 
 
-@pytest.mark.parametrize(("library", "extra"), [("paho", "serve"), ("serial", "serve"), ("asyncua", "opcua")])
-def test_a_missing_extra_is_one_sentence(monkeypatch: pytest.MonkeyPatch, library: str, extra: str) -> None:
+@pytest.mark.parametrize("library", ["paho", "serial"])
+def test_a_missing_extra_is_one_sentence(monkeypatch: pytest.MonkeyPatch, library: str) -> None:
     for name in [name for name in sys.modules if name.partition(".")[0] == library]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(UsageError, match=rf"needs \S+: pip install 'pmfid\[{extra}\]'$"):
+    with pytest.raises(UsageError, match=r"needs \S+: pip install 'pmfid\[serve\]'$"):
         made(library).run(lambda delivery: True, None)
     if library == "paho":
         with pytest.raises(UsageError, match="pip install"):

@@ -161,23 +161,12 @@ def test_only_what_is_wanted_waits(host: Host) -> None:
     assert numbers(sink.got) == [2]
 
 
-def test_a_pace_writes_together_what_comes_within_it(host: Host) -> None:
-    sink = Faulty()
-    outlet = started(sink, host, Limits(pace=0.2))
-    for number in range(1, 101):
-        outlet.rows(block(GROUP, number))
-        time.sleep(0.0005)
-    assert outlet.close(20)
-    assert numbers(sink.got) == list(range(1, 101))
-    assert sink.puts < 20
-
-
 # --- errors -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("quick")
 def test_an_error_is_told_once_and_the_end_of_it_too(host: Host) -> None:
-    sink = Faulty(error=OSError(28, "No space left on device", "out.arrows"))
+    sink = Faulty(error=OSError(28, "No space left on device", "out.jsonl"))
     outlet = started(sink, host, Limits(rows=50))
     for number in range(1, 11):
         outlet.rows(block(GROUP, number))
@@ -191,7 +180,7 @@ def test_an_error_is_told_once_and_the_end_of_it_too(host: Host) -> None:
         "event": "sink",
         "sink": "s",
         "works": False,
-        "problem": "No space left on device: out.arrows",
+        "problem": "No space left on device: out.jsonl",
     }
     assert host.told[1] == {"event": "sink", "sink": "s", "works": True, "lost_rows": 50, "lost_notices": 0}
     assert host.count("pmfid_sink_working", sink="s") == 1

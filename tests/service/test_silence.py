@@ -314,10 +314,9 @@ def test_by_default_the_webhook_posts_both(told: list[Notice], tmp_path: Path) -
     assert events == ["alarm"] * 3 + ["cleared"] * 3
 
 
-@pytest.mark.parametrize("kind", ["line_protocol", "sqlite"])
+@pytest.mark.parametrize("kind", ["file", "sqlite"])
 def test_files_have_both(told: list[Notice], tmp_path: Path, kind: str) -> None:
-    keys = {"to": "a.lp"} if kind == "line_protocol" else {"path": "a.sqlite"}
-    outlet = SINKS[kind]().model_validate({"kind": kind, **keys}).outlet("a", Host(tmp_path))
+    outlet = SINKS[kind]().model_validate({"kind": kind, "path": f"a.{kind}"}).outlet("a", Host(tmp_path))
     outlet.start()
     for one in told:
         outlet.notice(one)
@@ -326,8 +325,8 @@ def test_files_have_both(told: list[Notice], tmp_path: Path, kind: str) -> None:
 
 
 def events_of(place: Path, kind: str) -> list[str]:
-    if kind == "line_protocol":
-        return re.findall(r"event=(\w+)", (place / "a.lp").read_text())
+    if kind == "file":
+        return re.findall(r'"event":"(\w+)"', (place / "a.file").read_text())
     return events_in(place / "a.sqlite")
 
 
@@ -415,8 +414,8 @@ kind = "file"
 path = "log.csv"
 axis = "x1"
 [sinks.lines]
-kind = "line_protocol"
-to = "folder/that/is/a/file/a.lp"
+kind = "file"
+path = "folder/that/is/a/file/a.jsonl"
 """
 
 
@@ -452,8 +451,10 @@ def test_a_service_tells_silence_once_over_a_restart_and_its_end(folder: Path) -
     second.run(back, lambda: second.until("cleared", times=3))
     first_told = dict(reversed(told_in_order(second)))
     assert first_told == dict.fromkeys(("axis", "sink", "source"), "cleared")
-    written = (folder / "folder/that/is/a/file/a.lp").read_text()
-    assert re.findall(r"event=(\w+),.*silent=.sink", written) == ["alarm", "cleared"], "once it works, it has it, too"
+    written = (folder / "folder/that/is/a/file/a.jsonl").read_text()
+    assert re.findall(r'"event":"(\w+)",.*"silent":"sink"', written) == ["alarm", "cleared"], (
+        "once it works, it has it, too"
+    )
 
 
 @pytest.mark.long
@@ -466,9 +467,9 @@ def test_the_plant_of_the_examples_is_silent_killed_and_back(
     broker = Broker(tmp_path / "broker").start()
     plant = plant_of(tmp_path, broker)
     with web_server() as server:
-        more = f'[sinks.hook]\nkind = "webhook"\nurl = "{server.url}"\n[sinks.lines]\nkind = "line_protocol"\n'
+        more = f'[sinks.hook]\nkind = "webhook"\nurl = "{server.url}"\n[sinks.lines]\nkind = "file"\n'
         text = plant.read_text().replace("[service]\n", "[service]\nsilence = 10.0\n")
-        plant.write_text(f'{text}\n{more}to = "a.lp"\nrows = false\n')
+        plant.write_text(f'{text}\n{more}path = "a.jsonl"\nrows = false\n')
         with service(plant, tmp_path / "first.jsonl") as served:
             stopped = sent(broker, 15.0)
             assert until(lambda: len(server.got) == 13, 30)
@@ -487,7 +488,7 @@ def test_the_plant_of_the_examples_is_silent_killed_and_back(
         posted = [json.loads(body)["event"] for _, _, body in server.got]
     by_sink = {
         "webhook": posted,
-        "line protocol": re.findall(r"event=(alarm|cleared)", (tmp_path / "a.lp").read_text()),
+        "file": re.findall(r'"event":"(alarm|cleared)"', (tmp_path / "a.jsonl").read_text()),
         "sqlite": events_in(next((tmp_path / "state").rglob("*.sqlite"))),
         "log": [e["event"] for name in ("first", "second") for e in both(tmp_path / f"{name}.jsonl")],
     }

@@ -15,8 +15,7 @@ from pmfid.session.toml_file import FileSection, validated
 from tests.service.feed import Host, alarm, block, kindred, until
 
 NEEDED: dict[str, dict[str, object]] = {
-    "arrow": {"folder": "rows"},
-    "line_protocol": {"to": "rows.lp"},
+    "file": {"path": "rows.jsonl"},
     "sqlite": {"path": "a.sqlite"},
     "webhook": {"url": "https://example.org"},
 }
@@ -57,7 +56,7 @@ def test_no_sink_brings_a_heavy_library_before_it_is_used() -> None:
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="this system has no /proc, where nobody can make files")
 @pytest.mark.parametrize(
     ("kind", "keys"),
-    [("arrow", {"folder": "/proc/rows"}), ("line_protocol", {"to": "/proc/a"}), ("sqlite", {"path": "/proc/a"})],
+    [("file", {"path": "/proc/a"}), ("sqlite", {"path": "/proc/a"})],
 )
 def test_a_folder_that_nothing_can_be_written_to_is_told_once_and_costs_only_what_is_dropped(
     kind: str, keys: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -77,4 +76,4 @@ def test_a_folder_that_nothing_can_be_written_to_is_told_once_and_costs_only_wha
     assert len(host.told) <= 2, "and once more at the end"
     assert host.count("pmfid_sink_working", sink="a") == 0
     rows, notices = (host.count(f"pmfid_dropped_{what}_total", sink="a") for what in ("rows", "notices"))
-    assert (rows, notices) == (0 if kind == "sqlite" else 300, 0 if kind == "arrow" else 100)
+    assert (rows, notices) == (0 if kind == "sqlite" else 300, 100)

@@ -12,7 +12,6 @@ from pydantic import Field
 from pmfid.service.delivery import Lines
 from pmfid.service.sources.execd import ExecdSection
 from pmfid.service.sources.mqtt import MqttSection
-from pmfid.service.sources.opcua import OpcuaSection
 from pmfid.service.sources.serial import SerialSection
 from pmfid.service.wire.messages import Messages
 from pmfid.service.wire.points import Readers
@@ -20,11 +19,11 @@ from pmfid.session.toml_file import FileSection, validated
 from tests.service.test_lines import axis
 
 PAGE = (Path(__file__).parents[2] / "docs" / "wire.md").read_text(encoding="utf-8")
-SECTIONS = (MqttSection, SerialSection, ExecdSection, OpcuaSection)
+SECTIONS = (MqttSection, SerialSection, ExecdSection)
 
 
 class Plant(FileSection):
-    sources: dict[str, MqttSection | SerialSection | ExecdSection | OpcuaSection] = Field(description="sources")
+    sources: dict[str, MqttSection | SerialSection | ExecdSection] = Field(description="sources")
 
 
 def test_the_sections_are_valid_and_every_kind_has_one() -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pmfid.service.context import SourceSection
 from pmfid.service.sinks.section import SinkSection
 
-__all__ = ["SINKS", "SOURCES"]
+__all__ = ["REMOVED", "SINKS", "SOURCES"]
 
 
 def _file() -> type[SourceSection]:
@@ -44,34 +44,16 @@ def _serial() -> type[SourceSection]:
     return SerialSection
 
 
-def _opcua() -> type[SourceSection]:
-    from pmfid.service.sources.opcua import OpcuaSection
+def _file_sink() -> type[SinkSection]:
+    from pmfid.service.sinks.file import FileSection
 
-    return OpcuaSection
-
-
-def _arrow() -> type[SinkSection]:
-    from pmfid.service.sinks.arrow import ArrowSection
-
-    return ArrowSection
-
-
-def _line_protocol() -> type[SinkSection]:
-    from pmfid.service.sinks.line_protocol import LineProtocolSection
-
-    return LineProtocolSection
+    return FileSection
 
 
 def _mqtt_sink() -> type[SinkSection]:
     from pmfid.service.sinks.mqtt import MqttSection
 
     return MqttSection
-
-
-def _plotjuggler() -> type[SinkSection]:
-    from pmfid.service.sinks.plotjuggler import PlotJugglerSection
-
-    return PlotJugglerSection
 
 
 def _sqlite() -> type[SinkSection]:
@@ -90,15 +72,20 @@ SOURCES: dict[str, Callable[[], type[SourceSection]]] = {
     "execd": _execd,
     "file": _file,
     "mqtt": _mqtt,
-    "opcua": _opcua,
     "serial": _serial,
     "stdin": _stdin,
 }
 SINKS: dict[str, Callable[[], type[SinkSection]]] = {
-    "arrow": _arrow,
-    "line_protocol": _line_protocol,
+    "file": _file_sink,
     "mqtt": _mqtt_sink,
-    "plotjuggler": _plotjuggler,
     "sqlite": _sqlite,
     "webhook": _webhook,
+}
+_BY_TELEGRAF = "use the kind mqtt or file, which Telegraf reads for any database"
+#: What other programs do as well, and how.
+REMOVED: dict[str, str] = {
+    "arrow": _BY_TELEGRAF,
+    "line_protocol": _BY_TELEGRAF,
+    "opcua": "use the kind execd with Telegraf's inputs.opcua",
+    "plotjuggler": "use the kind mqtt, to which PlotJuggler subscribes",
 }

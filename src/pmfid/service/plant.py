@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError, create_model
 
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.service.context import SourceSection
-from pmfid.service.kinds import SINKS, SOURCES
+from pmfid.service.kinds import REMOVED, SINKS, SOURCES
 from pmfid.service.sinks.section import SinkSection
 from pmfid.service.web.config import PageConfig
 from pmfid.session.model_config import Name
@@ -98,9 +98,8 @@ class Plant:
 
     @property
     def speaks(self) -> bool:
-        """Whether a source or a sink writes on standard output, where nothing else may then be."""
-        sections = [*self.sources.values(), *self.sinks.values()]
-        return any(getattr(one, "pass_on", False) or getattr(one, "to", None) == "stdout" for one in sections)
+        """Whether a source writes on standard output, where nothing else may then be."""
+        return any(getattr(one, "pass_on", False) for one in self.sources.values())
 
     @property
     def state(self) -> Path | None:
@@ -250,6 +249,8 @@ def _of_kind(
     if "kind" not in table:
         raise UsageError(f"[{where}.{name}] kind is missing; give one of {', '.join(kinds)}")
     kind = str(table["kind"])
+    if kind in REMOVED:
+        raise UsageError(f"[{where}.{name}] kind = {kind!r} was removed; {REMOVED[kind]} (docs/guide/service.md)")
     if kind not in kinds:
         raise UsageError(f"[{where}.{name}] kind = {kind!r} is none of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
     return _section(f"{where}.{name}", kinds[kind](), table)

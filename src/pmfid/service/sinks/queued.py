@@ -180,9 +180,8 @@ class Queued:
         return self._waiting.crowded or self._until_due() == 0
 
     def _until_due(self) -> float:
-        """Seconds until the pace lets the sink write again, or until it is to be looked after."""
-        pace = self._limits.pace if self._waiting else IDLE
-        return 0.0 if self._alone else max(self._taken_at + pace - time.monotonic(), 0.0)
+        """Seconds until there is something to write, or until the sink is to be looked after."""
+        return 0.0 if self._alone or self._waiting else max(self._taken_at + IDLE - time.monotonic(), 0.0)
 
     def _write(self, batch: Sequence[Entry]) -> None:
         if batch and self._trying is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 from pydantic import Field
 
@@ -40,11 +40,6 @@ class Host(Protocol):
 class SinkSection(FileSection):
     """Keys that every [sinks.NAME] may have."""
 
-    #: Events that are for this kind of sink, None for all; whether rows are; least time between two writes [s].
-    events_wanted: ClassVar[frozenset[str] | None] = None
-    rows_wanted: ClassVar[bool] = True
-    pace: ClassVar[float] = 0.0
-
     queue_rows: int = Field(100_000, ge=1, description="the number of rows that may wait; the oldest are dropped first")
     queue_mb: float = Field(64.0, gt=0, description="the size in MB of the rows that may wait, for example 64.0")
     queue_notices: int = Field(10_000, ge=1, description="the number of notices that may wait")
@@ -56,14 +51,14 @@ class SinkSection(FileSection):
 
     def wants_rows(self) -> bool:
         """Whether rows are for this sink."""
-        return self.rows_wanted
+        return True
 
     def wants_events(self) -> frozenset[str] | None:
         """Events that are for this sink; None for all."""
-        return self.events_wanted
+        return None
 
     def outlet(self, name: str, context: Host) -> Queued:
         """The sink behind its queue, not yet started. Raises UsageError, as `make`."""
-        limits = Limits(self.queue_rows, int(1e6 * self.queue_mb), self.queue_notices, pace=self.pace)
+        limits = Limits(self.queue_rows, int(1e6 * self.queue_mb), self.queue_notices)
         sink = self.make(name, context)
         return Queued(sink, context.counters, context.tell, limits, self.wants_rows(), self.wants_events())

@@ -7,7 +7,7 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -91,12 +91,14 @@ ALARM = (
 class SqliteSection(SinkSection):
     """[sinks.NAME] with kind = "sqlite"."""
 
-    rows_wanted: ClassVar[bool] = False
-
     kind: Literal["sqlite"] = Field("sqlite", description='"sqlite"')
     path: Name | None = Field(
         None, description='the file of the database, as "alarms.sqlite"; left out: NAME.sqlite where the state is kept'
     )
+
+    def wants_rows(self) -> bool:
+        """Events alone."""
+        return False
 
     def make(self, name: str, context: Host) -> SqliteSink:
         """The sink, not yet open."""

@@ -20,13 +20,12 @@ MOST_ENTRIES = 1024
 @dataclass(frozen=True)
 class Limits:
     """How much may wait for one sink: rows, bytes of rows, notices, each at least 1; take: rows that are handed to the
-    sink at once; pace: s from one time to the next, where whatever comes within is written together."""
+    sink at once."""
 
     rows: int = 100_000
     size: int = 64_000_000
     notices: int = 10_000
     take: int = 20_000
-    pace: float = 0.0
 
 
 class Lost(NamedTuple):

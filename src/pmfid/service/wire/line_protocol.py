@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from numbers import Integral
 from typing import Literal
 
 from pmfid.service.delivery import Unusable
 from pmfid.service.wire.points import MOST_POINTS, Point
 
-__all__ = ["PRECISIONS", "Measured", "Precision", "decode", "format_line", "parse_line"]
+__all__ = ["PRECISIONS", "Measured", "Precision", "decode", "parse_line"]
 
 Precision = Literal["ns", "us", "ms", "s"]
 #: Unit of the timestamps -> ns.
@@ -129,38 +127,3 @@ def _value(line: str, place: int) -> tuple[Field, int]:
 def _plain(name: str, special: str = ",= ") -> str:
     """A name without its escapes; a backslash before anything else is one."""
     return re.sub(rf"\\([{special}])", r"\1", name) if "\\" in name else name
-
-
-def format_line(
-    measurement: str, tags: Mapping[str, str], fields: Mapping[str, Field], time_ns: int | None = None
-) -> str:
-    """A line without its end, "" where no field can be written: numbers that are not finite, and texts that are empty
-    as tags, are left out, for line protocol has none of them. Line feeds in names become spaces."""
-    written = [(key, _written(value)) for key, value in fields.items() if key]
-    texts = [f"{_escaped(key)}={text}" for key, text in written if text]
-    if not texts or not measurement:
-        return ""
-    head = [_escaped(measurement, ", ")]
-    head += [f"{_escaped(key)}={_escaped(value)}" for key, value in sorted(tags.items()) if key and value]
-    return f"{','.join(head)} {','.join(texts)}" + ("" if time_ns is None else f" {time_ns}")
-
-
-def _written(value: Field) -> str:
-    """A value of a field; "" where it cannot be written."""
-    if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-        return f'"{re.sub(_BREAKS, " ", escaped)}"'
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, Integral) and -(2**63) <= value < 2**63:
-        return f"{int(value)}i"
-    return repr(float(value)) if abs(value) <= sys.float_info.max else ""
-
-
-_BREAKS = re.compile(r"[\n\r]")
-
-
-def _escaped(name: str, special: str = ",= ") -> str:
-    """A name with its escapes. A backslash that would escape what follows cannot be written: it becomes a slash."""
-    name = re.sub(rf"\\(?=[{special}]|$)", "/", re.sub(_BREAKS, " ", name))
-    return re.sub(rf"([{special}])", r"\\\1", name)

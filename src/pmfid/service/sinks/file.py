@@ -1,0 +1,104 @@
+"""Estimates and events as lines of JSON in a file that grows, for one machine without a broker."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from pmfid.service.outcome import Notice, Rows
+from pmfid.service.sinks.plain import as_json, notice_object, row_object, single_rows
+from pmfid.service.sinks.section import Host, SinkSection
+from pmfid.session.model_config import Name
+
+__all__ = ["FileSection", "FileSink"]
+
+
+class FileSection(SinkSection):
+    """[sinks.NAME] with kind = "file"."""
+
+    kind: Literal["file"] = Field("file", description='"file"')
+    path: Name = Field(description='the file, as "estimates.jsonl"')
+    rows: bool = Field(True, description="true for estimates and events, false for events alone")
+
+    def wants_rows(self) -> bool:
+        """As configured."""
+        return self.rows
+
+    def make(self, name: str, context: Host) -> FileSink:
+        """The sink, not yet open."""
+        return FileSink(name, context.folder / self.path)
+
+
+class FileSink:
+    """A line for each row, `{"axis":...,"number":...,"theta":{...},...}`, and for each notice, which has an `event`.
+
+    A file that was renamed or removed, as by a rotation of logs, is made again. The same lines may come twice after an
+    error or a restart; axis and number tell.
+    """
+
+    def __init__(self, name: str, path: Path) -> None:
+        self.name = name
+        self._path, self._file = path, -1
+
+    def open(self) -> None:
+        """Raises OSError where the file cannot be made."""
+        self.close()
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        # without O_NONBLOCK a named pipe that nobody reads could not be given up
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
+        self._file = os.open(self._path, flags, 0o666)
+        os.set_blocking(self._file, True)
+        self._end_line()
+
+    def _end_line(self) -> None:
+        """A line that a kill cut off gets its end, so that it spoils no other."""
+        if not stat.S_ISREG(os.fstat(self._file).st_mode):
+            return
+        with open(self._path, "rb") as file:
+            if file.seek(0, os.SEEK_END) > 0:
+                file.seek(-1, os.SEEK_END)
+                if file.read(1) != b"\n":
+                    _write_all(self._file, b"\n")
+
+    def put(self, outcomes: list[Rows | Notice]) -> None:
+        """Raises OSError where the lines cannot be written: then a regular file has none of them."""
+        if not self._is_there():
+            self.open()
+        state = os.fstat(self._file)
+        try:
+            _write_all(self._file, "".join(_lines(one) for one in outcomes).encode())
+        except OSError:
+            if stat.S_ISREG(state.st_mode):
+                os.ftruncate(self._file, state.st_size)
+            raise
+
+    def _is_there(self) -> bool:
+        """Whether the file that is open is still the one of that name."""
+        try:
+            return os.path.samestat(os.stat(self._path), os.fstat(self._file))
+        except FileNotFoundError:
+            return False
+
+    def close(self) -> None:
+        """The file can be opened again."""
+        file, self._file = self._file, -1
+        if file >= 0:
+            os.close(file)
+
+
+def _lines(outcome: Rows | Notice) -> str:
+    if isinstance(outcome, Notice):
+        return f"{as_json(notice_object(outcome))}\n"
+    names = outcome.group.names
+    return "".join(f"{as_json({'axis': row.axis, **row_object(row, names)})}\n" for row in single_rows(outcome))
+
+
+def _write_all(file: int, data: bytes) -> None:
+    """Writes to the last byte; what is written when an OSError comes stays."""
+    left = memoryview(data)
+    while left:
+        left = left[os.write(file, left) :]
