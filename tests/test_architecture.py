@@ -114,7 +114,7 @@ PUBLIC = [
 
 SLOW_TO_IMPORT = {
     *("numpy", "scipy", "pydantic", "polars", "matplotlib", "rich"),
-    *("starlette", "uvicorn", "paho", "serial"),
+    *("starlette", "uvicorn", "paho", "prometheus_client", "serial"),
     *("pyspark", "py4j", "pyarrow", "pandas"),
 }
 

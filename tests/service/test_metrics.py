@@ -92,34 +92,47 @@ def test_names_that_the_format_does_not_know_are_mended() -> None:
     assert samples["pmfid_level__", (("_1", "y"), ("a_label", "x"))] == 1
 
 
+def process_levels() -> dict[str, float]:
+    samples, _, _ = parsed(metrics.exposition(Counters()))
+    return {name: value for (name, _), value in samples.items()}
+
+
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="this system has no /proc")
 def test_the_figures_of_the_process(tmp_path: Path) -> None:
-    before = metrics.process_levels()
+    before = process_levels()
     size = 30_000_000
     fresh = mmap.mmap(-1, size)  # memory that the process cannot have had before
     fresh.write(bytes(size))
     files = [open(tmp_path / str(k), "w") for k in range(5)]  # noqa: SIM115
-    after = metrics.process_levels()
+    after = process_levels()
     for file in files:
         file.close()
     fresh.close()
     assert after["process_open_fds"] == before["process_open_fds"] + 5
     assert after["process_resident_memory_bytes"] > before["process_resident_memory_bytes"] + 0.8 * size
+    assert after["process_virtual_memory_bytes"] > after["process_resident_memory_bytes"]
     assert after["process_cpu_seconds_total"] > before["process_cpu_seconds_total"]
     assert after["process_start_time_seconds"] == pytest.approx(os.stat("/proc/self").st_ctime, abs=5)
     assert after["process_threads"] >= 1
-    assert after["process_max_fds"] > after["process_open_fds"]
-    samples, _, types = parsed(metrics.exposition(Counters()))
-    assert samples["process_open_fds", ()] > 3
+    assert after["process_max_fds"] > after["process_open_fds"] > 3
+    _, _, types = parsed(metrics.exposition(Counters()))
     assert types["process_cpu_seconds_total"] == "counter"
 
 
 def test_a_system_without_proc_says_less(monkeypatch: pytest.MonkeyPatch) -> None:
-    def nothing(own: Path) -> dict[str, float]:
-        raise FileNotFoundError(own)
+    def nothing(*_: object) -> None:
+        raise FileNotFoundError
 
-    monkeypatch.setattr(metrics, "_of_proc", nothing)
-    assert set(metrics.process_levels()) == {"process_cpu_seconds_total", "process_start_time_seconds"}
+    monkeypatch.setattr(metrics.ProcessCollector, "_boot_time", nothing)
+    monkeypatch.setattr(metrics.os, "listdir", nothing)
+    assert set(process_levels()) == {"process_cpu_seconds_total", "process_start_time_seconds"}
+
+
+def test_a_name_that_is_no_utf8_is_written() -> None:
+    counters = Counters()
+    counters.put("pmfid_axes", 3, config="cart\udcff.toml")
+    samples, _, _ = parsed(metrics.exposition(counters))
+    assert samples["pmfid_axes", (("config", "cart?.toml"),)] == 3
 
 
 def test_the_parser_is_strict() -> None:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterable
 
-from pmfid.service.counters import Counters, Labels
+from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
+from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
 
-__all__ = ["CONTENT_TYPE", "HELP", "exposition", "process_levels"]
+from pmfid.service.counters import Counters
 
-CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+__all__ = ["HELP", "exposition"]
 
 #: What a name means, for those that the service counts; others get their name in words.
 HELP: dict[str, str] = {
@@ -51,13 +52,6 @@ HELP: dict[str, str] = {
     "pmfid_source_silent": "1 while there is an alarm that nothing comes from a source, else 0.",
     "pmfid_source_working": "1 while a source that had a problem works again, 0 while it has one.",
     "pmfid_unusable_total": "What came and was no sample, by reason.",
-    "process_cpu_seconds_total": "CPU time of the process, in seconds.",
-    "process_open_fds": "Open files and connections of the process.",
-    "process_max_fds": "Most files and connections that the process may have open.",
-    "process_resident_memory_bytes": "Memory of the process that is resident, in bytes.",
-    "process_virtual_memory_bytes": "Address space of the process, in bytes.",
-    "process_threads": "Threads of the process.",
-    "process_start_time_seconds": "When the process started, in seconds since 1970.",
 }
 
 #: When this module was first needed: the start of the process where the system does not say.
@@ -67,73 +61,46 @@ _LOADED = time.time()
 def exposition(counters: Counters) -> str:
     """All that is counted, and the figures of the process: families by name, a HELP and a TYPE line for each; what ends
     in `_total` is a counter, all else a gauge."""
-    values = dict(counters.values()) | {(name, ()): value for name, value in process_levels().items()}
-    families: dict[str, list[tuple[Labels, float]]] = {}
-    for (name, labels), value in values.items():
-        families.setdefault(_legal(name, ":"), []).append((labels, value))
-    lines = (line for name in sorted(families) for line in _family(name, families[name]))
-    return "\n".join(lines) + "\n"
+    registry = CollectorRegistry()
+    registry.register(_Counted(counters))
+    registry.register(_Process(registry=None))
+    return generate_latest(registry).decode()
 
 
-def _family(name: str, samples: list[tuple[Labels, float]]) -> Iterator[str]:
-    words = HELP.get(name, f"{name.removeprefix('pmfid_').replace('_', ' ').capitalize()}.")
-    yield f"# HELP {name} {words.replace(chr(92), chr(92) * 2).replace(chr(10), chr(92) + 'n')}"
-    yield f"# TYPE {name} {'counter' if name.endswith('_total') else 'gauge'}"
-    for labels, value in sorted(samples):
-        yield f"{name}{_labelled(labels)} {_number(value)}"
+class _Counted(Collector):
+    def __init__(self, counters: Counters) -> None:
+        self._counters = counters
+
+    def collect(self) -> Iterable[Metric]:
+        families: dict[str, Metric] = {}
+        for (name, labels), value in sorted(self._counters.values().items()):
+            name = _legal(name)
+            if name not in families:
+                words = HELP.get(name, f"{name.removeprefix('pmfid_').replace('_', ' ').capitalize()}.")
+                kind = CounterMetricFamily if name.endswith("_total") else GaugeMetricFamily
+                families[name] = kind(name, words)
+            # a lone surrogate, as in the name of a file, is no UTF-8
+            texts = {_legal(label): text.encode("utf-8", "replace").decode() for label, text in labels}
+            families[name].add_sample(name, texts, value)
+        return families.values()
 
 
-def _labelled(labels: Labels) -> str:
-    pairs = (f'{_legal(label, "")}="{_escaped(value)}"' for label, value in labels)
-    return f"{{{','.join(pairs)}}}" if labels else ""
+class _Process(ProcessCollector):
+    """With the threads of the process; a system without /proc tells its CPU time alone."""
+
+    def collect(self) -> Iterable[Metric]:
+        found = list(super().collect())
+        if not any(metric.name == "process_cpu_seconds" for metric in found):
+            found.append(CounterMetricFamily("process_cpu_seconds", "CPU time in seconds.", time.process_time()))
+            found.append(GaugeMetricFamily("process_start_time_seconds", "Start of the process, since 1970.", _LOADED))
+        try:
+            threads = len(os.listdir("/proc/self/task"))
+        except OSError:
+            return found
+        return [*found, GaugeMetricFamily("process_threads", "Threads of the process.", threads)]
 
 
-def _legal(name: str, also: str) -> str:
-    """A name with only letters, digits, underscores and those of `also`; the first is no digit."""
-    legal = re.sub(rf"[^a-zA-Z0-9_{also}]", "_", name)
+def _legal(name: str) -> str:
+    """A name with only letters, digits and underscores; the first is no digit."""
+    legal = re.sub(r"[^a-zA-Z0-9_]", "_", name)
     return f"_{legal}" if legal[:1].isdigit() or not legal else legal
-
-
-def _escaped(value: str) -> str:
-    text = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-    return text.encode("utf-8", "replace").decode()  # a lone surrogate is no UTF-8
-
-
-def _number(value: float) -> str:
-    if value != value:
-        return "NaN"
-    if value in (float("inf"), float("-inf")):
-        return "+Inf" if value > 0 else "-Inf"
-    return repr(int(value)) if value == int(value) and abs(value) < 1e15 else repr(float(value))
-
-
-def process_levels() -> Mapping[str, float]:
-    """What Prometheus's own clients tell of a process, as far as the system has it: CPU time, memory, open files."""
-    levels = {"process_cpu_seconds_total": time.process_time(), "process_start_time_seconds": _LOADED}
-    try:
-        return levels | _of_proc(Path("/proc/self"))
-    except (OSError, ValueError, IndexError):  # a system without /proc, or without a descriptor left to read it
-        return levels
-
-
-def _of_proc(own: Path) -> dict[str, float]:
-    page, ticks = os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_CLK_TCK")
-    pages = own.joinpath("statm").read_text(encoding="ascii").split()
-    # behind the name of the command, which may hold anything
-    fields = own.joinpath("stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
-    booted = re.search(r"^btime (\d+)$", Path("/proc/stat").read_text(encoding="ascii"), re.MULTILINE)
-    found = {
-        "process_virtual_memory_bytes": float(int(pages[0]) * page),
-        "process_resident_memory_bytes": float(int(pages[1]) * page),
-        "process_threads": float(fields[17]),
-        "process_open_fds": float(len(os.listdir(own / "fd")) - 1),  # one is that of the listing
-        **_most_files(own),
-    }
-    if booted:
-        found["process_start_time_seconds"] = int(booted[1]) + int(fields[19]) / ticks
-    return found
-
-
-def _most_files(own: Path) -> dict[str, float]:
-    limit = re.search(r"^Max open files\s+(\d+)", own.joinpath("limits").read_text(encoding="ascii"), re.MULTILINE)
-    return {"process_max_fds": float(limit[1])} if limit else {}

@@ -213,7 +213,6 @@ class Service:
         config = page_config(plant)
         if not config.enabled:
             return
-        from pmfid.service.metrics import exposition
         from pmfid.service.web.server import serve
 
         self._page = serve(
@@ -224,9 +223,14 @@ class Service:
             self._engine.commands,
             folder=plant.folder,
             reference=self._reference,
-            metrics=lambda: exposition(self.counters),
+            metrics=self._metrics,
             alive=self._alive,
         )
+
+    def _metrics(self) -> str:
+        from pmfid.service.metrics import exposition
+
+        return exposition(self.counters)
 
     def _alive(self) -> bool:
         """Whether the engine comes by."""

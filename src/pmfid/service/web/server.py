@@ -108,6 +108,7 @@ def serve(
 
 def _check_extra() -> None:
     try:
+        import prometheus_client  # noqa: F401
         import starlette  # noqa: F401
         import uvicorn  # noqa: F401
     except ImportError:
