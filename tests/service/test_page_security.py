@@ -132,7 +132,7 @@ def test_an_empty_token_opens_nothing_where_none_is_configured() -> None:
 
 
 def test_files_are_open_and_hold_no_token(page: Served) -> None:
-    for path in ("/", "/app.js", "/vendor/uPlot.js", "/vendor/uPlot-LICENSE.txt"):
+    for path in ("/", "/app.js", "/vendor/uPlot.iife.min.js", "/vendor/uPlot-LICENSE.txt"):
         status, _, body = page.ask(path, token=None)
         assert status == 200
         assert page.token.encode() not in body

@@ -1,9 +1,8 @@
 // Charts of one axis: a line, a band around it, a level that it is measured from; one range of time and one cursor for
-// all of them.
+// all of them. uPlot is a global of vendor/uPlot.iife.min.js.
 import { el, say } from "./dom.js";
 import { isWall, moment, number } from "./format.js";
 import { colour } from "./theme.js";
-import uPlot from "./vendor/uPlot.js";
 
 const HEIGHT = 170, LABELS = 70;
 
