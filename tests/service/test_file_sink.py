@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmfid.service.sinks.file import FileSection, FileSink
+from pmfid.service.sinks.file import FileSinkSection, FileSink
 from tests.service.feed import Host, alarm, block, kindred, notice
 from tests.service.test_sqlite_sink import full_at
 
@@ -21,7 +21,7 @@ GROUP = kindred(2)
 
 
 def opened(path: str, folder: Path) -> FileSink:
-    sink = FileSection(path=path).make("lines", Host(folder))
+    sink = FileSinkSection(path=path).make("lines", Host(folder))
     sink.open()
     return sink
 
@@ -63,7 +63,7 @@ def test_a_notice_is_a_line_with_its_event(tmp_path: Path) -> None:
 
 
 def test_events_alone_are_written_where_rows_are_not_wanted(tmp_path: Path) -> None:
-    outlet = FileSection(path="events.jsonl", rows=False).outlet("lines", Host(tmp_path))
+    outlet = FileSinkSection(path="events.jsonl", rows=False).outlet("lines", Host(tmp_path))
     outlet.start()
     outlet.rows(block(GROUP, 1))
     outlet.notice(alarm(2))
@@ -123,7 +123,7 @@ def test_a_pipe_that_nobody_reads_holds_up_only_its_sink(tmp_path: Path) -> None
 
     reader = threading.Thread(target=read, daemon=True)
     reader.start()
-    outlet = FileSection(path="pipe", queue_rows=100).outlet("lines", Host(tmp_path))
+    outlet = FileSinkSection(path="pipe", queue_rows=100).outlet("lines", Host(tmp_path))
     outlet.start()
     for number in range(1, 500):
         outlet.rows(block(GROUP, number))

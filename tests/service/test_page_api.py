@@ -15,9 +15,9 @@ from pmfid.monitor.events import STATES
 from pmfid.service.board import Board
 from pmfid.service.counters import Counters
 from pmfid.service.outcome import Kindred
+from pmfid.service.web.api import csv_of
 from pmfid.service.web.hub import Feed, Hub
 from pmfid.service.web.packed import json_line, packed, packed_rows
-from pmfid.service.web.reference import csv_of
 from pmfid.session.records import Record
 from tests.service.fake_engine import DT, FakePlant, troubled
 from tests.service.loopback import Served, served, until

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from pmfid.service.web import brake
-from pmfid.service.web.brake import FREE, WINDOW, Brake
+from pmfid.service.web import security
+from pmfid.service.web.security import FREE, WINDOW, Brake
 from tests.service.chromium import chromium, tab
 from tests.service.fake_engine import FakePlant
 from tests.service.loopback import Served, served
@@ -82,7 +82,7 @@ def test_an_address_of_the_same_network_is_the_same_one() -> None:
 
 
 def test_memory_is_bounded_and_the_latest_are_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(brake, "ADDRESSES", 100)
+    monkeypatch.setattr(security, "ADDRESSES", 100)
     one = Brake(Clock())
     for _ in range(FREE):
         one.wrong("192.0.2.7")

@@ -15,7 +15,7 @@ import pytest
 from pmfid.errors import UsageError
 from pmfid.service.board import Board
 from pmfid.service.counters import Counters
-from pmfid.service.web import brake, connection
+from pmfid.service.web import connection, security
 from pmfid.service.web.config import PageConfig
 from pmfid.service.web.security import LARGEST_BODY
 from pmfid.service.web.server import serve
@@ -34,7 +34,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     file.chmod(0o600)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(connection, "Limits", partial(connection.Limits, request=0.6, stuck=0.3))
-        patch.setattr(brake, "FREE", 10_000)  # test_page_guesses.py is about more wrong tokens
+        patch.setattr(security, "FREE", 10_000)  # test_page_guesses.py is about more wrong tokens
         plant = FakePlant(12)
         plant.run(5)
         with served(plant, read_token_file=str(file), browsers=3) as found:

@@ -15,9 +15,9 @@ from tests.service.test_serve import PLANT, folder  # noqa: F401 a fixture
 #: `pmfid serve` that calls a pause of half a second one.
 PROGRAM = """
 import sys
-from pmfid.service import standing
+from pmfid.service import process
 from pmfid.session.monitored import setup
-standing.STOOD = 0.5
+process.STOOD = 0.5
 setup.simulated_hours = lambda hours: 0.5
 from pmfid.cli.main import main
 main(["serve", sys.argv[1], "--json"])

@@ -352,9 +352,9 @@ def test_the_log_says_it_for_people(told: list[Notice]) -> None:
 def test_the_metrics_have_it_in_words(watched: Watched) -> None:
     watched.run(LIMIT + 5, other="")
     text = exposition(watched.engine.counters)
-    assert 'pmfid_axes_silent{group="axis.toml"} 3\n' in text
-    assert 'pmfid_source_silent{source="hall"} 1\n' in text
-    assert 'pmfid_sink_silent{sink="db"} 0\n' in text
+    assert 'pmfid_axes_silent{group="axis.toml"} 3.0\n' in text
+    assert 'pmfid_source_silent{source="hall"} 1.0\n' in text
+    assert 'pmfid_sink_silent{sink="db"} 0.0\n' in text
 
 
 # --- a sink behind its queue ------------------------------------------------------------------------------------------

@@ -14,8 +14,8 @@ from pmfid.service.checkpoint import read_snapshot, snapshot
 from pmfid.service.counters import Counters
 from pmfid.service.delivery import Block, Delivery, Item, Lines, Table, one_by_one
 from pmfid.service.engine import Engine
-from pmfid.service.expected import take_expected
 from pmfid.service.groups import Pace, Prepared
+from pmfid.service.intake import take_expected
 from pmfid.service.order import Order
 from pmfid.session.monitored.timeline import Line
 from pmfid.simulation import CART_DT

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 from pydantic import Field
 
 from pmfid.service.delivery import Lines
+from pmfid.service.kinds import SINKS, SOURCES
 from pmfid.service.sources.execd import ExecdSection
 from pmfid.service.sources.mqtt import MqttSection
 from pmfid.service.sources.serial import SerialSection
-from pmfid.service.wire.messages import Messages
-from pmfid.service.wire.points import Readers
+from pmfid.service.web.config import PORT
+from pmfid.service.wire.layout import MOST_SAMPLES
+from pmfid.service.wire.messages import LARGEST, Messages
+from pmfid.service.wire.points import MOST_POINTS, Readers
 from pmfid.session.toml_file import FileSection, validated
 from tests.service.test_lines import axis
 
-PAGE = (Path(__file__).parents[2] / "docs" / "wire.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8")
+GUIDE = (ROOT / "docs" / "guide" / "service.md").read_text(encoding="utf-8")
 SECTIONS = (MqttSection, SerialSection, ExecdSection)
 
 
@@ -51,6 +57,23 @@ def test_the_samples_are_read(tmp_path: Path, form: str) -> None:
 def test_limits_are_those_of_the_code() -> None:
     defaults = {name: field.default for name, field in MqttSection.model_fields.items()}
     assert (defaults["receive_maximum"], defaults["keepalive"], defaults["session"]) == (20_000, 60, 86_400)
-    assert defaults["largest"] == 2**20
+    assert defaults["largest"] == LARGEST == 2**20
+    assert "| `largest` of the source | 1 MiB |" in PAGE
+    assert f"n, samples: 1 to {MOST_SAMPLES} |" in PAGE
+    assert f"at most {MOST_POINTS:_} samples".replace("_", " ") in PAGE.replace("\n", " ")
     rows = re.findall(r"^\| `(\w+)` of the source \| ([\d ]+) ", PAGE, re.MULTILINE)
     assert [(name, int(value.replace(" ", ""))) for name, value in rows[:1]] == [("receive_maximum", 20_000)]
+
+
+@pytest.mark.parametrize(("heading", "kinds"), [("What comes in", SOURCES), ("What goes out", SINKS)])
+def test_the_guide_has_every_kind_and_no_other(heading: str, kinds: Mapping[str, object]) -> None:
+    (part,) = re.findall(rf"^## {heading}\n\n(.*?)\n\n", GUIDE, re.DOTALL | re.MULTILINE)
+    assert sorted(re.findall(r"^\| `(\w+)` \|", part, re.MULTILINE)) == sorted(kinds)
+
+
+@pytest.mark.parametrize(
+    "page", ["deploy/Containerfile", "docs/guide/service.md", "docs/wire.md", "examples/plant.toml"]
+)
+def test_the_port_is_that_of_the_code(page: str) -> None:
+    ports = re.findall(r"127\.0\.0\.1:(8\d{3})\b", (ROOT / page).read_text(encoding="utf-8"))
+    assert set(ports) == {str(PORT)}

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @click.option(
     "--state", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Keep checkpoints there."
 )
-@click.option("--port", type=click.IntRange(0, 65535), help="Of the page on 127.0.0.1; 8127 if left out.")
+@click.option("--port", type=click.IntRange(0, 65535), help="Of the page; left out: see `pmfid explain page.port`.")
 @click.option("--no-page", is_flag=True, help="Serve no page.")
 @click.option("--until-end", is_flag=True, help="End when all sources have ended.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per event.")

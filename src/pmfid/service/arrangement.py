@@ -1,22 +1,26 @@
-"""Which axis is in which group: at the start, after a restart, and when PLANT.toml has changed."""
+"""Which axis is in which group: at the start, after a restart, and when PLANT.toml has changed; and what configurations
+the axes had, since when: part of a checkpoint, and told to the sinks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import monotonic
+from time import monotonic, time
 from typing import Any
 
 from pmfid.errors import PmfidError
+from pmfid.service.engine import Engine
 from pmfid.service.groups import Group, Pace, Prepared, prepare
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.records import Record
 
-__all__ = ["Configurations", "arranged"]
+__all__ = ["Configurations", "arranged", "remember", "tell_configurations"]
 
 #: The progress of a calibration is told so often [s].
 PROGRESS = 10.0
+#: Of the last so many it is known whether they are there already, and so many are kept.
+RECENT, MOST = 100, 1000
 
 Tell = Callable[[dict[str, Any]], None]
 
@@ -90,3 +94,23 @@ def arranged(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: Pace) 
         made.append(group)
         fresh += new
     return made, fresh
+
+
+def remember(engine: Engine) -> None:
+    """What configurations there are since when."""
+    known = {entry["digest"] for entry in engine.history[-RECENT:]}
+    for group in engine.groups:
+        if group.prepared.digest not in known:
+            entry = {"wall": time(), "config": group.kindred.config, "digest": group.prepared.digest}
+            nominal = dict(zip(group.kindred.names, group.kindred.nominal.tolist(), strict=True))
+            engine.history.append({**entry, "nominal": nominal})
+    del engine.history[:-MOST]
+
+
+def tell_configurations(engine: Engine) -> None:
+    """To the sinks: they keep what differs from the time before."""
+    present = {group.prepared.digest for group in engine.groups}
+    for entry in engine.history:
+        if entry["digest"] in present:
+            told = {key: entry[key] for key in ("config", "digest", "nominal")}
+            engine.notices.own("", {"event": "configuration", **told})

@@ -16,8 +16,10 @@ from pmfid.session.toml_file import FileSection
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
-__all__ = ["BrokerSection", "new_client", "pauses"]
+__all__ = ["PORT", "TLS_PORT", "BrokerSection", "new_client", "pauses"]
 
+#: Of a broker, and of one with TLS.
+PORT, TLS_PORT = 1883, 8883
 #: Seconds until an attempt to connect is given up.
 _CONNECTING = 10.0
 
@@ -28,7 +30,7 @@ class BrokerSection(FileSection):
     """Keys of a section that names a broker."""
 
     host: Text = Field("127.0.0.1", description="the name or address of the broker")
-    port: int | None = Field(None, ge=1, le=65535, description="its port, or leave it out: 1883, with TLS 8883")
+    port: int | None = Field(None, ge=1, le=65535, description=f"its port; left out: {PORT}, with TLS {TLS_PORT}")
     keepalive: int = Field(60, ge=5, le=65535, description="the seconds after which a silent connection is a dead one")
     user: Text | None = Field(None, description="the user's name, or leave it out")
     password_env: Text | None = Field(None, description="the environment variable that holds the password")
@@ -75,7 +77,7 @@ class BrokerSection(FileSection):
 
     @property
     def address(self) -> tuple[str, int]:
-        return self.host, self.port or (8883 if self.encrypted else 1883)
+        return self.host, self.port or (TLS_PORT if self.encrypted else PORT)
 
 
 def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges: bool = False) -> Client:

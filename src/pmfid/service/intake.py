@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.service.clock import due, fits, right, runs
 from pmfid.service.counters import Counters
 from pmfid.service.delivery import Block, Delivery, Lines, Table, Unusable
-from pmfid.service.expected import take_expected
 from pmfid.service.groups import Group, Seat
 from pmfid.service.order import Piece, Verdict
+from pmfid.service.positions import Positions
 from pmfid.service.seating import Seating, Seatings, Tables
 from pmfid.service.stepping import Found
 from pmfid.service.waiting import Batch, Waiting
 from pmfid.types import Flags, Floats
 
-__all__ = ["Intake", "Ordered"]
+__all__ = ["Intake", "Ordered", "take_expected"]
 
 
 @dataclass
@@ -182,3 +183,34 @@ def _batch(table: Table, taken: Flags, index: NDArray[np.int64], turns: NDArray[
     at = index[rows]
     offset = np.zeros(at.size, np.int64)
     return Batch(at, table.u[rows], table.counts[rows], table.time[rows], offset, turns[rows], received[rows])
+
+
+# --- blocks of many axes that are all what was expected: taken at once ------------------------------------------------
+
+
+def take_expected(positions: Positions, dt: float, index: NDArray[np.int64], table: Table) -> Flags:
+    """Takes of a table those blocks that are what was expected next, and of which there is nothing to tell: what
+    `Order.take` does with each of these, for all at once. index: (k,) their axes, each once, -1 where there is none.
+    Returns (k,) which they are."""
+    n, known = table.counts.shape[1], positions
+    samples, time = table.first - known.first[index], table.time - known.start[index]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        measured = due(samples, time)
+        at_rate = np.logical_not(measured) | (right(time / (samples * dt)) & ~known.told[index])
+        taken = _expected(known, dt, index, table) & (np.isnan(table.time) | at_rate)
+    known.expected[index[taken]] = table.first[taken] + n
+    timed = taken & ~np.isnan(table.time)
+    known.time[index[timed]], known.number[index[timed]] = table.time[timed] + n * dt, table.first[timed] + n
+    renewed = timed & measured
+    known.start[index[renewed]], known.first[index[renewed]] = table.time[renewed], table.first[renewed]
+    return taken
+
+
+def _expected(positions: Positions, dt: float, index: NDArray[np.int64], table: Table) -> Flags:
+    """But for the rate of their clocks."""
+    known, first, time = positions, table.first, table.time
+    off = time - known.time[index] - (first - known.number[index]) * dt
+    quiet = np.logical_or(np.isnan(time), runs(off))
+    next_one = (table.epoch == known.epoch[index]) & (first == known.expected[index]) & ~known.waits[index]
+    found: Flags = np.logical_and((index >= 0) & next_one & quiet, fits(table.dt, dt))
+    return found

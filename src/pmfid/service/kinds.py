@@ -45,9 +45,9 @@ def _serial() -> type[SourceSection]:
 
 
 def _file_sink() -> type[SinkSection]:
-    from pmfid.service.sinks.file import FileSection
+    from pmfid.service.sinks.file import FileSinkSection
 
-    return FileSection
+    return FileSinkSection
 
 
 def _mqtt_sink() -> type[SinkSection]:

@@ -151,7 +151,7 @@ def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, ob
     if not piped:
         raw = {"kind": "file", "axis": name, "path": str(source.absolute()), "speed": speed}
     sources = {"input" if piped else "record": _of_kind("sources", "input" if piped else "record", raw, SOURCES)}
-    own = {"name": name, "window": 0.0, "every": 0.1, "silence": 60.0 if piped else 0.0}  # a record has an end
+    own = {"name": name, "window": 0.0, "every": 0.1} | ({} if piped else {"silence": 0.0})  # a record has an end
     service = _section("service", ServiceSection, own | dict(given or {}))
     return Plant(config.parent, service, {name: config}, sources)
 

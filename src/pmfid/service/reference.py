@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from pmfid.service.kinds import SINKS, SOURCES
 from pmfid.service.plant import AxisSection, FleetSection, ServiceSection
-from pmfid.service.web.config import PageConfig
+from pmfid.service.web.config import HERE, PORT, PageConfig
 from pmfid.session.reference import Entry, keys_in, tables
 
 __all__ = ["plant_entries", "plant_page", "without_names"]
@@ -15,7 +15,7 @@ __all__ = ["plant_entries", "plant_page", "without_names"]
 _KEY = "key of PLANT.toml"
 _ABOUT = {
     "service": "The service as a whole.",
-    "page": "Without this section there is a page on 127.0.0.1:8127.",
+    "page": f"Without this section there is a page on {HERE}:{PORT}.",
     "axes": "A section for each axis, `[axes.NAME]`.",
     "fleets": "A section for each group of axes that are alike, `[fleets.NAME]`.",
     "sources": 'A section for each source, `[sources.NAME]`, with `kind = "{kind}"`.',

@@ -10,23 +10,20 @@ from threading import Thread
 from typing import Any
 
 from pmfid.errors import PmfidError, UsageError
-from pmfid.service.arrangement import Configurations, arranged
+from pmfid.service.arrangement import Configurations, arranged, remember, tell_configurations
 from pmfid.service.board import Board
 from pmfid.service.checkpoint import Snapshot, read_snapshot
 from pmfid.service.context import Context
 from pmfid.service.counters import Counters
 from pmfid.service.engine import Engine
 from pmfid.service.groups import Group, Pace, Prepared
-from pmfid.service.history import remember, tell_configurations
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.log import Log
 from pmfid.service.outcome import Notice, Outlet
 from pmfid.service.plant import Plant, page_config
+from pmfid.service.process import Signals, Standing, notify
 from pmfid.service.running import Sources
-from pmfid.service.signals import Signals
 from pmfid.service.sinks.queued import Queued
-from pmfid.service.standing import Standing
-from pmfid.service.systemd import notify
 from pmfid.service.vault import Vault
 from pmfid.service.web.server import Page
 from pmfid.session.config import Axis

@@ -14,10 +14,10 @@ from pmfid.service.sinks.plain import as_json, notice_object, row_object, single
 from pmfid.service.sinks.section import Host, SinkSection
 from pmfid.session.model_config import Name
 
-__all__ = ["FileSection", "FileSink"]
+__all__ = ["FileSinkSection", "FileSink"]
 
 
-class FileSection(SinkSection):
+class FileSinkSection(SinkSection):
     """[sinks.NAME] with kind = "file"."""
 
     kind: Literal["file"] = Field("file", description='"file"')

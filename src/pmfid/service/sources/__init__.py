@@ -7,7 +7,10 @@ from typing import Protocol
 
 from pmfid.service.delivery import Delivery, Mark
 
-__all__ = ["Source", "Take"]
+__all__ = ["CHUNK", "Source", "Take"]
+
+#: Bytes that are read at once.
+CHUNK = 65_536
 
 #: Hands a delivery to the engine and waits while the inbox is full; False once the service ends: then the source
 #: returns, and what was not taken counts as not received.

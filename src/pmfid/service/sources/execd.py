@@ -18,7 +18,7 @@ from pydantic import Field
 from pmfid.service.broker import Text
 from pmfid.service.context import Axes, Context, SourceSection
 from pmfid.service.delivery import Delivery, Mark
-from pmfid.service.sources import Take
+from pmfid.service.sources import CHUNK, Take
 from pmfid.service.wire.line_protocol import Precision
 from pmfid.service.wire.messages import Messages
 from pmfid.service.wire.points import Readers
@@ -26,8 +26,8 @@ from pmfid.service.wire.splitter import LineSplitter
 
 __all__ = ["ExecdSection", "ExecdSource"]
 
-#: A look whether the service ends, while nothing comes [s]; bytes of one read.
-_LOOK, _MOST_BYTES = 0.2, 65_536
+#: A look whether the service ends, while nothing comes [s].
+_LOOK = 0.2
 
 
 class ExecdSection(SourceSection):
@@ -63,7 +63,7 @@ class ExecdSource:
         while not self._stopped.is_set():
             if not select.select([self.stdin], [], [], _LOOK)[0]:
                 continue
-            data = os.read(self.stdin, _MOST_BYTES)
+            data = os.read(self.stdin, CHUNK)
             lines = splitter.feed(data or b"\n")  # the last line may lack its end
             text = b"".join(line + b"\n" for line in lines if line.strip())
             passing = passing and self._pass_on(text)

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, Field
 from pmfid.errors import UsageError
 from pmfid.service.context import Context, SourceSection
 from pmfid.service.delivery import Block, Delivery, Lines, Mark
-from pmfid.service.sources import Source, Take
+from pmfid.service.sources import CHUNK, Source, Take
 from pmfid.session.config import Axis
 from pmfid.session.model_config import Name
 from pmfid.session.monitored.lines import LineParser
@@ -28,8 +28,8 @@ from pmfid.session.records import Record
 
 __all__ = ["FileSource", "Follower", "Piped", "Player", "StdinSource"]
 
-#: Bytes that are read at once, and how often a file is looked at that does not grow [s].
-CHUNK, LOOK = 65536, 0.1
+#: How often a file is looked at that does not grow [s].
+LOOK = 0.1
 #: A played record comes in blocks of so much time [s], and of so many samples at most.
 BLOCK_TIME, BLOCK = 0.05, 1000
 #: Of a record that is played.

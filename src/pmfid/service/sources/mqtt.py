@@ -22,7 +22,7 @@ from pmfid.service.context import Axes, Context, SourceSection
 from pmfid.service.delivery import Delivery, Mark
 from pmfid.service.sources import Take
 from pmfid.service.wire.line_protocol import Precision
-from pmfid.service.wire.messages import Form, Messages
+from pmfid.service.wire.messages import LARGEST, Form, Messages
 from pmfid.service.wire.points import Readers
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class MqttSection(BrokerSection, SourceSection):
     qos: Literal[0, 1] = Field(1, description="1, or 0 where messages may be lost")
     session: int = Field(86400, ge=0, le=2**32 - 1, description="the seconds for which the broker keeps what waits")
     receive_maximum: int = Field(20_000, ge=1, le=65535, description="the most messages that wait for a checkpoint")
-    largest: int = Field(2**20, ge=1024, le=2**28, description="the most bytes of a message")
+    largest: int = Field(LARGEST, ge=1024, le=2**28, description="the most bytes of a message")
 
     def make(self, name: str, context: Context) -> MqttSource:
         """The source. Raises UsageError where the client cannot be made."""

@@ -14,7 +14,7 @@ from pmfid.errors import UsageError
 from pmfid.service.broker import Text, pauses
 from pmfid.service.context import Axes, Context, SourceSection
 from pmfid.service.delivery import Delivery, Item, Lines, Mark, Unusable
-from pmfid.service.sources import Take
+from pmfid.service.sources import CHUNK, Take
 from pmfid.service.wire.blocks import BlockStream
 from pmfid.service.wire.splitter import LineSplitter
 from pmfid.session.config import Axis
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["SerialSection", "SerialSource"]
 
-#: A read ends when nothing has come for so long [s], and takes at most so many bytes.
-_SILENCE, _MOST_BYTES = 0.1, 65_536
+#: A read ends when nothing has come for so long [s].
+_SILENCE = 0.1
 
 
 class SerialSection(SourceSection):
@@ -157,7 +157,7 @@ class SerialSource:
 
     def _read(self, port: Serial, reader: _Reader, take: Take) -> None:
         while not self._stopped.is_set():
-            data = port.read(min(_MOST_BYTES, max(1, port.in_waiting)))
+            data = port.read(min(CHUNK, max(1, port.in_waiting)))
             items = reader.feed(data) if data else ()
             if items and not take(Delivery(self.name, items, None, None, time.monotonic())):
                 self.stop()

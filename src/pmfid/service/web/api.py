@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import io
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 
@@ -22,15 +23,16 @@ from pmfid.service.outcome import Kindred
 from pmfid.service.web.acts import Acts
 from pmfid.service.web.hub import Hub
 from pmfid.service.web.packed import json_line, packed, packed_rows
-from pmfid.service.web.reference import csv_of
 from pmfid.service.web.security import json_body
 from pmfid.session.records import Record
 from pmfid.status import ADVICE, Status
 
-__all__ = ["Api"]
+__all__ = ["Api", "csv_of"]
 
 #: Trends that one request may ask for, and characters of a note.
 TRENDS, NOTE = 200, 500
+#: Rows of a reference record that are shown at most.
+ROWS = 50_000
 
 
 @dataclass
@@ -210,3 +212,13 @@ class Lines(Response):
 async def _gone(receive: Receive) -> None:
     while (await receive())["type"] != "http.disconnect":
         pass
+
+
+def csv_of(record: Record) -> bytes:
+    """The reference record of an axis, as the page compares with it: columns t [s] from 0, u and counts; of a long
+    record its beginning, for a comparison needs every sample."""
+    n = min(record.u.size, ROWS)
+    table = np.column_stack([record.dt * np.arange(n), record.u[:n], record.counts[:n]])
+    text = io.StringIO()
+    np.savetxt(text, table, fmt=["%.9g", "%.9g", "%d"], delimiter=",", header="t,u,counts", comments="")
+    return text.getvalue().encode("ascii")

@@ -11,18 +11,21 @@ from pmfid.errors import UsageError
 from pmfid.session.model_config import Name, Positive
 from pmfid.session.toml_file import FileSection
 
-__all__ = ["PageConfig"]
+__all__ = ["HERE", "PORT", "PageConfig"]
+
+#: Where the page is without [page].
+HERE, PORT = "127.0.0.1", 8127
 
 
 class PageConfig(FileSection):
-    """[page]; without it the page is on 127.0.0.1:8127. Tokens are named by `_env` or `_file`, never given here."""
+    """[page]; without it the page is on `HERE` and `PORT`. Tokens are named by `_env` or `_file`, never given here."""
 
     enabled: bool = Field(True, description="false for no page")
-    address: Name = Field("127.0.0.1", description='the address to listen on, as "127.0.0.1"')
-    port: int = Field(8127, ge=0, le=65535, description="the port, 0 for any that is free")
+    address: Name = Field(HERE, description=f'the address to listen on, as "{HERE}"')
+    port: int = Field(PORT, ge=0, le=65535, description="the port, 0 for any that is free")
     allow_remote: bool = Field(False, description="true to listen on another address than that of this machine alone")
     hosts: tuple[Name, ...] = Field(
-        (), strict=False, description='the names by which browsers reach it, as ["hall.example:8127"]'
+        (), strict=False, description=f'the names by which browsers reach it, as ["hall.example:{PORT}"]'
     )
     token_env: Name | None = Field(None, description="the environment variable with the token that may write")
     token_file: Name | None = Field(None, description="the file with the token that may write")
@@ -56,7 +59,7 @@ class PageConfig(FileSection):
         """What others can reach asks for three decisions."""
         where = f"[page] address = {self.address!r} can be reached from other machines"
         if not self.allow_remote:
-            raise UsageError(f"{where}; set allow_remote = true if that is meant, or use 127.0.0.1")
+            raise UsageError(f"{where}; set allow_remote = true if that is meant, or use {HERE}")
         if not (self.token_env or self.token_file):
             raise UsageError(
                 f"{where}, which asks for a token that you choose; name the file that holds it, as "

@@ -6,9 +6,11 @@ No cookie and nothing else that a browser would send by itself, so that another 
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 import json
 import math
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,13 +21,14 @@ from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from pmfid.service.counters import Counters
-from pmfid.service.web.brake import Brake
 from pmfid.service.web.tokens import WRITE, Tokens
 
-__all__ = ["LARGEST_BODY", "Guard", "Refusal", "hosts_of", "json_body"]
+__all__ = ["FREE", "LARGEST_BODY", "WINDOW", "Brake", "Guard", "Refusal", "hosts_of", "json_body"]
 
 #: What a request may bring [bytes], and how long it may take [s].
 LARGEST_BODY, SLOWEST_BODY = 4096, 5.0
+#: Wrong tokens that an address may send within so much time [s], and addresses that are remembered.
+FREE, WINDOW, ADDRESSES = 10, 60.0, 4096
 
 HEADERS = {
     "content-security-policy": (
@@ -48,6 +51,37 @@ class Refusal(Exception):  # noqa: N818  it is answered, not raised to anyone
     def __init__(self, reason: str, status: int, problem: str, wait: float = 0.0) -> None:
         super().__init__(problem)
         self.reason, self.status, self.problem, self.wait = reason, status, problem, wait
+
+
+@dataclass
+class Brake:
+    """A brake on guesses: wrong tokens are counted by the address that they come from, in bounded memory.
+
+    clock: monotonic [s]. It is asked about wrong tokens alone, so a good one always opens, whoever else guesses from
+    the same address."""
+
+    clock: Callable[[], float] = time.monotonic
+    _wrong: dict[str, tuple[int, float]] = field(default_factory=dict, init=False)  # number, since when; oldest first
+
+    def wrong(self, address: str) -> float:
+        """Counts a wrong token. Time until the address is answered as before [s]; 0 while it is."""
+        now, key = self.clock(), _network(address)
+        number, since = self._wrong.pop(key, (0, now))
+        if now - since >= WINDOW:
+            number, since = 0, now
+        self._wrong[key] = number + 1, since
+        if len(self._wrong) > ADDRESSES:
+            del self._wrong[next(iter(self._wrong))]
+        return since + WINDOW - now if number >= FREE else 0.0
+
+
+def _network(address: str) -> str:
+    """Of IPv6 the first 64 bits: whoever has one address there has them all."""
+    try:
+        parsed = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    return str(parsed) if parsed.version == 4 else str(ipaddress.ip_network((parsed, 64), strict=False))
 
 
 def hosts_of(address: str, port: int, more: Iterable[str]) -> frozenset[str]:

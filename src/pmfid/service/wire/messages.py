@@ -12,7 +12,10 @@ from pmfid.service.wire.layout import MAGIC
 from pmfid.service.wire.line_protocol import Precision
 from pmfid.service.wire.points import Readers
 
-__all__ = ["Form", "Messages"]
+__all__ = ["LARGEST", "Form", "Messages"]
+
+#: Bytes of a message, if nothing else is configured.
+LARGEST = 2**20
 
 Form = Literal["auto", "block", "json", "line"]
 
@@ -26,7 +29,7 @@ class Messages:
     form: Form = "auto"
     tag: str = "axis"
     precision: Precision = "ns"
-    largest: int = 2**20
+    largest: int = LARGEST
 
     def items(self, data: bytes, axis: str = "") -> Sequence[Item]:
         """What a message says. axis: the only one that it may be of, "": any. Never raises."""

@@ -1,0 +1,70 @@
+"""The process of a service and its system: signals, systemd, and that it stood still."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from time import monotonic
+from types import FrameType
+from typing import Any
+
+from pmfid.service.counters import Counters
+from pmfid.session.monitored.stream import caught
+
+__all__ = ["Signals", "Standing", "notify"]
+
+#: A process that has not come by for so long was stopped [s]: no load keeps it away.
+STOOD = 10.0
+
+
+@dataclass
+class Signals:
+    """What was asked for by a signal."""
+
+    stop: bool = False
+    reload: bool = False
+
+    @contextmanager
+    def handled(self) -> Iterator[Signals]:
+        """SIGINT and SIGTERM end the service, SIGHUP reads PLANT.toml again."""
+        with caught(self._handle):
+            yield self
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if number in (signal.SIGINT, signal.SIGTERM):
+            self.stop = True
+        else:
+            self.reload = True
+
+
+@dataclass
+class Standing:
+    """To be called again and again: tells how long the whole process stood still. Nothing else would tell why its
+    estimates came late."""
+
+    tell: Callable[[dict[str, Any]], None]
+    counters: Counters
+    _looked: float = field(default_factory=monotonic, init=False)
+
+    def look(self) -> None:
+        """Now."""
+        now = monotonic()
+        stood, self._looked = now - self._looked, now
+        if stood > STOOD:
+            problem = f"the service stood still for {stood:.0f} s: it was stopped, or its machine had no time for it"
+            self.tell({"event": "paused", "seconds": round(stood, 1), "problem": problem})
+            self.counters.add("pmfid_paused_seconds_total", stood)
+
+
+def notify(state: str) -> None:
+    """Sends a state as sd_notify(3) does, as "READY=1"; nothing where nobody listens."""
+    address = os.environ.get("NOTIFY_SOCKET", "")
+    if not address:
+        return
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
+        channel.connect("\0" + address[1:] if address.startswith("@") else address)
+        channel.send(state.encode())
