@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmfid.service.sinks.file import FileSinkSection, FileSink
+from pmfid.service.sinks.file import FileSink, FileSinkSection
 from tests.service.feed import Host, alarm, block, kindred, notice
 from tests.service.test_sqlite_sink import full_at
 

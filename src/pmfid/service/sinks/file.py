@@ -14,7 +14,7 @@ from pmfid.service.sinks.plain import as_json, notice_object, row_object, single
 from pmfid.service.sinks.section import Host, SinkSection
 from pmfid.session.model_config import Name
 
-__all__ = ["FileSinkSection", "FileSink"]
+__all__ = ["FileSink", "FileSinkSection"]
 
 
 class FileSinkSection(SinkSection):
