@@ -223,7 +223,7 @@ def test_every_format_has_a_reader_is_told_of_and_is_attacked() -> None:
     assert set(READERS) == set(FORMATS)
     assert set(records.WRITERS) == set(FORMATS)
     assert SPOKEN in str(identify.help)
-    assert SPOKEN in (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    assert SPOKEN in " ".join((REPOSITORY / "docs/guide/records.md").read_text(encoding="utf-8").split())
 
 
 # --- the recipes ------------------------------------------------------------------------------------------------------
