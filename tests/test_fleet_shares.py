@@ -53,6 +53,12 @@ def test_few_moves_follow_themselves_without_a_jump_and_count_once() -> None:
     assert one.repeats > 2
 
 
+def test_a_move_that_is_shorter_than_the_filters_settle_is_not_repeated() -> None:
+    rests = [12_000, 12_000]
+    assert max(one.repeats for one in shares(moves(rests, SETTLED + 2))) > 10
+    assert all(one.repeats == 1 for one in shares(moves(rests, SETTLED // 2)))
+
+
 def test_an_axis_at_rest_has_a_segment_that_says_nothing() -> None:
     found = shares(np.zeros(40_000, np.int64))
     assert found

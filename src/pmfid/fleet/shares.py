@@ -19,6 +19,9 @@ from pmfid.types import Counts, Flags, Floats
 WHOLE, REST, LEAST = 4, 2, 1
 #: Settling times of the filters from which on a rest is shortened, to two of them.
 LONG = 4
+#: Settling times that few moves take with the ends of the rests on both sides, at least: in a shorter motion the filters
+#: see nothing but how it begins and ends, and repeated it has the same error again.
+BETWEEN = 3
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ def _shared(
     if inside.size >= whole or not rests:
         own = inside if inside.size >= quarter else np.arange(low, high)
         yield from (Share(own[part], part.stop - part.start) for part in _cut(own.size, quarter))
-    elif np.ptp(counts[inside]) > 0:
+    elif np.ptp(counts[inside]) > 0 and inside.size >= BETWEEN * settled:
         yield Share(inside, whole)
     elif high - low >= quarter:
         yield Share(np.arange(low, low + quarter), quarter)
