@@ -104,7 +104,7 @@ broker-kills: .venv/tools service-tools
 # The service when something else fails: messages, disks, browsers, the process itself. Wants a broker, and root for disks.
 service-faults: .venv/tools service-tools
 	mkdir -p results/images
-	.venv/bin/python -m studies.service.faults --out results/service_faults.md
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m studies.service.faults --out results/service_faults.md
 
 KERNEL = $(wildcard csrc/*.[ch] csrc/many/*.[ch] csrc/wire/*.[ch])
 
