@@ -68,7 +68,7 @@ def estimates(iv: IV, squares: OE, interval: IntervalML, record: CartRecord) -> 
     with suppress(NotIdentifiableError):
         best = interval.best(record.u, record.counts)
         adequacy = weigh(best)
-        found["output-error"] = squares, squares.by_squares(best), adequacy
+        found["output-error"] = squares, squares.make_least_squares_fit(best), adequacy
         found["interval"] = interval, interval.fit_of(best), adequacy
     with suppress(NotIdentifiableError):
         found["iv"] = iv, iv.fit(record.u, record.counts), adequacy

@@ -10,7 +10,7 @@ import numpy as np
 
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.exact import refined
+from pmfid.estimators.exact import refine_estimate
 from pmfid.estimators.ls import LS
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.simulation.process import Plant, simulate_process
@@ -72,7 +72,7 @@ def work(n: int, relative_degree: int, fastest: float, seed: int) -> Floats:
     estimator = LS(TransferFunction(n, n - relative_degree), Encoder(1.0), plant.dt, plant.cutoff)
     fits = [replace(estimator, discretization=kind).fit_output(u, y).theta for kind in ("paper", "matched")]
     try:
-        passes = list(refined(estimator, u, y).history[:PASSES])
+        passes = list(refine_estimate(estimator, u, y).history[:PASSES])
     except NotIdentifiableError:
         passes = [np.full(plant.theta.size, np.inf)]
     passes += [passes[-1]] * (PASSES - len(passes))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pmfid.encoder import Encoder
 from pmfid.errors import PmfidError
 from pmfid.estimators.batch import BatchEstimator
-from pmfid.estimators.configuration import made
+from pmfid.estimators.configuration import construct_estimator
 from pmfid.estimators.iv import IV
 from pmfid.estimators.ls import LS
 from pmfid.estimators.output_error import OE
@@ -60,7 +60,7 @@ def predicted(model: Drive, method: str, cutoff: float, train: Motion, test: Mot
     """What a method of METHODS learns of one motion, on another; None where it has no answer."""
     cls, options = METHODS[method]
     own = {"model": model, "encoder": Encoder(train.resolution), "dt": train.dt, "cutoff": cutoff}
-    estimator = made(cls, own | options)
+    estimator = construct_estimator(cls, own | options)
     try:
         fit = estimator.fit(train.u, train.counts)
         return Predicted(free_run(model, fit.theta, cutoff, test), fit.theta, fit.notes)

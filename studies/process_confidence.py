@@ -18,7 +18,7 @@ from pmfid.judge.assess import FALSE_ALARM, assess
 from pmfid.judge.verdict import flags_on
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.transfer.experiment import Experiment
-from pmfid.transfer.order import UNSTABLE, Candidate, accepted_first, search_structure
+from pmfid.transfer.order import UNSTABLE, OrderCandidate, accepted_first, search_structure
 from pmfid.transfer.process import Process
 from pmfid.transfer.solve import visit
 from pmfid.types import Floats
@@ -121,7 +121,7 @@ def _order(kind: str, noise: str, seed: int, rng: np.random.Generator) -> tuple[
     plant = random_plant(rng, 3)
     record, fresh = (open_record(plant, kind, noise, SEARCHED, "zoh", rng) for _ in range(2))
 
-    def refusal(row: Candidate) -> str:
+    def refusal(row: OrderCandidate) -> str:
         try:
             status = identified(estimator_of(plant, _model(row)), record)[2]
         except NotIdentifiableError as error:
@@ -137,11 +137,11 @@ def _order(kind: str, noise: str, seed: int, rng: np.random.Generator) -> tuple[
     return not search.best.refused, _fresh_fit(plant, fresh, search.best, theta), max(fits)
 
 
-def _model(row: Candidate) -> TransferFunction:
+def _model(row: OrderCandidate) -> TransferFunction:
     return TransferFunction(row.n, row.m, row.delay)
 
 
-def _fresh_fit(plant: RandomPlant, record: Experiment, row: Candidate, theta: Floats) -> float:
+def _fresh_fit(plant: RandomPlant, record: Experiment, row: OrderCandidate, theta: Floats) -> float:
     """Percent of another record that theta (p,) explains, with initial conditions that fit it."""
     problem = make_problem(estimator_of(plant, _model(row)), [record])
     start = np.zeros((len(problem.stretches), problem.structure.n))

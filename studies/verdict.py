@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import pmfid
-from pmfid.estimators.configuration import changed
+from pmfid.estimators.configuration import change_arguments
 from pmfid.judge.matter import BARS, NORMAL_95, TOLERANCE
 from pmfid.simulation import (
     Machine,
@@ -163,7 +163,7 @@ def run(wrong: str, seed: int) -> tuple[Axis, str, CartRecord]:
     motion = what.motions[int(rng.integers(len(what.motions)))]
     further = what.further(axis, rng)
     drive = replace(axis.drive, offset=further.pop("offset", 0.0))
-    machine = changed(Machine(drive), further)
+    machine = change_arguments(Machine(drive), further)
     return axis, motion, record(axis, machine, what, motion, rng)
 
 

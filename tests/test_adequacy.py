@@ -210,7 +210,7 @@ def test_the_lattice_repeats_its_error_in_every_stroke():
     axis = AXES["cart"]
     u, read, resolution = record(axis, "right", "stop-and-go", 300.0)
     method = estimator(OE, axis, resolution)
-    difference, q, _ = method.followed(u, read)
+    difference, q, _ = method.fit_least_squares(u, read)
     own = method.own_sensitivity(difference, q)
     white = np.sum(own**2, axis=0) / 12
     assert np.all(phase_scatter(difference, q, own, None) > 3 * white)

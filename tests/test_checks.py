@@ -19,7 +19,7 @@ from click.testing import CliRunner
 import pmfid
 from pmfid.cli.main import main
 from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
-from pmfid.findings import Finding, codes, ordered
+from pmfid.findings import Finding, codes, sort_findings
 from pmfid.judge.matter import OF_LOG
 from pmfid.report.result import write_result
 from pmfid.session.checks import checked
@@ -276,7 +276,7 @@ def test_the_remedy_helps_when_it_is_followed_literally(fault: str) -> None:
 
 def test_the_most_important_finding_comes_first_and_each_once() -> None:
     note, doubt, wrong = (Finding(word, word, severity=word) for word in ("note", "doubt", "wrong"))
-    assert ordered([note, doubt, wrong, doubt]) == (wrong, doubt, note)
+    assert sort_findings([note, doubt, wrong, doubt]) == (wrong, doubt, note)
     assert codes((wrong, doubt, note)) == ("wrong", "doubt")
 
 

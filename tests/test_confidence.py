@@ -10,13 +10,13 @@ from scipy.linalg import expm, toeplitz
 from scipy.signal import lfilter
 
 from pmfid import OE, SRIVC, Encoder, Experiment, NotIdentifiableError, TransferFunction
-from pmfid.estimators.srivc import by_descent, fit_process, make_problem
+from pmfid.estimators.srivc import fit_process, make_problem, solve_by_descent
 from pmfid.judge.assess import assess
 from pmfid.judge.causality import Signals, fed_back, unexplained
 from pmfid.simulation.process import simulate_process
 from pmfid.transfer.confidence import score_covariance
 from pmfid.transfer.noise import Noise, fit_noise
-from pmfid.transfer.order import UNSTABLE, Candidate, Search, accepted_first
+from pmfid.transfer.order import UNSTABLE, OrderCandidate, Search, accepted_first
 from pmfid.transfer.process import Process
 from pmfid.transfer.solve import Solution
 from studies.process_confidence import estimator_of, identified
@@ -228,11 +228,11 @@ def test_an_iteration_that_has_not_settled_is_no_estimate(monkeypatch):
     u = sweep(400)
     y = simulate_process((1.0,), (1.0, 0.3, 4.0, 0.5), u, DT) + 0.05 * coloured(np.random.default_rng(1), 400)
     with pytest.raises(NotIdentifiableError, match="output-error does not settle"):
-        fit_process(OE(TransferFunction(3, 0), Encoder(1.0), DT, 2.0), [Experiment(u, y, dt=DT)], by_descent)
+        fit_process(OE(TransferFunction(3, 0), Encoder(1.0), DT, 2.0), [Experiment(u, y, dt=DT)], solve_by_descent)
 
 
 def test_the_search_puts_one_that_is_accepted_first():
-    rows = tuple(Candidate(n, 0, 0, float(n), 90.0, 1.0, True, True, np.ones(n + 1), 100) for n in (1, 2, 3))
+    rows = tuple(OrderCandidate(n, 0, 0, float(n), 90.0, 1.0, True, True, np.ones(n + 1), 100) for n in (1, 2, 3))
     found = accepted_first(Search(rows, 0, 100), lambda row: {1: UNSTABLE, 2: "does not settle"}.get(row.n, ""))
     assert [row.n for row in found.candidates] == [3, 1, 2]
     assert [row.refused for row in found.candidates] == ["", UNSTABLE, "does not settle"]

@@ -11,7 +11,7 @@ import pmfid
 from pmfid import _kernel32, _kernel64
 from pmfid.kernel import configuration
 from pmfid.kernel.saved import configuration as configuration_of
-from pmfid.kernel.structures import constants_of, resized, structures
+from pmfid.kernel.structures import constants_of, resize_structure, structures
 from pmfid.status import Status
 
 NEW = "brand_new"
@@ -146,4 +146,4 @@ def test_the_status_has_the_numbers_of_the_header() -> None:
 def test_what_lies_between_the_fields_is_zero() -> None:
     """Else equal configurations would have different checksums, and a fleet refuse its own states."""
     config = config_of("RLS")
-    assert resized(config, config.dtype).tobytes() == made("RLS").runner.kernel.raw_config()
+    assert resize_structure(config, config.dtype).tobytes() == made("RLS").runner.kernel.raw_config()

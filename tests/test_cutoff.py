@@ -64,7 +64,7 @@ def test_filters_far_too_fast_for_the_encoder_are_not_chosen() -> None:
     model, encoder = pmfid.Drive(axis.drive.input_gain), pmfid.Encoder(record.resolution)
     fast = pmfid.IV(model, encoder, axis.dt, 1 / (3 * axis.dt))
     own = pmfid.IV(model, encoder, axis.dt, choose_cutoff([model], encoder, axis.dt, record.u, record.counts))
-    mass = [method.settled(record.u, record.counts)[1][0] / axis.drive.mass for method in (fast, own)]
+    mass = [method.settle_iteration(record.u, record.counts)[1][0] / axis.drive.mass for method in (fast, own)]
     assert abs(mass[0] - 1) > 0.05
     assert abs(mass[1] - 1) < 0.01
 

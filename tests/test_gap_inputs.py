@@ -111,7 +111,7 @@ def test_long_gaps_under_control_are_left_out_where_the_counts_tell_more() -> No
     assert found.notes == (missing_said(found.u, there), other)
     assert "left out, what is behind each begins anew" in found.notes[0]
     method = IV(Drive(axis.drive.input_gain), Encoder(run.resolution), axis.dt, 25.0)
-    theta = method.settled(found.u, found.counts)[1] / truth(axis)
+    theta = method.settle_iteration(found.u, found.counts)[1] / truth(axis)
     np.testing.assert_allclose(theta, 1.0, atol=2e-3)
     assert abs(theta[0] - 1) < 2.5e-4
 
@@ -123,7 +123,7 @@ def test_a_short_gap_of_a_smooth_input_is_filled() -> None:
     found = by_motion(method, *filled(run.u[there], run.counts[there], np.flatnonzero(there)))
     assert found is not None
     assert np.all(np.isfinite(found[0]))
-    assert abs(method.settled(*found)[1][0] / truth(axis)[0] - 1) < 3e-4  # of lines 8e-4
+    assert abs(method.settle_iteration(*found)[1][0] / truth(axis)[0] - 1) < 3e-4  # of lines 8e-4
 
 
 # --- on-line ----------------------------------------------------------------------------------------------------------

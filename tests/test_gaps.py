@@ -10,7 +10,7 @@ import pytest
 
 from pmfid import Drive, Encoder, identify
 from pmfid.errors import UsageError
-from pmfid.estimators.bridges import Body, bridged, gaps_in
+from pmfid.estimators.bridges import Body, bridge_gaps, gaps_in
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.restarts import Restart
 from pmfid.estimators.rls import RLS
@@ -94,7 +94,7 @@ def test_a_bridge_leads_from_one_motion_to_the_other() -> None:
     there = kept(u.size, 0.05, 50)
     gaps = np.where(there, u, np.nan)
     body = Body(IV(**SETTINGS).equation, TRUTH, DT, STEP, CUTOFF)
-    across, whole, own = bridged(body, gaps, np.where(there, counts, 0))
+    across, whole, own = bridge_gaps(body, gaps, np.where(there, counts, 0))
     np.testing.assert_array_equal(own, there)
     speed, true = body.speeds(across, 0.0)[0], body.speeds(u, 0.0)[0]
     assert np.max(np.abs(speed - true)[there]) < 0.01 * np.max(np.abs(true))

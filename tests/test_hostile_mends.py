@@ -17,7 +17,7 @@ from pmfid.design.trial.appraisal import _stds
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators import encoder_noise
-from pmfid.estimators.difference import inverted
+from pmfid.estimators.difference import invert_information
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.known_step import RKnownStep
 from pmfid.kernel.saved import configuration
@@ -105,7 +105,7 @@ def test_a_logger_that_started_again_is_cut_there() -> None:
 
 def test_a_motion_that_runs_away_at_a_wide_step_is_infinitely_sensitive() -> None:
     sensitivity = np.random.default_rng(0).standard_normal((50, 2)) * [1.0, 1e200]
-    covariance = inverted(sensitivity, ("mass", "stiffness"))
+    covariance = invert_information(sensitivity, ("mass", "stiffness"))
     assert covariance[0, 0] > 0
     assert covariance[1, 1] == 0
 
@@ -132,9 +132,9 @@ def test_the_noise_is_the_same_in_parts(monkeypatch: pytest.MonkeyPatch) -> None
     whole = encoder_noise.noise_covariance(estimator, None)
     monkeypatch.setattr(encoder_noise, "PART", 7)
     np.testing.assert_allclose(encoder_noise.noise_covariance(estimator, None), whole, rtol=1e-12, atol=1e-18)
-    shown = encoder_noise.shown(estimator)
+    shown = encoder_noise.compute_encoder_floor(estimator)
     monkeypatch.undo()
-    assert encoder_noise.shown(estimator) == pytest.approx(shown, rel=1e-12)
+    assert encoder_noise.compute_encoder_floor(estimator) == pytest.approx(shown, rel=1e-12)
 
 
 # --- a design ---------------------------------------------------------------------------------------------------------

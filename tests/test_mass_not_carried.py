@@ -29,12 +29,12 @@ def test_a_mass_at_its_bound_is_no_estimate(cls, viscous, top, increments):
     method = cls(pmfid.Drive(0.4), pmfid.Encoder(step), DT, 20.0)
     start = np.array([60.0 * INERTIA, viscous, 0.02])  # instrumental variables do not settle here and leave any start
     with pytest.raises(NotIdentifiableError, match="mass"):
-        method.by_squares(method.best(u, counts, start)) if cls is OE else method.fit_of(method.best(u, counts, start))
+        method.make_least_squares_fit(method.best(u, counts, start)) if cls is OE else method.fit_of(method.best(u, counts, start))
 
 
 def test_a_small_mass_that_the_record_carries_is_one():
     u, counts, step = chirp(0.02, 2.0, 4096)
     method = OE(pmfid.Drive(0.4), pmfid.Encoder(step), DT, 20.0)
     true = np.r_[u[1:], 0.0]
-    fit = method.by_squares(method.best(true, counts, np.array([12.0 * INERTIA, 0.02, 0.02])))
+    fit = method.make_least_squares_fit(method.best(true, counts, np.array([12.0 * INERTIA, 0.02, 0.02])))
     assert fit["mass"] == pytest.approx(INERTIA, rel=0.05)

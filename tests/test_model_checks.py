@@ -14,7 +14,7 @@ import pytest
 
 import pmfid
 from pmfid.estimators.registry import methods_for
-from pmfid.findings import Finding, noted
+from pmfid.findings import Finding, make_notes
 from pmfid.judge.balance import Balance
 from pmfid.judge.correlations import make_balance
 from pmfid.models.equation import VISCOUS_FORWARD
@@ -260,7 +260,7 @@ def test_with_forgetting_only_the_last_memories_are_judged() -> None:
 
 
 def test_report_has_the_checks_last_and_each_note_on_its_line(tmp_path: Path) -> None:
-    result = replace(clean(), findings=tuple(noted("x", ["one", "two"])))
+    result = replace(clean(), findings=tuple(make_notes("x", ["one", "two"])))
     write_result(tmp_path, result)
     page = (tmp_path / "report.html").read_text("utf-8")
     assert re.findall(r"<h2>(?:Model check: )?(.*)</h2>", page)[-4:] == list(HEADINGS)

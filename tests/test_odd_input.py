@@ -13,7 +13,7 @@ from pmfid.errors import UsageError
 from pmfid.estimators.arguments import check_arrays
 from pmfid.monitor.calibration import Calibration
 from pmfid.session.monitored import cache as calibrations
-from pmfid.transfer.experiment import Experiment, _supported
+from pmfid.transfer.experiment import Experiment, _count_columns
 from tests.conftest import cart_run
 
 
@@ -59,7 +59,7 @@ def test_a_reference_beyond_the_squares_of_the_number_format() -> None:
     u, y = 0.7 * r + 0.1 * rng.standard_normal(400), np.cumsum(r)
     plain, huge = (Experiment(u=u, y=y, dt=0.1, reference=scale * r).explained_input for scale in (1.0, 1e200))
     np.testing.assert_allclose(huge, plain, rtol=1e-6, atol=1e-9)
-    assert _supported(np.column_stack([r, u, y]), 1e200 * r) == _supported(np.column_stack([r, u, y]), r)
+    assert _count_columns(np.column_stack([r, u, y]), 1e200 * r) == _count_columns(np.column_stack([r, u, y]), r)
 
 
 @pytest.mark.parametrize("cutoff", [1e-320, 5e-324, 1e-310])

@@ -9,7 +9,7 @@ import pytest
 
 import pmfid
 from pmfid.design import Limits, Problem
-from pmfid.estimators.encoder_noise import shown
+from pmfid.estimators.encoder_noise import compute_encoder_floor
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.session.config import load_axis
 from pmfid.session.records import read_experiment, read_record
@@ -33,7 +33,7 @@ def test_sensitivities_whose_squares_are_beyond_numbers_are_told_apart_and_infin
 
 def test_a_motion_too_small_for_numbers_is_shown_all_the_same() -> None:
     estimator = pmfid.BCRLS(pmfid.Drive(2.0), pmfid.Encoder(1e-29), 1e6, 1e-9, forgetting=0.99)
-    assert 0 < shown(estimator) < 1e37
+    assert 0 < compute_encoder_floor(estimator) < 1e37
 
 
 def test_an_input_scale_beyond_numbers_is_refused(tmp_path: Path) -> None:

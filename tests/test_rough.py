@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
-from pmfid.estimators.rough import on_every_width
+from pmfid.estimators.rough import widen_covariance
 from tests.conftest import cart_run
 
 DT = 0.01
@@ -30,18 +30,18 @@ estimator = { method = "METHOD", cutoff = CUTOFF }
 
 def test_smooth_bars_stay_as_they_are() -> None:
     fine = np.array([[1.0, 0.2], [0.2, 2.0]])
-    assert on_every_width(fine, lambda width: fine * (1 + 10 * width)) is fine
+    assert widen_covariance(fine, lambda width: fine * (1 + 10 * width)) is fine
 
 
 def test_the_longest_bar_counts_where_the_widths_disagree() -> None:
     fine = np.array([[1e-8, 0.0], [0.0, 2.0]])
-    wide = on_every_width(fine, lambda width: np.diag([width**2, 2.0]))
+    wide = widen_covariance(fine, lambda width: np.diag([width**2, 2.0]))
     np.testing.assert_allclose(np.diag(wide), [0.09, 2.0])
 
 
 def test_a_bar_that_is_long_by_accident_stays_long() -> None:
     fine = np.diag([1.0, 2.0])
-    np.testing.assert_allclose(on_every_width(fine, lambda width: np.diag([1e-6, 2.0])), fine)
+    np.testing.assert_allclose(widen_covariance(fine, lambda width: np.diag([1e-6, 2.0])), fine)
 
 
 def motor_log(name: str, dt: float) -> np.ndarray:

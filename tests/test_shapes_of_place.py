@@ -105,7 +105,7 @@ def test_the_model_is_not_said_to_lack_what_it_has() -> None:
     said = {}
     for name, model in {"without": pmfid.Drive(0.4), "with": MODELS["uneven"]}.items():
         estimator = pmfid.IntervalML(model, pmfid.Encoder(STEP), DT, CUTOFF)
-        said[name] = weigh(best_of(*estimator.followed(run.u, run.counts)))
+        said[name] = weigh(best_of(*estimator.fit_least_squares(run.u, run.counts)))
     assert said["without"].missed
     assert not said["with"].missed
     assert "uneven_way" not in {lack.name for lack in said["with"].lacks}

@@ -15,7 +15,7 @@ from pmfid.estimators.friction_curve import friction_curve
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
 from pmfid.estimators.ls import LS
-from pmfid.estimators.starts import least_begun
+from pmfid.estimators.starts import find_least_from_start
 from pmfid.judge.term_fits import Bench
 from pmfid.judge.term_periods import balanced, pitched
 from pmfid.judge.terms import Candidate, Step, against
@@ -37,12 +37,12 @@ def test_a_motion_that_begins_at_rest_is_not_begun_with_a_speed() -> None:
     model, encoder = pmfid.Drive(axis.drive.input_gain, cogging=pitch), pmfid.Encoder(record.resolution)
     method = IntervalML(model, encoder, axis.dt, 1 / (3 * axis.dt))
     theta = like(IV, method).fit(record.u, record.counts).theta
-    whole = method.at(theta, record.u, method.position(record.counts))
+    whole = method.make_difference(theta, record.u, method.position(record.counts))
     behind = replace(whole, pole=method.cutoff, parts=2)
     speed = first_speed(behind.y, axis.dt, method.cutoff, record.resolution)
     begin = np.r_[theta, behind.y[0], speed] / behind.scale
     assert rms(behind(least(behind, begin, [1e-4]))) > 1.0
-    found = least_begun(behind, begin, method.cutoff, [1e-4])
+    found = find_least_from_start(behind, begin, method.cutoff, [1e-4])
     assert rms(behind(found)) < 0.35
     assert found[0] * behind.scale[0] == pytest.approx(axis.drive.mass, rel=1e-3)
 
@@ -60,7 +60,7 @@ def test_a_difference_knows_its_pitch() -> None:
     record = made(samples=500)
     trial = Bench(METHOD, record.u, record.counts).first(METHOD.model)  # type: ignore[arg-type]
     model = pmfid.Drive(GAIN, cogging=1.3)
-    difference = like(IntervalML, METHOD, model=model).at(np.r_[trial.theta, 0.01, 0.0], record.u, trial.difference.y)
+    difference = like(IntervalML, METHOD, model=model).make_difference(np.r_[trial.theta, 0.01, 0.0], record.u, trial.difference.y)
     free, q = pitched(difference, model), np.r_[np.ones(difference.scale.size), 0.0]
     q[-1] = free.number / 100
     assert free(q) == pytest.approx(difference(q[:-1]))

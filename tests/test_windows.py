@@ -11,7 +11,7 @@ import pytest
 import pmfid
 from pmfid.estimators.difference import Difference, rms
 from pmfid.estimators.output_error import OE
-from pmfid.estimators.starts import begun, start_samples, started
+from pmfid.estimators.starts import choose_start, fit_start, start_samples
 from pmfid.estimators.window_choice import choose_window, free_run
 from pmfid.estimators.windows import Windows, descend
 from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs, quantize, simulate_drive
@@ -40,7 +40,7 @@ def method(run: Run, **options: object) -> OE:
 
 def prepared(run: Run) -> tuple[Difference, np.ndarray]:
     """The difference without a high-pass, and scaled parameters to start from, a tenth off."""
-    difference, q = method(run)._prepared(1.1 * KNOWN, run.u, method(run).position(run.counts))
+    difference, q = method(run)._prepare_difference(1.1 * KNOWN, run.u, method(run).position(run.counts))
     return replace(difference, pole=0.0), q[:3]
 
 
@@ -86,17 +86,17 @@ def test_a_window_starts_where_the_motion_is() -> None:
     run = moved(4, step=2e-3)
     difference, theta = prepared(run)
     theta = KNOWN / difference.scale[:3]
-    windows = Windows.over(difference, [(0, run.u.size)], 100)
-    q = windows.at(theta, CUTOFF)
+    windows = Windows.cover_stretches(difference, [(0, run.u.size)], 100)
+    q = windows.start_windows(theta, CUTOFF)
     assert rms(windows(q)) < 0.5  # counts
-    for part, own in windows.apart(q):
+    for part, own in windows.split_windows(q):
         assert rms(part(own)) < 0.8
 
 
 def test_windows_cover_the_record_and_stay_within_stretches() -> None:
     difference, _ = prepared(moved(5, samples=1000))
-    windows = Windows.over(difference, [(0, 300), (700, 1000)], 90)
-    covered = windows.summed(np.ones(sum(part.y.size for part in windows.pieces)))
+    windows = Windows.cover_stretches(difference, [(0, 300), (700, 1000)], 90)
+    covered = windows.sum_by_sample(np.ones(sum(part.y.size for part in windows.pieces)))
     assert np.all(covered[:300] >= 1)
     assert np.all(covered[300:700] == 0)
     assert np.all(covered[700:] >= 1)
@@ -107,8 +107,8 @@ def test_descent_ends_at_the_least_squares() -> None:
     """No parameter and no start can be moved to a lower sum of squares."""
     run = moved(6, samples=800)
     difference, theta = prepared(run)
-    windows = Windows.over(difference, [(0, 800)], 200)
-    q = descend(windows, windows.at(theta, CUTOFF))
+    windows = Windows.cover_stretches(difference, [(0, 800)], 200)
+    q = descend(windows, windows.start_windows(theta, CUTOFF))
     here = rms(windows(q))
     for step in 1e-3 * np.eye(q.size):
         assert min(rms(windows(q + step)), rms(windows(q - step))) > here * (1 - 1e-6)
@@ -129,7 +129,7 @@ def test_a_moving_start_is_found() -> None:
     difference, _ = prepared(run)
     part = difference.part(777, 1500)
     theta = KNOWN / difference.scale[:3]
-    start = started(part.part(0, 21), begun(part.part(0, 21), theta, CUTOFF))
+    start = fit_start(part.part(0, 21), choose_start(part.part(0, 21), theta, CUTOFF))
     speed = simulate_drive(AXIS, run.u, DT).v[777]
     assert start[-1] * difference.scale[-1] == pytest.approx(speed, abs=3e-3)
 

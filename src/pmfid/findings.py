@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["Finding", "codes", "noted", "ordered", "texts"]
+__all__ = ["Finding", "codes", "make_notes", "sort_findings", "texts"]
 
 Severity = Literal["wrong", "doubt", "note"]
 #: Most important first. wrong: no number that follows is to be believed; doubt: it may be further off than its error
@@ -42,12 +42,12 @@ class Finding:
         return {"code": self.code, "severity": self.severity, "sentence": self.sentence, "remedy": self.remedy}
 
 
-def noted(code: str, sentences: Iterable[str]) -> list[Finding]:
+def make_notes(code: str, sentences: Iterable[str]) -> list[Finding]:
     """Sentences on what was done, as findings."""
     return [Finding(code, sentence, severity="note") for sentence in sentences if sentence]
 
 
-def ordered(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+def sort_findings(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """The findings, most important first, each once; of the same weight in the order in which they were found."""
     return tuple(sorted(dict.fromkeys(findings), key=lambda finding: SEVERITIES.index(finding.severity)))
 

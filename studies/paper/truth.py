@@ -12,7 +12,7 @@ from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
-from pmfid.estimators.configuration import made
+from pmfid.estimators.configuration import construct_estimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.track import Track
@@ -88,7 +88,7 @@ def make_estimator(
     """The method on the cart's model; time_constant: of the filters, in samples."""
     cutoff = 1 / (time_constant * CART_DT)
     own = {"model": Drive(input_gain), "encoder": Encoder(record.resolution), "dt": CART_DT, "cutoff": cutoff}
-    return made(ESTIMATORS[method], own | options)
+    return construct_estimator(ESTIMATORS[method], own | options)
 
 
 def track_of(

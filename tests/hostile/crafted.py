@@ -15,7 +15,7 @@ import pmfid
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.firmware import export_firmware
 from pmfid.kernel.saved import configuration, shape_of, tight_state
-from pmfid.kernel.structures import resized, structures, whole_words
+from pmfid.kernel.structures import resize_structure, structures, whole_words
 from tests.firmware.build import REQUIRED
 from tests.test_many import PROCESS, PROCESSES, VARIANTS, fleet_record, make, process_record
 
@@ -58,7 +58,7 @@ def folder_of(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
     else:
         state = tight_state(estimator.runner.kernel, precision, shape)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "config").write_bytes(resized(config, types["pmf_config_t"]).tobytes())
+    (folder / "config").write_bytes(resize_structure(config, types["pmf_config_t"]).tobytes())
     (folder / "state").write_bytes(state.tobytes())
     fields = [(offset, int(kind == "f")) for _, kind, offset in leaves(types["pmf_state_t"])]
     (folder / "words").write_bytes(np.array(fields, "<u4").tobytes())

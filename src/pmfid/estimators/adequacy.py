@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from pmfid._stage import first_order
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
-from pmfid.estimators.difference import Difference, rms, without_nuisance
+from pmfid.estimators.difference import Difference, remove_nuisance, rms
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Lack, Place, lacks
 from pmfid.estimators.least_squares import solve_with_instruments
@@ -107,7 +107,7 @@ class Adequacy:
     @property
     def left(self) -> float:
         """Part of the motion, 0 to about 1, that neither the model nor the encoder explains."""
-        found, motion = self.difference, self.difference.filtered(self.difference.y - np.mean(self.difference.y))
+        found, motion = self.difference, self.difference.filter_signal(self.difference.y - np.mean(self.difference.y))
         excess = max(float(np.mean(found(self.q) ** 2)) - found.explained**2, 0.0)
         return float(np.sqrt(excess)) * found.resolution / max(rms(motion), TINY)
 
@@ -185,11 +185,11 @@ def _tested(best: Best, information: float, slope: Floats, places: Sequence[Plac
     difference, q = best.difference, best.q
     p = difference.parameters
     sensitivity = -difference.jacobian(q)
-    own = without_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:])
+    own = remove_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:])
     candidates = lacks(difference, q, places)
     effects = np.column_stack([_effect(difference, q, lack) for lack in candidates] or [np.zeros((slope.size, 0))])
     effects = np.where(np.all(np.isfinite(effects), axis=0), effects, 0.0)  # of next to nothing, beyond numbers
-    beside = without_nuisance(difference, effects, sensitivity[:, p:])
+    beside = remove_nuisance(difference, effects, sensitivity[:, p:])
     scale = np.maximum(np.linalg.norm(own, axis=0), TINY)
     shift = np.linalg.lstsq(own / scale, beside)[0] / scale[:, None]
     alone = beside - own @ shift
@@ -225,7 +225,7 @@ def _effect(difference: Difference, q: Floats, lack: Lack) -> Floats:
     usual = rms(lack.force)
     size = STEP * lack.plausible or STEP_OF_FORCE * abs(difference.equation.input_gain) * rms(difference.u) / usual
     more, less = (difference.motion(q, -side * size * lack.force)[0] for side in (1.0, -1.0))
-    return difference.filtered(more - less) / (2 * size * difference.resolution)
+    return difference.filter_signal(more - less) / (2 * size * difference.resolution)
 
 
 def contradicted(fit: Fit, best: Fit, spread: Floats) -> bool:

@@ -65,7 +65,7 @@ def integer_counts(counts: ArrayLike) -> Numbers:
     return np.round(given).astype(np.int64)
 
 
-def held(u: Floats) -> Floats:
+def hold_last_input(u: Floats) -> Floats:
     """u (n,) with the last finite value in place of those that are not, as the kernel does it."""
     last = np.maximum.accumulate(np.where(np.isfinite(u), np.arange(1, u.size + 1), 0))
     return np.ascontiguousarray(np.r_[0.0, u][last])

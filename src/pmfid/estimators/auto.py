@@ -45,7 +45,7 @@ def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: f
 
 
 @dataclass(frozen=True)
-class Choice:
+class MethodChoice:
     """A method, a line that says why it was chosen, its fit, and what the counts say on the model, where that was
     asked."""
 
@@ -55,7 +55,7 @@ class Choice:
     adequacy: Adequacy | None
 
 
-def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: Best | None = None) -> Choice:
+def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: Best | None = None) -> MethodChoice:
     """The best off-line method that a record carries; u, counts: (n,). best: the motion that fits, where it is known.
 
     The interval likelihood where the model explains every count, and what it may lack without showing stays within
@@ -66,7 +66,7 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
     refused: list[str] = []
     sharp = None if configured.equation.without_simulation else _sharp(configured, u, counts, best, refused)
     if sharp is not None and not sharp.doubt:
-        return sharp.chosen("the model explains every count")
+        return sharp.make_choice("the model explains every count")
     adequacy = sharp.adequacy if sharp else None
     doubt = sharp.doubt if sharp else ""
     for cls, reason in _CANDIDATES:
@@ -83,9 +83,9 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
             refused.append(f"{cls.method}: {error}")
             continue
         if sharp and sharp.adequate and (better := sharp.better_than(fit, cls)):
-            return sharp.chosen(f"the model explains every count, and {better}")
+            return sharp.make_choice(f"the model explains every count, and {better}")
         if fit.theta[candidate.equation.leading] > 0:
-            return Choice(candidate, f"{cls.method}: {reason}{doubt}", fit, adequacy)
+            return MethodChoice(candidate, f"{cls.method}: {reason}{doubt}", fit, adequacy)
     if not refused:
         raise NotIdentifiableError("the mass comes out negative: check sign and scale of the input and the encoder")
     raise NotIdentifiableError(refused[0].partition(": ")[2])
@@ -118,8 +118,8 @@ class _Sharp:
         less = np.sum(np.log(total)) < np.sum(np.log(other.theta_std))
         return f"{cls.method} knows less, whatever the model may lack" if less else ""
 
-    def chosen(self, reason: str) -> Choice:
-        return Choice(self.method, f"{self.method.method}: {reason}", self.fit, self.adequacy)
+    def make_choice(self, reason: str) -> MethodChoice:
+        return MethodChoice(self.method, f"{self.method.method}: {reason}", self.fit, self.adequacy)
 
 
 def _sharp(

@@ -60,10 +60,10 @@ class Direct(BCRLS):
 
 def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
     """What `_make_columns` makes, once for each estimator: an iteration asks for it at every turn."""
-    return _kept(estimator, _make_columns)
+    return _cache_result(estimator, _make_columns)
 
 
-def _kept(estimator: Estimator, make: Callable[[Estimator], T]) -> T:
+def _cache_result(estimator: Estimator, make: Callable[[Estimator], T]) -> T:
     """make(estimator), from the second time on what it gave the first time; an estimator's configuration is frozen."""
     kept = estimator.__dict__
     if make.__name__ not in kept:
@@ -104,7 +104,7 @@ def make_auxiliary_kernel(
     """
     network, columns, first, check = auxiliary_columns(estimator)
     p = len(estimator.names)
-    direct = _kept(estimator, direct_estimator)
+    direct = _cache_result(estimator, direct_estimator)
     causes = _causes(estimator.equation, network) if adapt else []
     values = estimator.equation.role_values(initial)
     auxiliary = {
@@ -121,7 +121,7 @@ def make_auxiliary_kernel(
         "smoothing": min(1.0, FOLLOWED * estimator.cutoff * estimator.dt / COPY_TIME_CONSTANTS),
         "memory": math.exp(-estimator.cutoff * estimator.dt / CHECK_TIME_CONSTANTS),
         "mismatch_limit": MISMATCH_LIMIT,
-        "noise_power": _kept(estimator, _noise_power),
+        "noise_power": _cache_result(estimator, _noise_power),
         "lag_memory": math.exp(-estimator.cutoff * estimator.dt / LAG_TIME_CONSTANTS),
         "lag_samples": max(1.0, ALIKE_TIME_CONSTANTS / (estimator.cutoff * estimator.dt)),
         "direct_index": _indices(_alike(direct.equation, estimator.equation)),
@@ -161,7 +161,7 @@ def _late(estimator: Estimator, start: float, forgetting: float) -> dict[str, ob
 
 def _with_check(estimator: Estimator, recursion: Mapping[str, object]) -> dict[str, object]:
     """A recursion and what its innovations are compared with; that of whole records has no parameters."""
-    check, p = _kept(estimator, _check_of_model), recursion["n_parameters"]
+    check, p = _cache_result(estimator, _check_of_model), recursion["n_parameters"]
     noise = np.asarray(check["noise"])[:p, :p]
     return {**recursion, **check, "noise": noise}
 

@@ -13,11 +13,11 @@ import numpy as np
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.arguments import check_positive
-from pmfid.estimators.configuration import configuration_of, explain_inherited, freeze, made
-from pmfid.estimators.plants import Plant, plant_of
+from pmfid.estimators.configuration import configuration_of, construct_estimator, explain_inherited, freeze
+from pmfid.estimators.plants import PlantDefaults, plant_of
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
-from pmfid.filters.network import Network, Taps, scaled
+from pmfid.filters.network import Network, Taps, scale_taps
 from pmfid.kernel.configuration import new_kernel
 from pmfid.kernel.late import late_values
 from pmfid.kernel.shapes import shape_values, too_many
@@ -111,7 +111,7 @@ class Estimator:
         self._check_zeros()
 
     def __reduce__(self) -> tuple[object, ...]:
-        return made, (type(self), configuration_of(self))
+        return construct_estimator, (type(self), configuration_of(self))
 
     @classmethod
     def refuses(cls, equation: Equation) -> str:
@@ -186,7 +186,7 @@ class Estimator:
         return self.model.equation
 
     @property
-    def plant(self) -> Plant:
+    def plant(self) -> PlantDefaults:
         """What is particular to the kind of plant that the equation is of."""
         return plant_of(self.equation)
 
@@ -230,8 +230,8 @@ class Estimator:
         builder = ColumnBuilder(self.equation, self.spec)
         columns = builder.regressors()
         if self._extra:
-            columns += [scaled(builder.prefiltered(j + 1), -1.0) for j in range(self._extra)]
-            columns.append(builder.prefiltered(0))
+            columns += [scale_taps(builder.prefilter_input(j + 1), -1.0) for j in range(self._extra)]
+            columns.append(builder.prefilter_input(0))
         else:
             columns.append(builder.target())
         if self.instrumental:

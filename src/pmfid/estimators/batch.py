@@ -54,7 +54,7 @@ class BatchEstimator(Estimator):
         first = self._first_count(counts)
         if first == 0:
             return self._fit(u, counts)
-        return self._lifted(self._fit(u, integer_counts(counts) - first), first * self.encoder.resolution)
+        return self._restore_first_output(self._fit(u, integer_counts(counts) - first), first * self.encoder.resolution)
 
     def _first_count(self, counts: ArrayLike) -> int:
         """The first count, with its sign, where the equation is as true of what was counted since; else 0."""
@@ -64,7 +64,7 @@ class BatchEstimator(Estimator):
         half = 2 ** (self.encoder.bits - 1)
         return (int(given[0]) + half) % (2 * half) - half if given.ndim == 1 and given.size else 0
 
-    def _lifted(self, fit: Fit, first: float) -> Fit:
+    def _restore_first_output(self, fit: Fit, first: float) -> Fit:
         """The fit of y - first in the parameters of y: A(0) first is part of the constant."""
         level, lift = level_of(self.equation), np.eye(len(fit.theta))
         if level is not None and level.lowest is not None:

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from pmfid.estimators.difference import first_speed
-from pmfid.estimators.motion import moved
+from pmfid.estimators.motion import simulate_motion
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,
@@ -48,7 +48,7 @@ class Body:
 
     def speeds(self, u: Floats, start: float) -> tuple[Floats, float]:
         """Mean speed (n,) under u (n,), from a start, and the speed at the end [counts/s]."""
-        mean, end = moved(self.equation, self.theta, self.dt, u, start * self.step)
+        mean, end = simulate_motion(self.equation, self.theta, self.dt, u, start * self.step)
         return mean / self.step, end / self.step
 
     @property
@@ -91,13 +91,13 @@ def gaps_in(u: Floats) -> tuple[tuple[int, int], ...]:
     return tuple((a, b) for a, b in zip(edges[0::2], edges[1::2], strict=True) if b > a) if parts else ()
 
 
-def bridged(body: Body, u: Floats, counts: Counts) -> tuple[Floats, Counts, Flags]:
+def bridge_gaps(body: Body, u: Floats, counts: Counts) -> tuple[Floats, Counts, Flags]:
     """A record u, counts: (n,) with its gaps bridged, and which samples are in none."""
     parts, there = parts_of(u, body.least), np.zeros(u.size, bool)
     for part in parts:
         there[part] = True
     filled, whole = np.where(there, u, 0.0), counts.copy()
-    starts = [speed_behind(body, u[part], counts[part]) for part in parts]
+    starts = [read_start_speed(body, u[part], counts[part]) for part in parts]
     for before, part, start, target in zip(parts[:-1], parts[1:], starts[:-1], starts[1:], strict=True):
         gap = slice(before.stop, part.start)
         mean, end = body.speeds(u[before], start)
@@ -110,7 +110,7 @@ def bridged(body: Body, u: Floats, counts: Counts) -> tuple[Floats, Counts, Flag
     return filled, whole, there
 
 
-def speed_behind(body: Body, u: Floats, counts: Counts) -> float:
+def read_start_speed(body: Body, u: Floats, counts: Counts) -> float:
     """The speed [counts/s] with which the motion under u (n,) begins, as the counts (n,) tell it."""
     near = min(u.size, body.reading)
     place, time = (counts[:near] - counts[0]).astype(np.float64), np.arange(near) * body.dt
@@ -134,7 +134,7 @@ def _across(body: Body, samples: int, start: float, target: float, distance: flo
     line = start + (target - start) * at
     missing = distance - (start + target) / 2 * time
     for _ in range(TURNS):
-        u = _input_for(body, _through_rest(line + missing * hill))
+        u = _input_for(body, _insert_rests(line + missing * hill))
         travel = np.cumsum(body.speeds(u, start)[0]) * body.dt
         missing += distance - travel[-1]
         if abs(distance - travel[-1]) < CLOSE * (abs(distance) + 1.0):
@@ -142,7 +142,7 @@ def _across(body: Body, samples: int, start: float, target: float, distance: flo
     return u, travel
 
 
-def _through_rest(speeds: Floats) -> Floats:
+def _insert_rests(speeds: Floats) -> Floats:
     """Speeds (m + 1,) that turn where they are zero, and not between two samples."""
     turning = np.flatnonzero(speeds[1:-2] * speeds[2:-1] < 0) + 1
     nearer = turning + (np.abs(speeds[turning + 1]) < np.abs(speeds[turning]))

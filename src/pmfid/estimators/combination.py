@@ -62,7 +62,7 @@ def combine(estimate: Floats, covariance: Floats, further: Floats, facts: Facts)
             a, b, before = estimate + _times(step.gain_a, rest), b + change, b
             if not np.any(np.abs(b - before) > CONVERGED * np.abs(b)):
                 break
-        return _told(estimate, covariance, a, b, _linear(a, b, total, facts), facts)
+        return _make_combined(estimate, covariance, a, b, _linear(a, b, total, facts), facts)
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _start(estimate: Floats, total: Floats, facts: Facts) -> Floats:
     return np.asarray(np.take_along_axis(told, best[:, None], axis=1)[:, 0])
 
 
-def _told(estimate: Floats, covariance: Floats, a: Floats, b: Floats, last: _Linear, facts: Facts) -> Combined:
+def _make_combined(estimate: Floats, covariance: Floats, a: Floats, b: Floats, last: _Linear, facts: Facts) -> Combined:
     p = a.shape[1]
     moves_a = np.eye(p) - last.gain_a @ last.by_a
     moves_b = -np.einsum("nk,nkp->np", last.gain_b, last.by_a)

@@ -73,14 +73,14 @@ def configuration_of(estimator: Configured) -> dict[str, object]:
     return {field.name: getattr(estimator, field.name) for field in fields(estimator) if field.init}
 
 
-def made(cls: Callable[..., E], configuration: Mapping[str, object]) -> E:
+def construct_estimator(cls: Callable[..., E], configuration: Mapping[str, object]) -> E:
     """A new estimator of a class, without samples."""
     return cls(**configuration)
 
 
-def changed(estimator: C, changes: Mapping[str, object]) -> C:
+def change_arguments(estimator: C, changes: Mapping[str, object]) -> C:
     """The same method with some of its arguments changed, without samples: `dataclasses.replace` for a mapping."""
-    return made(type(estimator), configuration_of(estimator) | dict(changes))
+    return construct_estimator(type(estimator), configuration_of(estimator) | dict(changes))
 
 
 def like(cls: type[C], estimator: Configured, **changes: object) -> C:
@@ -92,4 +92,4 @@ def like(cls: type[C], estimator: Configured, **changes: object) -> C:
     kept = {name: value for name, value in given.items() if name in taken}
     if changes.get("model", given["model"]) != given["model"]:
         kept = {name: value for name, value in kept.items() if not isinstance(value, ByName)}
-    return made(cls, kept | changes)
+    return construct_estimator(cls, kept | changes)

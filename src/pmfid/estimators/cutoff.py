@@ -64,23 +64,23 @@ def _columns(
     """Pole, columns, and the samples that the filters take to settle."""
     linear = model.simple if model.equation.further else model
     if IV.refuses(linear.equation):
-        return _compensated([BCLS(linear, encoder, dt, pole) for pole in poles], u, counts)
-    return _along_a_motion([IV(linear, encoder, dt, pole) for pole in poles], u, counts)
+        return _make_compensated_columns([BCLS(linear, encoder, dt, pole) for pole in poles], u, counts)
+    return _make_simulated_columns([IV(linear, encoder, dt, pole) for pole in poles], u, counts)
 
 
-def _along_a_motion(
+def _make_simulated_columns(
     methods: Sequence[IV], u: Floats, counts: NDArray[np.int64]
 ) -> Iterator[tuple[float, tuple[Columns, int]]]:
     """With the instruments of one motion for all poles."""
     for first in methods:
         with suppress(NotIdentifiableError):
-            theta = first.settled(u, counts)[1]
+            theta = first.settle_iteration(u, counts)[1]
             for method in methods:
                 yield method.cutoff, (method.columns_at(theta, u, counts), method.settle_samples)
             return
 
 
-def _compensated(
+def _make_compensated_columns(
     methods: Sequence[BCLS], u: Floats, counts: NDArray[np.int64]
 ) -> Iterator[tuple[float, tuple[Columns, int]]]:
     for method in methods:

@@ -70,7 +70,7 @@ class Difference:
     breaks: tuple[tuple[int, int], ...] = ()
 
     def __call__(self, q: Floats) -> Floats:
-        return self.filtered(self.y - self.motion(q)[0]) / self.resolution
+        return self.filter_signal(self.y - self.motion(q)[0]) / self.resolution
 
     def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
         """Simulated position at the samples (n,) and mean velocity between them, (n,) or as fine as the force.
@@ -79,7 +79,7 @@ class Difference:
         equation].
         """
         if self.breaks:
-            return self._between_gaps(q, force)
+            return self._simulate_parts(q, force)
         values = q * self.scale
         theta, (x0, v0) = values[:-2], values[-2:]
         split, u, on_top = 1, self.u, None
@@ -93,7 +93,7 @@ class Difference:
         velocity = mean_velocity(self.equation, theta, self.dt / split, u, *start, parts, past, on_top)
         return x0 + np.r_[0.0, np.cumsum(velocity[:-1])][::split] * (self.dt / split), velocity
 
-    def _between_gaps(self, q: Floats, force: Floats | None) -> tuple[Floats, Floats]:
+    def _simulate_parts(self, q: Floats, force: Floats | None) -> tuple[Floats, Floats]:
         """The same; where nothing is known the position is that of the counts, and nothing moves."""
         split = 1 if force is None else force.size // self.u.size
         position, velocity = self.y.copy(), np.zeros(split * self.u.size)
@@ -160,20 +160,20 @@ class Difference:
         past = np.r_[self.before, self.u[:first]][-(LAGGING if self.equation.lag else 1) * MOST_LATE - 2 :]
         return replace(self, u=self.u[first:last], y=self.y[first:last], zero=self.slack, past=past)
 
-    def filtered(self, signal: Floats) -> Floats:
+    def filter_signal(self, signal: Floats) -> Floats:
         """The high-pass, from rest: white noise on top of a random walk leaves it white."""
         if self.pole == 0:
             return signal
         return first_order(signal, math.exp(-self.pole * self.dt), 1.0, -1.0)[0]
 
-    def summed(self, values: Floats) -> Floats:
+    def sum_by_sample(self, values: Floats) -> Floats:
         """What stands at the samples of the difference, (n, ...), at those of the record."""
         return values
 
     @property
     def size_of_motion(self) -> float:
         """Root mean square [counts] of the position about its mean, as the difference sees it."""
-        return rms(self.filtered(self.y - np.mean(self.y)) / self.resolution)
+        return rms(self.filter_signal(self.y - np.mean(self.y)) / self.resolution)
 
     def jacobian(self, q: Floats, width: float = STEP, first: int = 0) -> Floats:
         """Derivatives by q[first:], a column each, as central differences that stay above the bounds."""
@@ -191,7 +191,7 @@ class Difference:
     def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = STEP) -> Floats:
         """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
         jacobian, p = self.jacobian(q, width), self.parameters
-        return without_nuisance(self, jacobian[:, :p], jacobian[:, p:], root)
+        return remove_nuisance(self, jacobian[:, :p], jacobian[:, p:], root)
 
     @property
     def start_velocity_std(self) -> float:
@@ -277,7 +277,7 @@ def least(difference: Difference, q: Floats, tolerances: Sequence[float] = (TOLE
     )
 
 
-def without_nuisance(difference: Difference, columns: Floats, nuisance: Floats, root: Floats | None = None) -> Floats:
+def remove_nuisance(difference: Difference, columns: Floats, nuisance: Floats, root: Floats | None = None) -> Floats:
     """Effects (n, k) [counts] less what the start position and velocity, nuisance (n, 2), can do as well.
 
     root: (n,) square roots of the samples' information, None: that of a white encoder error. The start velocity is
@@ -289,7 +289,7 @@ def without_nuisance(difference: Difference, columns: Floats, nuisance: Floats, 
     return np.asarray(columns - nuisance @ np.linalg.lstsq(weighted, targets)[0])
 
 
-def inverted(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
+def invert_information(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
     """(S^T S)^-1 (p, p) of the sensitivities S (n, p). Raises NotIdentifiableError where one of them is zero or a
     combination of the others, naming the parameter."""
     with np.errstate(over="ignore"):  # of a wide step a motion may run away: infinitely sensitive, then

@@ -56,7 +56,7 @@ def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps
         yield np.array([sum(weight * nodes[node] for node, weight in taps) for taps in columns])
 
 
-def shown(estimator: Estimator) -> float:
+def compute_encoder_floor(estimator: Estimator) -> float:
     """The inverse square of what the encoder shows of the regressor of the highest derivative.
 
     An error of half a step at every sample, at the frequency that matters most, makes no larger root mean square than

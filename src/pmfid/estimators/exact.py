@@ -52,9 +52,9 @@ class Exact:
     y: Floats
     signals: dict[str, Floats]
 
-    def at(self, theta: Floats) -> Pass:
+    def compute_pass(self, theta: Floats) -> Pass:
         """Columns around the equation's own denominator at theta (p,)."""
-        A, held = self._denominator(theta), self._held(theta)
+        A, held = self._denominator(theta), self._list_held_terms(theta)
         found = respond_exactly(A, held, np.array([self.signals[name] for name in SOURCES]), self.filter.dt)
         F, p = self.filter, len(self.equation.unknown)
         inputs = [F.equation(response, A) for response in found.responses]
@@ -87,7 +87,7 @@ class Exact:
                 A[term.derivative] -= term.coefficient
         return A
 
-    def _held(self, theta: Floats) -> list[ExactTerm]:
+    def _list_held_terms(self, theta: Floats) -> list[ExactTerm]:
         """All other terms on the right."""
         terms = [
             ExactTerm(SOURCES.index(term.signal), term.derivative, -term.coefficient * value, column)
@@ -149,7 +149,7 @@ def refine_exactly(exact: Exact, theta: Floats, used: slice) -> Refined | None:
     change, history = np.inf, []
     for count in range(1, PASSES + 1):
         with np.errstate(all="ignore"):
-            here = exact.at(theta)
+            here = exact.compute_pass(theta)
             size = np.linalg.norm(here.zeta[used], axis=0)
         if not (np.all(np.isfinite(here.slope)) and np.all(np.isfinite(here.error)) and 0 < np.min(size) < np.inf):
             return None
@@ -165,15 +165,15 @@ def refine_exactly(exact: Exact, theta: Floats, used: slice) -> Refined | None:
 
 
 def fit_exactly(estimator: BatchEstimator, u: Floats, y: Floats) -> Fit:
-    """The fit of a linear method with the exact discretisation, u, y: (n,). Raises as `refined`."""
-    found, used = refined(estimator, u, y), slice(estimator.settle_samples, None)
+    """The fit of a linear method with the exact discretisation, u, y: (n,). Raises as `refine_estimate`."""
+    found, used = refine_estimate(estimator, u, y), slice(estimator.settle_samples, None)
     last = found.last
     target = last.error[used] + last.phi[used] @ found.theta
     columns = Columns(last.phi[used], target, last.zeta[used], np.arange(y.size) >= used.start, found.status)
     return estimator._result(columns, found.theta, estimator._covariance(columns, found.theta, found.gain))
 
 
-def refined(estimator: BatchEstimator, u: Floats, y: Floats) -> Refined:
+def refine_estimate(estimator: BatchEstimator, u: Floats, y: Floats) -> Refined:
     """The passes from the estimate with matched filters; where they do not settle, from the filters' own poles.
 
     Raises NotIdentifiableError where those do not, either."""

@@ -42,7 +42,7 @@ class Fleet:
         self._first = self._many.kernel.states[:1].copy()
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _resumed, (self.estimator, self._first, self.axes, self.workers, self.get_state())
+        return _resume_fleet, (self.estimator, self._first, self.axes, self.workers, self.get_state())
 
     @property
     def estimator(self) -> RecursiveEstimator:
@@ -99,7 +99,9 @@ class Fleet:
         load_fleet(self._many.kernel, self._source.precision, state)
 
 
-def _resumed(estimator: RecursiveEstimator, first: NDArray[np.uint8], axes: int, workers: int, state: bytes) -> Fleet:
+def _resume_fleet(
+    estimator: RecursiveEstimator, first: NDArray[np.uint8], axes: int, workers: int, state: bytes
+) -> Fleet:
     runner = estimator.start()
     single = runner.kernel.many(1, whole_words(runner.precision))
     single.set_states(first)

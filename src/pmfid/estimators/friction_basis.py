@@ -13,7 +13,7 @@ from pmfid.estimators.adequacy import filtered
 from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.motion import mean_velocity
-from pmfid.kernel.shapes import Table
+from pmfid.kernel.shapes import ShapeTable
 from pmfid.models.drive import EquationModel
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
@@ -50,8 +50,8 @@ class Remainder(Shape):
 
     of_speed = True
 
-    def table(self) -> Table:
-        return Table("speed", self.values, step=self.step)
+    def table(self) -> ShapeTable:
+        return ShapeTable("speed", self.values, step=self.step)
 
     @property
     def reads(self) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError, whole_number
-from pmfid.estimators.arguments import check_arrays, held
+from pmfid.estimators.arguments import check_arrays, hold_last_input
 from pmfid.estimators.friction_basis import Basis, Sides, bend_of, make_basis, with_curve
 from pmfid.estimators.instruments import LASTING
 from pmfid.estimators.iv import IV
@@ -66,13 +66,13 @@ class FrictionCurve(Shown):
 
     def at(self, velocity: ArrayLike) -> Floats:
         """Friction (n,) [N] at velocities (n,) [m/s]; NaN where the record has none of them."""
-        return self._between(velocity, self.force)
+        return self._interpolate(velocity, self.force)
 
     def std_at(self, velocity: ArrayLike) -> Floats:
         """Its standard deviation (n,) [N], NaN where `at` is."""
-        return self._between(velocity, self.std)
+        return self._interpolate(velocity, self.std)
 
-    def _between(self, velocity: ArrayLike, values: Floats) -> Floats:
+    def _interpolate(self, velocity: ArrayLike, values: Floats) -> Floats:
         v = np.asarray(velocity, np.float64)
         inside = np.any([(low <= v) & (v <= high) for low, high in self.visited], axis=0)
         return np.where(inside, np.interp(v, self.velocity, values), np.nan)
@@ -119,8 +119,8 @@ def friction_curve(
     if rising_from is not None and not 0 <= rising_from < np.inf:
         raise UsageError(f"rising_from must be a speed in m/s from 0 on, or None, got {rising_from!r}")
     u, counts = check_arrays(u, counts)
-    u = held(u)
-    model, theta = estimator, estimator.settled(u, counts)[1]
+    u = hold_last_input(u)
+    model, theta = estimator, estimator.settle_iteration(u, counts)[1]
     basis = make_basis(model, theta, u, counts, nodes)
     fastest = max(float(own[-1]) for own in basis.speeds)
     if rising_from is not None and rising_from >= fastest:
@@ -128,10 +128,10 @@ def friction_curve(
             f"rising_from is {rising_from:g} m/s, but the record has no speed beyond {fastest:.3g} m/s: friction would "
             "nowhere be asked to rise; give a lower speed, or leave it out"
         )
-    solved = _solved(basis, rising_from)
+    solved = _solve_curve(basis, rising_from)
     for _ in range(TURNS - 1):
         model, theta = with_curve(estimator, float(solved.theta[0]), solved.sides)
-        solved = _solved(make_basis(model, theta, u, counts, nodes), rising_from)
+        solved = _solve_curve(make_basis(model, theta, u, counts, nodes), rising_from)
 
     def read(counts: Counts) -> Columns:
         columns, mass = model.columns_at(theta, u, counts), model.equation.leading
@@ -140,7 +140,7 @@ def friction_curve(
         return replace(columns, phi=phi, zeta=solved.everywhere[columns.used])
 
     along = lattice_scatter(model, theta, u, counts, read, solved.gain)
-    return _told(solved, np.sqrt(np.maximum(solved.noise, along) + solved.bias**2))
+    return _make_curve(solved, np.sqrt(np.maximum(solved.noise, along) + solved.bias**2))
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class _Solved:
         return (self.speeds[0], forward), (self.speeds[1], backward)
 
 
-def _solved(basis: Basis, rising_from: float | None) -> _Solved:
+def _solve_curve(basis: Basis, rising_from: float | None) -> _Solved:
     Q = np.linalg.qr(basis.instruments)[0]
     mass = Q @ (Q.T @ basis.regressors[:, 0])  # two stages of least squares are the instruments' estimate
     A = np.column_stack([mass, basis.instruments[:, 1:]])
@@ -184,7 +184,7 @@ def _solved(basis: Basis, rising_from: float | None) -> _Solved:
     return _Solved(basis.speeds, theta, gain, noise, theta - gain @ right, weight, everywhere, rest)
 
 
-def _told(solved: _Solved, std: Floats) -> FrictionCurve:
+def _make_curve(solved: _Solved, std: Floats) -> FrictionCurve:
     """Without the nodes at rest: no sample is there, and Stribeck friction may hide below the first of the others."""
     (ahead, forward), (back, backward) = solved.sides
     bars_ahead, bars_back = np.split(std[1:], [ahead.size])

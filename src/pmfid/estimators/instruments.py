@@ -13,7 +13,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.arguments import check_arrays, check_size
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
 from pmfid.estimators.bcls import BCLS
-from pmfid.estimators.bridges import Body, bridged
+from pmfid.estimators.bridges import Body, bridge_gaps
 from pmfid.estimators.configuration import like
 from pmfid.estimators.encoder_noise import impulse_products
 from pmfid.estimators.identifiable import TINY, check_identifiable
@@ -21,7 +21,7 @@ from pmfid.estimators.lagging import with_lag
 from pmfid.estimators.lattice import lattice_scatter
 from pmfid.estimators.least_squares import inverse_of, solve_with_instruments
 from pmfid.estimators.results import Columns, Fit
-from pmfid.estimators.scatter import raised, scatter
+from pmfid.estimators.scatter import raise_variances, scatter
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.srivc import ProcessSolver, fixed_filters
 from pmfid.models.drive import Model
@@ -75,16 +75,16 @@ class Instruments(ProcessSolver, Simulating):
             names, others = ", ".join(self.equation.searched), "" if self.plant.rests else "srivc or "
             raise UsageError(f"iv is linear in what it estimates, and {names} is not; use {others}output-error")
 
-    def solved(self, problem: ProcessProblem) -> Solution:
+    def solve_problem(self, problem: ProcessProblem) -> Solution:
         return fixed_filters(problem)
 
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Raises NotIdentifiableError also where no iteration settles."""
         u, counts = check_arrays(u, counts)
-        columns, theta = self.settled(u, counts)
-        return self._result(columns, theta, self.bars(columns, theta, u, counts))
+        columns, theta = self.settle_iteration(u, counts)
+        return self._result(columns, theta, self.estimate_covariance(columns, theta, u, counts))
 
-    def settled(self, u: ArrayLike, counts: ArrayLike) -> tuple[Columns, NDArray[np.float64]]:
+    def settle_iteration(self, u: ArrayLike, counts: ArrayLike) -> tuple[Columns, NDArray[np.float64]]:
         """The columns of the last turn and theta (p,): `fit` without the covariance, and with its errors."""
         theta = self.start(u, counts)
         for turn in range(MAX_ITERATIONS):
@@ -104,7 +104,7 @@ class Instruments(ProcessSolver, Simulating):
             "`initial`"
         )
 
-    def bars(
+    def estimate_covariance(
         self, columns: Columns, theta: NDArray[np.float64], u: NDArray[np.float64], counts: NDArray[np.int64]
     ) -> NDArray[np.float64]:
         """Covariance (p, p) of theta (p,): what its scores scatter in blocks on every scale beyond that of the filters,
@@ -113,7 +113,7 @@ class Instruments(ProcessSolver, Simulating):
         gain = self._gain(columns, theta, u, counts)
         in_blocks = scatter(self._scores(columns, theta) @ gain.T, LASTING * self.settle_samples)
         along = lattice_scatter(self, theta, u, counts, lambda read: self.columns_at(theta, u, read), gain)
-        return raised(in_blocks, along)
+        return raise_variances(in_blocks, along)
 
     def _gain(
         self, columns: Columns, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike
@@ -170,12 +170,12 @@ class Instruments(ProcessSolver, Simulating):
             raise refused or NotIdentifiableError("no start for the iteration")
         return min(found, key=lambda pair: pair[0])[1]
 
-    def _at_lag(self, seconds: float) -> Instruments:
+    def _fix_lag(self, seconds: float) -> Instruments:
         return like(Instruments, self, model=self.model.at_lag(seconds))
 
     def mismatch(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> float:
         """Mean square of the filtered velocity that the model at theta (p,) lacks, over that of the measured one."""
-        columns, used, _ = self._filtered(theta, *check_arrays(u, counts), None)
+        columns, used, _ = self._filter_record(theta, *check_arrays(u, counts), None)
         check = auxiliary_columns(self)[3]
         measured, modelled = columns[used, check], columns[used, check + 1]
         return float(np.sum((measured - modelled) ** 2) / max(float(np.sum(measured**2)), TINY))
@@ -189,14 +189,14 @@ class Instruments(ProcessSolver, Simulating):
         rests: does it? None: as the counts and theta say.
         """
         if self.equation.lag == ESTIMATE:
-            return with_lag(lambda lag: self._at_lag(lag).columns_at(theta[:-1], u, counts, rests), theta, self.dt)
-        columns, used, status = self._filtered(theta, *check_arrays(u, counts), rests)
+            return with_lag(lambda lag: self._fix_lag(lag).columns_at(theta[:-1], u, counts, rests), theta, self.dt)
+        columns, used, status = self._filter_record(theta, *check_arrays(u, counts), rests)
         first, p = auxiliary_columns(self)[2], len(self.names)
         columns = columns[used, first:]
         occurred = int(np.bitwise_or.reduce(status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP)
         return Columns(columns[:, :p], columns[:, p], columns[:, p + 1 : 2 * p + 1], used, occurred)
 
-    def _filtered(
+    def _filter_record(
         self,
         theta: NDArray[np.float64],
         u_array: NDArray[np.float64],
@@ -209,7 +209,7 @@ class Instruments(ProcessSolver, Simulating):
         lost = np.where(there, 0, int(Status.INVALID_INPUT)).astype(np.uint32)
         if not np.all(there):
             body = Body(self.equation, theta, self.dt, self.encoder.resolution, self.cutoff)
-            u_array, counts_array, there = bridged(body, u_array, counts_array)
+            u_array, counts_array, there = bridge_gaps(body, u_array, counts_array)
             filters = self._unguarded
         kernel, _ = make_auxiliary_kernel(filters, 1.0, list(theta), adapt=False)
         rests = self._rests(u_array, counts_array, theta) if rests is None else rests

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.estimators.difference import inverted
+from pmfid.estimators.difference import invert_information
 from pmfid.estimators.likelihood import Best, cost, expected_information
 from pmfid.estimators.output_error import Following
 from pmfid.estimators.phases import likelihood_covariance
@@ -41,12 +41,12 @@ class IntervalML(Following):
     def fit_of(self, best: Best) -> Fit:
         """The result at the motion that fits best."""
         if best.noise is None:
-            return self.by_squares(replace(best, status=best.status | int(Status.FALLBACK)))
+            return self.make_least_squares_fit(replace(best, status=best.status | int(Status.FALLBACK)))
         difference, q, noise = best.difference, best.q, best.noise
         error = difference(q)
         root = np.sqrt(expected_information(error, noise))
         own = self.own_sensitivity(difference, q, root)
         weighted, slope = own * root[:, None], cost(error, noise)[1]
-        inverted(weighted, self.names)
+        invert_information(weighted, self.names)
         covariance = likelihood_covariance(best, weighted, own * slope[:, None])
         return self.result(difference, q, self.with_drift(best, covariance), best.status)

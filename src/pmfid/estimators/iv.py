@@ -56,7 +56,7 @@ class IV(Instruments):
         if sharp is None or not np.all(sharp.theta_std[late] < fit.theta_std[late]):
             return fit
         try:
-            return self._at(sharp.theta[late], sharp.theta_cov[np.ix_(late, late)], late, fit, u, counts)
+            return self._fit_at_lateness(sharp.theta[late], sharp.theta_cov[np.ix_(late, late)], late, fit, u, counts)
         except NotIdentifiableError:  # its iteration does not settle there
             return fit
 
@@ -69,19 +69,19 @@ class IV(Instruments):
         except NotIdentifiableError:
             return None
 
-    def _at(
+    def _fit_at_lateness(
         self, late: Floats, late_cov: Floats, places: list[int], fit: Fit, u: Floats, counts: NDArray[np.int64]
     ) -> Fit:
         """The fit at a lateness (l,) [s] known to a covariance (l, l), at these places of theta."""
         others = [i for i in range(fit.theta.size) if i not in places]
-        known = self._known(late, fit.theta[others])
-        columns, theta = known.settled(u, counts)
+        known = self._fix_lateness(late, fit.theta[others])
+        columns, theta = known.settle_iteration(u, counts)
         moves = np.empty((theta.size, late.size))
         for j, bar in enumerate(np.sqrt(np.diagonal(late_cov))):
             sides = [np.maximum(late + side * bar * np.eye(late.size)[j], 0.0) for side in (1.0, -1.0)]
-            ends = [self._known(side, theta).settled(u, counts)[1] for side in sides]
+            ends = [self._fix_lateness(side, theta).settle_iteration(u, counts)[1] for side in sides]
             moves[:, j] = (ends[0] - ends[1]) / (sides[0][j] - sides[1][j])
-        own = known.bars(columns, theta, u, counts)
+        own = known.estimate_covariance(columns, theta, u, counts)
         whole, cov = np.empty(fit.theta.size), np.empty_like(fit.theta_cov)
         whole[others], whole[places] = theta, late
         cov[np.ix_(others, others)] = own + moves @ late_cov @ moves.T
@@ -90,7 +90,7 @@ class IV(Instruments):
         cov[np.ix_(places, others)] = cov[np.ix_(others, places)].T
         return self._result(self.columns_at(whole, u, counts), whole, cov)
 
-    def _known(self, late: Floats, start: Floats) -> Instruments:
+    def _fix_lateness(self, late: Floats, start: Floats) -> Instruments:
         """With a known lateness (l,) [s], from theta (p,) on."""
         times = iter(late.tolist())
         model, equation = self.model, self.equation

@@ -21,7 +21,7 @@ from pmfid.estimators.facts import INPUT_GAIN, check_known, forces_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Fit
 from pmfid.estimators.runner import Runner
-from pmfid.estimators.track import Track, joined
+from pmfid.estimators.track import Track, join_tracks
 from pmfid.models.drive import Drive
 from pmfid.shown import Parameters, Shown, Summary, remarks_of
 from pmfid.status import status_names
@@ -160,7 +160,7 @@ class Known:
                 f"what is known ({', '.join(self._facts)}) and what the record says do not go together: check the "
                 "values, or leave one out"
             )
-        values, noise = self._scaled(told)
+        values, noise = self._scale_to_machine(told)
         spread = None if model_spread is None else self._spread(told, model_spread, further)
         notes = self._contradictions(told.apart[0], theta, covariance, further)
         return Posterior(self.names, self.units, values[0], noise[0], spread, notes)
@@ -176,7 +176,7 @@ class Known:
     def _given(self) -> dict[str, float]:
         return {name: value for name, (value, std) in self._facts.items() if std == 0}
 
-    def _scaled(self, told: Combined) -> tuple[Floats, Floats]:
+    def _scale_to_machine(self, told: Combined) -> tuple[Floats, Floats]:
         """theta (n, q) and covariances (n, q, q), with the gain of the machine; what is given stays as it is."""
         q, scale = len(self.names), self._gain_scale
         values, noise = told.theta[:, :q] * scale, told.noise[:, :q, :q] * np.outer(scale, scale)
@@ -232,7 +232,7 @@ class Known:
         covariance = alike * std[known, :, None] * std[known, None, :]
         with suppress(np.linalg.LinAlgError):  # of facts that contradict each other: nothing is known then
             told = combine(track.theta[known], covariance, np.zeros((covariance.shape[0], p)), self.facts)
-            theta[known], noise = self._scaled(told)
+            theta[known], noise = self._scale_to_machine(told)
             bars[known] = np.sqrt(np.maximum(np.einsum("nii->ni", noise), 0.0))
         unknown = ~np.all(np.isfinite(theta) & np.isfinite(bars), axis=1)
         bars[unknown], theta[unknown] = np.inf, 0.0
@@ -245,10 +245,10 @@ class Known:
         for start in range(0, max(1, u.size), PIECE):
             part = runner.run(u[start : start + PIECE], counts[start : start + PIECE])
             parts.append(self.track(part, runner.estimate))
-        return joined(parts)
+        return join_tracks(parts)
 
 
-def told_by(estimator: Estimator, known: Known | None) -> Estimator | Known:
+def choose_naming(estimator: Estimator, known: Known | None) -> Estimator | Known:
     """Who has the names and units of what is told: the estimator, or what is known beside it."""
     return estimator if known is None else known
 

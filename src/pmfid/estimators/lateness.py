@@ -39,7 +39,7 @@ def lateness(found: Adequacy) -> list[Lateness]:
     first; a second one is there only where it is as likely, or has fewer unknowns."""
     ways: list[Lateness] = []
     for equation in _others(found.difference.equation):
-        way = _fitted(found, equation)
+        way = _fit_equation(found, equation)
         if way is not None and way.gain > ALIKE:
             ways.append(way)
         elif found.difference.equation.at_once == found.difference.equation:
@@ -63,9 +63,9 @@ def _others(equation: Equation) -> Iterator[Equation]:
         yield dead.at_lag(ESTIMATE)
 
 
-def _fitted(found: Adequacy, equation: Equation) -> Lateness | None:
+def _fit_equation(found: Adequacy, equation: Equation) -> Lateness | None:
     """The best fit of another equation from that of the model; None: there is none, or none that is late."""
-    difference, start = _prepared(found, equation)
+    difference, start = _prepare_fit(found, equation)
     try:
         q = least(difference, start)
     except NotIdentifiableError:
@@ -86,7 +86,7 @@ def _names(equation: Equation) -> tuple[str, ...]:
     return (*equation.names, *dict(equation.further))
 
 
-def _prepared(found: Adequacy, equation: Equation) -> tuple[Difference, Floats]:
+def _prepare_fit(found: Adequacy, equation: Equation) -> tuple[Difference, Floats]:
     """The difference of another equation, and q (q,) to start from: the same but for how late the input acts."""
     own, q = found.difference, found.q
     values, sizes = (dict(zip(_names(own.equation), numbers, strict=False)) for numbers in (q * own.scale, own.scale))

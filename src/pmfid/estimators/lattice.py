@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.arguments import held
+from pmfid.estimators.arguments import hold_last_input
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.difference import first_speed
 from pmfid.estimators.motion import mean_velocity
@@ -36,18 +36,18 @@ def lattice_scatter(
 ) -> Floats:
     """Variances (p,) of the parameters over the places of the lattice, for counts of the motion simulated at theta (p,)
     under u (n,). columns_of: the estimator's columns for counts (n,); gain (p, p): by how much a sum moves theta."""
-    place, sums = _simulated(estimator, theta, u, counts), []
+    place, sums = _simulate_position(estimator, theta, u, counts), []
     for k in range(PLACES):
         read = columns_of(np.floor(place + k / PLACES).astype(np.int64))
         sums.append(read.zeta.T @ (read.z - read.phi @ theta))
     return np.asarray(np.mean(np.square(np.array(sums) @ gain.T), axis=0))
 
 
-def _simulated(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.int64]) -> Floats:
+def _simulate_position(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.int64]) -> Floats:
     """The simulated position (n,) [counts], with the start velocity of the counts."""
     start = first_speed(counts, estimator.dt, estimator.cutoff, 1.0)
     step = estimator.encoder.resolution
-    velocity = mean_velocity(estimator.equation, theta, estimator.dt, held(u), start * step)
+    velocity = mean_velocity(estimator.equation, theta, estimator.dt, hold_last_input(u), start * step)
     place = np.asarray(np.r_[0.0, np.cumsum(velocity[:-1])] * estimator.dt / step)
     if not np.max(np.abs(place)) < MOST_COUNTS:
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))

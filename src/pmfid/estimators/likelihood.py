@@ -94,7 +94,7 @@ def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
     if best[2] <= GIVEN_AWAY * NOISE_FLOOR or difference.breaks:  # the starts behind gaps are those of least squares
         return best[1], best[2]
     costs = [best[0]]
-    for start in (q, *_around(difference, q)):
+    for start in (q, *_list_starts(difference, q)):
         place = start
         for noise in SHRINKING:
             place = climb(difference, place, noise)[1]
@@ -106,7 +106,7 @@ def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
     return best[1], best[2]
 
 
-def _around(difference: Difference, q: Floats) -> list[Floats]:
+def _list_starts(difference: Difference, q: Floats) -> list[Floats]:
     """Starts (q,) one and a half standard deviations of least squares to either side of q, along its main axes."""
     jacobian = difference.jacobian(q)
     _, size, axes = np.linalg.svd(jacobian, full_matrices=False)

@@ -34,10 +34,10 @@ def mean_velocity(
     start, the position as the equation counts it. parts: of a sample, of an equation with shapes or a lag; without them
     the motion is exact. before: inputs before the first (m,), of which a dead time or a lag knows; None: zero. on_top:
     (n,) what acts at once beside the input, in its unit."""
-    return moved(equation, theta, dt, u, velocity, position, parts, before, on_top)[0]
+    return simulate_motion(equation, theta, dt, u, velocity, position, parts, before, on_top)[0]
 
 
-def moved(
+def simulate_motion(
     equation: Equation,
     theta: Floats,
     dt: float,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.arguments import check_arrays, held
+from pmfid.estimators.arguments import check_arrays, hold_last_input
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.bridges import gaps_in
@@ -25,7 +25,7 @@ from pmfid.estimators.difference import (
     WORST_FIT,
     Difference,
     first_speed,
-    inverted,
+    invert_information,
     least,
     rms,
 )
@@ -35,11 +35,11 @@ from pmfid.estimators.likelihood import Best, best_of, likeliest_of
 from pmfid.estimators.motion import mean_velocity
 from pmfid.estimators.phases import phase_scatter
 from pmfid.estimators.results import Fit
-from pmfid.estimators.rough import on_every_width
-from pmfid.estimators.scatter import raised, scatter
+from pmfid.estimators.rough import widen_covariance
+from pmfid.estimators.scatter import raise_variances, scatter
 from pmfid.estimators.simulating import Simulating
-from pmfid.estimators.srivc import ProcessSolver, by_descent
-from pmfid.estimators.starts import at_speeds, least_begun
+from pmfid.estimators.srivc import ProcessSolver, solve_by_descent
+from pmfid.estimators.starts import find_least_from_start, fit_at_speeds
 from pmfid.estimators.window_choice import FEWEST, choose_window
 from pmfid.estimators.windows import Windows, descend
 from pmfid.models.drive import EquationModel
@@ -78,25 +78,27 @@ class Following(Simulating, BatchEstimator):
 
     def best(self, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> Best:
         """The motion that fits a record best, the likeliest of those that the starts lead to; arguments and errors of
-        `followed`."""
+        `fit_least_squares`."""
         u, counts = check_arrays(u, counts)
         if start is not None or not self.equation.searched:
-            return best_of(*self.followed(u, counts, start))
+            return best_of(*self.fit_least_squares(u, counts, start))
         return likeliest_of(self._maxima(u, counts), self.cutoff)
 
     def _maxima(self, u: Floats, counts: NDArray[np.int64]) -> Iterator[Best]:
         """From each of the Stribeck speeds to start from. Raises NotIdentifiableError where none settles."""
         refused, settled = None, False
-        for theta, status in self._at_speeds(u, counts):
+        for theta, status in self._start_at_speeds(u, counts):
             try:
-                yield replace(best_of(*self.followed(u, counts, theta)), status=status)
+                yield replace(best_of(*self.fit_least_squares(u, counts, theta)), status=status)
                 settled = True
             except NotIdentifiableError as error:
                 refused = error
         if refused and not settled:
             raise refused
 
-    def followed(self, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> tuple[Difference, Floats, int]:
+    def fit_least_squares(
+        self, u: ArrayLike, counts: ArrayLike, start: Floats | None = None
+    ) -> tuple[Difference, Floats, int]:
         """The difference as it is to be judged, its least squares q, and the status bits of the record.
 
         The first pass is always behind the high-pass: the position itself has local minima where friction drifts.
@@ -104,8 +106,8 @@ class Following(Simulating, BatchEstimator):
         """
         u, counts = check_arrays(u, counts)
         theta, status = self._start(u, counts) if start is None else (start, 0)
-        difference, q = self._prepared(theta, u, self.position(counts))
-        q = least_begun(difference, q, self.cutoff, (TOLERANCE, ROUGH_TOLERANCE))
+        difference, q = self._prepare_difference(theta, u, self.position(counts))
+        q = find_least_from_start(difference, q, self.cutoff, (TOLERANCE, ROUGH_TOLERANCE))
         difference = difference.fine_at(q[:-2] * difference.scale[:-2])
         if self.drift_cutoff:
             return difference, q, status
@@ -129,22 +131,22 @@ class Following(Simulating, BatchEstimator):
             pass
         return q
 
-    def by_squares(self, best: Best) -> Fit:
+    def make_least_squares_fit(self, best: Best) -> Fit:
         """The result of the least squares."""
         difference, q = best.difference, best.least
-        moves, covariance = self._scattered(difference, q)
-        covariance = on_every_width(covariance, lambda width: self._scattered(difference, q, width)[1])
+        moves, covariance = self._scatter_scores(difference, q)
+        covariance = widen_covariance(covariance, lambda width: self._scatter_scores(difference, q, width)[1])
         if best.noise is not None:
             # the motion that explains every count rests where the axis did: a controller parks it beside an edge
-            covariance = raised(covariance, phase_scatter(difference, best.q, moves, None))
+            covariance = raise_variances(covariance, phase_scatter(difference, best.q, moves, None))
         return self.result(difference, q, self.with_drift(best, covariance), best.status)
 
-    def _scattered(self, difference: Difference, q: Floats, width: float = STEP) -> tuple[Floats, Floats]:
+    def _scatter_scores(self, difference: Difference, q: Floats, width: float = STEP) -> tuple[Floats, Floats]:
         """(n, p) by how much an error of each sample moves the parameters, and their covariance (p, p) by how what is
         left scatters; width: of the difference quotients."""
         sensitivity = self.own_sensitivity(difference, q, width=width)
-        moves = sensitivity @ inverted(sensitivity, self.names)
-        return moves, scatter(difference.summed(moves * difference(q)[:, None]), difference.recovery)
+        moves = sensitivity @ invert_information(sensitivity, self.names)
+        return moves, scatter(difference.sum_by_sample(moves * difference(q)[:, None]), difference.recovery)
 
     def with_drift(self, best: Best, covariance: Floats) -> Floats:
         """A covariance (p, p) with variances of at least those behind the high-pass, where there is more in the
@@ -153,7 +155,7 @@ class Following(Simulating, BatchEstimator):
         if best.noise is None or best.clean:
             return covariance
         behind = replace(best.difference, pole=self.cutoff)
-        return raised(covariance, np.diagonal(self._scattered(behind, best.q)[1]))
+        return raise_variances(covariance, np.diagonal(self._scatter_scores(behind, best.q)[1]))
 
     def own_sensitivity(
         self, difference: Difference, q: Floats, root: Floats | None = None, width: float = STEP
@@ -170,24 +172,24 @@ class Following(Simulating, BatchEstimator):
         jump = np.abs(change) > self.encoder.max_speed * self.dt + self.encoder.resolution
         return np.asarray(y[0] + np.r_[0.0, np.cumsum(np.where(jump, 0.0, change))])
 
-    def _at_speeds(self, u: Floats, counts: NDArray[np.int64]) -> list[tuple[Floats, int]]:
+    def _start_at_speeds(self, u: Floats, counts: NDArray[np.int64]) -> list[tuple[Floats, int]]:
         """theta (p,) to start from, and the status bits of the record, at each Stribeck speed that is gone on from."""
         y = self.position(counts)
 
-        def at(speed: float) -> tuple[float, Floats, int]:
+        def fit_at(speed: float) -> tuple[float, Floats, int]:
             known = like(OE, self, model=EquationModel(self.equation.at_shapes([speed])))
             theta, status = known._start(u, counts)
-            difference, q = known._prepared(theta, u, y)
+            difference, q = known._prepare_difference(theta, u, y)
             q = least(difference, q, [ROUGHLY])
             return rms(difference(q)), np.r_[(q * difference.scale)[:-2], speed], status
 
-        found = at_speeds(self._usual_speed(u, counts), at, lambda one: one[0])
+        found = fit_at_speeds(self._usual_speed(u, counts), fit_at, lambda one: one[0])
         return [(theta, status) for _, (_, theta, status) in found]
 
     def _usual_speed(self, u: Floats, counts: NDArray[np.int64]) -> float:
         """Root mean square of the motion that the model without shapes makes, or the counts where it makes none."""
         plain = like(Instruments, self, model=self.model.symmetric, initial=None)
-        velocity = mean_velocity(plain.equation, plain.start(u, counts), self.dt, held(u))
+        velocity = mean_velocity(plain.equation, plain.start(u, counts), self.dt, hold_last_input(u))
         moving = velocity[velocity != 0]
         return rms(moving) if moving.size else rms(np.diff(self.position(counts))) / self.dt
 
@@ -197,10 +199,10 @@ class Following(Simulating, BatchEstimator):
 
         Raises NotIdentifiableError where the counts alone show that nothing can be identified."""
         if self.equation.searched:
-            return self._at_speeds(u, counts)[0]
+            return self._start_at_speeds(u, counts)[0]
         first = like(Instruments, self)
         try:
-            columns, theta = first.settled(u, counts)
+            columns, theta = first.settle_iteration(u, counts)
         except NotIdentifiableError:
             batch = like(BCLS, self, model=self.model.simple)
             check_identifiable(batch.columns(u, counts), batch.names)
@@ -208,10 +210,10 @@ class Following(Simulating, BatchEstimator):
             columns = first.columns_at(theta, u, counts)
         return theta, columns.status
 
-    def _prepared(self, theta: Floats, u: Floats, y: Floats) -> tuple[Difference, Floats]:
+    def _prepare_difference(self, theta: Floats, u: Floats, y: Floats) -> tuple[Difference, Floats]:
         """The difference behind the high-pass, and q to start from: theta (p,), at the first count. Where the input
         (n,) is no number the record has a gap."""
-        breaks, u = gaps_in(u), held(u)
+        breaks, u = gaps_in(u), hold_last_input(u)
         travel, dt = float(np.ptp(y)), self.dt
         force, mass = abs(self.equation.input_gain) * rms(u), abs(theta[self.equation.leading])
         drag = force * y.size * dt / travel
@@ -235,10 +237,10 @@ class Following(Simulating, BatchEstimator):
         speed = rms(np.diff(y)) / self.dt
         return [force / term.shape.size(speed) for term in shaped if term.shape is not None]
 
-    def at(self, theta: Floats, u: Floats, y: Floats) -> Difference:
+    def make_difference(self, theta: Floats, u: Floats, y: Floats) -> Difference:
         """The difference of a record, input u and position y (n,), without a high-pass; theta (p,): sizes of the
         parameters."""
-        return replace(self._prepared(theta, u, y)[0], pole=0.0)
+        return replace(self._prepare_difference(theta, u, y)[0], pole=0.0)
 
     def result(self, difference: Difference, q: Floats, q_cov: Floats, status: int) -> Fit:
         """The `Fit` at q with the scaled covariance (p, p). Raises NotIdentifiableError where it is no fit, or one
@@ -258,7 +260,11 @@ class Following(Simulating, BatchEstimator):
             )
         scale = difference.scale[: len(self.names)]
         theta, cov = q[: scale.size] * scale, q_cov * np.outer(scale, scale)
-        residual = difference.summed(residual) / difference.summed(np.ones(residual.size)) * difference.resolution
+        residual = (
+            difference.sum_by_sample(residual)
+            / difference.sum_by_sample(np.ones(residual.size))
+            * difference.resolution
+        )
         return Fit(self.names, self.units, theta, cov, residual.size, residual, relative, status)
 
 
@@ -298,31 +304,33 @@ class OE(ProcessSolver, Following):
         if self.window != AUTO_WINDOW:
             _check_window(self.window, self.dt)
 
-    def solved(self, problem: ProcessProblem) -> Solution:
-        return by_descent(problem)
+    def solve_problem(self, problem: ProcessProblem) -> Solution:
+        return solve_by_descent(problem)
 
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Raises NotIdentifiableError also where the simulation does not follow."""
-        return self.by_squares(self.best(u, counts)) if self.window is None else self._over_windows(u, counts)
+        return (
+            self.make_least_squares_fit(self.best(u, counts)) if self.window is None else self._fit_windows(u, counts)
+        )
 
-    def _over_windows(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+    def _fit_windows(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         u, counts = check_arrays(u, counts)
         theta, status = self._start(u, counts)
-        direct = self.at(theta, held(u), self.position(counts))
+        direct = self.make_difference(theta, hold_last_input(u), self.position(counts))
         theta = np.maximum(theta / direct.scale[:-2], direct.lower[:-2])
         choice = choose_window(direct, theta, self.cutoff) if isinstance(self.window, str) else None
         samples = choice.samples if choice else round(min(u.size, float(self.window or 0.0) / self.dt))
-        windows = Windows.over(direct, [(0, u.size)], samples)
-        q = descend(windows, windows.at(theta, self.cutoff))
+        windows = Windows.cover_stretches(direct, [(0, u.size)], samples)
+        q = descend(windows, windows.start_windows(theta, self.cutoff))
         fit = self.result(windows, q, self._window_covariance(windows, q), status)
         return replace(fit, notes=(choice.says,)) if choice else fit
 
     def _window_covariance(self, windows: Windows, q: Floats) -> Floats:
         """Covariance (p, p) of scaled parameters."""
-        moves, covariance = self._scattered(windows, q)
-        covariance = on_every_width(covariance, lambda width: self._scattered(windows, q, width)[1])
+        moves, covariance = self._scatter_scores(windows, q)
+        covariance = widen_covariance(covariance, lambda width: self._scatter_scores(windows, q, width)[1])
         if rms(windows(q)) <= windows.explained:
-            covariance = raised(covariance, phase_scatter(windows, q, moves, None))
+            covariance = raise_variances(covariance, phase_scatter(windows, q, moves, None))
         samples = moves.shape[0]
         return np.asarray(covariance * (samples / max(1, samples - q.size)))
 

@@ -70,11 +70,11 @@ def _tops(best: Best) -> Floats:
 def _top(error: Floats, jacobian: Floats, noise: float) -> Floats:
     """Step (q,) to the largest likelihood of differences error (n,) + jacobian (n, q) @ step [counts]."""
     step, damping = np.zeros(jacobian.shape[1]), 1e-3
-    now, slope, hessian = _beside_edges(error, jacobian, noise)
+    now, slope, hessian = _compute_edge_cost(error, jacobian, noise)
     for _ in range(MOST_STEPS):
         damped = hessian + damping * np.diag(np.maximum(np.diagonal(hessian), TINY))
         trial = step - np.linalg.lstsq(damped, slope)[0]
-        found = _beside_edges(error + jacobian @ trial, jacobian, noise)
+        found = _compute_edge_cost(error + jacobian @ trial, jacobian, noise)
         if found[0] < now:
             gain, step, damping = now - found[0], trial, damping / 10
             now, slope, hessian = found
@@ -85,7 +85,7 @@ def _top(error: Floats, jacobian: Floats, noise: float) -> Floats:
     return step
 
 
-def _beside_edges(error: Floats, jacobian: Floats, noise: float) -> tuple[float, Floats, Floats]:
+def _compute_edge_cost(error: Floats, jacobian: Floats, noise: float) -> tuple[float, Floats, Floats]:
     """Negative log-likelihood, gradient (q,) and curvature (q, q): of the counts whose edges are near enough to matter,
     for all others it is zero in floating point."""
     near = np.abs(error) > 0.5 - REACH * noise

@@ -30,7 +30,7 @@ PROCESS_COUNTS = 500.0
 
 
 @dataclass(frozen=True)
-class Plant(ABC):
+class PlantDefaults(ABC):
     """A kind of plant.
 
     regularization: information that is never forgotten, as a part of the largest seen. pivot: relative one of the
@@ -71,7 +71,7 @@ class Plant(ABC):
 
 
 @dataclass(frozen=True)
-class Machine(Plant):
+class MachineDefaults(PlantDefaults):
     """With friction: position and direction matter, and so does every interval that moves only partly."""
 
     regularization: float = 1e-4  # P stays below 1e4 times its best
@@ -86,7 +86,7 @@ class Machine(Plant):
         return default_zeros(cutoff, memory)[:needed]
 
     def candidate_zeros(self, cutoff: float, memory: float, needed: int) -> list[tuple[float, ...]]:
-        return [within_memory(cutoff * part, cutoff * part / RATIO, memory)[:needed] for part in FRACTIONS]
+        return [limit_zeros(cutoff * part, cutoff * part / RATIO, memory)[:needed] for part in FRACTIONS]
 
     def zeros_without_record(self, cutoff: float, memory: float, needed: int) -> tuple[float, ...]:
         return self.default_zeros(cutoff, memory, needed)
@@ -106,7 +106,7 @@ class Machine(Plant):
 
 
 @dataclass(frozen=True)
-class LinearProcess(Plant):
+class LinearProcess(PlantDefaults):
     """A transfer function, where rest means nothing and counts are a reading.
 
     Its columns may nearly follow from each other: the third derivative of a lightly damped mode is hardly more than a
@@ -151,10 +151,10 @@ class LinearProcess(Plant):
         return np.asarray(np.floor(PROCESS_COUNTS * np.asarray(y)).astype(np.int64))
 
 
-MACHINE, LINEAR_PROCESS = Machine(), LinearProcess()
+MACHINE, LINEAR_PROCESS = MachineDefaults(), LinearProcess()
 
 
-def plant_of(equation: Equation) -> Plant:
+def plant_of(equation: Equation) -> PlantDefaults:
     """The one place where an estimator asks what it stands before."""
     return LINEAR_PROCESS if equation.process else MACHINE
 
@@ -165,12 +165,12 @@ def default_zeros(cutoff: float, memory: float = math.inf) -> tuple[float, float
     The compensation is an instrumental variable method with s u/f and s^2 u/f for instruments. They resemble the
     drive's velocity and acceleration most for zeros at its own poles, 0 and -d/m; with one slow zero the other may
     lie anywhere near or above d/m.
-    memory: of the estimator [s], see `within_memory`.
+    memory: of the estimator [s], see `limit_zeros`.
     """
-    return within_memory(cutoff / 10, cutoff / 300, memory)
+    return limit_zeros(cutoff / 10, cutoff / 300, memory)
 
 
-def within_memory(fast: float, slow: float, memory: float) -> tuple[float, float]:
+def limit_zeros(fast: float, slow: float, memory: float) -> tuple[float, float]:
     """Two pre-filter zeros [rad/s] from their sizes, fit for an estimator with this memory [s].
 
     A slow zero is a filter that remembers the input: where it did so for longer than a part of the memory, the

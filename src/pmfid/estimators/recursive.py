@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator, memory_of
-from pmfid.estimators.configuration import configuration_of, made
-from pmfid.estimators.encoder_noise import shown
+from pmfid.estimators.configuration import configuration_of, construct_estimator
+from pmfid.estimators.encoder_noise import compute_encoder_floor
 from pmfid.estimators.level import level_of
 from pmfid.estimators.runner import Runner
 from pmfid.estimators.track import Track, Tracks
@@ -147,7 +147,7 @@ class RecursiveEstimator(Estimator):
         if forgetting < 1 and self.plant.rests:
             config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / LOOK)
             config["haste"], config["leak"] = forgetting**HASTE, math.exp(-HASTE / 2)
-            config["leading"], config["shown"] = self.equation.leading, shown(self)
+            config["leading"], config["shown"] = self.equation.leading, compute_encoder_floor(self)
             directions = parameters if scheme == "directional" else 1
             config["forgetting"] = forgetting**directions  # one direction at a time: only so all have the same memory
             config["outgrown"] = OUTGROWN * LOOK
@@ -171,19 +171,19 @@ class RecursiveEstimator(Estimator):
 
         Raises UsageError for a state that is not of this configuration.
         """
-        runner = Runner(self, self._started())
+        runner = Runner(self, self._allocate_kernel())
         if state is not None:
             runner.set_state(state)
         return runner
 
-    def _started(self) -> Kernel:
+    def _allocate_kernel(self) -> Kernel:
         try:
             return self.make_kernel(self.forgetting)
         except ValueError as error:  # more than it holds
             raise UsageError(str(error)) from None
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _resumed, (type(self), configuration_of(self), self.get_state())
+        return _resume_estimator, (type(self), configuration_of(self), self.get_state())
 
     def step(self, u: float, counts: int) -> Estimate:
         """One sample in, one estimate out: `Runner.step` of `runner`."""
@@ -237,7 +237,9 @@ class RecursiveEstimator(Estimator):
         self.runner.set_state(state)
 
 
-def _resumed(cls: type[RecursiveEstimator], configuration: Mapping[str, object], state: bytes) -> RecursiveEstimator:
-    estimator = made(cls, configuration)
+def _resume_estimator(
+    cls: type[RecursiveEstimator], configuration: Mapping[str, object], state: bytes
+) -> RecursiveEstimator:
+    estimator = construct_estimator(cls, configuration)
     estimator.set_state(state)
     return estimator

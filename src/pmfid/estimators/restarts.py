@@ -56,7 +56,7 @@ class Restart:
             if abs(step) < SMALL * self.known:
                 return found.position + step * self.effect, found.velocity
             tried = self._from(self.speed + step, parameters, force)
-            if self._left(tried, self.speed + step, prior) < self._left(found, self.speed, prior):
+            if self._sum_squares(tried, self.speed + step, prior) < self._sum_squares(found, self.speed, prior):
                 self.speed, found, fresh = self.speed + step, tried, True
                 step = self._step(found.apart, prior)
             elif fresh:  # behind a stop the position moves with the speed otherwise than where the effect was taken
@@ -80,7 +80,7 @@ class Restart:
         power = float(self.effect @ self.effect) + prior
         return (float(apart @ self.effect) + prior * (self.shown - self.speed)) / power
 
-    def _left(self, moved: _Moved, speed: float, prior: float) -> float:
+    def _sum_squares(self, moved: _Moved, speed: float, prior: float) -> float:
         return float(moved.apart @ moved.apart) + prior * (self.shown - speed) ** 2
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pmfid.estimators.scatter import raised
+from pmfid.estimators.scatter import raise_variances
 from pmfid.types import Floats
 
 #: Width of the difference quotients that are compared with the fine ones, as a part of a parameter.
@@ -23,10 +23,10 @@ SMOOTH = 4.0
 WIDTHS = (1e-3, 3e-2, 0.1, 0.3)
 
 
-def on_every_width(covariance: Floats, at: Callable[[float], Floats]) -> Floats:
+def widen_covariance(covariance: Floats, at: Callable[[float], Floats]) -> Floats:
     """A covariance (p, p) of fine difference quotients, raised where it is shorter than with wider ones because the
     dependence is rough; `at` gives that of a width. Raises what `at` raises."""
     variances, coarse = np.diagonal(covariance), np.diagonal(at(COARSE))
     if np.all((coarse < SMOOTH * variances) & (variances < SMOOTH * coarse)):
         return covariance
-    return raised(covariance, np.max([coarse, *(np.diagonal(at(width)) for width in WIDTHS)], axis=0))
+    return raise_variances(covariance, np.max([coarse, *(np.diagonal(at(width)) for width in WIDTHS)], axis=0))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
 from pmfid.estimators.arguments import check_arrays, integer_counts
-from pmfid.estimators.configuration import configuration_of, made
+from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.estimators.side_by_side import SideBySide
 from pmfid.estimators.track import Track, Tracks
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
 
 
-class OnLine(Protocol):
+class RunnerEstimator(Protocol):
     """What a runner knows of its estimator (`RecursiveEstimator`): the configuration, and how one is begun with it."""
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # a dataclass
@@ -36,7 +36,7 @@ class OnLine(Protocol):
         ...
 
 
-E = TypeVar("E", bound=OnLine)
+E = TypeVar("E", bound=RunnerEstimator)
 
 
 class Runner(Generic[E]):
@@ -59,13 +59,13 @@ class Runner(Generic[E]):
     @property
     def estimator(self) -> E:
         """The configuration, as a new estimator."""
-        return made(self._type, self._configuration)
+        return construct_estimator(self._type, self._configuration)
 
     def __repr__(self) -> str:
         return f"Runner({self.estimator!r})"
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _resumed, (self._type, self._configuration, self.get_state())
+        return _resume_runner, (self._type, self._configuration, self.get_state())
 
     def step(self, u: float, counts: int) -> Estimate:
         """One sample: the input applied from now on, the count read now.
@@ -157,5 +157,5 @@ class Runner(Generic[E]):
         load_state(self.kernel, self.precision, state)
 
 
-def _resumed(cls: type[E], configuration: Mapping[str, object], state: bytes) -> Runner[E]:
-    return made(cls, configuration).start(state)
+def _resume_runner(cls: type[E], configuration: Mapping[str, object], state: bytes) -> Runner[E]:
+    return construct_estimator(cls, configuration).start(state)

@@ -58,7 +58,7 @@ def _blocks(scores: Floats, length: int) -> Floats:
     return np.asarray(windows @ weight)
 
 
-def raised(covariance: Floats, variances: Floats) -> Floats:
+def raise_variances(covariance: Floats, variances: Floats) -> Floats:
     """A covariance (p, p) with its variances raised to at least `variances` (p,), correlations as they are."""
     diagonal = np.maximum(np.diagonal(covariance), TINY)
     factor = np.sqrt(np.maximum(variances / diagonal, 1.0))

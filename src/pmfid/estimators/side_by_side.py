@@ -33,7 +33,7 @@ SMALL = 20_000
 
 
 @dataclass(frozen=True)
-class Work:
+class SampleBlock:
     """The next samples of some axes, and room for what is kept of their estimates.
 
     u, counts: (axes, n) as the kernel reads them; every: so many samples each are kept, 0: the last alone; samples:
@@ -47,7 +47,9 @@ class Work:
     results: Results
 
     @classmethod
-    def of(cls, u: ArrayLike, counts: ArrayLike, every: int | None, axes: int, parameters: int) -> Work:
+    def from_arguments(
+        cls, u: ArrayLike, counts: ArrayLike, every: int | None, axes: int, parameters: int
+    ) -> SampleBlock:
         """Arguments and errors of `Fleet.run`."""
         u_table, counts_table = _tables(u, counts, axes)
         if every is not None:
@@ -67,8 +69,8 @@ class Work:
 
 
 def _tables(u: ArrayLike, counts: ArrayLike, axes: int) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
-    u_table: NDArray[np.floating] = _in_place(numbers("u", u), (np.float32, np.float64), np.float64)
-    counts_table: NDArray[np.integer] = _in_place(integer_counts(counts), (np.int32, np.int64), np.int64)
+    u_table: NDArray[np.floating] = _make_readable(numbers("u", u), (np.float32, np.float64), np.float64)
+    counts_table: NDArray[np.integer] = _make_readable(integer_counts(counts), (np.int32, np.int64), np.int64)
     fits = counts_table.ndim == 2 and counts_table.shape[0] == axes
     if not fits or u_table.shape not in (counts_table.shape, counts_table.shape[1:]):
         raise UsageError(
@@ -95,7 +97,7 @@ def kept_samples(samples: int, every: int | None) -> NDArray[np.int64]:
     return last if every is None else np.union1d(np.arange(every - 1, samples, every), last)
 
 
-def _in_place(array: Numbers, readable: tuple[type[N], ...], other: type[N]) -> NDArray[N]:
+def _make_readable(array: Numbers, readable: tuple[type[N], ...], other: type[N]) -> NDArray[N]:
     """The array itself where the kernel can read it, else a copy as type `other`."""
     native = array.dtype.type if array.dtype.type in readable else other
     return np.require(array, np.dtype(native), ["ALIGNED"])
@@ -133,7 +135,7 @@ class SideBySide:
 
     def run(self, u: ArrayLike, counts: ArrayLike, every: int | None = None) -> Tracks:
         """The next n samples of every axis; arguments and errors of `Fleet.run`."""
-        work = Work.of(u, counts, every, self.axes, len(self.names))
+        work = SampleBlock.from_arguments(u, counts, every, self.axes, len(self.names))
         if work.samples.size:
             self._run_all(work.u, work.counts, work.every, work.results)
         return work.tracks(self.names, self.units)

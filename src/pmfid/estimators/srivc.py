@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.arguments import check_arrays, check_size, held
+from pmfid.estimators.arguments import check_arrays, check_size, hold_last_input
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.least_squares import parts_of_their_own
@@ -18,12 +18,12 @@ from pmfid.estimators.results import Fit
 from pmfid.models.equation import ESTIMATE, Equation
 from pmfid.models.transfer_function import MAX_DELAY, TransferFunction
 from pmfid.transfer.confidence import covariance
-from pmfid.transfer.dead_time import after, solve_dead_time
+from pmfid.transfer.dead_time import keep_outputs_after, solve_dead_time
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.fixed_filter import with_fixed_filter
 from pmfid.transfer.process import Process
 from pmfid.transfer.sensitivity import Structure
-from pmfid.transfer.solve import Point, ProcessProblem, Solution, descend, first_guess, refine, solve
+from pmfid.transfer.solve import ProcessPoint, ProcessProblem, Solution, descend, first_guess, refine, solve
 
 #: Relative difference of two sample periods that are taken for one.
 SAME_PERIOD = 0.05
@@ -58,7 +58,7 @@ class ProcessSolver(BatchEstimator):
 
     def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         if self.equation.process:
-            return self.fit_experiments([counted(self, u, counts)])
+            return self.fit_experiments([make_experiment(self, u, counts)])
         return super().fit(u, counts)
 
     def fit_experiments(self, experiments: Sequence[Experiment]) -> ProcessFit:
@@ -66,9 +66,9 @@ class ProcessSolver(BatchEstimator):
 
         Raises UsageError without a usable record, or for another model than a `TransferFunction`, and
         NotIdentifiableError as `fit`."""
-        return fit_process(self, experiments, self.solved)
+        return fit_process(self, experiments, self.solve_problem)
 
-    def solved(self, problem: ProcessProblem) -> Solution:
+    def solve_problem(self, problem: ProcessProblem) -> Solution:
         """The method's own solution."""
         raise NotImplementedError
 
@@ -103,19 +103,19 @@ class SRIVC(ProcessSolver, ProcessOnly):
     def fit(self, u: ArrayLike, counts: ArrayLike) -> ProcessFit:
         """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
         NotIdentifiableError where the record cannot identify every parameter."""
-        return self.fit_experiments([counted(self, u, counts)])
+        return self.fit_experiments([make_experiment(self, u, counts)])
 
-    def solved(self, problem: ProcessProblem) -> Solution:
+    def solve_problem(self, problem: ProcessProblem) -> Solution:
         return solve(problem)
 
 
-def counted(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Experiment:
+def make_experiment(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Experiment:
     """The record as an `Experiment`: the position of the counts, an input that is not finite replaced."""
     u, counts = check_arrays(u, counts)
     check_size(u)
     if u.size < 2:
         raise NotIdentifiableError("the record has fewer than two samples; record longer")
-    return Experiment(held(u), estimator.encoder.position(counts), dt=estimator.dt)
+    return Experiment(hold_last_input(u), estimator.encoder.position(counts), dt=estimator.dt)
 
 
 def fit_process(
@@ -157,7 +157,7 @@ def fixed_filters(problem: ProcessProblem) -> Solution:
     return with_fixed_filter(problem, 1.0)
 
 
-def by_descent(problem: ProcessProblem) -> Solution:
+def solve_by_descent(problem: ProcessProblem) -> Solution:
     """Least squares of the output error."""
     return descend(problem, refine(problem, first_guess(problem, 1.0)).point)
 
@@ -170,9 +170,9 @@ def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> Pro
     parts = [experiment.stretches(model.delay) for experiment in experiments]
     stretches = [replace(stretch, record=i) for i, some in enumerate(parts) for stretch in some]
     structure = make_structure(model, estimator.dt, estimator.cutoff)
-    scaled = tuple(stretch.scaled(estimator.cutoff) for stretch in stretches)
+    scaled = tuple(stretch.scale_time(estimator.cutoff) for stretch in stretches)
     # what the initial conditions take up, a stretch must have more of
-    usable = after(scaled, structure.dead_time, model.n + 2)
+    usable = keep_outputs_after(scaled, structure.dead_time, model.n + 2)
     for name, signals in (("output", [part.y for part in experiments]), ("input", [part.u for part in experiments])):
         if not any(np.any(np.isfinite(signal)) for signal in signals):
             raise UsageError(f"the {name} is empty: every sample is missing (NaN); check the column or the array")
@@ -229,7 +229,7 @@ def process_of(estimator: Estimator, theta: NDArray[np.float64], cov: NDArray[np
     if not isinstance(model, TransferFunction):
         raise UsageError(f"{estimator.method} on experiments is for a transfer function, not for a {model.kind}")
     structure = make_structure(model, estimator.dt, 1.0)
-    return Process.of(structure, theta, cov, model.delay * estimator.dt + structure.lateness(theta))
+    return Process.from_theta(structure, theta, cov, model.delay * estimator.dt + structure.lateness(theta))
 
 
 def with_dead_time(estimator: Estimator, theta: NDArray[np.float64]) -> Estimator:
@@ -240,7 +240,7 @@ def with_dead_time(estimator: Estimator, theta: NDArray[np.float64]) -> Estimato
     return replace(estimator, model=replace(model, dead_time=float(theta[-1])))
 
 
-def check_apart(point: Point, names: tuple[str, ...]) -> None:
+def check_apart(point: ProcessPoint, names: tuple[str, ...]) -> None:
     """Raises NotIdentifiableError where a sensitivity is zero or a combination of the others, naming the parameter."""
     with np.errstate(over="ignore"):  # looked at
         countable = np.all(np.isfinite(np.linalg.norm(point.zeta, axis=0)))

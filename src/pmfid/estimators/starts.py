@@ -36,7 +36,7 @@ def start_samples(dt: float, cutoff: float) -> int:
     return max(2, math.ceil(READ / (cutoff * dt)))
 
 
-def begun(difference: Difference, theta: Floats, cutoff: float, speeds: Sequence[float] = ()) -> Floats:
+def choose_start(difference: Difference, theta: Floats, cutoff: float, speeds: Sequence[float] = ()) -> Floats:
     """q (q,) at scaled parameters (p,), with a start to improve: that whose motion is the nearest, of the speeds that
     the counts show within 1 / cutoff [s] and within several times that, and of further ones.
 
@@ -48,14 +48,14 @@ def begun(difference: Difference, theta: Floats, cutoff: float, speeds: Sequence
     return min(starts, key=lambda q: rms(difference(q)))
 
 
-def started(difference: Difference, q: Floats) -> Floats:
+def fit_start(difference: Difference, q: Floats) -> Floats:
     """q (q,) with the start of least squares, its parameters as they are.
 
     From rest within stiction a velocity moves nothing: it is taken for that of q to a few counts in a filter time
     constant, as in every error bar.
     """
     prior = np.array([0.0, 1 / difference.start_velocity_std])
-    speed, left = q[-1], _left(difference, q, q[-1])
+    speed, left = q[-1], _weigh_residual(difference, q, q[-1])
     for _ in range(PASSES):
         slope = np.r_[WHITE * difference.jacobian(q, first=q.size - 2), prior[None]]
         if not (np.all(np.isfinite(slope)) and np.all(np.isfinite(left))):
@@ -64,7 +64,7 @@ def started(difference: Difference, q: Floats) -> Floats:
         before = float(left @ left)
         for part in (1.0, SHORTER):
             trial = q + part * step
-            found = _left(difference, trial, speed)
+            found = _weigh_residual(difference, trial, speed)
             if float(found @ found) < before:
                 q, left = trial, found
                 break
@@ -73,12 +73,12 @@ def started(difference: Difference, q: Floats) -> Floats:
     return q
 
 
-def _left(difference: Difference, q: Floats, speed: float) -> Floats:
+def _weigh_residual(difference: Difference, q: Floats, speed: float) -> Floats:
     """(n + 1,) what is left of the position and of the start velocity `speed`, in their standard deviations."""
     return np.append(WHITE * difference(q), (q[-1] - speed) / difference.start_velocity_std)
 
 
-def least_begun(difference: Difference, q: Floats, cutoff: float, tolerances: Sequence[float]) -> Floats:
+def find_least_from_start(difference: Difference, q: Floats, cutoff: float, tolerances: Sequence[float]) -> Floats:
     """`least` from q (q,). Where a force has a shape, from where the motion at these parameters starts by the first
     samples, and from q itself only if more is left than the encoder explains: along the travel the sum of squares has a
     minimum for each way to begin. Raises NotIdentifiableError where nothing settles."""
@@ -102,10 +102,12 @@ def read_start(difference: Difference, q: Floats, cutoff: float) -> Floats:
     """q (q,) with a start that is read from the first samples."""
     direct = replace(difference, pole=0.0)
     first = direct.part(0, min(start_samples(direct.dt, cutoff), direct.y.size))
-    return started(first, begun(first, q[:-2], cutoff))
+    return fit_start(first, choose_start(first, q[:-2], cutoff))
 
 
-def at_speeds(usual: float, at: Callable[[float], Found], worse: Callable[[Found], float]) -> list[tuple[float, Found]]:
+def fit_at_speeds(
+    usual: float, at: Callable[[float], Found], worse: Callable[[Found], float]
+) -> list[tuple[float, Found]]:
     """Stribeck speeds to go on from, the best first, and what was found at each; usual: speed of the motion; at: fits
     with a speed that is known; worse: by what they are compared. Raises NotIdentifiableError where none settles."""
     found = list[tuple[float, Found]]()

@@ -52,7 +52,7 @@ class Track(Shown):
         inflation = np.zeros_like(theta)
         return Track(names, units, theta, factor, inflation, self.innovation, whole, self.status)
 
-    def held(self, samples: int, status: Status) -> Track:
+    def repeat_last(self, samples: int, status: Status) -> Track:
         """So many samples of the last estimate, with a status bit."""
         own = {name: np.repeat(getattr(self, name)[-1:], samples, axis=0) for name in _signals()}
         own["innovation"][:] = 0.0
@@ -96,7 +96,7 @@ def _signals() -> list[str]:
     return [field.name for field in fields(Track) if field.name not in ("names", "units")]
 
 
-def joined(parts: Sequence[Track]) -> Track:
+def join_tracks(parts: Sequence[Track]) -> Track:
     """One track of pieces that follow each other."""
     whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _signals()}
     return Track(parts[0].names, parts[0].units, **whole)

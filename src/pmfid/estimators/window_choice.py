@@ -11,7 +11,7 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.difference import ENCODER_ALONE, WORST_FIT, Difference, rms
-from pmfid.estimators.starts import begun, start_samples, started
+from pmfid.estimators.starts import choose_start, fit_start, start_samples
 from pmfid.estimators.windows import ROUGHLY, Windows, descend
 from pmfid.types import Floats
 
@@ -27,7 +27,7 @@ AS_WELL = 0.05
 
 
 @dataclass(frozen=True)
-class Choice:
+class WindowChoice:
     """samples: of a window; seconds; errors: for each length that was tried [s], infinite for the whole record, the
     error of free runs over parts that were not fitted to, in one piece and in several [unit of the resolution]: the
     geometric mean of the root mean squares."""
@@ -52,7 +52,7 @@ class Choice:
         )
 
 
-def choose_window(difference: Difference, theta: Floats, cutoff: float) -> Choice:
+def choose_window(difference: Difference, theta: Floats, cutoff: float) -> WindowChoice:
     """The length for a difference without a high-pass, from scaled parameters (p,); cutoff [rad/s] of the filters."""
     n, dt = difference.y.size, difference.dt
     shortest = max(FEWEST, math.ceil(SHORTEST / (cutoff * dt)))
@@ -60,7 +60,7 @@ def choose_window(difference: Difference, theta: Floats, cutoff: float) -> Choic
     errors = {_seconds(k, n, dt): predicted_elsewhere(difference, theta, cutoff, k) for k in lengths}
     best = min(errors.values())
     samples = next((length for length in lengths if errors[_seconds(length, n, dt)] <= (1 + AS_WELL) * best), n)
-    return Choice(samples, _seconds(samples, n, dt), errors)
+    return WindowChoice(samples, _seconds(samples, n, dt), errors)
 
 
 def _seconds(length: int, n: int, dt: float) -> float:
@@ -82,8 +82,8 @@ def predicted_elsewhere(difference: Difference, theta: Floats, cutoff: float, le
     for first, last in pairwise(edges):
         rest = [(a, b) for a, b in ((0, first), (last, n)) if b - a >= FEWEST]
         try:
-            windows = Windows.over(difference, rest, length)
-            q = descend(windows, windows.at(theta, cutoff), ROUGHLY)
+            windows = Windows.cover_stretches(difference, rest, length)
+            q = descend(windows, windows.start_windows(theta, cutoff), ROUGHLY)
         except (NotIdentifiableError, np.linalg.LinAlgError):
             return math.inf
         if not rms(windows(q)) < max(WORST_FIT * windows.size_of_motion, windows.explained):
@@ -109,4 +109,4 @@ def _log_error(part: Difference, theta: Floats, cutoff: float, pieces: int) -> f
 def free_run(part: Difference, theta: Floats, cutoff: float) -> Floats:
     """(n,) what is left of a difference at scaled parameters (p,) [counts], with a start from its first samples."""
     read = part.part(0, min(start_samples(part.dt, cutoff), part.y.size))
-    return part(started(read, begun(read, theta, cutoff)))
+    return part(fit_start(read, choose_start(read, theta, cutoff)))

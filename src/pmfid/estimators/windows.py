@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pmfid.estimators.difference import STEP, WHITE, Difference, rms
 from pmfid.estimators.scatter import TINY
-from pmfid.estimators.starts import begun, started
+from pmfid.estimators.starts import choose_start, fit_start
 from pmfid.types import Floats
 
 #: Each window begins in the middle of the one before: where they lie must not decide.
@@ -42,40 +42,40 @@ class Windows(Difference):
     firsts: tuple[int, ...] = ()
 
     @classmethod
-    def over(cls, difference: Difference, stretches: Sequence[tuple[int, int]], length: int) -> Windows:
+    def cover_stretches(cls, difference: Difference, stretches: Sequence[tuple[int, int]], length: int) -> Windows:
         """Windows of about so many samples that fill stretches of the record, from first to last - 1 each."""
         edges = [edge for stretch in stretches for edge in _covering(*stretch, length)]
         own = {field.name: getattr(difference, field.name) for field in fields(Difference)} | {"pole": 0.0}
         pieces = tuple(Difference(**own).part(first, last) for first, last in edges)
         return cls(**own, pieces=pieces, firsts=tuple(first for first, _ in edges))
 
-    def at(self, theta: Floats, cutoff: float) -> Floats:
+    def start_windows(self, theta: Floats, cutoff: float) -> Floats:
         """q (q,) at scaled parameters (p,) with the start of each window that fits it; each is begun at the speed that
         the window before has there, or that the counts show within 1 / cutoff [s]."""
         places, speeds, before = [], np.zeros(0), 0
         for part, first in zip(self.pieces, self.firsts, strict=True):
             there = speeds[first - before : first - before + 1].tolist()
-            q = started(part, begun(part, theta, cutoff, there))
+            q = fit_start(part, choose_start(part, theta, cutoff, there))
             places.append(q[theta.size :])
             speeds, before = part.motion(q)[1], first
         return np.concatenate([theta, *places])
 
-    def apart(self, q: Floats) -> list[tuple[Difference, Floats]]:
+    def split_windows(self, q: Floats) -> list[tuple[Difference, Floats]]:
         """Each window with its own q (p + 2,)."""
         p = self.parameters
         return [(part, np.r_[q[:p], place]) for part, place in zip(self.pieces, q[p:].reshape(-1, 2), strict=True)]
 
     def __call__(self, q: Floats) -> Floats:
-        return np.concatenate([part(own) for part, own in self.apart(q)])
+        return np.concatenate([part(own) for part, own in self.split_windows(q)])
 
     def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
-        position, velocity = zip(*(part.motion(own) for part, own in self.apart(q)), strict=True)
+        position, velocity = zip(*(part.motion(own) for part, own in self.split_windows(q)), strict=True)
         return np.concatenate(position), np.concatenate(velocity)
 
     def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = STEP) -> Floats:
-        return np.concatenate([part.own_sensitivity(own, None, width) for part, own in self.apart(q)])
+        return np.concatenate([part.own_sensitivity(own, None, width) for part, own in self.split_windows(q)])
 
-    def summed(self, values: Floats) -> Floats:
+    def sum_by_sample(self, values: Floats) -> Floats:
         """(n, ...) at the samples of the record, the sum over the windows that have them."""
         total, begin = np.zeros((self.y.size, *values.shape[1:])), 0
         for part, first in zip(self.pieces, self.firsts, strict=True):
@@ -125,16 +125,16 @@ def descend(windows: Windows, q: Floats, settled: float = SETTLED) -> Floats:
     """Least squares from q (q,): damped steps of Gauss and Newton, the starts eliminated window by window; a parameter
     that a step would take below its bound stays there."""
     low, p, damping = windows.lower, windows.parameters, 1e-3
-    cost, slopes = _cost(windows(q)), [_slope(part, own) for part, own in windows.apart(q)]
+    cost, slopes = _cost(windows(q)), [_slope(part, own) for part, own in windows.split_windows(q)]
     for _ in range(MAX_STEPS):
         theta = np.maximum(q[:p] + _step(slopes, damping, q[:p] <= low[:p]), low[:p])
-        trial = _moved(windows, q, theta, slopes)
+        trial = _move_starts(windows, q, theta, slopes)
         found = _cost(windows(trial))
         if found < cost:
             gain, q, cost, damping = 1 - found / cost, trial, found, damping / 10
             if gain < settled:
                 break
-            slopes = [_slope(part, own) for part, own in windows.apart(q)]
+            slopes = [_slope(part, own) for part, own in windows.split_windows(q)]
         elif damping > MAX_DAMPING:
             break
         else:
@@ -142,11 +142,11 @@ def descend(windows: Windows, q: Floats, settled: float = SETTLED) -> Floats:
     return q
 
 
-def _moved(windows: Windows, q: Floats, theta: Floats, slopes: Sequence[_Slope]) -> Floats:
+def _move_starts(windows: Windows, q: Floats, theta: Floats, slopes: Sequence[_Slope]) -> Floats:
     """Other parameters (p,), and each start where it follows from them, or where it was: a start within stiction moves
     nothing until it moves much, and one such window must not hold up all others."""
     places, change = [], theta - q[: theta.size]
-    for (part, own), slope in zip(windows.apart(q), slopes, strict=True):
+    for (part, own), slope in zip(windows.split_windows(q), slopes, strict=True):
         along = slope.moves @ change
         starts = [own[-2:] - step for step in (slope.start + along, along, 0.0 * along)]
         places.append(min(starts, key=lambda start: _cost(part(np.r_[theta, start]))))

@@ -18,7 +18,15 @@ from pmfid.export.initializer import initializer, literal
 from pmfid.export.names import check_names, remark
 from pmfid.export.samples import made_up_record, moving_part, recorded
 from pmfid.kernel.saved import configuration, recursions_of, shape_of
-from pmfid.kernel.structures import HEADERS, Structured, header, layout_number, resized, source_folder, structures
+from pmfid.kernel.structures import (
+    HEADERS,
+    Structured,
+    header,
+    layout_number,
+    resize_structure,
+    source_folder,
+    structures,
+)
 
 #: Template -> file in the folder; NAME is the prefix.
 FILES = {
@@ -129,7 +137,7 @@ def _context(
         "layout": layout_number(types["pmf_state_t"]),
         "functions": sorted(set(re.findall(r"\b(pmf_\w+)\(", "".join(map(header, HEADERS))))),
         "sizes": {name: types[f"pmf_{name}_t"].itemsize for name in ("state", "config", "saved")},
-        "config": initializer(resized(config, types["pmf_config_t"])),
+        "config": initializer(resize_structure(config, types["pmf_config_t"])),
         "samples": [(literal(u), f"{count}U", f"0x{crc:08x}U") for u, count, crc in rows],
         "theta": samples.theta.tolist(),
         "recorded": record is not None,

@@ -38,7 +38,7 @@ from pmfid.filters.network import (
     VELOCITY,
     Network,
     Taps,
-    scaled,
+    scale_taps,
 )
 from pmfid.models.equation import Equation, Term
 
@@ -94,10 +94,10 @@ class ColumnBuilder:
         """Regressors, with the filtered input behind 1/f(s) in place of the noisy ones."""
         columns = self.regressors()
         for column, power in zip(self.equation.noisy, self.equation.instrument_powers, strict=True):
-            columns[column] = self.prefiltered(power)
+            columns[column] = self.prefilter_input(power)
         return columns
 
-    def prefiltered(self, j: int) -> Taps:
+    def prefilter_input(self, j: int) -> Taps:
         """s^j / f(s) of the filtered input and what else is known; j differentiating lags and n - j lags, in series.
 
         f(s) = prod (1 - s / zero): the lag's pole in the trapezoidal rule is the zero's Tustin image, so that its pole
@@ -112,7 +112,7 @@ class ColumnBuilder:
 
     def coefficient(self, term: Term, source: str) -> Taps:
         """The term's filtered derivative times its coefficient."""
-        return scaled(self.term(term, source), term.coefficient)
+        return scale_taps(self.term(term, source), term.coefficient)
 
     def term(self, term: Term, source: str) -> Taps:
         """The filtered derivative that the term stands for, one sample late."""
@@ -141,7 +141,7 @@ class ColumnBuilder:
         if term.signal == "constant":
             return self._hold(ONE)
         if term.signal == "start":
-            return scaled(self._derivative(START, term.derivative), 1 / self.spec.dt)
+            return scale_taps(self._derivative(START, term.derivative), 1 / self.spec.dt)
         return self.process_output(term.derivative)
 
     def process_output(self, i: int) -> Taps:

@@ -58,6 +58,6 @@ class Network:
         return self.stage(source, 0.0, 0.0, 1.0)
 
 
-def scaled(taps: Taps, factor: float) -> Taps:
+def scale_taps(taps: Taps, factor: float) -> Taps:
     """The same sum times a factor."""
     return [(node, factor * weight) for node, weight in taps]

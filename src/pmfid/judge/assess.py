@@ -12,11 +12,11 @@ from pmfid.judge.causality import Signals, fed_back, noise_beside, unexplained
 from pmfid.judge.hold import Hold, look_at_hold
 from pmfid.judge.necessity import Second, depends_on_input, second_look
 from pmfid.transfer.confidence import residual_repeats
-from pmfid.transfer.experiment import Stretch
+from pmfid.transfer.experiment import RecordStretch
 from pmfid.transfer.propagate import Grid, transition
 from pmfid.transfer.sensitivity import companion, simulate
-from pmfid.transfer.solve import Point, ProcessProblem, visit
-from pmfid.transfer.whiteness import DEVIATE, LAGS, few_beyond, lagged
+from pmfid.transfer.solve import ProcessPoint, ProcessProblem, visit
+from pmfid.transfer.whiteness import DEVIATE, LAGS, correlate_at_lag, few_beyond
 from pmfid.types import Floats
 
 #: The square of a number must not leave the format.
@@ -113,7 +113,7 @@ def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment
 
 
 def _doubts(
-    problem: ProcessProblem, point: Point, residual: list[Floats], delay: int
+    problem: ProcessProblem, point: ProcessPoint, residual: list[Floats], delay: int
 ) -> tuple[bool, bool, bool, Second, Hold, bool]:
     """unmodelled, feedback, depends, second, hold, repeats. The input is looked at when it comes, not `delay`
     samples later."""
@@ -133,7 +133,7 @@ def _doubts(
     )
 
 
-def _direct(problem: ProcessProblem, point: Point) -> tuple[float, float]:
+def _direct(problem: ProcessProblem, point: ProcessPoint) -> tuple[float, float]:
     """How much of the input of now a wrong hold leaves in the residual, at least and at most."""
     a, b, _ = problem.structure.split(point.theta)
     if a.size == 0:  # integrators alone
@@ -145,7 +145,7 @@ def _direct(problem: ProcessProblem, point: Point) -> tuple[float, float]:
     return (min(0.0, size), max(0.0, size))
 
 
-def _on_grid(residual: Floats, stretch: Stretch, source: int) -> tuple[Floats, Floats, Floats]:
+def _on_grid(residual: Floats, stretch: RecordStretch, source: int) -> tuple[Floats, Floats, Floats]:
     """Residual with zeros where nothing is measured, input less its mean, and 1 where there is a residual."""
     filled, there = np.zeros(stretch.grid.size), np.zeros(stretch.grid.size)
     filled[stretch.rows], there[stretch.rows] = residual, 1.0
@@ -158,10 +158,10 @@ def _correlations(grids: list[tuple[Floats, Floats, Floats]]) -> tuple[Floats, F
     power = sum(float(e @ e) for e, _, _ in grids) / count
     input_power = sum(float(np.mean(u**2)) * float(np.sum(there)) for _, u, there in grids) / count
     size = max(power, 1e-300)
-    auto = np.array([sum(lagged(e, e, lag) for e, _, _ in grids) for lag in range(LAGS + 1)]) / count / size
-    cross = np.array([sum(lagged(u, e, lag) for e, u, _ in grids) for lag in range(-LAGS, LAGS + 1)]) / count
+    auto = np.array([sum(correlate_at_lag(e, e, lag) for e, _, _ in grids) for lag in range(LAGS + 1)]) / count / size
+    cross = np.array([sum(correlate_at_lag(u, e, lag) for e, u, _ in grids) for lag in range(-LAGS, LAGS + 1)]) / count
     cross = cross / np.sqrt(size * max(input_power, 1e-300))
-    u_auto = np.array([sum(lagged(u, u, lag) for _, u, _ in grids) for lag in range(LAGS + 1)])
+    u_auto = np.array([sum(correlate_at_lag(u, u, lag) for _, u, _ in grids) for lag in range(LAGS + 1)])
     u_auto = u_auto / max(u_auto[0], 1e-300)
     # Ljung (1999, eq. 16.66): the variance of the cross-correlation is the sum of the products of both autocorrelations
     spread = max(1.0 + 2 * float(auto[1:] @ u_auto[1:]), 0.1)

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from pmfid._stage import first_order
-from pmfid.transfer.noise import Noise, fit_noise, whitened
+from pmfid.transfer.noise import Noise, fit_noise, whiten_columns
 from pmfid.types import Flags, Floats, Places
 
 #: Lags of the input: at least, at most, and one for each so many samples; of the future ones.
@@ -95,7 +95,7 @@ def evidence(
     noise = _noise_beside(columns[:, :a], place)
     if noise is None:
         return NONE
-    columns = whitened(noise, columns, place)[_settled(place, noise.coefficients.size)]
+    columns = whiten_columns(noise, columns, place)[_settled(place, noise.coefficients.size)]
     Q = _basis(columns[:, 1:a])
     whole, T = columns[:, 0], _apart(columns[:, a:], Q)
     e = whole - Q @ (Q.T @ whole)
@@ -120,7 +120,7 @@ def _noise_beside(columns: Floats, place: Places) -> Noise | None:
         return None
     noise = fit_noise(left, place)
     for _ in range(PASSES - 1):
-        behind = whitened(noise, columns, place)[settled := _settled(place, noise.coefficients.size)]
+        behind = whiten_columns(noise, columns, place)[settled := _settled(place, noise.coefficients.size)]
         left = error - known @ np.linalg.lstsq(behind[:, 1:], behind[:, 0], rcond=APART)[0]
         noise = fit_noise(left[settled], place[settled])
     return noise

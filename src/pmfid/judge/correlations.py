@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.estimators.arguments import held
+from pmfid.estimators.arguments import hold_last_input
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV
@@ -36,7 +36,7 @@ def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: A
         return None
     # a body pushed by its friction has no motion to compare with
     plausible = np.where(twin.equation.positive, np.maximum(at, 0.0), at)
-    u, counts, dt = held(np.asarray(u, float)), np.asarray(counts), twin.dt
+    u, counts, dt = hold_last_input(np.asarray(u, float)), np.asarray(counts), twin.dt
     y = like(OE, twin).position(counts)
     speed = simulated_velocity(twin, plausible, u)
     columns = twin.columns_at(plausible, u, counts)

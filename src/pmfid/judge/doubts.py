@@ -8,7 +8,7 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
-from pmfid.findings import Finding, noted
+from pmfid.findings import Finding, make_notes
 from pmfid.judge.assess import Assessment
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.order import Search
@@ -83,7 +83,7 @@ def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Ass
         found.append(f"the model explains {checks.fit:.2g} % of the output, no more")
     if "offset" not in estimator.names and abs(np.mean(residual)) > 0.5 * np.std(residual):
         found.append("the residual has a mean: give offset = true in [model]")
-    return noted("fit", found)
+    return make_notes("fit", found)
 
 
 def findings_on(
@@ -97,7 +97,7 @@ def findings_on(
         if holds
     ]
     missing = sum(int(np.sum(~np.isfinite(experiment.y))) for experiment in experiments)
-    return found + noted("missing", [f"{missing} samples of the output are missing"] * bool(missing))
+    return found + make_notes("missing", [f"{missing} samples of the output are missing"] * bool(missing))
 
 
 def _said(

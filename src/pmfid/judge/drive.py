@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import CONTRADICTED, Adequacy, examine, force_moves
-from pmfid.estimators.arguments import held
+from pmfid.estimators.arguments import hold_last_input
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.configuration import like
@@ -21,7 +21,7 @@ from pmfid.estimators.output_error import OE, Following
 from pmfid.estimators.rls import RLS
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.zeros import choose_prefilter_zeros
-from pmfid.findings import Finding, codes, ordered
+from pmfid.findings import Finding, codes, sort_findings
 from pmfid.judge.counts import count_jump, counts_per_sample
 from pmfid.judge.late import late
 from pmfid.status import Status
@@ -62,7 +62,7 @@ def judge(
     residual = [*_model(estimator, u, counts, theta, std, adequacy), *_feedback(estimator, u, counts, theta)]
     # where the model is wrong, methods differ because they weigh its error differently: only large differences count
     limit = 10 * BIASED if "unmodelled" in codes(residual) else 2 * BIASED
-    return ordered(
+    return sort_findings(
         [
             *_jump(estimator, counts),
             *_sizes(estimator, theta, std),
@@ -299,7 +299,7 @@ def _feedback(
             "unmodelled", "the motion simulated with this estimate leaves the range of numbers: do not believe it"
         )
         return
-    given = held(u)
+    given = hold_last_input(u)
     change, last = np.diff(given, prepend=given[0])[columns.used], recent(estimator, error.size)
     if correlation_score(error[last], change[last]) > SIGNIFICANT:
         yield Finding(

@@ -12,7 +12,7 @@ from pmfid.estimators.output_error import OE
 from pmfid.estimators.srivc import make_problem, process_of
 from pmfid.estimators.starts import READ
 from pmfid.judge.free_run import FreeRun, finite, firsts_of, horizons_of
-from pmfid.transfer.experiment import Experiment, Stretch
+from pmfid.transfer.experiment import Experiment, RecordStretch
 from pmfid.transfer.sensitivity import simulate
 from pmfid.transfer.solve import ProcessProblem, visit
 from pmfid.types import Floats
@@ -51,7 +51,7 @@ def process_run(method: OE, theta: Floats, experiment: Experiment, encoder: floa
 
 def _simulated(
     method: OE, theta: Floats, experiments: Sequence[Experiment], read: float
-) -> list[tuple[Stretch, Floats]]:
+) -> list[tuple[RecordStretch, Floats]]:
     """Each stretch and its simulated output at the measured samples."""
     problem = make_problem(method, experiments)
     scaled = theta / problem.structure.scale(problem.rate)
@@ -65,7 +65,7 @@ def _simulated(
         ]
 
 
-def _first(stretch: Stretch, read: float, problem: ProcessProblem) -> Stretch:
+def _first(stretch: RecordStretch, read: float, problem: ProcessProblem) -> RecordStretch:
     """The stretch with the samples alone that its start is read from."""
     early = stretch.rows[stretch.grid.instants[stretch.rows] <= read]
     least = min(stretch.rows.size, problem.structure.n + 1)

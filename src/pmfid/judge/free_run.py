@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.estimators.arguments import check_arrays, check_size, held
+from pmfid.estimators.arguments import check_arrays, check_size, hold_last_input
 from pmfid.estimators.difference import Difference, rms
 from pmfid.estimators.output_error import OE
-from pmfid.estimators.starts import begun, start_samples, started
+from pmfid.estimators.starts import choose_start, fit_start, start_samples
 from pmfid.types import Floats, Numbers
 
 #: Seconds after which a run is begun again, and how many times longer than the reading of its start they must be; of
@@ -105,7 +105,7 @@ def drive_run(method: OE, theta: Floats, u: Floats, counts: Numbers, name: str) 
     if not np.ptp(y) > 0 or not np.any(u):
         what = "axis does not move" if np.any(u) else "input is zero"
         raise UsageError(f"{name}: the {what} throughout, there is nothing to predict; give a record of a motion")
-    difference = method.at(theta, held(u), y)
+    difference = method.make_difference(theta, hold_last_input(u), y)
     scaled = theta / difference.scale[: theta.size]
     below = [n for n, value, least in zip(method.names, scaled, difference.lower, strict=False) if value < least]
     notes = [f"{', '.join(below)} below zero, simulated as zero"] if below else []
@@ -125,7 +125,7 @@ def drive_run(method: OE, theta: Floats, u: Floats, counts: Numbers, name: str) 
 def _run(part: Difference, theta: Floats, cutoff: float) -> Floats:
     """(n,) simulated positions at scaled parameters (p,)."""
     read = part.part(0, min(start_samples(part.dt, cutoff), part.y.size))
-    return part.motion(started(read, begun(read, theta, cutoff)))[0]
+    return part.motion(fit_start(read, choose_start(read, theta, cutoff)))[0]
 
 
 def _restarted(difference: Difference, theta: Floats, cutoff: float, samples: int) -> list[tuple[Floats, Floats]]:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from pmfid.transfer.noise import Noise
-from pmfid.transfer.prewhitening import prewhitened
-from pmfid.transfer.solve import Point, ProcessProblem, descend, visit
+from pmfid.transfer.prewhitening import prewhiten_problem
+from pmfid.transfer.solve import ProcessPoint, ProcessProblem, descend, visit
 
 #: The other hold is better where so few records with the right one would say so, at the worst.
 CHANCE = 1e-4
@@ -34,13 +34,13 @@ class Hold:
     hidden: bool = False
 
 
-def look_at_hold(problem: ProcessProblem, point: Point, noise: Noise | None) -> Hold:
+def look_at_hold(problem: ProcessProblem, point: ProcessPoint, noise: Noise | None) -> Hold:
     """Which hold has the input, and does it matter? point: the estimate; noise: its colour beside the input. Nothing
     is said where the spacing lets no filter whiten the noise, and where a reference makes the sum of squares no
     measure."""
     if noise is None or problem.referenced:
         return Hold()
-    white = prewhitened(problem, noise)
+    white = prewhiten_problem(problem, noise)
     if white is problem and noise.coefficients.size:
         return Hold()
     with np.errstate(all="ignore"):
@@ -55,7 +55,7 @@ def look_at_hold(problem: ProcessProblem, point: Point, noise: Noise | None) -> 
     return Hold(bool(gained > worth), bool(abs(gained) <= worth and far))
 
 
-def _far_apart(mine: Point, other: Point) -> bool:
+def _far_apart(mine: ProcessPoint, other: ProcessPoint) -> bool:
     """Is a parameter elsewhere by more than its own error bars explain?"""
     size = np.maximum(np.linalg.norm(mine.zeta, axis=0), 1e-300)
     scaled = mine.zeta / size
@@ -67,7 +67,7 @@ def _turned(problem: ProcessProblem) -> ProcessProblem:
     return replace(problem, stretches=tuple(replace(stretch, held=not stretch.held) for stretch in problem.stretches))
 
 
-def _best(problem: ProcessProblem, theta: NDArray[np.float64], noise: Noise) -> Point:
+def _best(problem: ProcessProblem, theta: NDArray[np.float64], noise: Noise) -> ProcessPoint:
     """Where the sum of squares is least near theta (p,) of the problem before the filter."""
     theta = theta.copy()
     if problem.structure.offset:

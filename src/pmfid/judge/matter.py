@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.estimators.base import Estimator
-from pmfid.findings import Finding, ordered
+from pmfid.findings import Finding, sort_findings
 from pmfid.types import Floats
 
 #: Relative error of a parameter that is of no matter.
@@ -62,7 +62,7 @@ def sizes(estimator: Estimator, theta: Floats) -> Floats:
 
 def weigh_findings(findings: Iterable[Finding], matter: Matter) -> tuple[Finding, ...]:
     """The same findings, each that is about the model with the size of it, or as a note where that is of no matter."""
-    return ordered(_weigh_finding(finding, matter) for finding in findings)
+    return sort_findings(_weigh_finding(finding, matter) for finding in findings)
 
 
 def _weigh_finding(finding: Finding, matter: Matter) -> Finding:

@@ -13,10 +13,10 @@ from scipy.special import chdtri
 
 from pmfid.judge.causality import Signals, noise_beside
 from pmfid.transfer.confidence import covariance, places
-from pmfid.transfer.noise import fit_noise, whitened
-from pmfid.transfer.prewhitening import prewhitened
+from pmfid.transfer.noise import fit_noise, whiten_columns
+from pmfid.transfer.prewhitening import prewhiten_problem
 from pmfid.transfer.sensitivity import Structure
-from pmfid.transfer.solve import Point, ProcessProblem, descend, first_guess, refine, visit
+from pmfid.transfer.solve import ProcessPoint, ProcessProblem, descend, first_guess, refine, visit
 from pmfid.types import Floats
 
 #: A record of noise alone passes but so often.
@@ -27,7 +27,7 @@ SETTLED = 1e-6
 ELSEWHERE = 1e-3
 
 
-def depends_on_input(problem: ProcessProblem, point: Point) -> bool:
+def depends_on_input(problem: ProcessProblem, point: ProcessPoint) -> bool:
     """Does the answer to the input explain more of the output than chance? The start and a constant may do their part
     without it."""
     first, last = problem.structure.free, problem.structure.free + problem.structure.m + 1
@@ -38,7 +38,7 @@ def depends_on_input(problem: ProcessProblem, point: Point) -> bool:
         constant = rest.zeta[:, problem.structure.linear - 1]
         alone = alone - constant * float(constant @ alone) / max(float(constant @ constant), 1e-300)
     noise, place = fit_noise(point.error, places(problem)), places(problem)
-    both = whitened(noise, np.column_stack([point.error, alone]), place)
+    both = whiten_columns(noise, np.column_stack([point.error, alone]), place)
     left, whole = (float(np.sum(column**2)) for column in both[noise.coefficients.size :].T)
     return _beyond(whole, left, point.error.size, problem.structure.size)
 
@@ -53,7 +53,7 @@ class Second:
     moved: bool
 
 
-def second_look(problem: ProcessProblem, point: Point) -> Second:
+def second_look(problem: ProcessProblem, point: ProcessPoint) -> Second:
     """At the estimate of a point, for noise of any colour.
 
     A pole can settle on what the noise rings with, and what is left no longer rings: so the colour is that of what a
@@ -69,7 +69,7 @@ def second_look(problem: ProcessProblem, point: Point) -> Second:
             noise = noise_beside(signals(problem, rest.error), rest.zeta)
             if noise is None:
                 return Second(False, False)
-            white = prewhitened(problem, noise)
+            white = prewhiten_problem(problem, noise)
             factor = float(np.sum(noise.whitener)) if structure.offset and white is not problem else 1.0
             scale = np.r_[np.ones(structure.size - 1), factor]
             start = visit(white, point.theta * scale, np.zeros((len(white.stretches), structure.n)))
@@ -90,7 +90,7 @@ def _apart(difference: Floats, cov: Floats) -> bool:
     return bool(distance > chdtri(difference.size, ELSEWHERE))
 
 
-def _settled(problem: ProcessProblem) -> Point:
+def _settled(problem: ProcessProblem) -> ProcessPoint:
     found = refine(problem, first_guess(problem, 1.0), SETTLED)
     return found.point if found.settled else descend(problem, found.point, SETTLED).point
 

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.configuration import changed, like
+from pmfid.estimators.configuration import change_arguments, like
 from pmfid.estimators.difference import Difference, first_speed, least, rms
 from pmfid.estimators.instruments import Instruments
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Change
 from pmfid.estimators.likelihood import GIVEN_AWAY, NOISE_FLOOR, SHRINKING, Best, climb, log_likelihood
 from pmfid.estimators.output_error import HOPELESS, OE
-from pmfid.estimators.starts import at_speeds, least_begun, read_start
+from pmfid.estimators.starts import find_least_from_start, fit_at_speeds, read_start
 from pmfid.estimators.window_choice import FEWEST, FOLDS, SHORTEST, predicted_elsewhere
 from pmfid.judge.free_run import drive_run
 from pmfid.judge.term_periods import APART, HUNDRED, apart, candidates, pitched
@@ -62,14 +62,14 @@ class Bench:
     def first(self, model: Drive) -> Trial:
         """Begun with instrumental variables. Raises NotIdentifiableError."""
         if model.equation.searched:
-            return self.further(self.first(changed(model, {"stribeck": None})), {"stribeck": model.stribeck})
+            return self.further(self.first(change_arguments(model, {"stribeck": None})), {"stribeck": model.stribeck})
         method = like(IntervalML, self.method, model=model)
-        difference, q, status = method.followed(self.u, self.counts)
+        difference, q, status = method.fit_least_squares(self.u, self.counts)
         return trial_of(method, model, difference, q, status)
 
     def further(self, trial: Trial, change: Change) -> Trial:
         """The model with some of its fields changed, begun at the parameters of the one before."""
-        return self.fitted(changed(trial.model, change), trial)
+        return self.fitted(change_arguments(trial.model, change), trial)
 
     def pitches(self, trial: Trial) -> list[tuple[float, float]]:
         """Doubled gain of the log-likelihood, about, and pitch [unit of y] of cogging forces, the best first, of those
@@ -81,7 +81,7 @@ class Bench:
         while numbers:
             for number in numbers:
                 with suppress(NotIdentifiableError, UsageError):
-                    found.append(self._pitched(changed(trial.model, {"cogging": travel / number}), trial))
+                    found.append(self._pitched(change_arguments(trial.model, {"cogging": travel / number}), trial))
             tried += [*numbers, *(travel / pitch for _, pitch in found)]
             # moves that are all alike hardly tell a pitch of the travel more or less
             own = travel / max(found)[1] if found else FEWEST_PITCHES
@@ -134,8 +134,8 @@ class Bench:
         do not find."""
         own, late = model.equation, dict.fromkeys((DEAD_TIME, LAG), 0.0) | _late_of(model.equation, theta)
         given = {key: late[key] for key in (DEAD_TIME, LAG) if getattr(model, key) == ESTIMATE}
-        known = changed(model, given | ({"stribeck": None} if model.stribeck == ESTIMATE else {}))
-        found = like(Instruments, self.method, model=known).settled(self.u, self.counts)[1]
+        known = change_arguments(model, given | ({"stribeck": None} if model.stribeck == ESTIMATE else {}))
+        found = like(Instruments, self.method, model=known).settle_iteration(self.u, self.counts)[1]
         start = np.r_[carried(known.equation, found, own)[: len(own.names)], theta[len(own.names) :]]
         return _late_by(own, start, late[DEAD_TIME], late[LAG])
 
@@ -167,11 +167,11 @@ class Bench:
         if model.stribeck != ESTIMATE or trial.model.stribeck == ESTIMATE:
             yield theta, trial
         if model.stribeck == ESTIMATE:
-            found = at_speeds(trial.usual_speed, self._known(model, theta, trial), lambda one: -one.log_likelihood)
+            found = fit_at_speeds(trial.usual_speed, self._known(model, theta, trial), lambda one: -one.log_likelihood)
             yield from ((np.r_[one.theta, speed], one) for speed, one in found)
 
     def _known(self, model: Drive, theta: Floats, trial: Trial) -> Callable[[float], Trial]:
-        return lambda speed: self._from(changed(model, {"stribeck": speed}), theta[:-1], trial, hasty=True)
+        return lambda speed: self._from(change_arguments(model, {"stribeck": speed}), theta[:-1], trial, hasty=True)
 
     def _from(self, model: Drive, theta: Floats, trial: Trial, hasty: bool = False) -> Trial:
         """A model from theta (p,), and from where the motion of another trial starts: from least squares on, and where
@@ -183,7 +183,7 @@ class Bench:
         except NotIdentifiableError as error:
             refused = error
         if trial.best.noise is not None and not (found and (hasty or found[-1].best.clean)):
-            difference = _quick(method.at(theta, trial.difference.u, trial.difference.y))
+            difference = _quick(method.make_difference(theta, trial.difference.u, trial.difference.y))
             start = (trial.best.q * trial.difference.scale)[-2:]
             q = np.maximum(np.r_[theta, start] / difference.scale, difference.lower)
             found.append(_at_top(method, model, difference, q, trial.best.status, hasty))
@@ -233,7 +233,7 @@ class Bench:
         known = equation.known_at(trial.theta[len(equation.names) :])
         method = like(IntervalML, trial.method, model=EquationModel(known))
         theta = trial.theta[: len(equation.names)]
-        difference = replace(method.at(theta, trial.difference.u, trial.difference.y), parts=1)
+        difference = replace(method.make_difference(theta, trial.difference.u, trial.difference.y), parts=1)
         scaled = np.maximum(theta / difference.scale[:-2], difference.lower[:-2])
         length = max(shortest_part(method), n * (FOLDS - 1) // FOLDS // WINDOWS)
         return predicted_elsewhere(difference, scaled, method.cutoff, length)
@@ -303,7 +303,7 @@ def _followed(method: IntervalML, theta: Floats, record: Difference) -> tuple[Di
     many models all but one are to be thrown away."""
     behind, q = _behind(method, theta, record)
     placed = any(not term.shape.of_speed for term in behind.equation.shaped if term.shape)
-    q = least_begun(behind, q, method.cutoff, [ROUGHLY]) if placed else least(behind, q, [ROUGHLY])
+    q = find_least_from_start(behind, q, method.cutoff, [ROUGHLY]) if placed else least(behind, q, [ROUGHLY])
     direct = replace(behind, pole=0.0)
     if rms(behind(q)) > HOPELESS * direct.explained:
         return behind, q
@@ -318,7 +318,7 @@ def _quick(difference: Difference) -> Difference:
 
 def _behind(method: IntervalML, theta: Floats, record: Difference) -> tuple[Difference, Floats]:
     """The difference of a record behind the high-pass, and q (q,) of theta (p,) at the first count."""
-    behind = replace(_quick(method.at(theta, record.u, record.y)), pole=method.cutoff)
+    behind = replace(_quick(method.make_difference(theta, record.u, record.y)), pole=method.cutoff)
     begin = np.r_[theta, record.y[0], first_speed(record.y, record.dt, method.cutoff, record.resolution)]
     return behind, np.maximum(begin / behind.scale, behind.lower)
 

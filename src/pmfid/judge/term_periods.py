@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.estimators.adequacy import filtered_rows, weigh
-from pmfid.estimators.configuration import changed, like
+from pmfid.estimators.configuration import change_arguments, like
 from pmfid.estimators.difference import Difference, rms
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Place
@@ -144,7 +144,7 @@ class Pitched(Difference):
         """The model at the pitch of q (q + 1,)."""
         if self.model is None:
             raise TypeError("a difference with a pitch needs the model that has it")
-        return changed(self.model, {"cogging": float(np.ptp(self.y) / (HUNDRED * q[-1]))})
+        return change_arguments(self.model, {"cogging": float(np.ptp(self.y) / (HUNDRED * q[-1]))})
 
     @property
     def number(self) -> float:

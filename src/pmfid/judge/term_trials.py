@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.estimators.adequacy import Adequacy, information_of, score_variance, weigh
-from pmfid.estimators.difference import Difference, rms, without_nuisance
+from pmfid.estimators.difference import Difference, remove_nuisance, rms
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import Place
 from pmfid.estimators.likelihood import Best
@@ -68,7 +68,7 @@ def inflation(before: Trial, after: Trial) -> float:
     best, old, new = after.best, before.model.equation, after.model.equation
     difference, p = best.difference, best.difference.parameters
     sensitivity = -difference.jacobian(best.q)
-    own = without_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:]) / difference.scale[:p]
+    own = remove_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:]) / difference.scale[:p]
     steps = SMALL * np.maximum(np.abs(before.theta), SMALL * float(np.max(np.abs(before.theta))))
     begin = carried(old, before.theta, new)
     moves = [(carried(old, before.theta + step, new) - begin) / float(np.sum(step)) for step in np.diag(steps)]

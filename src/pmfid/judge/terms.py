@@ -18,7 +18,7 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import MISSED, NEARLY, Adequacy
-from pmfid.estimators.configuration import changed
+from pmfid.estimators.configuration import change_arguments
 from pmfid.estimators.lacks import DIRECTIONAL, Change, Place, setting
 from pmfid.judge.term_fits import Bench
 from pmfid.judge.term_periods import pitches
@@ -216,7 +216,7 @@ class _Search:
         first = self.trials[0].model
         change = {key: getattr(first, key) for key in kept.change} | dict(other.change)
         try:
-            swapped = self.bench.fitted(changed(chosen.model, change), chosen)
+            swapped = self.bench.fitted(change_arguments(chosen.model, change), chosen)
         except (NotIdentifiableError, UsageError):
             return True
         return 2 * (chosen.log_likelihood - swapped.log_likelihood) / kept.inflation >= ALIKE
@@ -327,7 +327,7 @@ class _Search:
         candidate = Candidate(own, " and ".join(setting(*pair) for pair in own.items()), 0.0, 1.0, 0.0, math.inf)
         try:
             back = {key: getattr(first, key) for key in change} | dict(instead)
-            found = self.bench.fitted(changed(whole.model, back), whole)
+            found = self.bench.fitted(change_arguments(whole.model, back), whole)
         except (NotIdentifiableError, UsageError):  # nothing follows the record without it
             return Step(candidate, None, math.inf, 0.0, self.errors[-1], KEPT)
         candidate = replace(candidate, inflation=inflation(found, whole))

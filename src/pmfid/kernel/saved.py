@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.kernel.structures import Shape, Structured, Structures, constants_of, layout_number, resized, structures
+from pmfid.kernel.structures import (
+    KernelSizes,
+    Structured,
+    Structures,
+    constants_of,
+    layout_number,
+    resize_structure,
+    structures,
+)
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel, ManyKernel
@@ -24,7 +32,7 @@ def configuration(kernel: Kernel, precision: str) -> Structured:
     return np.frombuffer(kernel.raw_config(), structures(None, precision)["pmf_config_t"])[0]  # type: ignore[no-any-return]
 
 
-def shape_of(config: Structured) -> Shape:
+def shape_of(config: Structured) -> KernelSizes:
     """The sizes and parts that a configuration needs."""
     constants, network = constants_of(None), config["network"]
     linear, shapes = config["linear"], config["auxiliary"]["shapes"]
@@ -35,7 +43,7 @@ def shape_of(config: Structured) -> Shape:
     schemes = {int(recursion["scheme"]) for recursion in recursions}
     process = config["encoder"]["process"] or any(np.any(recursion["target_noise"]) for recursion in recursions)
     nodes = {*network["stage"]["source"].tolist(), *network["tap"]["node"].tolist()}
-    return Shape(
+    return KernelSizes(
         max_stages=max(1, int(network["n_stages"])),
         max_taps=int(network["tap_end"][int(network["n_columns"]) - 1]),
         max_parameters=parameters,
@@ -99,10 +107,10 @@ def split_signals() -> range:
     return range(constants["PMF_MOVING"], constants["PMF_SIGNALS"])
 
 
-def tight_state(kernel: Kernel, precision: str, shape: Shape) -> Structured:
+def tight_state(kernel: Kernel, precision: str, shape: KernelSizes) -> Structured:
     """The kernel's state as firmware with its configuration has it; shape: of the configuration."""
     own = np.frombuffer(kernel.raw_state(), structures(None, precision)["pmf_state_t"])[0]
-    state = resized(own, structures(shape, precision)["pmf_state_t"])
+    state = resize_structure(own, structures(shape, precision)["pmf_state_t"])
     if not shape.with_split:
         state["network"]["node"][split_signals()] = 0
         state["encoder"]["change"] = state["encoder"]["travel"] = 0
@@ -137,7 +145,7 @@ def load_state(kernel: Kernel, precision: str, data: bytes) -> None:
         raise UsageError(_FOREIGN)
     own = structures(None, precision)["pmf_state_t"]
     with _refused_in_one_sentence():
-        kernel.set_raw_state(resized(saved["state"], own).tobytes())
+        kernel.set_raw_state(resize_structure(saved["state"], own).tobytes())
 
 
 def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
@@ -208,14 +216,14 @@ _FOREIGN = (
 )
 
 
-def _envelope(config: Structured, shape: Shape, precision: str) -> Structured:
+def _envelope(config: Structured, shape: KernelSizes, precision: str) -> Structured:
     """A `pmf_saved_t` of a configuration, still without state and checksum."""
     types, constants = structures(shape, precision), constants_of(shape)
     saved = np.zeros((), types["pmf_saved_t"])
     saved["magic"], saved["version"] = constants["PMF_STATE_MAGIC"], constants["PMF_STATE_VERSION"]
     saved["layout"] = layout_number(types["pmf_state_t"])
     saved["size"] = saved.dtype.itemsize
-    saved["config"] = zlib.crc32(resized(config, types["pmf_config_t"]).tobytes())
+    saved["config"] = zlib.crc32(resize_structure(config, types["pmf_config_t"]).tobytes())
     return saved
 
 

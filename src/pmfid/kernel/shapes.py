@@ -20,7 +20,7 @@ FIRST_NODE = _KERNEL["PMF_SIGNALS"]
 
 
 @dataclass(frozen=True)
-class Table:
+class ShapeTable:
     """knots (k,) from `start` on in steps, of a speed or a place; beyond them the last one holds, or a periodic one
     begins anew. of "square": the square of the speed, without knots. positive: as of the `Shape`."""
 
@@ -33,7 +33,7 @@ class Table:
 
 
 #: A table, and whether the force acts against the motion.
-Acting = tuple[Table, bool]
+Acting = tuple[ShapeTable, bool]
 
 
 def shape_values(
@@ -54,7 +54,7 @@ def shape_values(
     return {"n": len(rows), "shape": rows, "knot": knots, "sum": sums}
 
 
-def too_many(tables: Sequence[Table]) -> str:
+def too_many(tables: Sequence[ShapeTable]) -> str:
     """Why the kernel cannot hold them, with a remedy; empty where it can."""
     knots = 1 + sum(len(table.knots) for table in tables)
     if len(tables) <= MOST_SHAPES and knots <= MOST_KNOTS:

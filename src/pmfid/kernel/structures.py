@@ -41,7 +41,7 @@ HEADERS = ("pmf.h", "pmf_internal.h")
 
 
 @dataclass(frozen=True)
-class Shape:
+class KernelSizes:
     """What a configuration needs of the kernel; the names are those in pmf_sizes.h, see `macros`."""
 
     max_stages: int
@@ -90,14 +90,14 @@ def header(name: str) -> str:
 
 
 @cache
-def structures(shape: Shape | None, precision: str) -> Structures:
+def structures(shape: KernelSizes | None, precision: str) -> Structures:
     """Structure's name -> type, laid out as C does it. shape: None: the module's own sizes."""
     constants = constants_of(shape)
     whole, integer, real = (np.dtype(name) for name in ("<u4", "<i4", "<f4" if precision == "float32" else "<f8"))
     types: Structures = {"uint32_t": whole, "whole_t": whole, "int32_t": integer, "integer_t": integer}
     types |= {"scalar_t": real, "real_t": real}
     for body, name in re.findall(r"typedef struct \{(.*?)\}\s*(\w+);", header("pmf.h"), re.DOTALL):
-        types[name] = np.dtype(_fields(_chosen(body, constants), types, constants), align=True)
+        types[name] = np.dtype(_fields(_choose_lines(body, constants), types, constants), align=True)
     return types
 
 
@@ -129,7 +129,7 @@ def _value(node: ast.AST, constants: Mapping[str, int]) -> int:
 
 
 @cache
-def constants_of(shape: Shape | None) -> dict[str, int]:
+def constants_of(shape: KernelSizes | None) -> dict[str, int]:
     """Integers that pmf_sizes.h and `HEADERS` name. shape: None: of the module."""
     constants = {} if shape is None else shape.macros()
     for text in map(header, ("pmf_sizes.h", *HEADERS)):
@@ -145,7 +145,7 @@ def constants_of(shape: Shape | None) -> dict[str, int]:
     return constants
 
 
-def _chosen(body: str, constants: Mapping[str, int]) -> str:
+def _choose_lines(body: str, constants: Mapping[str, int]) -> str:
     """The lines that the preprocessor leaves of a structure."""
     kept, conditions = [], [True]
     for line in body.splitlines():
@@ -171,7 +171,7 @@ def _fields(body: str, types: Structures, constants: Mapping[str, int]) -> list[
     return fields
 
 
-def resized(source: Structured, dtype: np.dtype[np.void]) -> Structured:
+def resize_structure(source: Structured, dtype: np.dtype[np.void]) -> Structured:
     """A structure with the same values in a layout with other sizes, zeros where there was nothing."""
     target = np.zeros((), dtype)
     copy_fields(source, target)

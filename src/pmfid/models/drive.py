@@ -66,7 +66,7 @@ class EquationModel:
 
     @property
     def simple(self) -> EquationModel:
-        return without_unknown_lateness(self.symmetric)
+        return remove_unknown_lateness(self.symmetric)
 
     def at_dead_time(self, seconds: Late) -> EquationModel:
         return EquationModel(self.equation.at_dead_time(seconds))
@@ -155,7 +155,7 @@ class Drive:
             unknown.append(Term("moving", 0, "offset", "N"))
         if self.spring:
             unknown.append(Term("output", 0, "stiffness", "N/m"))
-        unknown += self._shaped()
+        unknown += self._make_shaped_terms()
         if turns:
             unknown = [replace(term, unit=rotary(str(term.unit))) for term in unknown]
         # forces over the gain, where that is to be found
@@ -163,7 +163,7 @@ class Drive:
         known = (Term("input", 0, coefficient=gain),)
         return Equation(tuple(unknown), known, dead_time=self.dead_time, lag=self.lag)
 
-    def _shaped(self) -> list[Term]:
+    def _make_shaped_terms(self) -> list[Term]:
         terms = []
         if self.stribeck is not None:
             terms.append(Term("friction", 0, "stribeck_friction", "N", shape=Stribeck(self.stribeck)))
@@ -186,7 +186,7 @@ class Drive:
 
     @property
     def simple(self) -> Drive:
-        return without_unknown_lateness(self.symmetric)
+        return remove_unknown_lateness(self.symmetric)
 
     def at_dead_time(self, seconds: Late) -> Drive:
         return replace(self, dead_time=seconds)
@@ -198,7 +198,7 @@ class Drive:
 Machine = TypeVar("Machine", EquationModel, Drive)
 
 
-def without_unknown_lateness(model: Machine) -> Machine:
+def remove_unknown_lateness(model: Machine) -> Machine:
     """The same, with an input that acts at once where it is to be found how late."""
     plain = model.at_dead_time(0.0) if model.equation.dead_time == ESTIMATE else model
     return plain.at_lag(0.0) if model.equation.lag == ESTIMATE else plain

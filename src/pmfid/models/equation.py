@@ -10,7 +10,7 @@ from numbers import Real
 from typing import Literal
 
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.kernel.shapes import Table
+from pmfid.kernel.shapes import ShapeTable
 from pmfid.models.axes import LINEAR, Units, rotary, units_by
 from pmfid.models.shapes import ESTIMATE as ESTIMATE
 from pmfid.models.shapes import Shape, Stribeck
@@ -279,7 +279,7 @@ class Equation:
         return tuple(term for term in self.unknown if term.shape is not None)
 
     @cached_property
-    def shapes(self) -> tuple[tuple[Table, bool], ...]:
+    def shapes(self) -> tuple[tuple[ShapeTable, bool], ...]:
         """Their tables, and whether each acts against the motion. Raises UsageError where one is not known."""
         return tuple((term.shape.table(), term.signal == "friction") for term in self.shaped if term.shape is not None)
 

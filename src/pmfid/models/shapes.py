@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
-from pmfid.kernel.shapes import Table
+from pmfid.kernel.shapes import ShapeTable
 from pmfid.types import Floats
 
 #: Straight pieces of a smooth form.
@@ -40,7 +40,7 @@ class Shape(ABC):
     positive: bool = False
 
     @abstractmethod
-    def table(self) -> Table:
+    def table(self) -> ShapeTable:
         """The form as the kernel reads it. Raises UsageError where a parameter of it is not known yet."""
 
     @property
@@ -81,7 +81,7 @@ class Stribeck(Shape):
     def free(self) -> bool:  # type: ignore[override]
         return self.speed == ESTIMATE
 
-    def table(self) -> Table:
+    def table(self) -> ShapeTable:
         if isinstance(self.speed, str):
             raise UsageError("the Stribeck speed is not known yet: output-error and interval find it; or give it")
         step = FADED / PIECES
@@ -89,7 +89,7 @@ class Stribeck(Shape):
         # the mean over every piece is that of the form: straight lines between its own values lie on one side of it
         bend = (4 * speeds**2 - 2) * step**2 / 12
         knots = np.exp(-(speeds**2)) * (1 - bend)
-        return Table("speed", tuple(knots.tolist()), step=step * self.speed, positive=self.positive)
+        return ShapeTable("speed", tuple(knots.tolist()), step=step * self.speed, positive=self.positive)
 
     @property
     def reads(self) -> str:
@@ -104,8 +104,8 @@ class Square(Shape):
     of_speed = True
     positive = True
 
-    def table(self) -> Table:
-        return Table("square", positive=self.positive)
+    def table(self) -> ShapeTable:
+        return ShapeTable("square", positive=self.positive)
 
     @property
     def reads(self) -> str:
@@ -123,12 +123,12 @@ class Wave(Shape):
     def __post_init__(self) -> None:
         object.__setattr__(self, "period", _length("the period", self.period, "unit of y"))
 
-    def table(self) -> Table:
+    def table(self) -> ShapeTable:
         """Its first harmonic is the wave itself: straight lines alone would be smaller by a part of 0.0008."""
         angle = 2 * math.pi / PIECES * np.arange(PIECES + 1)
         larger = 1 / np.sinc(1 / PIECES) ** 2
         knots = larger * (np.cos(angle) if self.cosine else np.sin(angle))
-        return Table("place", tuple(knots.tolist()), step=self.period / PIECES, periodic=True)
+        return ShapeTable("place", tuple(knots.tolist()), step=self.period / PIECES, periodic=True)
 
     @property
     def reads(self) -> str:
@@ -152,8 +152,8 @@ class Along(Shape):
         if not any(self.values):
             raise UsageError("a table of zeros is no form: give the force at each place, in any unit")
 
-    def table(self) -> Table:
-        return Table("place", tuple(self.values), self.start, self.step)
+    def table(self) -> ShapeTable:
+        return ShapeTable("place", tuple(self.values), self.start, self.step)
 
     @property
     def reads(self) -> str:

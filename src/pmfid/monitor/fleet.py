@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.arguments import integer_counts, numbers
-from pmfid.estimators.configuration import configuration_of, made
+from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.monitor.events import Event
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.quiet import Quiet
@@ -219,7 +219,7 @@ class MonitorFleet:
 
 def _like(source: Monitor) -> Monitor:
     """A monitor of its own with the configuration of another one."""
-    estimator = made(type(source.estimator), configuration_of(source.estimator))
+    estimator = construct_estimator(type(source.estimator), configuration_of(source.estimator))
     return Monitor(estimator, source.calibration, copy(source.watch), source.known)
 
 

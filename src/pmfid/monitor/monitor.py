@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid._estimate import Estimate
 from pmfid.errors import UsageError
 from pmfid.estimators.arguments import check_arrays
-from pmfid.estimators.known import Seen, told_by
+from pmfid.estimators.known import Seen, choose_naming
 from pmfid.estimators.track import Track
 from pmfid.kernel.structures import whole_words
 from pmfid.monitor.arrays import Sampled
@@ -55,11 +55,11 @@ class Monitor(Axis, Shown):
     @property
     def names(self) -> tuple[str, ...]:
         """Of the parameters that are told: the estimator's, and the gain of the input where it is found."""
-        return told_by(self.estimator, self.known).names
+        return choose_naming(self.estimator, self.known).names
 
     @property
     def units(self) -> tuple[str, ...]:
-        return told_by(self.estimator, self.known).units
+        return choose_naming(self.estimator, self.known).units
 
     @property
     def _parameters(self) -> Parameters:

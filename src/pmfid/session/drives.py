@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import Adequacy
-from pmfid.estimators.auto import AUTO, Choice, choose, first_choice
+from pmfid.estimators.auto import AUTO, MethodChoice, choose, first_choice
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.bridges import gaps_in
-from pmfid.estimators.configuration import like, made
+from pmfid.estimators.configuration import construct_estimator, like
 from pmfid.estimators.cutoff import choose_cutoff
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.iv import IV, RIV
@@ -28,9 +28,9 @@ from pmfid.estimators.output_error import OE
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns, Fit
-from pmfid.estimators.track import Track, joined
+from pmfid.estimators.track import Track, join_tracks
 from pmfid.estimators.zeros import choose_prefilter_zeros
-from pmfid.findings import Finding, codes, noted, ordered, texts
+from pmfid.findings import Finding, codes, make_notes, sort_findings, texts
 from pmfid.judge.drive import examined
 from pmfid.judge.free_run import FreeRun, drive_run
 from pmfid.judge.said import Verdict, verdict
@@ -150,7 +150,7 @@ def _identified(data: Record, axis: Axis, asked: Axis, progress: Progress | None
         estimator, reason = choose(estimator, data.u, data.counts, axis.estimator.forgetting)
     result = _estimate(estimator, data, asked, progress, choice)
     _check_known(result)
-    return result.with_findings(*noted("method", [f"auto chose {reason}"])) if reason else result
+    return result.with_findings(*make_notes("method", [f"auto chose {reason}"])) if reason else result
 
 
 def of_kind(record: Record, axis: Axis) -> Axis:
@@ -177,7 +177,7 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
         "dt": record.dt,
         "cutoff": axis.estimator.pole,
     }
-    estimator = made(cls, own | settings(axis, cls))
+    estimator = construct_estimator(cls, own | settings(axis, cls))
     if cls.instrumental and axis.estimator.prefilter_zeros is None:
         return replace(estimator, prefilter_zeros=choose_prefilter_zeros(estimator, record.u, record.counts))
     return estimator
@@ -212,7 +212,7 @@ def _check_error(estimator: Estimator, relative: float, said: Verdict) -> list[F
         return []
     told, adequacy = f"the filtered equation leaves {100 * relative:.3g} % of the input", said.adequacy
     if adequacy is not None and adequacy.left < FOLLOWED:
-        return noted(
+        return make_notes(
             "relative_error",
             [
                 f"{told}, the encoder's steps in the acceleration above all; the simulated motion leaves "
@@ -231,7 +231,7 @@ def _check_error(estimator: Estimator, relative: float, said: Verdict) -> list[F
 
 
 def _estimate(
-    estimator: Estimator, record: Record, axis: Axis, progress: Progress | None, choice: Choice | None
+    estimator: Estimator, record: Record, axis: Axis, progress: Progress | None, choice: MethodChoice | None
 ) -> DriveResult:
     batch = _batch_twin(estimator)
     seen = like(LS, batch, model=batch.model.simple, prefilter_zeros=None) if _by_motion(estimator) else batch
@@ -254,9 +254,9 @@ def _estimate(
         unused.append(f'{estimator.method} simulates no windows: window is not used; set method = "output-error"')
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
         unused.append(f"{estimator.method} is an off-line method: forgetting is not used")
-    notes = noted("record", record.notes) + noted("method", fit.notes) + noted("unused", unused)
+    notes = make_notes("record", record.notes) + make_notes("method", fit.notes) + make_notes("unused", unused)
     notes += _check_error(estimator, fit.relative_error, said)
-    findings = ordered((*status_findings(fit.status & ~_told(record)), *said.findings, *notes))
+    findings = sort_findings((*status_findings(fit.status & ~_told(record)), *said.findings, *notes))
     found = fit.theta, fit.theta_std, findings
     result = DriveResult(estimator, *found, record, fit.relative_error, said.matter, fit=fit, model_spread=spread)
     return result if known is None else put_together(result, known, axis, known.of(fit, spread))
@@ -276,7 +276,7 @@ def _told(record: Record) -> int:
     return int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.STANDSTILL) if np.any(np.isnan(record.u)) else 0
 
 
-def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: Choice | None) -> Adequacy | None:
+def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: MethodChoice | None) -> Adequacy | None:
     """What the counts say on the model, as far as it must be asked with a lag that is free: the one that instrumental
     variables find is not that which fits best."""
     if choice is not None or estimator.equation.lag != ESTIMATE:
@@ -360,8 +360,8 @@ def _recursive(
         known, last_estimate = known.rescaled(last_estimate)
         method, theta, std = known.estimator, last_estimate.theta, last_estimate.theta_std
     said = verdict(method, record.u, record.counts, theta, std, None, axis.estimator.tolerance)
-    notes = noted("record", record.notes) + _check_error(method, relative, said)
-    findings = ordered((*status_findings(held), *said.findings, *notes))
+    notes = make_notes("record", record.notes) + _check_error(method, relative, said)
+    findings = sort_findings((*status_findings(held), *said.findings, *notes))
     found = method, theta, std, findings, record, relative, said.matter
     result = DriveResult(*found, track=told, model_spread=said.spread)
     return result if known is None else put_together(result, known, axis, known.of(last_estimate, said.spread))
@@ -387,8 +387,8 @@ def _run(
     edges = [0, *(edge for gap in gaps_in(record.u) for edge in gap), n]
     for place, (first, last) in enumerate(pairwise(edges)):
         if place % 2 == 1:
-            parts.append(parts[-1].held(last - first, Status.SETTLING))
-            told.append(told[-1].held(last - first, Status.SETTLING))
+            parts.append(parts[-1].repeat_last(last - first, Status.SETTLING))
+            told.append(told[-1].repeat_last(last - first, Status.SETTLING))
             estimator.gap(int(record.counts[last]))
             continue
         for start in range(first, last, chunk):
@@ -397,4 +397,4 @@ def _run(
             told.append(parts[-1] if known is None else known.track(parts[-1], estimator.estimate))
             if progress is not None:
                 progress(part.stop / n)
-    return joined(parts), joined(told)
+    return join_tracks(parts), join_tracks(told)

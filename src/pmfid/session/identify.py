@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import cast
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.findings import Finding, codes, noted, ordered, texts
+from pmfid.findings import Finding, codes, make_notes, sort_findings, texts
 from pmfid.judge.matter import OF_LOG, weigh_findings
 from pmfid.session.config import Axis
 from pmfid.session.drives import Drives
@@ -48,7 +48,7 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
         raise explained(error, kind.checked(data, axis)) from None
     suspicious = bool(SUSPICIOUS & set(result.status))
     log = kind.checked(data, axis) if suspicious else kind.glanced(data, axis)
-    return result.with_findings(*log, *noted("cutoff", chosen(given, axis)))
+    return result.with_findings(*log, *make_notes("cutoff", chosen(given, axis)))
 
 
 def chosen(given: Axis, prepared: Axis) -> tuple[str, ...]:
@@ -75,5 +75,5 @@ def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
     with suppress(NotIdentifiableError, UsageError):
         result = cast(DriveResult, identify(data, axis))
         doubts = (finding for finding in result.findings if finding.severity != "note")
-        return ordered((*weigh_findings(log, result.matter), *doubts))
+        return sort_findings((*weigh_findings(log, result.matter), *doubts))
     return log

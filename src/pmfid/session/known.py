@@ -11,7 +11,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.estimators.known import Known, Posterior, with_gain
-from pmfid.findings import Finding, noted
+from pmfid.findings import Finding, make_notes
 from pmfid.models.equation import ESTIMATE
 from pmfid.session.config import Axis
 from pmfid.session.result import DriveResult
@@ -92,7 +92,7 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
         known=known,
     ).with_findings(
         *(Finding(CONTRADICTED, contradiction) for contradiction in estimate.notes),
-        *noted("known", [*said, _said(known)]),
+        *make_notes("known", [*said, _said(known)]),
     )
 
 

@@ -13,7 +13,7 @@ from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
-from pmfid.estimators.configuration import made
+from pmfid.estimators.configuration import construct_estimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.estimators.srivc import (
@@ -24,7 +24,7 @@ from pmfid.estimators.srivc import (
     with_dead_time,
 )
 from pmfid.estimators.zeros import choose_prefilter_zeros
-from pmfid.findings import noted, ordered
+from pmfid.findings import make_notes, sort_findings
 from pmfid.judge.assess import assess
 from pmfid.judge.doubts import IGNORED, check_known, doubts, findings_on, search_notes
 from pmfid.judge.free_process import process_run
@@ -40,7 +40,7 @@ from pmfid.session.stored import Stored
 from pmfid.session.tables import Table
 from pmfid.status import Status, status_findings
 from pmfid.transfer.experiment import Experiment
-from pmfid.transfer.order import DELAYS, ORDERS, UNSTABLE, Candidate, Search, accepted_first, search_structure
+from pmfid.transfer.order import DELAYS, ORDERS, UNSTABLE, OrderCandidate, Search, accepted_first, search_structure
 from pmfid.types import Floats
 
 AUTOMATIC = "srivc"
@@ -98,8 +98,8 @@ class Processes(Kind[Sequence[Experiment]]):
         referenced = problem.referenced and isinstance(estimator, ProcessSolver)
         flags = flags_on(checks, process, referenced, unstable)
         found = [*findings_on(data, checks, process, flags, unstable), *doubts(estimator, theta, std, checks)]
-        found += noted("reference", [IGNORED.format(method=method)] * (problem.referenced and not referenced))
-        findings = ordered((*status_findings(bits), *found))
+        found += make_notes("reference", [IGNORED.format(method=method)] * (problem.referenced and not referenced))
+        findings = sort_findings((*status_findings(bits), *found))
         return ProcessResult(estimator, theta, std, findings, tuple(data), process, checks)
 
 
@@ -119,7 +119,7 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
             raise UsageError(f"{method} needs the step of the encoder or converter; give [encoder] resolution")
         options["noise_std"] = axis.encoder.resolution / np.sqrt(12.0)
     own = {"model": model, "encoder": Encoder(axis.encoder.resolution), "dt": dt, "cutoff": config.pole}
-    estimator = made(cls, own | options)
+    estimator = construct_estimator(cls, own | options)
     if cls.instrumental and config.prefilter_zeros is None:
         encoder, counts = fine_counts(_plain(experiments, method).y)
         zeros = choose_prefilter_zeros(replace(estimator, encoder=encoder), experiments[0].u, counts)
@@ -164,7 +164,7 @@ def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[
     return accepted_first(found, lambda candidate: refusal(experiments, axis, candidate))
 
 
-def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: Candidate) -> str:
+def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: OrderCandidate) -> str:
     """Why there is no estimate of a structure, or none to recommend; "" where there is one."""
     places = {"n": candidate.n, "m": candidate.m, "delay": candidate.delay}
     model = axis.model.model_copy(update={"kind": "transfer_function", **places})

@@ -10,10 +10,10 @@ import numpy as np
 
 from pmfid.errors import place_of
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.known import Known, told_by
+from pmfid.estimators.known import Known, choose_naming
 from pmfid.estimators.results import Fit
 from pmfid.estimators.track import Track
-from pmfid.findings import Finding, codes, ordered, texts
+from pmfid.findings import Finding, codes, sort_findings, texts
 from pmfid.judge.assess import Assessment
 from pmfid.judge.matter import NORMAL_95, Matter, weigh_findings
 from pmfid.models.transfer_function import TransferFunction
@@ -52,7 +52,7 @@ class Result(Shown):
 
     def with_findings(self, *further: Finding) -> Self:
         """The same result with more to say."""
-        return replace(self, findings=ordered((*further, *self.findings)))
+        return replace(self, findings=sort_findings((*further, *self.findings)))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -201,11 +201,11 @@ class DriveResult(Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        return told_by(self.estimator, self.known).names
+        return choose_naming(self.estimator, self.known).names
 
     @property
     def units(self) -> tuple[str, ...]:
-        return told_by(self.estimator, self.known).units
+        return choose_naming(self.estimator, self.known).units
 
     @property
     def beforehand(self) -> dict[str, str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.findings import Finding, codes, ordered, texts
+from pmfid.findings import Finding, codes, sort_findings, texts
 from pmfid.judge.free_run import FreeRun, Horizon
 from pmfid.session.config import Axis
 from pmfid.session.identify import check, kind_of
@@ -158,5 +158,5 @@ def validated(method: str, theta: Floats, data: Sequence[Records], axis: Axis) -
     for record in data:
         kind.check(record, axis)
     runs = tuple(run for record in data for run in kind.free_runs(record, axis, theta))
-    findings = ordered(finding for record in data for finding in check(record, asked))
+    findings = sort_findings(finding for record in data for finding in check(record, asked))
     return Validation(axis.model.kind, method, names, units, theta, kind.unit_of_output(axis), runs, findings)

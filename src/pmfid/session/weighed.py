@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.estimators.configuration import changed
+from pmfid.estimators.configuration import change_arguments
 from pmfid.estimators.lacks import setting
 from pmfid.estimators.results import Fit
 from pmfid.judge.term_trials import Trial
@@ -55,7 +55,7 @@ def _setting(step: Step) -> str:
 def _weighed(step: Step, first: Drive, trial: Trial, fit: Fit | None) -> Weighed:
     """first: the model to begin with; trial: one with the term."""
     equation = trial.model.equation
-    rest = changed(trial.model, {key: getattr(first, key) for key in step.candidate.change}).equation
+    rest = change_arguments(trial.model, {key: getattr(first, key) for key in step.candidate.change}).equation
     names, units = (*equation.names, *dict(equation.further)), (*equation.units, *dict(equation.further).values())
     std = np.full(len(names), np.nan) if fit is None else fit.theta_std
     rows = zip(names, trial.theta.tolist(), std.tolist(), units, strict=True)

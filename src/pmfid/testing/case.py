@@ -16,7 +16,7 @@ from pmfid._estimate import Estimate
 from pmfid.errors import PmfidError, UsageError
 from pmfid.estimators.arguments import check_arrays
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.configuration import changed, configuration_of
+from pmfid.estimators.configuration import change_arguments, configuration_of
 from pmfid.estimators.results import Fit
 from pmfid.estimators.track import Track
 from pmfid.testing.plants import Plant, given, plant_for
@@ -80,7 +80,7 @@ class Case:
     def configured(self) -> Estimator:
         """The estimator at its start; without parameters to start from, which are those of the user's own plant."""
         foreign = self.record is None and "initial" in configuration_of(self.estimator)
-        return changed(self.estimator, {"initial": None} if foreign else {})
+        return change_arguments(self.estimator, {"initial": None} if foreign else {})
 
     @cached_property
     def fine(self) -> Plant:
@@ -115,7 +115,7 @@ class Case:
     def endless(self) -> Estimator:
         """The estimator at its start, without forgetting, where it has any."""
         taken, endless = configuration_of(self.configured), {"forgetting": 1.0, "forgetting_of": None}
-        return changed(self.configured, {name: value for name, value in endless.items() if name in taken})
+        return change_arguments(self.configured, {name: value for name, value in endless.items() if name in taken})
 
     @property
     def theta(self) -> Floats:

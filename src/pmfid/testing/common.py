@@ -11,7 +11,7 @@ import numpy as np
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.configuration import changed, configuration_of
+from pmfid.estimators.configuration import change_arguments, configuration_of
 from pmfid.models.drive import Drive, EquationModel
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, VISCOUS_BACKWARD, VISCOUS_FORWARD, Term
 from pmfid.models.transfer_function import TransferFunction
@@ -54,7 +54,7 @@ def wrong_arguments_are_refused(case: Case) -> None:
     taken = configuration_of(case.estimator)
     for name, values in wrong.items():
         for value in values if name in taken else ():
-            require_refusal(UsageError, f"{name} = {value!r}", partial(changed, case.estimator, {name: value}))
+            require_refusal(UsageError, f"{name} = {value!r}", partial(change_arguments, case.estimator, {name: value}))
 
 
 def wrong_arrays_are_refused(case: Case) -> None:
@@ -121,7 +121,7 @@ def scales_with_the_units(case: Case) -> None:
     noise: float | None = getattr(configured, "noise_std", None)
     if noise is not None:
         changes["noise_std"] = THOUSAND * noise
-    result = result_of(changed(configured, changes), case.fine.u, case.fine.counts)
+    result = result_of(change_arguments(configured, changes), case.fine.u, case.fine.counts)
     _require_near(last(result.theta), case.theta * factors, case.theta * factors, SAME)
 
 

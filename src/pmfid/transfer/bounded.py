@@ -30,11 +30,11 @@ def respond_bounded(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, 
     parts = []
     if kept:
         parts.append(respond(T[:kept, :kept], g[:kept], grid, w, start[:kept], held=held))
-    late = respond(-T[kept:, kept:], -g[kept:], grid.reversed, _reversed(w, held), start[kept:], held=held)
+    late = respond(-T[kept:, kept:], -g[kept:], grid.reversed, _reverse_time(w, held), start[kept:], held=held)
     modes = np.concatenate([*parts, late[..., ::-1]])
     return product(Q @ apart, modes.reshape(n, -1)).reshape(modes.shape)
 
 
-def _reversed(w: Floats, held: bool) -> Floats:
+def _reverse_time(w: Floats, held: bool) -> Floats:
     """w (channels, N) for time that runs backward: a held value belongs to the step before it then."""
     return np.concatenate([w[:, -2::-1], w[:, :1]], axis=1) if held else w[:, ::-1]

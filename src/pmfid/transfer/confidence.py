@@ -12,7 +12,7 @@ import numpy as np
 
 from pmfid.transfer.noise import Noise, fit_noise
 from pmfid.transfer.periods import phases_of, repeats, split
-from pmfid.transfer.solve import Point, ProcessProblem
+from pmfid.transfer.solve import ProcessPoint, ProcessProblem
 from pmfid.types import Floats, Places
 
 #: Steps between the stretches on the line of all samples: more than what a noise usually remembers.
@@ -31,7 +31,7 @@ def places(problem: ProcessProblem) -> Places:
     return np.concatenate(found).astype(np.int64)
 
 
-def residual_noise(problem: ProcessProblem, point: Point) -> Noise:
+def residual_noise(problem: ProcessProblem, point: ProcessPoint) -> Noise:
     """The colour of what a point of the iteration leaves."""
     size = np.linalg.norm(point.zeta, axis=0)
     Q = np.linalg.qr(point.zeta / np.where(size > 0, size, 1.0))[0]
@@ -48,7 +48,7 @@ def score_covariance(zeta: Floats, error: Floats, place: Places | None = None) -
     return np.asarray(free / (free - 2) * (R.T @ noise.covariance(Q, place) @ R))
 
 
-def covariance(point: Point, problem: ProcessProblem) -> Floats:
+def covariance(point: ProcessPoint, problem: ProcessProblem) -> Floats:
     """(p, p) of theta at a point where the iteration has settled, in the problem's units."""
     size = np.linalg.norm(point.zeta, axis=0)
     zeta = point.zeta / size
@@ -57,7 +57,7 @@ def covariance(point: Point, problem: ProcessProblem) -> Floats:
     return np.asarray(inverse @ spread @ inverse.T / np.outer(size, size))
 
 
-def residual_repeats(problem: ProcessProblem, point: Point) -> bool:
+def residual_repeats(problem: ProcessProblem, point: ProcessPoint) -> bool:
     """Is some of what a point leaves the same in every period of the input, by more than chance?"""
     unknowns = point.zeta.shape[1]
     phases = phases_of(problem.stretches, unknowns)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.transfer.experiment import Stretch
+from pmfid.transfer.experiment import RecordStretch
 from pmfid.transfer.solve import ProcessProblem, Solution, first_guess, refine
 from pmfid.types import Floats
 
@@ -18,7 +18,7 @@ PASSES, FOLLOWED = 2, 2
 BEYOND = 2.0
 
 
-def after(stretches: tuple[Stretch, ...], time: float, least: int) -> tuple[Stretch, ...]:
+def keep_outputs_after(stretches: tuple[RecordStretch, ...], time: float, least: int) -> tuple[RecordStretch, ...]:
     """Only outputs from `time` on after the first instant: before, the late input is not known. Stretches with fewer
     than `least` of them are left out."""
     found = []
@@ -36,10 +36,10 @@ def solve_dead_time(
     structure, least = problem.structure, problem.structure.n + 2
     latest, step = structure.latest or 0.0, float(np.median(problem.stretches[0].grid.steps))
     places = np.arange(0.0, latest + 1e-6 * step, step)
-    trimmed = replace(problem, stretches=after(problem.stretches, latest, least))
+    trimmed = replace(problem, stretches=keep_outputs_after(problem.stretches, latest, least))
     starts = _minima(places, np.array([_cost(trimmed, float(place)) for place in places]))
     bound = min(latest, float(np.max(starts)) + BEYOND * step)
-    wide = replace(problem, stretches=after(problem.stretches, bound, least))
+    wide = replace(problem, stretches=keep_outputs_after(problem.stretches, bound, least))
     best: tuple[ProcessProblem, Solution] | None = None
     failure = NotIdentifiableError("no dead time lets the model follow the record; try another structure or cutoff")
     for start in starts:

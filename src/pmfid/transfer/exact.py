@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmfid._stage import first_order
-from pmfid.transfer.experiment import Stretch
+from pmfid.transfer.experiment import RecordStretch
 from pmfid.transfer.propagate import Grid
 from pmfid.transfer.sensitivity import Structure, channels
 from pmfid.types import Floats
@@ -72,7 +72,7 @@ def respond_exactly(A: Floats, terms: list[ExactTerm], signals: Floats, dt: floa
     rate = max(float(np.max(np.abs(poles))), 1e-3 / dt)
     a = A[:-1] / A[-1] / rate ** (n - np.arange(n))
     rows = np.arange(size)
-    stretch = Stretch(Grid(rate * dt, size), signals, np.zeros(size), rows, rows, held=True)
+    stretch = RecordStretch(Grid(rate * dt, size), signals, np.zeros(size), rows, rows, held=True)
     found = channels(Structure(n, 0), np.r_[a, 0.0], stretch, twice=True)
     single, double = found.single, found.double
 

@@ -127,7 +127,7 @@ class Experiment(Shown):
         length = max(1, min(RESPONSE, self.u.size // SAMPLES_PER_COEFFICIENT))
         lagged = np.lib.stride_tricks.sliding_window_view(np.r_[np.zeros(length - 1), reference], length)
         columns = np.column_stack([np.ones(self.u.size), lagged[:, ::-1]])  # the latest first
-        kept = _supported(columns[known], self.u[known])
+        kept = _count_columns(columns[known], self.u[known])
         response = np.linalg.lstsq(columns[known, :kept], self.u[known], rcond=None)[0]
         return np.asarray(columns[:, :kept] @ response)
 
@@ -158,7 +158,7 @@ class Experiment(Shown):
         )
         return thinned if self.dt is None else replace(thinned, dt=self.dt * factor)
 
-    def stretches(self, delay: int = 0) -> list[Stretch]:
+    def stretches(self, delay: int = 0) -> list[RecordStretch]:
         """The uninterrupted parts, the input `delay` periods later. Parts without a measured output are left out."""
         u, t = self.u, self.times
         limit = GAP * self.period if self.gap is None else self.gap
@@ -172,7 +172,7 @@ class Experiment(Shown):
                 parts.append(self._stretch(part, delay))
         return [part for part in parts if part is not None and part.rows.size > 1]
 
-    def _stretch(self, part: NDArray[np.int64], delay: int) -> Stretch | None:
+    def _stretch(self, part: NDArray[np.int64], delay: int) -> RecordStretch | None:
         u, y, t = self.u[part], self.y[part], self.times[part]
         reference = None if self.explained_input is None else self.explained_input[part]
         held = self.hold == "zoh"
@@ -186,7 +186,7 @@ class Experiment(Shown):
             rows = np.flatnonzero(measured[delay:])
             grid = Grid(self.period, u.size - delay)
             inputs = [u[cut]] + ([] if reference is None else [reference[cut]])
-            return Stretch(grid, np.array(_finite(inputs)), filled[delay:], rows, part[delay:][rows], held)
+            return RecordStretch(grid, np.array(_finite(inputs)), filled[delay:], rows, part[delay:][rows], held)
         return self._uneven(part, t, u, y, reference, delay, held)
 
     def _uneven(
@@ -198,7 +198,7 @@ class Experiment(Shown):
         reference: Floats | None,
         delay: int,
         held: bool,
-    ) -> Stretch | None:
+    ) -> RecordStretch | None:
         """The grid has the instants of the output and those at which the late input changes."""
         measured = np.isfinite(y)
         late = t + delay * self.period
@@ -216,7 +216,9 @@ class Experiment(Shown):
             inputs = [signal[index] for signal in signals]
         else:
             inputs = [np.interp(grid_t, late, signal) for signal in signals]
-        return Stretch(Grid(np.diff(grid_t), grid_t.size), np.array(inputs), filled, rows_of[rows], part[rows], held)
+        return RecordStretch(
+            Grid(np.diff(grid_t), grid_t.size), np.array(inputs), filled, rows_of[rows], part[rows], held
+        )
 
 
 def _range(values: Floats) -> tuple[str, str]:
@@ -230,7 +232,7 @@ def _shrinking(signal: Floats) -> float:
     return math.ldexp(1.0, -min(max(math.frexp(largest)[1], -1000), 1000))
 
 
-def _supported(columns: Floats, target: Floats) -> int:
+def _count_columns(columns: Floats, target: Floats) -> int:
     """How many of the first columns (N, p), two or more, explain target (N,) best by Schwarz's criterion."""
     target = target * _shrinking(target)
     size = np.linalg.norm(columns, axis=0)
@@ -267,7 +269,7 @@ def _check_rising(t: Floats) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class RecordStretch:
     """An uninterrupted part of a record on a grid of M instants.
 
     inputs: (1 or 2, M) the late input, and the part of it that the reference explains, where there is one; y: (M,)
@@ -283,7 +285,7 @@ class Stretch:
     held: bool
     record: int = 0
 
-    def scaled(self, rate: float) -> Stretch:
+    def scale_time(self, rate: float) -> RecordStretch:
         """With time in units of 1/rate."""
         return replace(self, grid=Grid(self.grid.steps * rate, self.grid.size))
 

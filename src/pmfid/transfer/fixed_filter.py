@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.transfer.experiment import Stretch
+from pmfid.transfer.experiment import RecordStretch
 from pmfid.transfer.sensitivity import simulate
 from pmfid.transfer.solve import (
     REFINEMENTS,
-    Point,
+    ProcessPoint,
     ProcessProblem,
     Solution,
-    filtered,
+    filter_problem,
     first_guess,
     possible,
     small,
@@ -29,7 +29,7 @@ def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
 
     What the output does between the samples matters here: a straight line, which costs an error of order dt^2; but for
     what goes straight through (m = n), which jumps with the input."""
-    data, point = filtered(problem, pole), first_guess(problem, pole)
+    data, point = filter_problem(problem, pole), first_guess(problem, pole)
     theta, missed = point.theta, _missed_by_lines(problem, pole, data)
     for passes in range(1, REFINEMENTS + 1):
         simulated = [
@@ -37,8 +37,8 @@ def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
             for initial, stretch in zip(point.initial, problem.stretches, strict=True)
         ]
         ideal = tuple(replace(stretch, y=y) for stretch, y in zip(problem.stretches, simulated, strict=True))
-        through = _through(problem, theta) * missed
-        here = replace(data, zeta=filtered(replace(problem, stretches=ideal), pole).phi + through)
+        through = _get_feedthrough(problem, theta) * missed
+        here = replace(data, zeta=filter_problem(replace(problem, stretches=ideal), pole).phi + through)
         phi = data.phi + through
         step = step_from(here, phi)
         if not np.all(np.isfinite(step)):
@@ -52,13 +52,13 @@ def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
     raise NotIdentifiableError("the instruments do not settle: use srivc, or another structure or cutoff")
 
 
-def _through(problem: ProcessProblem, theta: Floats) -> float:
+def _get_feedthrough(problem: ProcessProblem, theta: Floats) -> float:
     """The coefficient of what goes straight through, 0 where there is none."""
     structure = problem.structure
     return float(theta[structure.free + structure.n]) if structure.m == structure.n else 0.0
 
 
-def _missed_by_lines(problem: ProcessProblem, pole: float, data: Point) -> Floats:
+def _missed_by_lines(problem: ProcessProblem, pole: float, data: ProcessPoint) -> Floats:
     """(N, p) what straight lines between the samples of the input, in place of the input, lack in the regressors of an
     output that is the input; without a part that goes straight through, none.
 
@@ -70,15 +70,15 @@ def _missed_by_lines(problem: ProcessProblem, pole: float, data: Point) -> Float
     itself = data.theta.copy()
     itself[free : free + structure.n + 1] = np.r_[structure.denominator(data.theta), 1.0]
     inputs = tuple(
-        _measured(stretch, simulate(structure, itself, np.zeros(structure.n), stretch, source=0))
+        _replace_output(stretch, simulate(structure, itself, np.zeros(structure.n), stretch, source=0))
         for stretch in problem.stretches
     )
-    lines = filtered(replace(problem, stretches=inputs), pole).phi[:, :free]
+    lines = filter_problem(replace(problem, stretches=inputs), pole).phi[:, :free]
     missed[:, :free] = -data.phi[:, first : first + free] - lines
     return missed
 
 
-def _measured(stretch: Stretch, signal: Floats) -> Stretch:
+def _replace_output(stretch: RecordStretch, signal: Floats) -> RecordStretch:
     """The stretch with a signal (M,) for output: between measured instants a straight line, as of every output."""
     times = stretch.grid.instants
     return replace(stretch, y=np.interp(times, times[stretch.rows], signal[stretch.rows]))

@@ -24,7 +24,7 @@ class Late:
     slopes: Floats
 
 
-def delayed(F: Floats, g: Floats, grid: Grid, w: Floats, states: Floats, dead_time: float, *, held: bool) -> Late:
+def delay_states(F: Floats, g: Floats, grid: Grid, w: Floats, states: Floats, dead_time: float, *, held: bool) -> Late:
     """From states (n, channels, N) of x' = F x + g w at the instants of the grid and w (channels, N), held or linear.
 
     Each reading starts at the last instant before it, so a switch of the input inside a sample has its exact effect."""
@@ -37,7 +37,7 @@ def delayed(F: Floats, g: Floats, grid: Grid, w: Floats, states: Floats, dead_ti
     slope = np.zeros(w[:, index].shape) if held else (np.diff(w) / steps)[:, ahead]
     found, inputs = states[..., index], w[:, index] + slope * rest
     if np.any(rest):
-        found = _moved(F, g, grid, found, w[:, index], slope, rest)
+        found = _advance_states(F, g, grid, found, w[:, index], slope, rest)
     return Late(found * known, inputs * known, slope * known)
 
 
@@ -52,7 +52,7 @@ def _places(grid: Grid, t: Floats, steps: Floats, dead_time: float) -> tuple[NDA
     return index, np.maximum(0.0, wanted - t[np.maximum(index, 0)]) * (index >= 0)
 
 
-def _moved(F: Floats, g: Floats, grid: Grid, x: Floats, w: Floats, slope: Floats, rest: Floats) -> Floats:
+def _advance_states(F: Floats, g: Floats, grid: Grid, x: Floats, w: Floats, slope: Floats, rest: Floats) -> Floats:
     """x (n, channels, N) by the times `rest` (N,) further on."""
     if grid.uniform:
         step = transition(F, g, Grid(float(rest[0]), 2))

@@ -44,7 +44,7 @@ class Noise:
 
     def covariance(self, weights: Floats, place: Places) -> Floats:
         """Covariance (p, p) of sum_t weights[t] v[place[t]], weights (N, p), at rising places (N,)."""
-        laid = np.fft.rfft(_laid(weights, place, size := _size(place)), axis=0)
+        laid = np.fft.rfft(_place_on_line(weights, place, size := _size(place)), axis=0)
         twice = np.full(laid.shape[0], 2.0)
         twice[0] = twice[-1] = 1.0
         weighted = laid * (twice * self._spectrum(size))[:, None]
@@ -53,7 +53,7 @@ class Noise:
     def times(self, weights: Floats, place: Places) -> Floats:
         """The noise's covariance matrix times weights (N, p): (N, p)."""
         size = _size(place)
-        laid = np.fft.rfft(_laid(weights, place, size), axis=0)
+        laid = np.fft.rfft(_place_on_line(weights, place, size), axis=0)
         response = np.fft.irfft(laid * self._spectrum(size)[:, None], size, axis=0)
         return np.asarray(response[place - place[0]])
 
@@ -66,39 +66,39 @@ def fit_noise(error: Floats, place: Places, taken: Floats | None = None) -> Nois
     (1989). taken: orthonormal columns (N, q) which a fit took out of the noise, not necessarily all of them: their
     expected part of each autocovariance is put back."""
     most = min(MOST, max(1, error.size // PART))
-    laid, there = _laid(error, place, _size(place)), _laid(np.ones(error.size), place, _size(place))
+    laid, there = _place_on_line(error, place, _size(place)), _place_on_line(np.ones(error.size), place, _size(place))
     pairs = np.maximum(_autocovariance(there, most), 1e-9)
     # over one number, not over that of the pairs: else it need not be the covariance of anything, and lines appear
     raw = _autocovariance(laid, most) / pairs[0]
     if pairs[0] - pairs[1] > GAPS * error.size and np.any(np.abs(raw[1:SOON]) > 4 * raw[0] / np.sqrt(error.size)):
-        raw = _bridged(error, place, most)
+        raw = _correlate_over_gaps(error, place, most)
     noise = _from_autocovariance(raw, error.size)
     if taken is None or taken.shape[1] == 0:
         return noise
     for _ in range(PASSES):
-        put_back = raw + _taken(noise, taken, place, most) / pairs[0]
+        put_back = raw + _compute_fit_effect(noise, taken, place, most) / pairs[0]
         if not put_back[0] < LARGEST * raw[0]:
             break
         noise = _from_autocovariance(put_back, error.size)
     return noise
 
 
-def whitened(noise: Noise, columns: Floats, place: Places) -> Floats:
+def whiten_columns(noise: Noise, columns: Floats, place: Places) -> Floats:
     """Columns (N, c) behind the whitening filter, missing samples as zeros: (N, c)."""
-    laid = _laid(columns, place, int(place[-1] - place[0]) + 1)
+    laid = _place_on_line(columns, place, int(place[-1] - place[0]) + 1)
     result = laid.copy()
     for lag, value in enumerate(noise.coefficients, start=1):
         result[lag:] -= value * laid[:-lag]
     return np.asarray(result[place - place[0]])
 
 
-def _taken(noise: Noise, taken: Floats, place: Places, most: int) -> Floats:
+def _compute_fit_effect(noise: Noise, taken: Floats, place: Places, most: int) -> Floats:
     """(most + 1,) by how much less sum e[t] e[t+k] of a residual is expected than of its noise: with the projection
     1 - Q Q^T and the shift S the traces of 2 Q^T S R Q - Q^T S Q Q^T R Q."""
     behind = noise.times(taken, place)
     inside = taken.T @ behind
     size = int(place[-1] - place[0]) + 1
-    Q, RQ = _laid(taken, place, size), _laid(behind, place, size)
+    Q, RQ = _place_on_line(taken, place, size), _place_on_line(behind, place, size)
     found = np.zeros(most + 1)
     for k in range(min(most + 1, size)):
         early, late = Q[: size - k], Q[k:]
@@ -107,7 +107,7 @@ def _taken(noise: Noise, taken: Floats, place: Places, most: int) -> Floats:
     return found
 
 
-def _bridged(error: Floats, place: Places, most: int) -> Floats:
+def _correlate_over_gaps(error: Floats, place: Places, most: int) -> Floats:
     """(most + 1,) autocovariance with straight lines over short gaps: sums over different pairs differ by more than
     the variance that a prediction of slow noise leaves, and no model follows from them."""
     line = np.arange(int(place[-1] - place[0]) + 1) + place[0]
@@ -138,7 +138,7 @@ def _autocovariance(laid: Floats, most: int) -> Floats:
     return np.array([float(laid[: laid.size - k] @ laid[k:]) if k < laid.size else 0.0 for k in range(most + 1)])
 
 
-def _laid(columns: Floats, place: Places, size: int) -> Floats:
+def _place_on_line(columns: Floats, place: Places, size: int) -> Floats:
     """Columns (N, ...) on the line, zeros where nothing is."""
     line = np.zeros((size, *columns.shape[1:]))
     line[place - place[0]] = columns

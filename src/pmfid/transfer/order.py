@@ -13,7 +13,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.transfer.confidence import residual_noise
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.noise import Noise
-from pmfid.transfer.prewhitening import prewhitened
+from pmfid.transfer.prewhitening import prewhiten_problem
 from pmfid.transfer.sensitivity import Structure
 from pmfid.transfer.solve import REFINEMENTS, ProcessProblem, Solution, descend, first_guess, refine, visit
 from pmfid.transfer.whiteness import is_white
@@ -35,7 +35,7 @@ DELAYS = range(6)
 
 
 @dataclass(frozen=True)
-class Candidate:
+class OrderCandidate:
     """A structure and how it does.
 
     n, m, delay [samples]; bic: Schwarz's criterion N log(error power) + p log(N) behind the whitening filter of the
@@ -63,12 +63,12 @@ class Search:
     """The candidates, best first, those that did not settle last; skipped: structures that cannot be better than the
     best, by models that contain them; samples: N, the same for all delays."""
 
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[OrderCandidate, ...]
     skipped: int
     samples: int
 
     @property
-    def best(self) -> Candidate:
+    def best(self) -> OrderCandidate:
         return self.candidates[0]
 
 
@@ -92,7 +92,7 @@ def search_structure(
     """
     if not orders or not delays or min(orders) < 1 or min(delays) < 0:
         raise UsageError("give orders from 1 on and delays from 0 on")
-    trimmed = [_without_start(experiment, max(delays)) for experiment in experiments]
+    trimmed = [_drop_start(experiment, max(delays)) for experiment in experiments]
     colour = _colour(trimmed, orders, delays, cutoff, offset)
     places = [(n, n - 1, delay) for delay in delays for n in sorted(set(orders), reverse=True)]
     found, bounds = [], {}
@@ -121,10 +121,10 @@ def search_structure(
     return Search(tuple(ranked), len(places) + len(rest) - len(found), samples)
 
 
-def accepted_first(search: Search, refusal: Callable[[Candidate], str]) -> Search:
+def accepted_first(search: Search, refusal: Callable[[OrderCandidate], str]) -> Search:
     """The first structure that is not refused goes to the front; those tried before it say why not. refusal: why there
     is no estimate of a structure, or UNSTABLE, or "" where there is one."""
-    refused: list[Candidate] = []
+    refused: list[OrderCandidate] = []
     rest = list(search.candidates)
     while rest and len(refused) < TRIED:
         reason = refusal(rest[0])
@@ -136,7 +136,9 @@ def accepted_first(search: Search, refusal: Callable[[Candidate], str]) -> Searc
     return replace(search, candidates=(*refused, *rest))
 
 
-def _finish(found: list[Candidate], again: Callable[[int, int, int], Candidate | None]) -> list[Candidate]:
+def _finish(
+    found: list[OrderCandidate], again: Callable[[int, int, int], OrderCandidate | None]
+) -> list[OrderCandidate]:
     """Those that did not settle and may win once more, with all the patience that an estimate has."""
     best = min((candidate.bic for candidate in found if candidate.settled), default=math.inf)
     contenders = sorted((c for c in found if not c.settled and c.bic < best), key=lambda c: c.bic)[:RETRIED]
@@ -149,7 +151,7 @@ def _report(done: Callable[[float], None] | None, start: float, count: int, tota
         done(start + (count + 1) / (2 * total))
 
 
-def _without_start(experiment: Experiment, longest: int) -> Experiment:
+def _drop_start(experiment: Experiment, longest: int) -> Experiment:
     """The first samples are not counted for any delay: those of the longest one have no input yet."""
     y = experiment.y.copy()
     y[:longest] = np.nan
@@ -164,7 +166,7 @@ def _colour(
     for n in sorted({max(orders), min(max(orders), MIDDLE)}):
         for delay in delays:
             problem = _problem(experiments, Structure(n, n - 1, offset), delay, cutoff)
-            point = _refined(problem, SETTLED, PASSES)
+            point = _refine_structure(problem, SETTLED, PASSES)
             criterion = math.inf if point is None else _bic(problem, point.point.cost, point.point.error.size)
             if point is not None and criterion < best:
                 best, noise = criterion, residual_noise(problem, point.point)
@@ -180,22 +182,24 @@ def _try(
     offset: bool,
     colour: Noise | None,
     thorough: bool = False,
-) -> Candidate | None:
+) -> OrderCandidate | None:
     problem = _problem(experiments, Structure(n, m, offset), delay, cutoff)
-    white = problem if colour is None else prewhitened(problem, colour)
-    solution = _refined(white, SETTLED, REFINEMENTS if thorough else PASSES, descending=thorough)
-    return None if solution is None else _judged(problem, white, colour, solution, delay)
+    white = problem if colour is None else prewhiten_problem(problem, colour)
+    solution = _refine_structure(white, SETTLED, REFINEMENTS if thorough else PASSES, descending=thorough)
+    return None if solution is None else _make_candidate(problem, white, colour, solution, delay)
 
 
 def _problem(experiments: Sequence[Experiment], structure: Structure, delay: int, cutoff: float) -> ProcessProblem:
     stretches = [stretch for experiment in experiments for stretch in experiment.stretches(delay)]
-    usable = tuple(stretch.scaled(cutoff) for stretch in stretches if stretch.rows.size > 2 * structure.size)
+    usable = tuple(stretch.scale_time(cutoff) for stretch in stretches if stretch.rows.size > 2 * structure.size)
     if not usable:
         raise UsageError("no record has a stretch with enough samples of input and output; record longer")
     return ProcessProblem(structure, usable, cutoff)
 
 
-def _refined(problem: ProcessProblem, settled: float, passes: int, *, descending: bool = False) -> Solution | None:
+def _refine_structure(
+    problem: ProcessProblem, settled: float, passes: int, *, descending: bool = False
+) -> Solution | None:
     with np.errstate(all="ignore"):
         try:
             solution = refine(problem, first_guess(problem, 1.0), settled, passes)
@@ -213,9 +217,9 @@ def _bic(problem: ProcessProblem, cost: float, samples: int, effective: float | 
     return count * math.log(left) + problem.structure.size * math.log(count)
 
 
-def _judged(
+def _make_candidate(
     problem: ProcessProblem, white: ProcessProblem, colour: Noise | None, solution: Solution, delay: int
-) -> Candidate:
+) -> OrderCandidate:
     """white: the problem behind the filter, in which the solution is."""
     structure, point = problem.structure, solution.point
     coloured = colour is not None and white is problem
@@ -227,7 +231,7 @@ def _judged(
     values = np.linalg.svd(point.zeta / np.where(size > 0, size, 1.0), compute_uv=False)
     spread = sum(float(np.var(stretch.y[stretch.rows]) * stretch.rows.size) for stretch in problem.stretches)
     effective = colour.effective(point.error.size) if coloured and colour is not None else None
-    return Candidate(
+    return OrderCandidate(
         structure.n,
         structure.m,
         delay,

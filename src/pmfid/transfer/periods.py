@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
-from pmfid.transfer.experiment import Stretch
-from pmfid.transfer.noise import Noise, fit_noise, whitened
+from pmfid.transfer.experiment import RecordStretch
+from pmfid.transfer.noise import Noise, fit_noise, whiten_columns
 from pmfid.types import Flags, Floats, Places
 
 #: Two periods are the same if no input differs by more than this part of its range.
@@ -65,7 +65,7 @@ def period_of(u: Floats) -> int | None:
     return None
 
 
-def phases_of(stretches: Sequence[Stretch], unknowns: int) -> Phases | None:
+def phases_of(stretches: Sequence[RecordStretch], unknowns: int) -> Phases | None:
     """Of the rows of all stretches; None where one has no period, or too short a one, or none has two of them."""
     index, start = [], 0
     for stretch in stretches:
@@ -94,7 +94,7 @@ def split(error: Floats, phases: Phases) -> tuple[Floats, Floats]:
     return again, rest
 
 
-def repeats(error: Floats, known: Floats, stretches: Sequence[Stretch], phases: Phases, place: Places) -> bool:
+def repeats(error: Floats, known: Floats, stretches: Sequence[RecordStretch], phases: Phases, place: Places) -> bool:
     """Is more of a residual (N,) at rising places (N,) the same in every period than noise of its colour explains, and
     errors of the parameters, known (N, p) their effects? Loud noise at one frequency makes those elsewhere.
 
@@ -102,7 +102,7 @@ def repeats(error: Floats, known: Floats, stretches: Sequence[Stretch], phases: 
     around it, behind the whitening filter of what differs between periods, and the chances of all are taken together
     (Fisher 1932): so it does no harm if a narrow resonance of the noise is not quite whitened."""
     noise: Noise = fit_noise(split(error, phases)[1], place)
-    columns = whitened(noise, np.column_stack([error, known]), place)
+    columns = whiten_columns(noise, np.column_stack([error, known]), place)
     size = np.linalg.norm(columns, axis=0)
     effects = columns[:, 1:] / np.where(size > 0, size, 1.0)[1:]
     white = columns[:, 0] - effects @ np.linalg.lstsq(effects, columns[:, 0], rcond=RCOND)[0]
@@ -112,7 +112,7 @@ def repeats(error: Floats, known: Floats, stretches: Sequence[Stretch], phases: 
     return bool(evidence.size and chdtrc(2 * evidence.size, float(np.sum(evidence))) < CHANCE)
 
 
-def _evidence(stretch: Stretch, white: Floats) -> Floats:
+def _evidence(stretch: RecordStretch, white: Floats) -> Floats:
     """(K,) for each harmonic -2 log of the chance of noise to have as much there."""
     period = period_of(stretch.inputs[0]) or stretch.grid.size
     times = stretch.grid.size // period

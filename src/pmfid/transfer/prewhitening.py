@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pmfid.transfer.experiment import Stretch
+from pmfid.transfer.experiment import RecordStretch
 from pmfid.transfer.noise import Noise
 from pmfid.transfer.propagate import Grid
 from pmfid.transfer.solve import ProcessProblem
@@ -20,13 +20,13 @@ from pmfid.types import Floats
 KEPT = 0.6
 
 
-def prewhitened(problem: ProcessProblem, noise: Noise) -> ProcessProblem:
+def prewhiten_problem(problem: ProcessProblem, noise: Noise) -> ProcessProblem:
     """The problem behind the filter, an offset of it by the sum of the filter's weights smaller; the same problem where
     steps are uneven or so many samples are missing that too few have a whole past."""
     weights = noise.whitener
     if weights.size == 1 or not all(stretch.grid.uniform for stretch in problem.stretches):
         return problem
-    found = [_filtered(stretch, weights) for stretch in problem.stretches]
+    found = [_whiten_stretch(stretch, weights) for stretch in problem.stretches]
     least = 2 * problem.structure.size
     usable = tuple(stretch for stretch in found if stretch is not None and stretch.rows.size > least)
     if sum(s.rows.size for s in usable) < KEPT * sum(s.rows.size for s in problem.stretches):
@@ -34,7 +34,7 @@ def prewhitened(problem: ProcessProblem, noise: Noise) -> ProcessProblem:
     return replace(problem, stretches=usable)
 
 
-def _filtered(stretch: Stretch, weights: Floats) -> Stretch | None:
+def _whiten_stretch(stretch: RecordStretch, weights: Floats) -> RecordStretch | None:
     from scipy.signal import lfilter  # slow to import, and only transfer functions need it
 
     lost = weights.size - 1

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
 from pmfid.shown import Shown, Summary, plain_dict
-from pmfid.transfer.experiment import Stretch
+from pmfid.transfer.experiment import RecordStretch
 from pmfid.transfer.propagate import Grid
 from pmfid.transfer.sensitivity import Structure, channels
 from pmfid.transfer.written import number, polynomial, root_with_bars, spread, with_bar
@@ -43,7 +43,7 @@ class Process(Shown):
     delay: float = 0.0
 
     @classmethod
-    def of(cls, structure: Structure, theta: ArrayLike, cov: ArrayLike, delay: float) -> Process:
+    def from_theta(cls, structure: Structure, theta: ArrayLike, cov: ArrayLike, delay: float) -> Process:
         """From theta (p,) and its covariance (p, p); an offset is left out."""
         theta = np.asarray(theta, float)
         known, late = structure.integrators, structure.latest is not None
@@ -158,10 +158,12 @@ class Process(Shown):
         n, rows = self.a.size, np.arange(t.size)
         latest = self.delay * rate if self._late else None
         structure = Structure(n, self.b.size - 1, dead_time=self.delay * rate, latest=latest)
-        stretch = Stretch(Grid(float(steps[0]), t.size), np.ones((1, t.size)), np.zeros(t.size), rows, rows, held=True)
+        stretch = RecordStretch(
+            Grid(float(steps[0]), t.size), np.ones((1, t.size)), np.zeros(t.size), rows, rows, held=True
+        )
         factors = structure.scale(rate)
         theta = np.r_[self.a, self.b, [self.delay] * self._late] / factors
-        here, b = channels(structure, theta, stretch.scaled(rate), twice=True), theta[n : n + self.b.size]
+        here, b = channels(structure, theta, stretch.scale_time(rate), twice=True), theta[n : n + self.b.size]
         single, double = here.single[:, 0], here.double[:, 0]
         slopes = [-(b @ double[i : i + b.size]) for i in range(n)] + list(single[: b.size])
         sensitivity = np.array(slopes + [-here.moving(b, 0)] * self._late)
@@ -270,12 +272,12 @@ class Process(Shown):
         found = np.full((roots.size, 2), np.inf)
         for row, root in zip(found, roots, strict=True):
             slope = self._root_slope(coefficients, root)[: cov.shape[0]]
-            moved = [self._moved(coefficients, root, g, cov) for g in (slope.real, slope.imag)]
+            moved = [self._move_root(coefficients, root, g, cov) for g in (slope.real, slope.imag)]
             if np.all(np.isfinite(slope)) and np.all(np.isfinite(moved)):
                 row[:] = np.max(moved, axis=0)
         return found
 
-    def _moved(self, coefficients: Floats, root: complex, slope: Floats, cov: Floats) -> Floats:
+    def _move_root(self, coefficients: Floats, root: complex, slope: Floats, cov: Floats) -> Floats:
         """(2,) of real and imaginary part, along cov slope."""
         with np.errstate(all="ignore"):
             linear = _deviation(slope, cov)

@@ -86,7 +86,7 @@ def respond(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, *, held:
     modes = _recur(
         T, [a * w[:, :-1] + (0.0 if held else b * np.diff(w)) for a, b in zip(now, change, strict=True)], back @ start
     )
-    return _combined(Q, modes).reshape(*start.shape, -1)
+    return _combine_modes(Q, modes).reshape(*start.shape, -1)
 
 
 def _recur(T: Floats, forced: list[Floats], start: Floats) -> list[Floats]:
@@ -104,7 +104,7 @@ def _recur(T: Floats, forced: list[Floats], start: Floats) -> list[Floats]:
     return states
 
 
-def _combined(Q: Floats, modes: list[Floats]) -> Floats:
+def _combine_modes(Q: Floats, modes: list[Floats]) -> Floats:
     """Real part of Q modes, in blocks so small that the product stays in one thread: more threads only wait."""
     real, imag = np.array([mode.real.ravel() for mode in modes]), np.array([mode.imag.ravel() for mode in modes])
     result = np.empty(real.shape)

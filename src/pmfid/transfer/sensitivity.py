@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.transfer.bounded import respond_bounded
-from pmfid.transfer.experiment import Stretch
-from pmfid.transfer.late import delayed
+from pmfid.transfer.experiment import RecordStretch
+from pmfid.transfer.late import delay_states
 from pmfid.transfer.propagate import respond
 from pmfid.types import Floats
 
@@ -115,7 +115,7 @@ def companion(a: Floats) -> Floats:
     return F
 
 
-def channels(structure: Structure, theta: Floats, stretch: Stretch, *, twice: bool) -> Channels:
+def channels(structure: Structure, theta: Floats, stretch: RecordStretch, *, twice: bool) -> Channels:
     """At theta (p,), of which the denominator and the dead time matter; twice: with s^j / (A A')."""
     n, free, size, late = structure.n, structure.free, stretch.grid.size, structure.lateness(theta)
     a = structure.denominator(theta)
@@ -130,7 +130,7 @@ def channels(structure: Structure, theta: Floats, stretch: Stretch, *, twice: bo
     states, slopes = structure.respond(F, g, stretch.grid, w, start, held=stretch.held), np.zeros(w.shape)
     if late or structure.latest is not None:
         few = slice(0, stretch.inputs.shape[0])
-        found = delayed(F, g, stretch.grid, w[few], states[:, few], late, held=stretch.held)
+        found = delay_states(F, g, stretch.grid, w[few], states[:, few], late, held=stretch.held)
         states[:, few], w[few], slopes[few] = found.states, found.inputs, found.slopes
     single = np.concatenate([states[:n], (w - np.tensordot(a, states[:n], 1))[None]])
     slopes = slopes - np.tensordot(a, single[1:], 1)
@@ -145,7 +145,7 @@ def _double(a: Floats, single: Floats, states: Floats) -> Floats:
     return np.array(double)
 
 
-def linearise(structure: Structure, theta: Floats, initial: Floats, stretch: Stretch) -> Linearised:
+def linearise(structure: Structure, theta: Floats, initial: Floats, stretch: RecordStretch) -> Linearised:
     """At theta (p,), with initial conditions (n,) of the stretch; time in the unit of the stretch."""
     n, free = structure.n, structure.free
     a, b, offset = structure.split(theta)
@@ -163,11 +163,16 @@ def linearise(structure: Structure, theta: Floats, initial: Floats, stretch: Str
     rows = stretch.rows
     return Linearised(
         (stretch.y - simulated)[rows],
-        _stacked(
-            [*(-_filtered(structure, a, stretch)), *single[: b.size, 0], *constant, *(-moving for moving in phi_late)],
+        _stack_columns(
+            [
+                *(-_filter_output(structure, a, stretch)),
+                *single[: b.size, 0],
+                *constant,
+                *(-moving for moving in phi_late),
+            ],
             rows,
         ),
-        _stacked(
+        _stack_columns(
             [*(-slope for slope in zeta), *single[: b.size, source], *constant, *(-moving for moving in zeta_late)],
             rows,
         ),
@@ -175,7 +180,7 @@ def linearise(structure: Structure, theta: Floats, initial: Floats, stretch: Str
     )
 
 
-def _filtered(structure: Structure, a: Floats, stretch: Stretch) -> Floats:
+def _filter_output(structure: Structure, a: Floats, stretch: RecordStretch) -> Floats:
     """(free, M) s^i / A' of the output."""
     if not a.size:
         return np.zeros((0, stretch.grid.size))
@@ -183,12 +188,12 @@ def _filtered(structure: Structure, a: Floats, stretch: Stretch) -> Floats:
     return structure.respond(companion(a), np.eye(a.size)[-1], stretch.grid, stretch.y[None], start, held=False)[:, 0]
 
 
-def _stacked(columns: list[Floats], rows: NDArray[np.int64]) -> Floats:
+def _stack_columns(columns: list[Floats], rows: NDArray[np.int64]) -> Floats:
     return np.array(columns)[:, rows].T
 
 
 def simulate(
-    structure: Structure, theta: Floats, initial: Floats, stretch: Stretch, *, source: int | None = None
+    structure: Structure, theta: Floats, initial: Floats, stretch: RecordStretch, *, source: int | None = None
 ) -> Floats:
     """Output (M,) from the initial conditions (n,) and an input alone: `source` of the stretch's, None: what
     instruments are made from."""

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import qr, solve_triangular
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.transfer.experiment import Stretch
+from pmfid.transfer.experiment import RecordStretch
 from pmfid.transfer.sensitivity import Structure, linearise, stable
 from pmfid.types import Floats
 
@@ -40,7 +40,7 @@ class ProcessProblem:
     """A structure and the stretches of all records, time in units of the inverse of `rate` [1/s]."""
 
     structure: Structure
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[RecordStretch, ...]
     rate: float
 
     @property
@@ -58,7 +58,7 @@ class ProcessProblem:
 
 
 @dataclass(frozen=True)
-class Point:
+class ProcessPoint:
     """theta (p,) and initial conditions (stretches, n), and what is linear there with the initial conditions projected
     out: error (N,), phi, zeta (N, p); cost: sum of squares of the error; power: of the output."""
 
@@ -75,13 +75,13 @@ class Point:
 class Solution:
     """The point at which the iteration ended; settled or not; how many passes."""
 
-    point: Point
+    point: ProcessPoint
     settled: bool
     passes: int
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of a process that is far off: its loss is not finite, and no better
-def visit(problem: ProcessProblem, theta: Floats, initial: Floats) -> Point:
+def visit(problem: ProcessProblem, theta: Floats, initial: Floats) -> ProcessPoint:
     """Linearises at theta (p,); initial (stretches, n) is moved to where it fits best."""
     errors, phis, zetas, found = [], [], [], []
     for stretch, start in zip(problem.stretches, initial, strict=True):
@@ -94,7 +94,7 @@ def visit(problem: ProcessProblem, theta: Floats, initial: Floats) -> Point:
         zetas.append(here.zeta - Q @ (Q.T @ here.zeta))
     error = np.concatenate(errors)
     power = sum(float(np.sum(stretch.y[stretch.rows] ** 2)) for stretch in problem.stretches)
-    return Point(theta, np.array(found), error, np.vstack(phis), np.vstack(zetas), float(error @ error), power)
+    return ProcessPoint(theta, np.array(found), error, np.vstack(phis), np.vstack(zetas), float(error @ error), power)
 
 
 def _regular(R: Floats) -> Floats:
@@ -108,7 +108,7 @@ def _regular(R: Floats) -> Floats:
     return R
 
 
-def step_from(point: Point, phi: Floats) -> Floats:
+def step_from(point: ProcessPoint, phi: Floats) -> Floats:
     """(zeta^T phi)^-1 zeta^T error, columns scaled to one size."""
     size = np.linalg.norm(point.zeta, axis=0)
     size = np.where(size > 0, size, 1.0)
@@ -119,7 +119,7 @@ def step_from(point: Point, phi: Floats) -> Floats:
         return np.full(size.size, np.nan)
 
 
-def movable(problem: ProcessProblem, point: Point, step: Floats) -> Floats:
+def movable(problem: ProcessProblem, point: ProcessPoint, step: Floats) -> Floats:
     """(p,) which parameters may move: all, but for a dead time at its bound that the step (p,) would take beyond it."""
     free, latest = np.ones(step.size, bool), problem.structure.latest
     if latest is not None:
@@ -129,7 +129,7 @@ def movable(problem: ProcessProblem, point: Point, step: Floats) -> Floats:
     return free
 
 
-def _possible_step(problem: ProcessProblem, point: Point, phi: Floats) -> Floats:
+def _possible_step(problem: ProcessProblem, point: ProcessPoint, phi: Floats) -> Floats:
     """The step from a point, a dead time that would leave its bounds kept there."""
     step = step_from(point, phi)
     free = movable(problem, point, step)
@@ -139,7 +139,7 @@ def _possible_step(problem: ProcessProblem, point: Point, phi: Floats) -> Floats
     return step
 
 
-def filtered(problem: ProcessProblem, pole: float) -> Point:
+def filter_problem(problem: ProcessProblem, pole: float) -> ProcessPoint:
     """All signals behind 1/(s + pole)^n, pole in units of the problem (state variable filters)."""
     structure = problem.structure
     a = np.atleast_1d(np.poly(np.full(structure.free, -pole)))[:0:-1]
@@ -148,17 +148,17 @@ def filtered(problem: ProcessProblem, pole: float) -> Point:
     return visit(problem, theta, np.zeros((len(problem.stretches), structure.n)))
 
 
-def first_guess(problem: ProcessProblem, pole: float) -> Point:
+def first_guess(problem: ProcessProblem, pole: float) -> ProcessPoint:
     """Least squares with the filter 1/(s + pole)^n."""
-    point = filtered(problem, pole)
+    point = filter_problem(problem, pole)
     theta = point.theta
     size = np.linalg.norm(point.phi, axis=0)
     size = np.where(size > 0, size, 1.0)
     found = theta + np.linalg.lstsq(point.phi / size, point.error, rcond=None)[0] / size
-    return _at(problem, found, point.initial)
+    return _visit_possible(problem, found, point.initial)
 
 
-def _at(problem: ProcessProblem, theta: Floats, initial: Floats) -> Point:
+def _visit_possible(problem: ProcessProblem, theta: Floats, initial: Floats) -> ProcessPoint:
     return visit(problem, possible(problem, theta), initial)
 
 
@@ -173,7 +173,7 @@ def possible(problem: ProcessProblem, theta: Floats) -> Floats:
     return theta
 
 
-def refine(problem: ProcessProblem, start: Point, settled: float = SETTLED, most: int = REFINEMENTS) -> Solution:
+def refine(problem: ProcessProblem, start: ProcessPoint, settled: float = SETTLED, most: int = REFINEMENTS) -> Solution:
     """Instruments and filter follow the estimate; the best point on the way, where it does not settle."""
     point = best = start
     for passes in range(1, most + 1):
@@ -182,7 +182,7 @@ def refine(problem: ProcessProblem, start: Point, settled: float = SETTLED, most
             return Solution(replace(point, theta=point.theta + step), True, passes)
         if not np.all(np.isfinite(step)):
             break
-        point = _at(problem, point.theta + step, point.initial)
+        point = _visit_possible(problem, point.theta + step, point.initial)
         if not np.isfinite(point.cost):
             break
         if point.cost < best.cost or problem.referenced:
@@ -190,7 +190,7 @@ def refine(problem: ProcessProblem, start: Point, settled: float = SETTLED, most
     return Solution(best, False, most)
 
 
-def descend(problem: ProcessProblem, start: Point, settled: float = SETTLED) -> Solution:
+def descend(problem: ProcessProblem, start: ProcessPoint, settled: float = SETTLED) -> Solution:
     """Damped Gauss-Newton steps (Levenberg and Marquardt) on the sum of squares of the output error."""
     point, damping = start, 1e-3
     for passes in range(1, DESCENTS + 1):
@@ -205,24 +205,24 @@ def descend(problem: ProcessProblem, start: Point, settled: float = SETTLED) -> 
             step = np.linalg.solve(normal + damping * np.eye(size.size), slope) / size
             if not np.all(np.isfinite(step)):
                 return Solution(point, False, passes)
-            trial = _at(problem, point.theta + step, point.initial)
+            trial = _visit_possible(problem, point.theta + step, point.initial)
             if np.isfinite(trial.cost) and trial.cost <= point.cost:
                 point, damping = trial, damping / 5
                 break
             damping *= 4
         else:
             # no step is downhill: rounding, or the way down leads beyond the stable models
-            return Solution(point, not _at_the_edge(problem, point.theta), passes)
+            return Solution(point, not _has_pole_at_edge(problem, point.theta), passes)
     return Solution(point, False, DESCENTS)
 
 
-def _at_the_edge(problem: ProcessProblem, theta: Floats) -> bool:
+def _has_pole_at_edge(problem: ProcessProblem, theta: Floats) -> bool:
     """Is a pole as far in the right half-plane as it may be?"""
     poles = np.roots(np.r_[1.0, theta[: problem.structure.n][::-1]])
     return bool(np.any(poles.real * problem.duration > EDGE))
 
 
-def small(point: Point, step: Floats, settled: float = SETTLED) -> bool:
+def small(point: ProcessPoint, step: Floats, settled: float = SETTLED) -> bool:
     """Whether such a step would lower the sum of squares by next to nothing."""
     if not np.all(np.isfinite(step)):
         return False
@@ -246,7 +246,7 @@ def solve(problem: ProcessProblem) -> Solution:
     if problem.referenced and (best is None or not best.settled):
         # from what the input as it was says, noise that is fed back among it: not far off
         near = descend(problem.without_reference, first_guess(problem.without_reference, 1.0)).point
-        best = refine(problem, _at(problem, near.theta, near.initial))
+        best = refine(problem, _visit_possible(problem, near.theta, near.initial))
     if best is None or not best.settled:
         raise NotIdentifiableError(f"the iteration does not settle: {_reason(problem)}")
     return best
@@ -261,7 +261,7 @@ def _better(solution: Solution, best: Solution) -> bool:
 
 def _reason(problem: ProcessProblem) -> str:
     """Why it does not settle, as far as least squares can say."""
-    raw = filtered(problem, 1.0)
+    raw = filter_problem(problem, 1.0)
     theta = raw.theta + step_from(replace(raw, zeta=raw.phi), raw.phi)
     free = theta[: problem.structure.free][::-1]
     poles = np.roots(np.r_[1.0, free]) if np.all(np.isfinite(theta)) else np.zeros(0)

@@ -14,7 +14,7 @@ DEVIATE = 2.576
 def is_white(error: Floats) -> bool:
     """Whether so few autocorrelations of a residual (n,) are beyond their bounds that chance explains them."""
     power = max(float(error @ error), 1e-300)
-    auto = np.array([lagged(error, error, lag) for lag in range(1, LAGS + 1)]) / power
+    auto = np.array([correlate_at_lag(error, error, lag) for lag in range(1, LAGS + 1)]) / power
     return few_beyond(auto, DEVIATE / float(np.sqrt(max(error.size, 1))))
 
 
@@ -23,8 +23,8 @@ def few_beyond(correlations: Floats, bound: float) -> bool:
     return int(np.sum(np.abs(correlations) > bound)) <= 3
 
 
-def lagged(early: Floats, late: Floats, lag: int) -> float:
+def correlate_at_lag(early: Floats, late: Floats, lag: int) -> float:
     """sum early[k - lag] late[k]."""
     if lag < 0:
-        return lagged(late, early, -lag)
+        return correlate_at_lag(late, early, -lag)
     return float(early[: early.size - lag] @ late[lag:]) if lag < early.size else 0.0

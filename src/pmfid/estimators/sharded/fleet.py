@@ -21,8 +21,8 @@ from pmfid.estimators.runner import Runner
 from pmfid.estimators.sharded import stored
 from pmfid.estimators.sharded.handles import Handles
 from pmfid.estimators.sharded.restoring import Restored, restored_from
-from pmfid.estimators.sharded.shard import Group, Piece, Shard, identity_of, state_of
-from pmfid.estimators.side_by_side import SMALL, Work, threads
+from pmfid.estimators.sharded.shard import Shard, ShardGroup, ShardPiece, identity_of, state_of
+from pmfid.estimators.side_by_side import SMALL, SampleBlock, threads
 from pmfid.estimators.track import Tracks
 
 __all__ = ["Restored", "ShardedFleet"]
@@ -59,7 +59,7 @@ class ShardedFleet:
         self._size = whole_number("shard", shard, 1, "it is the number of axes of a shard")
         if self._size > stored.MOST_OF_SHARD:
             raise UsageError(f"shard must be at most {stored.MOST_OF_SHARD}, got {shard}")
-        self._groups: dict[bytes, Group] = {}
+        self._groups: dict[bytes, ShardGroup] = {}
         self._shards: list[Shard] = []
         self._handles = Handles()
         for estimator in estimators:
@@ -102,7 +102,7 @@ class ShardedFleet:
             identity = identity_of(runner_of(estimator))
             own = np.array([shard.group.identity == identity for shard in self._shards], np.bool_)
             places = places[own[places // self._size]] if places.size else places
-        return self._handles.of(places)
+        return self._handles.make_handles(places)
 
     # --- axes come and go ---------------------------------------------------------------------------------------------
 
@@ -116,7 +116,7 @@ class ShardedFleet:
         group, start = self._group(runner), state_of(runner)
         try:
             places = self._places_for(group, number)
-            for shard, rows in self._by_shard(places):
+            for shard, rows in self._split_by_shard(places):
                 shard.begin(rows, start)
         except MemoryError:
             raise UsageError(f"the states of {axes} axes do not fit the memory; take fewer at a time") from None
@@ -127,10 +127,10 @@ class ShardedFleet:
         stays for those that are added. Raises UsageError for an axis that is not there or comes twice."""
         self._handles.release(self._handles.places(handles))
 
-    def _group(self, runner: Runner[RecursiveEstimator]) -> Group:
-        return self._groups.setdefault(identity_of(runner), Group(runner))
+    def _group(self, runner: Runner[RecursiveEstimator]) -> ShardGroup:
+        return self._groups.setdefault(identity_of(runner), ShardGroup(runner))
 
-    def _places_for(self, group: Group, axes: int) -> NDArray[np.int64]:
+    def _places_for(self, group: ShardGroup, axes: int) -> NDArray[np.int64]:
         """So many free places of a configuration, those first that have been in use, then new shards."""
         found, left = [np.zeros(0, np.int64)], axes
         for shard in self._shards:
@@ -143,7 +143,7 @@ class ShardedFleet:
         self._shards += more
         return np.concatenate([*found, np.arange(left) + first * self._size])
 
-    def _by_shard(self, places: NDArray[np.int64]) -> list[tuple[Shard, NDArray[np.int64]]]:
+    def _split_by_shard(self, places: NDArray[np.int64]) -> list[tuple[Shard, NDArray[np.int64]]]:
         """Shards and rows of ascending places."""
         if not places.size:
             return []
@@ -162,7 +162,7 @@ class ShardedFleet:
         """
         places = self._handles.places(handles)
         runner = self._only(places).runner
-        work = Work.of(u, counts, every, places.size, len(runner.names))
+        work = SampleBlock.from_arguments(u, counts, every, places.size, len(runner.names))
         order = None if np.all(np.diff(places) > 0) else np.argsort(places)
         if work.samples.size and order is None:
             self._run(places, work)
@@ -170,7 +170,7 @@ class ShardedFleet:
             self._run(places[order], replace(work, u=work.u[order], counts=work.counts[order]))
         return work.tracks(runner.names, runner.units, None if order is None else np.argsort(order))
 
-    def _only(self, places: NDArray[np.int64]) -> Group:
+    def _only(self, places: NDArray[np.int64]) -> ShardGroup:
         """The configuration of some axes."""
         numbers: list[int] = np.unique(places // self._size).tolist()
         found = {self._shards[number].group.identity for number in numbers}
@@ -181,14 +181,14 @@ class ShardedFleet:
             )
         return self._shards[numbers[0]].group
 
-    def _run(self, places: NDArray[np.int64], work: Work) -> None:
+    def _run(self, places: NDArray[np.int64], work: SampleBlock) -> None:
         """Ascending places."""
-        pieces, at = list[Piece](), 0
-        for shard, rows in self._by_shard(places):
+        pieces, at = list[ShardPiece](), 0
+        for shard, rows in self._split_by_shard(places):
             shard.changed = True
             for first in range(0, rows.size, PIECE):
                 part = rows[first : first + PIECE]
-                pieces.append(Piece(shard, part, slice(at, at + part.size)))
+                pieces.append(ShardPiece(shard, part, slice(at, at + part.size)))
                 at += part.size
         way = pieces[0].shard.group.fastest_way
         self._each(lambda piece: piece.run(work, way), pieces, worth=work.counts.size >= SMALL)

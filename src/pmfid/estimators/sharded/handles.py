@@ -30,9 +30,9 @@ class Handles:
     def take(self, places: NDArray[np.int64]) -> NDArray[np.int64]:
         """Gives free places to axes; their handles."""
         self.taken[places] = True
-        return self.of(places)
+        return self.make_handles(places)
 
-    def of(self, places: NDArray[np.int64]) -> NDArray[np.int64]:
+    def make_handles(self, places: NDArray[np.int64]) -> NDArray[np.int64]:
         """Handles of the axes that have these places."""
         return (self.before[places].astype(np.int64) << _BITS) | places
 
@@ -57,7 +57,7 @@ class Handles:
         numbers = numbers.astype(np.int64)
         places = numbers & _PLACE
         known = (numbers >= 0) & (places < self.taken.size)
-        known[known] = self.of(places[known]) == numbers[known]
+        known[known] = self.make_handles(places[known]) == numbers[known]
         known[known] = self.taken[places[known]]
         if not known.all():
             self._refuse(int(numbers[np.argmin(known)]))

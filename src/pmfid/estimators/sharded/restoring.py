@@ -14,7 +14,7 @@ from pmfid.durable.envelope import DamagedError, Told, set_aside
 from pmfid.durable.vault import Vault
 from pmfid.errors import UsageError
 from pmfid.estimators.sharded.handles import Handles
-from pmfid.estimators.sharded.shard import Group, Shard
+from pmfid.estimators.sharded.shard import Shard, ShardGroup
 from pmfid.estimators.sharded.stored import Each, Listing, place_of, read_listing, read_shard
 
 __all__ = ["Restored", "restored_from"]
@@ -50,20 +50,20 @@ class Content:
     handles: Handles
 
 
-def restored_from(vault: Vault, groups: Mapping[bytes, Group], each: Each) -> Content | None:
+def restored_from(vault: Vault, groups: Mapping[bytes, ShardGroup], each: Each) -> Content | None:
     """The newest checkpoint of which all shards are whole; where none is, the newest one, and what is not whole of it
     begins anew. None: there is no checkpoint. groups: the configurations by their identity. Raises UsageError for axes
     of another one."""
     told = list[Told]()
     readable = _listings(vault, told.append)
     for listing in readable:
-        taken = _taken(listing, vault.folder, groups, each)
+        taken = _take_shards(listing, vault.folder, groups, each)
         for number, problem in taken.broken.items():
             _say(place_of(vault.folder, number, listing.shards[number].side), problem, told.append)
         if not taken.broken:
             return _content(taken, told)
     if readable:
-        return _content(_taken(readable[0], vault.folder, groups, each), told)
+        return _content(_take_shards(readable[0], vault.folder, groups, each), told)
     return Content(Restored(0, None, _sentences(told), np.zeros(0, np.int64)), 0, [], Handles()) if told else None
 
 
@@ -78,7 +78,7 @@ def _listings(vault: Vault, tell: Callable[[Told], None]) -> list[Listing]:
     return readable
 
 
-def _taken(listing: Listing, folder: Path, groups: Mapping[bytes, Group], each: Each) -> Taken:
+def _take_shards(listing: Listing, folder: Path, groups: Mapping[bytes, ShardGroup], each: Each) -> Taken:
     broken: dict[int, str] = {}
     shards = list[Shard]()
     for number, listed in enumerate(listing.shards):
@@ -112,7 +112,7 @@ def _say(path: Path, problem: str, tell: Callable[[Told], None]) -> None:
 def _content(taken: Taken, told: Sequence[Mapping[str, Any]]) -> Content:
     listing, places = taken.listing, np.flatnonzero(taken.listing.handles.taken)
     lost = places[np.isin(places // max(1, listing.size), list(taken.broken))]
-    restored = Restored(listing.sequence, listing.mark, _sentences(told), listing.handles.of(lost))
+    restored = Restored(listing.sequence, listing.mark, _sentences(told), listing.handles.make_handles(lost))
     return Content(restored, listing.size, taken.shards, listing.handles)
 
 

@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.runner import Runner
-from pmfid.estimators.side_by_side import Work
+from pmfid.estimators.side_by_side import SampleBlock
 from pmfid.kernel.saved import fleet_head
 from pmfid.kernel.structures import whole_words
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import ManyKernel
 
-__all__ = ["Group", "Piece", "Shard"]
+__all__ = ["Shard", "ShardGroup", "ShardPiece"]
 
 
-class Group:
+class ShardGroup:
     """A configuration. runner: that it came with; identity: tells its states from those of others; start: (bytes,) the
     state in which axes begin where nothing else is said."""
 
@@ -67,7 +67,7 @@ class Shard:
     checkpoint; side, sequence: the file that holds it in the last checkpoint, if there is one; synced: the disk is
     known to have that file."""
 
-    group: Group
+    group: ShardGroup
     number: int
     size: int
     rows: int = 0
@@ -100,14 +100,14 @@ def _span(rows: NDArray[np.int64]) -> slice | NDArray[np.int64]:
 
 
 @dataclass(frozen=True)
-class Piece:
+class ShardPiece:
     """Axes of a shard that a thread steps at once. rows: (k,) ascending; at: where they are in the tables."""
 
     shard: Shard
     rows: NDArray[np.int64]
     at: slice
 
-    def run(self, work: Work, way: int) -> None:
+    def run(self, work: SampleBlock, way: int) -> None:
         """Its part of a call."""
         span = _span(self.rows)
         states = self.shard.states[span]

@@ -22,7 +22,7 @@ from pmfid.durable.crash import crash_point
 from pmfid.durable.envelope import DamagedError, mapped, put, sync_folder
 from pmfid.durable.vault import Vault
 from pmfid.estimators.sharded.handles import LAST, Handles
-from pmfid.estimators.sharded.shard import Group, Shard
+from pmfid.estimators.sharded.shard import Shard, ShardGroup
 
 __all__ = [
     "MOST",
@@ -83,7 +83,7 @@ def write(vault: Vault, shards: Sequence[Shard], handles: Handles, mark: object,
     """A checkpoint; the bytes of states that it wrote. sync: it shall outlive the power as well. Raises OSError, and
     TypeError for a mark that JSON does not know."""
     sequence, changed = vault.sequence + 1, [shard for shard in shards if shard.changed]
-    listing = [_listed(shard, sequence) for shard in shards]
+    listing = [_describe_shard(shard, sequence) for shard in shards]
     body = _body(shards[0].size if shards else 0, listing, handles, mark)
     each(lambda shard: _write_shard(vault.folder, shard, sequence, sync), changed)
     if sync:
@@ -96,7 +96,7 @@ def write(vault: Vault, shards: Sequence[Shard], handles: Handles, mark: object,
     return sum(shard.used.nbytes for shard in changed)
 
 
-def _listed(shard: Shard, sequence: int) -> tuple[str, int, int, int]:
+def _describe_shard(shard: Shard, sequence: int) -> tuple[str, int, int, int]:
     side, own = (1 - shard.side, sequence) if shard.changed else (shard.side, shard.sequence)
     return shard.group.identity.hex(), shard.rows, side, own
 
@@ -183,7 +183,7 @@ def read_shard(folder: Path, listed: Listed, shard: Shard) -> None:
     shard.rows, shard.side, shard.sequence = listed.rows, listed.side, listed.sequence
 
 
-def _plausible(group: Group, states: NDArray[np.uint8]) -> bool:
+def _plausible(group: ShardGroup, states: NDArray[np.uint8]) -> bool:
     kernel = group.borrow()
     kernel.hold(states)
     fine = kernel.plausible()

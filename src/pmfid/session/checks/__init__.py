@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from pmfid.findings import Finding, codes, ordered
+from pmfid.findings import Finding, codes, sort_findings
 from pmfid.session.checks.counter import forgotten_bits, frozen, held_output, jump
 from pmfid.session.checks.inputs import held_input, saturated
 from pmfid.session.checks.log import Log
@@ -35,12 +35,12 @@ LATER: tuple[tuple[Check, ...], ...] = ((drifts,), (no_inertia,))
 
 def glanced(record: Record, axis: Axis) -> tuple[Finding, ...]:
     """What the columns show at a glance."""
-    return ordered(_found(Log(unbroken(record), axis), SOON))
+    return sort_findings(_found(Log(unbroken(record), axis), SOON))
 
 
 def checked(record: Record, axis: Axis) -> tuple[Finding, ...]:
     """All that is found."""
-    return ordered(_found(Log(unbroken(record), axis), (*SOON, *LATER)))
+    return sort_findings(_found(Log(unbroken(record), axis), (*SOON, *LATER)))
 
 
 def _found(log: Log, families: tuple[tuple[Check, ...], ...]) -> Iterator[Finding]:

@@ -68,14 +68,14 @@ def by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floa
     line, own, held = (u, counts), np.flatnonzero(np.isfinite(u)), is_held(u, there)
     parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
     try:
-        theta = method.settled(u, counts)[1]
+        theta = method.settle_iteration(u, counts)[1]
         for _ in range(TURNS):
             machine = Machine(method.equation, theta, method.dt, method.encoder.resolution, method.cutoff)
             u, counts = line[0].copy(), line[1].copy()
             for part in parts:
                 if not np.all(there[part]):
                     u[part], counts[part] = _filled(machine, line[0][part], line[1][part], there[part], held)
-            before, theta = theta, method.settled(u, counts)[1]
+            before, theta = theta, method.settle_iteration(u, counts)[1]
             if np.max(np.abs(theta - before) / np.maximum(np.abs(theta), np.finfo(float).tiny)) < SETTLED:
                 break
     except (NotIdentifiableError, np.linalg.LinAlgError):
@@ -94,8 +94,8 @@ def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
     again = filled(u[places], counts[places], places)[:2]
     line = np.where(np.isfinite(u), again[0], np.nan), again[1]
     try:
-        theta, found = method.settled(u, counts)[1], by_motion(method, *line, fewer) or line
-        moved = method.settled(*found)[1] - theta
+        theta, found = method.settle_iteration(u, counts)[1], by_motion(method, *line, fewer) or line
+        moved = method.settle_iteration(*found)[1] - theta
     except NotIdentifiableError:
         return np.ones(len(method.names))
     return np.abs(moved) / np.maximum(np.abs(theta), np.finfo(float).tiny)
