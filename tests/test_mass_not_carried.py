@@ -29,7 +29,9 @@ def test_a_mass_at_its_bound_is_no_estimate(cls, viscous, top, increments):
     method = cls(pmfid.Drive(0.4), pmfid.Encoder(step), DT, 20.0)
     start = np.array([60.0 * INERTIA, viscous, 0.02])  # instrumental variables do not settle here and leave any start
     with pytest.raises(NotIdentifiableError, match="mass"):
-        method.make_least_squares_fit(method.best(u, counts, start)) if cls is OE else method.fit_of(method.best(u, counts, start))
+        method.make_least_squares_fit(method.best(u, counts, start)) if cls is OE else method.fit_of(
+            method.best(u, counts, start)
+        )
 
 
 def test_a_small_mass_that_the_record_carries_is_one():

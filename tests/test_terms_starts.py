@@ -60,7 +60,9 @@ def test_a_difference_knows_its_pitch() -> None:
     record = made(samples=500)
     trial = Bench(METHOD, record.u, record.counts).first(METHOD.model)  # type: ignore[arg-type]
     model = pmfid.Drive(GAIN, cogging=1.3)
-    difference = like(IntervalML, METHOD, model=model).make_difference(np.r_[trial.theta, 0.01, 0.0], record.u, trial.difference.y)
+    difference = like(IntervalML, METHOD, model=model).make_difference(
+        np.r_[trial.theta, 0.01, 0.0], record.u, trial.difference.y
+    )
     free, q = pitched(difference, model), np.r_[np.ones(difference.scale.size), 0.0]
     q[-1] = free.number / 100
     assert free(q) == pytest.approx(difference(q[:-1]))
