@@ -54,9 +54,9 @@ def test_few_moves_follow_themselves_without_a_jump_and_count_once() -> None:
 
 
 def test_a_move_that_is_shorter_than_the_filters_settle_is_not_repeated() -> None:
-    rests = [12_000, 12_000]
-    assert max(one.repeats for one in shares(moves(rests, SETTLED + 2))) > 10
-    assert all(one.repeats == 1 for one in shares(moves(rests, SETTLED // 2)))
+    repeats = [shares(moves([15_000] * 3, length))[1].repeats for length in (SETTLED + 2, SETTLED // 2)]
+    assert repeats[0] > 10
+    assert repeats[1] == 1
 
 
 def test_an_axis_at_rest_has_a_segment_that_says_nothing() -> None:

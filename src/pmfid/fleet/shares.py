@@ -19,8 +19,8 @@ from pmfid.types import Counts, Flags, Floats
 WHOLE, REST, LEAST = 4, 2, 1
 #: Settling times of the filters from which on a rest is shortened, to two of them.
 LONG = 4
-#: Settling times that few moves take with the ends of the rests on both sides, at least: in a shorter motion the filters
-#: see nothing but how it begins and ends, and repeated it has the same error again.
+#: Settling times that few moves take with the ends of the rests on both sides, at least: the filters see of a
+#: shorter motion how it begins and ends alone, and repeated it has the same error again.
 BETWEEN = 3
 
 
