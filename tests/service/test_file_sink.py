@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 
 from pmfid.service.sinks.file import FileSink, FileSinkSection
@@ -69,6 +70,24 @@ def test_events_alone_are_written_where_rows_are_not_wanted(tmp_path: Path) -> N
     outlet.notice(alarm(2))
     assert outlet.close(20)
     assert [line["number"] for line in lines_of(tmp_path / "events.jsonl")] == [2]
+
+
+def test_estimates_alone_are_a_table(tmp_path: Path) -> None:
+    outlet = FileSinkSection(path="rows.jsonl", events=False).outlet("lines", Host(tmp_path))
+    outlet.start()
+    outlet.notice(alarm(1))
+    outlet.rows(replace(block(GROUP, 1), std=np.full((2, 2), np.inf)))
+    outlet.rows(block(GROUP, 2, samples=200))
+    assert outlet.close(20)
+    table = pl.read_ndjson(tmp_path / "rows.jsonl", infer_schema_length=None).unnest("theta")
+    assert table["number"].to_list() == [number for number in range(1, 202) for _ in range(2)]
+    assert table["mass"].to_list()[:4] == [1.0, 1.001, 2.0, 2.001]
+    assert table["std"].struct.field("mass").null_count() == 2
+
+
+def test_a_file_of_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match="rows and events are both false"):
+        FileSinkSection(path="a.jsonl", rows=False, events=False)
 
 
 def test_a_full_disk_leaves_whole_lines(tmp_path: Path) -> None:

@@ -114,6 +114,13 @@ def test_fields_are_scaled_as_columns_of_a_pipe(tmp_path: Path, record: str, nam
         assert all(line is not None and same(line, one) for line, one in zip(expected, found, strict=True))
 
 
+def test_what_telegraf_makes_of_two_nodes_is_a_sample(messages: Messages) -> None:
+    """`inputs.opcua` behind `merge`, as in docs/guide/service.md."""
+    data = b'drive,axis=x1 Quality="OK (0x0)",u=1.5,x=0.001,t=1 1700000000050000000\n'
+    (line,) = lines_of(list(messages.items(data)))
+    assert (line.u, line.counts, line.problem) == (1.5, 43, "")
+
+
 def test_a_time_beside_the_fields_serves_where_none_of_them_is_one(messages: Messages) -> None:
     data = b"cart,axis=x1,line=3 u=1.5,x=0.001 1700000000123456789\nx1 x=0.002,u=2i\nx1 x=1,u=1,t=5 1700000000000000000"
     first, second, third = lines_of(list(messages.items(data)))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import stat
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from pmfid.service.outcome import Notice, Rows
 from pmfid.service.sinks.plain import as_json, notice_object, row_object, single_rows
@@ -22,11 +22,22 @@ class FileSinkSection(SinkSection):
 
     kind: Literal["file"] = Field("file", description='"file"')
     path: Name = Field(description='the file, as "estimates.jsonl"')
-    rows: bool = Field(True, description="true for estimates and events, false for events alone")
+    rows: bool = Field(True, description="false where the file has events alone")
+    events: bool = Field(True, description="false where the file has estimates alone, as for a reader of tables")
+
+    @model_validator(mode="after")
+    def _has_something(self) -> Self:
+        if not (self.rows or self.events):
+            raise ValueError("rows and events are both false; set one of them to true")
+        return self
 
     def wants_rows(self) -> bool:
         """As configured."""
         return self.rows
+
+    def wants_events(self) -> frozenset[str] | None:
+        """All, or none."""
+        return None if self.events else frozenset()
 
     def make(self, name: str, context: Host) -> FileSink:
         """The sink, not yet open."""
