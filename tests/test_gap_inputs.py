@@ -10,7 +10,7 @@ from pmfid._stage import Inputs
 from pmfid.errors import UsageError
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.rls import RLS
-from pmfid.monitor.lost import Guess, guess, longest
+from pmfid.monitor.lost import GuessedSamples, guess, longest
 from pmfid.session.config import Axis
 from pmfid.session.gaps.local import Polynomial, best_of
 from pmfid.session.gaps.motion import by_motion
@@ -180,7 +180,7 @@ def test_a_gap_that_is_short_for_the_filters_is_stepped_through_however_many_sam
     for k in range(300):
         fast.step(1.0, (k * k) // 200)
     found = guess(fast, CUTOFF / 4000, 50, 1.0, 350 * 350 // 200)
-    assert isinstance(found, Guess)
+    assert isinstance(found, GuessedSamples)
     assert found.doubt == 0
     true = np.arange(300, 350) ** 2 // 200
     assert np.max(np.abs(np.array([counts for _, counts in found.samples]) - true)) <= 1

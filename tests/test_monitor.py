@@ -61,7 +61,7 @@ def test_sample_by_sample_gives_the_same_blocks() -> None:
     whole = scores(front(), THETA, u, counts)
     filter_ = ScoreFilter(front(), THETA)
     parts = [filter_.step(a, b) for a, b in zip(u.tolist(), counts.tolist(), strict=True)]
-    single = Blocks.joined([part for part in parts if part is not None])
+    single = Blocks.concatenate([part for part in parts if part is not None])
     assert len(whole.score) > 10
     for name in ("score", "cross", "square"):
         assert np.array_equal(getattr(single, name), getattr(whole, name))

@@ -18,9 +18,9 @@ from pmfid.monitor.calibration import Calibration, Tail
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, SUSPICIOUS, WATCHING, Event, Settled, StateChange
 from pmfid.monitor.names import DETECTORS
 from pmfid.monitor.rows import STATES
-from pmfid.monitor.saved import Saved, sealed, written
+from pmfid.monitor.saved import AxisStates, seal_parts, write_states
 from pmfid.monitor.scores import make_scale, scores
-from pmfid.monitor.work import Work
+from pmfid.monitor.work import NormalWork
 from pmfid.simulation import CART, CART_DT, Schedule, resolution_of
 from pmfid.types import Counts, Floats
 from studies.monitoring.axis import INCREMENTS, changing, normal_work
@@ -58,7 +58,7 @@ def calibrated(of: RecursiveEstimator, normal: tuple[Floats, Counts]) -> Calibra
 
 
 def with_work(calibration: Calibration) -> Calibration:
-    work = Work(4.0, 1e-3 * calibration.theta, calibration.scale, np.full(calibration.theta.size, 3.0))
+    work = NormalWork(4.0, 1e-3 * calibration.theta, calibration.scale, np.full(calibration.theta.size, 3.0))
     return replace(calibration, work=work)
 
 
@@ -132,7 +132,7 @@ def turns(u: Floats, counts: Counts, seed: int) -> tuple[list[Any], list[list[Tu
         place = min(int(done[axis]), u.shape[1] - 1)
         others = {
             "skip": (int(rng.integers(1, 60)),),
-            "between": (int(rng.integers(1, 5)), float(u[axis, place]), int(counts[axis, place])),
+            "fill_gap": (int(rng.integers(1, 5)), float(u[axis, place]), int(counts[axis, place])),
             "rebase": (int(counts[axis, place - 1]),),
         }
         if done[axis] and rng.random() < 0.15:
@@ -151,7 +151,7 @@ def alone(monitor: Monitor, history: list[Turn]) -> Told:
             continue
         for one, count in zip(*(part.tolist() for part in turn.values), strict=True):
             estimate, events = monitor.step(one, count)
-            seen = monitor.told(estimate)
+            seen = monitor.apply_known(estimate)
             numbers = seen.theta.tolist(), seen.theta_std.tolist(), seen.innovation, seen.status
             told.append((*numbers, STATES.index(monitor.state), [repr(event) for event in events]))
     return told
@@ -255,7 +255,7 @@ def test_a_saved_state_goes_on_with_the_same_bits(monitor: Monitor, records: tup
     assert [repr(event) for row, _, event in one.events if row == 0] == [repr(event) for *_, event in third.events]
     assert any(isinstance(event, Alarm) for _, _, event in one.events)
     assert first.get_state() == second.get_state()
-    assert b"".join(sealed(first.unsealed_state())) == first.get_state()
+    assert b"".join(seal_parts(first.unsealed_state())) == first.get_state()
     assert first.monitor(0).get_state() == single.get_state()
 
 
@@ -297,9 +297,9 @@ def test_implausible_numbers_are_refused_whatever_their_checksum(
     fleet.run(np.arange(AXES), u[:, :700], counts[:, :700])
 
     def spoilt(part: str, name: str, place: Any, value: Any) -> bytes:
-        whole: Saved = fleet._all.taken(np.arange(AXES))
+        whole: AxisStates = fleet._all.take_rows(np.arange(AXES))
         getattr(getattr(whole, part), name)[place] = value
-        return written(whole, monitor.configuration_number)
+        return write_states(whole, monitor.configuration_number)
 
     changes: list[tuple[str, str, Any, Any]] = [
         ("watched", "theta", (1, 0), np.nan),

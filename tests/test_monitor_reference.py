@@ -17,7 +17,7 @@ from pmfid.monitor.detectors import EDGE, Cusum, statistics
 from pmfid.monitor.events import Alarm, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.names import DETECTORS
-from pmfid.monitor.reference import noisier, piece_length, resampled
+from pmfid.monitor.reference import noisier, piece_length, resample_units
 from pmfid.monitor.scores import Blocks, scores
 from pmfid.monitor.work import learn
 from pmfid.session.monitored.cache import cached_calibration
@@ -58,13 +58,13 @@ def test_pieces_of_a_record() -> None:
     """Pieces are runs of neighbours from anywhere; mean and size of each run err as those of the record may."""
     rng = np.random.default_rng(0)
     x, w = rng.standard_normal((500, 2)), np.ones((500, 2))
-    drawn, told = resampled(x, w, (400, 64), 4, rng)
+    drawn, told = resample_units(x, w, (400, 64), 4, rng)
     assert drawn.shape == told.shape == (400, 64, 2)
     differences = np.diff(x[:, 0], append=x[:1, 0])
     found = np.diff(drawn[0, :4, 0])
     scale = [found / differences[(k + np.arange(3)) % 500] for k in range(500)]
     assert min(np.ptp(one) for one in scale) < 1e-9
-    means = resampled(x, w, (400, 5000), 1, rng)[0].mean(axis=1)
+    means = resample_units(x, w, (400, 5000), 1, rng)[0].mean(axis=1)
     assert np.std(means) == pytest.approx(math.hypot(500**-0.5, 5000**-0.5), rel=0.15)
 
 
@@ -196,7 +196,7 @@ def test_the_run_length_is_the_one_asked(name: str) -> None:
         reference = work.scale.standardise(work.units(own, np.ones(20_000)))
         more = known_blocks(SEQUENCES[name](rng, 400_000))
         x, w = work.scale.standardise(work.units(more, np.ones(400_000)))
-        drawn = resampled(*reference, (256, 250), piece_length(reference[0]), rng)
+        drawn = resample_units(*reference, (256, 250), piece_length(reference[0]), rng)
         unit = 3600 / len(reference[0])
         tail = fit_tail(statistics(Cusum(), *drawn, np.zeros(3)), unit)
         alarms = count_alarms(Cusum(), x.reshape(20, -1, 3), w.reshape(20, -1, 3), tail.threshold(1.0), 4)

@@ -10,7 +10,7 @@ import pytest
 from pmfid import RIV, Drive, Encoder
 from pmfid.cli.monitor_lines import sentence
 from pmfid.monitor.calibration import Calibration, calibrate
-from pmfid.monitor.cause import FRICTION, TRANSITION, Evidence, explain, new_gain
+from pmfid.monitor.cause import FRICTION, TRANSITION, ChangeEvidence, explain, new_gain
 from pmfid.monitor.events import Alarm, Settled, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Blocks, Scale, make_scale, scores
@@ -106,7 +106,7 @@ def test_friction_that_grows_as_a_whole_is_one_cause() -> None:
     assert cause.name == FRICTION
     assert cause.relative == pytest.approx(0.2, abs=0.02)
     assert cause.change == cause.relative
-    evidence = Evidence(THETA + 0.25 / 0.2 * direction, np.diag((0.001 * THETA) ** 2))
+    evidence = ChangeEvidence(THETA + 0.25 / 0.2 * direction, np.diag((0.001 * THETA) ** 2))
     again = explain(blocks, scale, THETA, NAMES, 2.0, friction=friction, evidence=evidence)
     assert again.relative == pytest.approx(0.25, abs=0.02)
     assert again.others == ()
@@ -118,18 +118,18 @@ def test_causes_that_the_estimate_does_not_exclude_are_named() -> None:
     direction = 0.2 * np.array([THETA[0], 0.0, 0.0])
     blocks, scale = changed(direction, 1.0)
     vague = np.diag((np.array([0.02, 0.5, 0.5]) * THETA) ** 2)
-    found = explain(blocks, scale, THETA, NAMES, 2.0, evidence=Evidence(THETA + direction, vague))
+    found = explain(blocks, scale, THETA, NAMES, 2.0, evidence=ChangeEvidence(THETA + direction, vague))
     assert (found.name, found.others) == ("mass", ("input_gain",))
-    sharp = explain(blocks, scale, THETA, NAMES, 2.0, evidence=Evidence(THETA + direction, 1e-4 * vague))
+    sharp = explain(blocks, scale, THETA, NAMES, 2.0, evidence=ChangeEvidence(THETA + direction, 1e-4 * vague))
     assert (sharp.name, sharp.others) == ("mass", ())
-    other = explain(blocks, scale, THETA, NAMES, 2.0, evidence=Evidence(1.2 * THETA, 1e-4 * vague))
+    other = explain(blocks, scale, THETA, NAMES, 2.0, evidence=ChangeEvidence(1.2 * THETA, 1e-4 * vague))
     assert other.name == "input_gain", "the estimate has the reversals where they are, the blocks have not"
     assert explain(blocks, scale, THETA, NAMES, 2.0).others is None
 
 
 def test_after_a_weaker_motor_the_gain_leads_and_no_mass_has_grown() -> None:
     """Before, the line and the page had a mass of +17.6 %, which nobody had put on."""
-    gain = new_gain(Evidence(THETA / 0.85, np.diag((0.001 * THETA) ** 2)), THETA, 2.0)
+    gain = new_gain(ChangeEvidence(THETA / 0.85, np.diag((0.001 * THETA) ** 2)), THETA, 2.0)
     assert gain == pytest.approx((1.7, gain[1], 2.0))
     assert 0.0 < gain[1] < 0.002
     settled = event_object(Settled(1.0, THETA / 0.85, 0.001 * THETA, THETA, gain), NAMES)

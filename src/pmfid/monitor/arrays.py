@@ -20,8 +20,8 @@ LOOK_BACK = 64
 DERIVED = {"saved": False}
 
 
-class Rows:
-    """Arrays of as many rows each, to be taken, put, left out and joined together."""
+class RowArrays:
+    """Arrays with the same number of rows, one row for each axis."""
 
     __dataclass_fields__: dict[str, object]
 
@@ -29,40 +29,40 @@ class Rows:
         """The arrays by name."""
         return ((name, getattr(self, name)) for name in _names(type(self), saved_only))  # type: ignore[arg-type]  # a class has a hash
 
-    def taken(self, index: Places | slice) -> Self:
-        """Some rows: copies by their numbers, the rows themselves as a slice."""
+    def take_rows(self, index: Places | slice) -> Self:
+        """Some rows: an array of numbers gives copies, a slice gives views."""
         if isinstance(index, slice):
             return type(self)(**{name: part[index] for name, part in self.parts()})
         return type(self)(**{name: part.take(index, axis=0) for name, part in self.parts()})
 
     def put(self, index: Places | slice, rows: Self) -> None:
-        """Other numbers for some rows."""
+        """Overwrites some rows."""
         for name, part in self.parts():
             if isinstance(index, slice):
                 part[index] = getattr(rows, name)
             else:
                 put_rows(part, index, getattr(rows, name))
 
-    def copied(self) -> Self:
-        """The same rows by themselves."""
+    def copy_rows(self) -> Self:
+        """A copy of all rows."""
         return type(self)(**{name: part.copy() for name, part in self.parts()})
 
-    def repeated(self, times: int) -> Self:
-        """All rows, so many times."""
+    def repeat_rows(self, times: int) -> Self:
+        """Each row, `times` times."""
         return type(self)(**{name: np.repeat(part, times, axis=0) for name, part in self.parts()})
 
-    def joined(self, other: Self) -> Self:
-        """The rows of another one behind these."""
+    def join_rows(self, other: Self) -> Self:
+        """These rows, then those of `other`."""
         return type(self)(**{name: np.concatenate([part, getattr(other, name)]) for name, part in self.parts()})
 
 
 @cache
-def _names(kind: type[Rows], saved_only: bool) -> tuple[str, ...]:
+def _names(kind: type[RowArrays], saved_only: bool) -> tuple[str, ...]:
     return tuple(one.name for one in fields(kind) if one.metadata.get("saved", True) or not saved_only)  # type: ignore[arg-type]
 
 
 @dataclass
-class Sampled(Rows):
+class Sampled(RowArrays):
     """What the samples of an axis change. whole, real: of its `Inputs`; flagged: status of the last sample that was not
     lost; estimator, filter: states of the kernels, packed; sums, progress: of the block under way, see `Scoring`."""
 
@@ -101,11 +101,11 @@ class Sampled(Rows):
 
 
 @dataclass
-class Watched(Rows):
+class Watched(RowArrays):
     """What the blocks of an axis change. theta: (n, p) reference; state: number of `STATES`; waiting: blocks that count
-    for nothing; silence: blocks since one that told anything; opened: information of the unit under way, opening: its
-    sum (n, width), members: its blocks, begun: its time; detection: of the detector; units: so far with this reference.
-    wait, sigma, tolerance: of the reference."""
+    for nothing; silence: blocks since the last one with information; opened: information of the unit under way,
+    opening: its sum (n, width), members: its blocks, begun: its time; detection: of the detector; units: so far with
+    this reference. wait, sigma, tolerance: of the reference."""
 
     theta: Floats
     state: NDArray[np.uint8]
@@ -124,7 +124,7 @@ class Watched(Rows):
 
     @classmethod
     def empty(cls, axes: int, p: int, detection: int) -> Watched:
-        """So many axes, still without a reference."""
+        """`axes` axes that have no reference yet."""
         none, nowhere, vector = np.zeros(axes), np.zeros(axes, np.int64), np.zeros((axes, p))
         return cls(
             theta=vector,
@@ -145,8 +145,8 @@ class Watched(Rows):
 
 
 @dataclass
-class Disturbed(Rows):
-    """What an alarm needs and changes. units: (n, LOOK_BACK, width) the last, in a ring; begun: (n, LOOK_BACK) their
+class Disturbed(RowArrays):
+    """Data that alarms use and change. units: (n, LOOK_BACK, width) the last, in a ring; begun: (n, LOOK_BACK) their
     times; gathered: information since the suspicion, or since the alarm; suspected: units since the suspicion; crossed:
     the statistic at it; refined: whether the estimate is the model already; before: (n, p) the reference until then;
     settled: (n, width) sum of the blocks relative to that model; gain: of the input, over that of the estimator;
@@ -165,7 +165,7 @@ class Disturbed(Rows):
 
     @classmethod
     def empty(cls, axes: int, p: int) -> Disturbed:
-        """So many axes without any."""
+        """`axes` axes without an alarm."""
         width = width_of(p)
         return cls(
             np.zeros((axes, LOOK_BACK, width)),
@@ -181,6 +181,6 @@ class Disturbed(Rows):
         )
 
     def recent(self, axis: int, units: int) -> tuple[Floats, Floats]:
-        """The last units (m, width) of an axis that has had so many, and their times (m,), in order."""
+        """The last units (m, width) of an axis and their times (m,), in order; units: number of all so far."""
         order = np.arange(max(0, units - LOOK_BACK), units) % LOOK_BACK
         return self.units[axis, order], self.begun[axis, order]

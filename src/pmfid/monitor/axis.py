@@ -1,4 +1,4 @@
-"""One axis between its blocks and what is told of it: suspicions, alarms, new references."""
+"""One axis: its blocks lead to suspicions, alarms and new references."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.arrays import Disturbed, Watched
 from pmfid.monitor.calibration import Calibration
-from pmfid.monitor.cause import TRANSITION, Cause, Evidence, explain, new_gain
+from pmfid.monitor.cause import TRANSITION, Cause, ChangeEvidence, explain, new_gain
 from pmfid.monitor.events import SETTLING, SUSPICIOUS, WATCHING, Alarm, Event, Settled, StateChange, Watch
 from pmfid.monitor.rows import STATES
 from pmfid.monitor.scores import Blocks, ScoreFilter, Scoring, start_blocks
@@ -24,25 +24,25 @@ from pmfid.monitor.watching import REASONS, Watching
 from pmfid.status import Status
 from pmfid.types import Floats
 
-#: Time without a block that tells anything after which nothing can be told [s], at least so many blocks.
+#: Time without informative blocks after which the state is CANNOT_TELL [s], and the least number of such blocks.
 SILENT_TIME, SILENT_BLOCKS = 2.0, 6
 #: Information, in average blocks, until the estimate after an alarm serves as a model, and then as a reference.
 MODEL_INFORMATION, REFERENCE_INFORMATION = 15.0, 60.0
 #: Information after which a cause is named if all others are excluded, and after which the most likely one is: if
-#: there is no estimate, and if there is one. A machine almost without friction tells mass from gain only as it brakes.
+#: there is no estimate, and if there is one. If friction is small, only braking separates mass from gain.
 CAUSE_INFORMATION, CAUSE_BLIND, CAUSE_LATEST = 4.0, 16.0, 32.0
-#: A single block counts for no more: where the model is wrong, it errs in every block in another way.
+#: Information of a single block counts up to here: a wrong model errs in each block in another way.
 MOST_INFORMATION = 1.5
-#: What is kept at the first suspicion of what was gathered before.
+#: Share of the earlier information that the estimator keeps at the first suspicion.
 KEEP = 0.003
-#: An estimate with one of these says nothing of the plant.
+#: Status bits of estimates that are not used.
 UNUSABLE = Status.STARTING | Status.POOR_EXCITATION | Status.FALLBACK | Status.SETTLING
 FIRST = np.zeros(1, np.int64)
 
 
 @dataclass(repr=False)
-class Axis:
-    """What a `Monitor` knows of its axis, and what it makes of a block."""
+class WatchedAxis:
+    """The data of a `Monitor` on its axis, and its decisions on each block."""
 
     estimator: RecursiveEstimator
     calibration: Calibration
@@ -84,12 +84,12 @@ class Axis:
 
     @property
     def samples(self) -> int:
-        """So far, the lost ones among them."""
+        """Number of samples so far, lost samples included."""
         return self._inputs.samples
 
     @property
     def statistic(self) -> float:
-        """Of the detector, behind the last block."""
+        """Statistic of the detector after the last block."""
         return float(self._own.statistic[0])
 
     @property
@@ -101,8 +101,8 @@ class Axis:
     def _time(self) -> float:
         return (self.samples - 1) * self.estimator.dt
 
-    def _beside(self, theta: Floats, std: Floats) -> tuple[Floats, Floats]:
-        """A reference (p,) and its standard deviations with what is known, each (q,)."""
+    def _add_known(self, theta: Floats, std: Floats) -> tuple[Floats, Floats]:
+        """A reference (p,) and its standard deviations, combined with the prior information; each (q,)."""
         if self.known is None:
             return theta, std
         found = self.known.of(Posterior(self._front.names, self._front.units, theta, np.diag(std**2)))
@@ -116,7 +116,7 @@ class Axis:
         rest.gathered[0], rest.refined[0], rest.crossed[0], rest.suspected[0] = 0.0, 0, 0.0, 0
 
     def _on_block(self, rows: Floats, lost: NDArray[np.uint8], estimate: Estimate) -> list[Event]:
-        """What a block (1, width) leads to, and whether all its samples were disturbed (1,)."""
+        """Events after a block (1, width); lost: (1,) whether all its samples were disturbed."""
         watcher, own = self.watching.watcher, self._own
         rows, information = watcher.informed(own, rows, bool(lost[0]))
         if self.state == SETTLING:
@@ -140,7 +140,7 @@ class Axis:
         return [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm(estimate)]
 
     def _look_around(self, estimate: Estimate) -> list[Event]:
-        """Whether there is anything to tell from."""
+        """Updates the state: whether changes can be detected now."""
         wanted, reason = self.watching.watcher.looked(self._own, estimate.status)
         return self._enter(STATES[wanted], REASONS[reason])
 
@@ -159,12 +159,12 @@ class Axis:
         if ends or abs(cause.relative) <= self.watch.tolerance:
             self.watching.restart(self._own)
             return self._enter(WATCHING, "the deviation is within the tolerance")
-        alarm = self._told(cause, float(begun[cause.start]))
+        alarm = self._make_alarm(cause, float(begun[cause.start]))
         self._rest.gathered[0], self._rest.refined[0] = 0.0, 0
         self._rest.by_gain[0] = cause.name == INPUT_GAIN
         return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
 
-    def _told(self, cause: Cause, begun: float) -> Alarm:
+    def _make_alarm(self, cause: Cause, begun: float) -> Alarm:
         units = dict(zip(self._front.names, self._front.units, strict=True))
         moves = cause.name in (INPUT_GAIN, *forces_of(self._front.equation))
         scale = float(self._rest.gain[0]) if moves else 1.0
@@ -182,83 +182,83 @@ class Axis:
         )
 
     def _cause(self, units: Floats, estimate: Estimate) -> Cause:
-        reference, seen = self.reference, self.watching.seen(self._own.sigma[0])
+        reference, scale = self.reference, self.watching.rescale(self._own.sigma[0])
         latest = max(0, len(units) - int(self._rest.suspected[0])) + TRANSITION
         names, gain = self._front.names, self._given_gain
         fixed = () if self.known is None else tuple(self.known.given)
         friction = self._friction()
-        recent = Blocks.of(units, reference.size)
-        return explain(recent, seen, reference, names, gain, latest, fixed, friction, self._evidence(estimate))
+        recent = Blocks.from_rows(units, reference.size)
+        return explain(recent, scale, reference, names, gain, latest, fixed, friction, self._evidence(estimate))
 
     @property
     def _given_gain(self) -> float:
         return float(self.estimator.equation.input_gain)
 
-    def _evidence(self, estimate: Estimate) -> Evidence | None:
-        """What the estimate says of the cause; None while it is none. Where the model lacks something, without what is
-        off all the time, and no surer than a unit of normal work."""
-        found, work = Evidence(np.array(estimate.theta), np.array(estimate.theta_cov)), self.calibration.work
+    def _evidence(self, estimate: Estimate) -> ChangeEvidence | None:
+        """Evidence of the estimate on the cause; None while there is no estimate. If the model has unmodelled effects,
+        the constant offset is subtracted and the covariance of a unit of normal work is added."""
+        found, work = ChangeEvidence(np.array(estimate.theta), np.array(estimate.theta_cov)), self.calibration.work
         if work is not None:
-            found = Evidence(found.theta - work.offset, found.covariance + np.diag(work.scale.sigma**2))
+            found = ChangeEvidence(found.theta - work.offset, found.covariance + np.diag(work.scale.sigma**2))
         silent = estimate.status & UNUSABLE or not np.all(np.isfinite(np.r_[found.theta, found.covariance.ravel()]))
         return None if silent else found
 
     def _friction(self) -> Floats | None:
-        """(p,) the frictions of the reference; None where there is but one, and where a cause is named within blocks,
-        too few to tell all frictions from one of them."""
+        """(p,) the frictions of the reference. None if there is only one. None also if causes are named within a few
+        blocks, which cannot separate growth of all frictions from growth of one."""
         equation, reference = self.estimator.equation, self.reference
         kinds = np.array(equation.positive) & (np.arange(reference.size) != equation.leading)
         return np.where(kinds, reference, 0.0) if self.calibration.work is not None and kinds.sum() > 1 else None
 
     def _settle(self, rows: Floats, information: float, estimate: Estimate) -> list[Event]:
-        """First the estimate becomes the model, then what the blocks say beside it the reference."""
+        """First the estimate becomes the model; later that model, corrected by the blocks, becomes the reference."""
         rest = self._rest
         rest.gathered[0] += information
         if rest.refined[0]:
             rest.settled += rows
         if not rest.refined[0] and rest.gathered[0] >= MODEL_INFORMATION and self._usable(estimate):
             rest.before[0] = self.reference
-            self.estimator.open_memory(1.0)  # the error bars need not remember the change
+            self.estimator.open_memory(1.0)  # standard errors need not remember the change
             self._refer(np.array(estimate.theta))
             rest.settled[:], rest.refined[0] = 0.0, 1
         elif rest.refined[0] and rest.gathered[0] >= REFERENCE_INFORMATION:
-            return self._settled()
+            return self._end_settling()
         return []
 
-    def _settled(self) -> list[Event]:
+    def _end_settling(self) -> list[Event]:
         reference, gathered = self.reference, float(self._rest.gathered[0])
-        p, found = reference.size, Blocks.of(self._rest.settled, reference.size)
+        p, found = reference.size, Blocks.from_rows(self._rest.settled, reference.size)
         theta = reference + np.linalg.solve(found.cross[0] + 1e-12 * np.eye(p), found.score[0])
         size = float(self.watching.sizes(reference[None])[0])
         std = size * self.calibration.scale.sigma / np.sqrt(gathered)
         if not self.plausible(theta):
             theta = reference
         self._refer(theta)
-        now, bars = self._beside(theta, std)
-        before, _ = self._beside(self._rest.before[0].copy(), std)
+        now, errors = self._add_known(theta, std)
+        before, _ = self._add_known(self._rest.before[0].copy(), std)
         if self.known is not None and self.known.find_gain:
             self._rest.gain[0] = float(now[-1]) / self.estimator.equation.input_gain
-        return [Settled(self._time, now, bars, before, self._gain(theta, std)), *self._enter(WATCHING, "")]
+        return [Settled(self._time, now, errors, before, self._gain(theta, std)), *self._enter(WATCHING, "")]
 
     def _gain(self, theta: Floats, std: Floats) -> tuple[float, float, float] | None:
-        """The gain of the input, its standard deviation, and before, if the alarm was of it: what makes theta (p,) of
-        the reference of before."""
+        """If the alarm was on the input gain: the new gain, its standard deviation and the previous gain. The new gain
+        is the one that turns the previous reference into theta (p,)."""
         if not self._rest.by_gain[0] or self.known is not None:
             return None
-        return new_gain(Evidence(theta, np.diag(std**2)), self._rest.before[0], self._given_gain)
+        return new_gain(ChangeEvidence(theta, np.diag(std**2)), self._rest.before[0], self._given_gain)
 
     def _usable(self, estimate: Estimate) -> bool:
         return not estimate.status & UNUSABLE and self.plausible(np.array(estimate.theta))
 
     def plausible(self, theta: Floats) -> bool:
-        """Whether a machine may have the parameters (p,): mass positive, frictions not negative."""
+        """Whether the parameters (p,) are possible for a machine: mass positive, frictions not negative."""
         equation = self.estimator.equation
         never_negative = np.array(equation.positive)
         return bool(np.all(np.isfinite(theta)) and theta[equation.leading] > 0 and np.all(theta[never_negative] >= 0))
 
 
 def _enough(cause: Cause) -> float:
-    """Information with which a cause is named."""
+    """Information at which a cause is named."""
     if cause.others is None:
         return CAUSE_BLIND
     return CAUSE_LATEST if cause.others else CAUSE_INFORMATION

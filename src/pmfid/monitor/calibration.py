@@ -1,7 +1,7 @@
 """Thresholds from a mean time between false alarms, by simulation of normal work.
 
-The input of a record of normal work drives the reference model from random places on the encoder's lattice; whatever a
-detector shows then is chance. Its maxima over intervals much longer than its memory are counted; their tail is
+The input of a record of normal work drives the reference model from random positions on the encoder's lattice; the
+statistic of a detector is then chance. Its maxima over intervals much longer than its memory are counted; their tail is
 exponential (Gumbel's domain), so log(rate) falls linearly with the threshold, and a rate that was too rare to be seen
 often is read off that line. Where the record itself deviates by more than the simulation, its own units of work take
 the place of the simulated blocks (`work`, `reference`): they run through the very detectors, in many more hours than
@@ -21,7 +21,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.motion import mean_velocity
 from pmfid.monitor.detectors import EDGE, ChiSquare, Detector, make_detectors, statistics
-from pmfid.monitor.reference import noisier, piece_length, resampled
+from pmfid.monitor.reference import noisier, piece_length, resample_units
 from pmfid.monitor.scores import (
     UNUSABLE,
     UNUSABLE_AT_REST,
@@ -32,7 +32,7 @@ from pmfid.monitor.scores import (
     scores,
     start_blocks,
 )
-from pmfid.monitor.work import Work, learn
+from pmfid.monitor.work import NormalWork, learn
 from pmfid.types import Counts, Floats
 
 #: Length of one simulated run [s], and of the intervals whose maxima are counted.
@@ -42,9 +42,9 @@ INTERVAL_TIME = 30.0
 HOURS_PER_MTBF, LEAST_HOURS, MOST_HOURS = 4.0, 20.0, 100.0
 #: Maxima that the line through the tail is fitted to.
 TAIL = 100
-#: The noise of a record of normal work counts where it differs by so many standard errors from the simulated one.
+#: Difference of a record's noise from the simulated noise, in standard errors, from which the record's noise is used.
 NOISIER = 3.0
-#: Hours of resampled work for one of simulated work, drawn as so many runs.
+#: Hours of resampled work for one hour of simulated work, and the number of runs that these hours are drawn in.
 RESAMPLED, RUNS = 4.0, 64
 #: Parts of a record whose thresholds are compared, and how much rarer than asked alarms are made at most, by what the
 #: record leaves in doubt: less often is better than more often.
@@ -82,7 +82,7 @@ class Tail:
         return _line(self.level, self.slope, self.rate, careful * mtbf_hours)
 
     def doubt(self, mtbf_hours: float) -> float:
-        """Standard error of the logarithm of that mean time, from how the parts differ; 0 where there are none."""
+        """Standard error of the logarithm of that mean time, from differences of the parts; 0 without parts."""
         if not self.parts:
             return 0.0
         thresholds = [_line(*part, mtbf_hours) for part in self.parts]
@@ -106,7 +106,7 @@ class Calibration:
     noise: Floats
     hours: float
     record_hours: float = 0.0
-    work: Work | None = None
+    work: NormalWork | None = None
 
     @property
     def left_out(self) -> int:
@@ -165,15 +165,15 @@ def calibrate(
         plain = replace(plain, noise=noise, scale=replace(scale, sigma=scale.sigma * noise))
         own = plain.scale.standardise(record)
         if noisier(own, (x, w), EDGE):
-            return _learned(plain, estimator, u, counts, seed)
+            return _calibrate_by_work(plain, estimator, u, counts, seed)
     precision = _precision(ChiSquare(block_keep(estimator)), x, w)
     plain = replace(plain, chi_square=precision)
     tails = _tails(plain.detectors(estimator), x, w, block_samples(estimator) * estimator.dt)
     return replace(plain, tails=tails)
 
 
-def _learned(plain: Calibration, estimator: Estimator, u: Floats, counts: Counts, seed: int) -> Calibration:
-    """The same with units of work in place of blocks, and tails of their resampled sequence."""
+def _calibrate_by_work(plain: Calibration, estimator: Estimator, u: Floats, counts: Counts, seed: int) -> Calibration:
+    """The calibration with units of work in place of blocks, and tails of their resampled sequence."""
     blocks = _record_blocks(estimator, plain.theta, u, counts, UNUSABLE_AT_REST)
     work = learn(blocks, plain.scale.information(blocks))
     record_hours = len(blocks.score) * block_samples(estimator) * estimator.dt / 3600
@@ -185,9 +185,9 @@ def _learned(plain: Calibration, estimator: Estimator, u: Floats, counts: Counts
     size = math.ceil(RESAMPLED * plain.hours * 3600 / unit_time / RUNS)
     detectors = found.detectors(estimator)
     top = round(RESAMPLED * TAIL)
-    whole = _tails(detectors, *resampled(x, w, (RUNS, size), length, rng), unit_time, top)
+    whole = _tails(detectors, *resample_units(x, w, (RUNS, size), length, rng), unit_time, top)
     quarters = [
-        _tails(detectors, *resampled(*part, (RUNS // PARTS, size), length, rng), unit_time, top // PARTS)
+        _tails(detectors, *resample_units(*part, (RUNS // PARTS, size), length, rng), unit_time, top // PARTS)
         for part in zip(np.array_split(x, PARTS), np.array_split(w, PARTS), strict=True)
     ]
     tails = {
@@ -251,7 +251,7 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
         raise NotIdentifiableError(
             f"the model with the normal parameters ({values}) runs away under the recorded input: give nominal values "
-            "of a machine that does not, or take a record of normal work that tells them"
+            "of a machine that does not, or take a record of normal work that identifies them"
         )
     return quantize(position + phase * estimator.encoder.resolution, estimator.encoder.resolution)
 

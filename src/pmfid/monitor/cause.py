@@ -19,21 +19,21 @@ RIDGE = 1e-6
 TRANSITION = 2
 #: Information, in average blocks, that is left for the size where they are left out.
 LEAST_INFORMATION = 2.0
-#: A cause is excluded where it leaves so much more of the estimate's deviation than another one does, in squared
-#: standard errors: three of them.
+#: A cause is excluded if it leaves this much more of the estimate's deviation unexplained than another cause does
+#: [squared standard errors]: three standard errors.
 EXCLUDED = 9.0
-#: Part of a size from blocks that their bar does not hold: the reversals of the reference's motion come at other
-#: instants than those of the changed plant.
+#: Relative error of a size from blocks in addition to its standard error: the simulated motion reverses at other
+#: instants than the changed plant.
 MOVED = 0.05
-#: Neighbours that a block's deviation goes with.
+#: Number of neighbours with which the deviation of a block correlates.
 LAGS = 2
 
 
 @dataclass(frozen=True)
 class Cause:
     """name: of the parameter, INPUT_GAIN or FRICTION; change, std: [its unit], of FRICTION relative; relative: change
-    over the reference value, over std where that is 0; start: index of the first block that shows it; others: causes
-    that are as likely; None where only the blocks were asked."""
+    over the reference value, over std if that value is 0; start: index of the first block that shows it; others: causes
+    that are as likely; None if there was no estimate to compare them."""
 
     name: str
     change: float
@@ -49,8 +49,8 @@ class Cause:
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """What a recursive estimate says since the suspicion. theta (p,); covariance (p, p) of its error."""
+class ChangeEvidence:
+    """A recursive estimate from the samples since the suspicion. theta (p,); covariance (p, p) of its error."""
 
     theta: Floats
     covariance: Floats
@@ -65,7 +65,7 @@ def explain(
     latest: int | None = None,
     fixed: Collection[str] = (),
     friction: Floats | None = None,
-    evidence: Evidence | None = None,
+    evidence: ChangeEvidence | None = None,
 ) -> Cause:
     """The most likely single change, at one of the blocks' starts.
 
@@ -95,49 +95,51 @@ def explain(
     possible = np.ones(len(called), bool) if evidence is None else _possible(evidence, theta, directions)
     which = int(np.argmax(np.where(possible, gain[start], -np.inf)))
     others = None if evidence is None else tuple(called[k] for k in np.flatnonzero(possible) if k != which)
-    size = _combined(_size(blocks, scale, directions[which], start), evidence, theta, directions[which])
-    return _told(Cause(called[which], 0.0, 0.0, 0.0, start, others), *size, theta, names, input_gain)
+    size = _combine_sizes(_size(blocks, scale, directions[which], start), evidence, theta, directions[which])
+    return _scale_cause(Cause(called[which], 0.0, 0.0, 0.0, start, others), *size, theta, names, input_gain)
 
 
-def _along(evidence: Evidence, theta: Floats, directions: Floats) -> tuple[Floats, Floats, float]:
+def _measure_along(evidence: ChangeEvidence, theta: Floats, directions: Floats) -> tuple[Floats, Floats, float]:
     """Sizes (k,) along directions (k, p) that the estimate gives a change of each alone, their information (k,), and
     the squared deviation of the estimate from theta (p,) in standard errors."""
     precision = np.linalg.pinv(evidence.covariance, hermitian=True)
-    apart, weighted = evidence.theta - theta, directions @ precision
+    deviation, weighted = evidence.theta - theta, directions @ precision
     known = np.maximum(np.einsum("kp,kp->k", weighted, directions), np.finfo(float).tiny)
-    return weighted @ apart / known, known, float(apart @ precision @ apart)
+    return weighted @ deviation / known, known, float(deviation @ precision @ deviation)
 
 
-def _possible(evidence: Evidence, theta: Floats, directions: Floats) -> Flags:
+def _possible(evidence: ChangeEvidence, theta: Floats, directions: Floats) -> Flags:
     """(k,) whether the estimate leaves a change along each of the directions (k, p) possible."""
-    size, known, total = _along(evidence, theta, directions)
+    size, known, total = _measure_along(evidence, theta, directions)
     left = total - size**2 * known
     return np.asarray(left < left.min() + EXCLUDED)
 
 
-def _combined(
-    by_blocks: tuple[float, float], evidence: Evidence | None, theta: Floats, direction: Floats
+def _combine_sizes(
+    by_blocks: tuple[float, float], evidence: ChangeEvidence | None, theta: Floats, direction: Floats
 ) -> tuple[float, float]:
-    """Size along a direction (p,) and its standard deviation, from both; by how much they differ beyond their bars is
-    an error of the blocks."""
+    """Size along a direction (p,) and its standard deviation, from blocks and estimate. A difference beyond their
+    standard errors is an error of the blocks."""
     size, std = by_blocks
     doubt = std**2 + (MOVED * size) ** 2
     if evidence is None:
         return size, float(np.sqrt(doubt))
-    other, known, _ = (np.ravel(part)[0] for part in _along(evidence, theta, direction[None]))
+    other, known, _ = (np.ravel(part)[0] for part in _measure_along(evidence, theta, direction[None]))
     doubt += max((other - size) ** 2 - std**2 - 1 / known, 0.0)
     total = known + 1 / doubt
     return float((known * other + size / doubt) / total), float(total**-0.5)
 
 
-def new_gain(evidence: Evidence, theta: Floats, input_gain: float) -> tuple[float, float, float]:
+def new_gain(evidence: ChangeEvidence, theta: Floats, input_gain: float) -> tuple[float, float, float]:
     """The gain of the input, its standard deviation, and the one of before, if it alone has moved theta (p,)."""
-    size, known, _ = (np.ravel(part)[0] for part in _along(evidence, theta, theta[None]))
-    cause = _told(Cause(INPUT_GAIN, 0.0, 0.0, 0.0, 0), float(size), float(known**-0.5), theta, (), input_gain)
+    size, known, _ = (np.ravel(part)[0] for part in _measure_along(evidence, theta, theta[None]))
+    cause = _scale_cause(Cause(INPUT_GAIN, 0.0, 0.0, 0.0, 0), float(size), float(known**-0.5), theta, (), input_gain)
     return input_gain + cause.change, cause.std, input_gain
 
 
-def _told(cause: Cause, size: float, std: float, theta: Floats, names: Sequence[str], input_gain: float) -> Cause:
+def _scale_cause(
+    cause: Cause, size: float, std: float, theta: Floats, names: Sequence[str], input_gain: float
+) -> Cause:
     """The cause with its size along its direction in terms of what has changed."""
     if cause.name == FRICTION:
         return replace(cause, change=size, std=std, relative=size)
@@ -150,7 +152,7 @@ def _told(cause: Cause, size: float, std: float, theta: Floats, names: Sequence[
 
 
 def _start(gain: Floats) -> int:
-    """The start whose best cause explains most; of equal ones the last: what no block could show did not begin yet."""
+    """The start whose best cause explains most. Among equal starts the last: no block before it shows the change."""
     late = gain[::-1]
     return len(gain) - 1 - int(np.argmax(late.max(axis=1) >= (1 - 1e-9) * late.max()))
 
@@ -162,8 +164,8 @@ def _size(blocks: Blocks, scale: Scale, direction: Floats, start: int) -> tuple[
     remains. By how much the next ones would move the size, or the last one did, is what the moment of the change
     leaves open.
     """
-    told = scale.standardise(blocks)[1][:, direction != 0].mean(axis=1)  # of the parameters that it moves
-    information = np.cumsum(told[::-1])[::-1]
+    by_block = scale.standardise(blocks)[1][:, direction != 0].mean(axis=1)  # of the parameters that it moves
+    information = np.cumsum(by_block[::-1])[::-1]
     possible = range(start, min(start + TRANSITION + 1, len(information)))
     found = [_fit(blocks[k:], scale, direction) for k in possible if k == start or information[k] > 0]
     chosen = sum(information[k] > LEAST_INFORMATION for k in possible[1 : len(found)])
@@ -177,12 +179,12 @@ def _fit(blocks: Blocks, scale: Scale, direction: Floats) -> tuple[float, float]
     noise of normal work makes it, and of what the blocks leave unexplained, with its correlation."""
     W, Z = blocks.cross.sum(axis=0), blocks.square.sum(axis=0)
     weight = np.linalg.solve(Z + RIDGE * np.diag(np.diagonal(Z)) + np.finfo(float).tiny * np.eye(len(Z)), W @ direction)
-    told, known = blocks.score @ weight, blocks.cross @ direction @ weight
+    match, known = blocks.score @ weight, blocks.cross @ direction @ weight
     total = max(float(known.sum()), np.finfo(float).tiny)
-    size = float(told.sum()) / total
+    size = float(match.sum()) / total
     # of the parameters that the direction moves
     noise = float(np.mean((scale.sigma**2 / scale.energy)[direction != 0]))
-    rest = told - size * known
+    rest = match - size * known
     n = len(rest)
     spread = float(
         rest @ rest + 2 * sum((1 - k / (LAGS + 1)) * (rest[k:] @ rest[:-k]) for k in range(1, min(n, LAGS + 1)))

@@ -1,4 +1,4 @@
-"""What to watch for, and what a monitor tells."""
+"""The configuration of a monitor, and its events."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ class Watch:
 @dataclass(frozen=True)
 class Alarm:
     """A change. time: of the alarm [s]; changed_at: when it began to show [s]; parameter: name, or "input_gain",
-    or "friction" where all of it grew alike; change, std: [unit], of "friction" as relative: to the reference, to std
-    where that is 0; statistic at the first suspicion, and its threshold; others: causes that the samples so far do not
-    tell from this one."""
+    or "friction" if all frictions grew alike; change, std: [unit]; relative: change over the reference, over std if the
+    reference is 0 ("friction": change and std are relative, too); statistic at the first suspicion, and its threshold;
+    others: causes that the samples so far do not exclude."""
 
     time: float
     changed_at: float
@@ -61,9 +61,9 @@ class Alarm:
 
 @dataclass(frozen=True)
 class Settled:
-    """A new reference after an alarm. time [s]; theta, std: (q,) of what the monitor tells; before: (q,) the reference
-    until then. gain: of the input, its standard deviation, and before, if the alarm was of the gain: theta is what the
-    gain of before makes of it."""
+    """A new reference after an alarm. time [s]; theta, std: (q,) of the parameters that the monitor reports; before:
+    (q,) the previous reference. gain: if the alarm was on the input gain, the new gain, its standard deviation and the
+    previous gain; theta is then expressed with the previous gain."""
 
     time: float
     theta: Floats
@@ -74,7 +74,7 @@ class Settled:
 
 @dataclass(frozen=True)
 class StateChange:
-    """What the monitor can do from time [s] on: STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS or SETTLING, and why."""
+    """The state from time [s] on: STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS or SETTLING; and the reason."""
 
     time: float
     state: str

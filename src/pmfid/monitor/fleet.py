@@ -17,7 +17,7 @@ from pmfid.monitor.events import Event
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.quiet import Quiet
 from pmfid.monitor.rows import FleetRows
-from pmfid.monitor.saved import Saved, checked, read, unsealed, written
+from pmfid.monitor.saved import AxisStates, check_states, make_parts, read, write_states
 from pmfid.types import Counts, Flags, Floats, Places
 
 T = TypeVar("T")
@@ -37,9 +37,9 @@ class MonitorFleet:
 
     def __init__(self, monitor: Monitor, axes: int) -> None:
         axes = whole_number("axes", axes, 0, "it is the number of axes")
-        self._source, self._first = monitor, monitor.saved()
+        self._source, self._first = monitor, monitor.pack_state()
         self.dt, self.names, self.units = monitor.estimator.dt, monitor.names, monitor.units
-        self._all = self._first.repeated(axes)
+        self._all = self._first.repeat_rows(axes)
         self._scratch = _like(monitor)  # for the axes that are not quiet, one after the other
         self._quiet = Quiet(self._scratch)
 
@@ -52,7 +52,7 @@ class MonitorFleet:
         """The next n samples of the axes `index` (k,), each at most once; u, counts: (k, n), u not finite: the sample
         is lost, as in `Monitor.step`. Raises UsageError where an axis is not there or comes twice, or the arrays do not
         fit."""
-        places, inputs, read_counts = self._checked(index, u, counts)
+        places, inputs, read_counts = self._check_arrays(index, u, counts)
         rows = FleetRows.empty(len(inputs), inputs.shape[1], len(self.names))
         for group in _slices(len(inputs), GROUP):
             for time in _slices(inputs.shape[1], PIECE):
@@ -91,25 +91,25 @@ class MonitorFleet:
         """The same with rows for these axes alone. Axes that follow one another are computed in their place."""
         every = self._all
         if index[-1] - index[0] == index.size - 1 and (np.diff(index) == 1).all():
-            sampled = every.sampled.taken(slice(int(index[0]), int(index[-1]) + 1))
-            before = sampled.copied()
+            sampled = every.sampled.take_rows(slice(int(index[0]), int(index[-1]) + 1))
+            before = sampled.copy_rows()
             kept = self._quiet.run(every, index, sampled, u, counts, rows)
             back = np.flatnonzero(~kept)
-            sampled.put(back, before.taken(back))
+            sampled.put(back, before.take_rows(back))
         else:
-            sampled = every.sampled.taken(index)
+            sampled = every.sampled.take_rows(index)
             kept = self._quiet.run(every, index, sampled, u, counts, rows)
-            every.sampled.put(index[kept], sampled if kept.all() else sampled.taken(np.flatnonzero(kept)))
+            every.sampled.put(index[kept], sampled if kept.all() else sampled.take_rows(np.flatnonzero(kept)))
         return kept
 
     def _with(self, axis: int, action: Callable[[Monitor], T]) -> T:
-        """What an axis' monitor does, and its state behind that."""
+        """Result of an action of an axis' monitor; the new state of that monitor is stored."""
         self._scratch.go_on(self._all, axis)
         found = action(self._scratch)
-        self._all.put(slice(axis, axis + 1), self._scratch.saved())
+        self._all.put(slice(axis, axis + 1), self._scratch.pack_state())
         return found
 
-    def _checked(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> tuple[Places, Floats, Counts]:
+    def _check_arrays(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> tuple[Places, Floats, Counts]:
         places = self._places(index)
         inputs = np.ascontiguousarray(numbers("u", u), np.float64)
         read_counts = np.ascontiguousarray(integer_counts(counts), np.int64)
@@ -142,9 +142,9 @@ class MonitorFleet:
         """`Monitor.longest` of all."""
         return self._source.longest
 
-    def between(self, axis: int, missing: int, u: float, counts: int) -> list[Event]:
+    def fill_gap(self, axis: int, missing: int, u: float, counts: int) -> list[Event]:
         """`Monitor.between` of an axis."""
-        return self._with(self._place(axis), lambda monitor: monitor.between(missing, u, counts))
+        return self._with(self._place(axis), lambda monitor: monitor.fill_gap(missing, u, counts))
 
     def rebase(self, axis: int, counts: int) -> None:
         """`Monitor.rebase` of an axis."""
@@ -177,16 +177,16 @@ class MonitorFleet:
         return self._all.watched.theta.copy()
 
     def add(self, count: int = 1) -> range:
-        """So many axes more, in the state that all began with; their numbers."""
+        """Adds `count` axes in the state that all axes started with; returns their numbers."""
         before = self.axes
         more = whole_number("count", count, 0, "it is a number of axes")
-        self._all = self._all.joined(self._first.repeated(more))
+        self._all = self._all.join_rows(self._first.repeat_rows(more))
         return range(before, self.axes)
 
     def join(self, state: bytes) -> range:
-        """The axes of saved states behind those that are there; their numbers. Raises UsageError as `set_state`."""
+        """Appends the axes of saved states; returns their numbers. Raises UsageError as `set_state`."""
         before = self.axes
-        self._all = self._all.joined(self._read(state))
+        self._all = self._all.join_rows(self._read(state))
         return range(before, self.axes)
 
     def remove(self, index: ArrayLike) -> NDArray[np.int64]:
@@ -195,26 +195,26 @@ class MonitorFleet:
         kept, moved = np.ones(self.axes, np.bool_), np.full(self.axes, -1, np.int64)
         kept[self._places(index)] = False
         moved[kept] = np.arange(kept.sum())
-        self._all = self._all.taken(np.flatnonzero(kept))
+        self._all = self._all.take_rows(np.flatnonzero(kept))
         return moved
 
     def get_state(self) -> bytes:
         """The states of all axes, with a version and checksums; `set_state` of a fleet with the same configuration goes
         on from them."""
-        return written(self._all, self._source.configuration_number)
+        return write_states(self._all, self._source.configuration_number)
 
     def unsealed_state(self) -> list[memoryview]:
         """The same in pieces, most of them the arrays themselves, and without the checksum of all, which takes longer
-        than a copy: `pmfid.monitor.saved.sealed` puts it in, of a copy in any thread."""
-        return unsealed(self._all, self._source.configuration_number)
+        than a copy: `pmfid.monitor.saved.seal_parts` puts it in, of a copy in any thread."""
+        return make_parts(self._all, self._source.configuration_number)
 
     def set_state(self, state: bytes) -> None:
         """Goes on from saved states, of as many axes as they are of. Raises UsageError, and stays as it was, for those
         of another configuration, damaged ones, and numbers that no sample could have made."""
         self._all = self._read(state)
 
-    def _read(self, state: bytes) -> Saved:
-        return checked(self._scratch, read(state, self._first, self._source.configuration_number))
+    def _read(self, state: bytes) -> AxisStates:
+        return check_states(self._scratch, read(state, self._first, self._source.configuration_number))
 
 
 def _like(source: Monitor) -> Monitor:

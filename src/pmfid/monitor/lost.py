@@ -1,4 +1,4 @@
-"""A few lost samples on-line: what stands in their place, and for how long nothing is learnt from it."""
+"""A few lost samples on-line: imputed values, and for how long they are not used for learning."""
 
 from __future__ import annotations
 
@@ -7,39 +7,41 @@ from dataclasses import dataclass
 
 from pmfid._stage import Inputs
 
-#: An input that changed over lost samples by so many times what it usually does in as many has switched in one of them,
-#: nobody knows which.
+#: Change of the input over lost samples, relative to its usual change over as many samples, from which it has switched
+#: in one of them. Which one is unknown.
 SWITCHED = 6.0
 #: An input that is the same as before in more than this part of the samples, and of whose changes more than that part
 #: come alone, is held for several of them; one that rests now and then is not.
 HELD, ALONE = 0.5, 0.9
-#: A switch matters where not knowing its instant moves the input behind the filters by so much of its size.
+#: Relative error of the filtered input, by the unknown instant of a switch, from which the switch matters.
 DOUBTFUL = 0.01
-#: So many missing samples are guessed, and in so many of the filters' time constants: over more nothing is known.
+#: Most missing samples that are guessed, and the same in time constants of the filters; the larger one holds.
 FEW, SHORT = 8, 0.25
-#: The filters forget a blow in so many of their time constants.
+#: Time in which the filters forget an impulse, in their time constants.
 FORGOTTEN = 4.5
 
 
 @dataclass(frozen=True)
-class Guess:
-    """Lost samples: input and counts of each, and for how many samples behind them nothing is to be learnt."""
+class GuessedSamples:
+    """Lost samples: input and counts of each; doubt: number of following samples that are not used for learning."""
 
     samples: tuple[tuple[float, int], ...]
     doubt: int
 
 
 def longest(rate: float) -> int:
-    """So many lost samples are guessed; over more the filters had better settle anew. rate: a sample period over the
+    """Most lost samples that are guessed; after a longer gap the filters settle again. rate: a sample period over the
     time constant of the filters."""
     return max(FEW, round(SHORT / rate))
 
 
-def guess(last: Inputs, rate: float, missing: int, u: float, counts: int) -> Guess | None:
-    """So many samples behind `last` and before one of u and counts, which go on from the last: the input on a straight
-    line, the counts on the parabola that leaves the last as fast as they came to it, as the last tell, and of a long
-    gap as many as are missing. rate: as in `longest`. None where nothing is known of them: an input that is lost
-    itself, or one that is not held and leaps."""
+def guess(last: Inputs, rate: float, missing: int, u: float, counts: int) -> GuessedSamples | None:
+    """Values for the `missing` samples between `last` and the sample u, counts; counts continue those of `last`.
+
+    The input lies on a straight line. The counts lie on a parabola that starts with the last known speed; a long gap
+    takes this speed over as many samples as are missing. rate: as in `longest`. None if the values are unknown: an
+    input is lost, or an input that is not held leaps.
+    """
     if last.lost or not (last.known and math.isfinite(u)):
         return None
     n, leap = missing + 1, u - last.input
@@ -51,11 +53,11 @@ def guess(last: Inputs, rate: float, missing: int, u: float, counts: int) -> Gue
     bend = (counts - last.counts - speed * n) / (n * (n + back))
     moved = (round(k * (speed + bend * (k + back))) for k in range(1, n))
     between = tuple((last.input + k / n * leap, last.counts + way) for k, way in enumerate(moved, 1))
-    return Guess(between, _doubt(last, rate, missing, leap) if held else 0)
+    return GuessedSamples(between, _doubt(last, rate, missing, leap) if held else 0)
 
 
 def _doubt(last: Inputs, rate: float, missing: int, leap: float) -> int:
-    """A held input may have switched at any of the instants."""
+    """Number of samples to doubt, because a held input may have switched at any instant of the gap."""
     if abs(leap) * missing * rate / math.sqrt(12) <= DOUBTFUL * math.sqrt(last.power):
         return 0
     return missing + round(FORGOTTEN / rate)

@@ -17,11 +17,11 @@ from pmfid.estimators.known import Seen, choose_naming
 from pmfid.estimators.track import Track
 from pmfid.kernel.structures import whole_words
 from pmfid.monitor.arrays import Sampled
-from pmfid.monitor.axis import FIRST, Axis
+from pmfid.monitor.axis import FIRST, WatchedAxis
 from pmfid.monitor.events import SETTLING, SUSPICIOUS, WATCHING, Event, Outlier, Settled
 from pmfid.monitor.lost import guess, longest
 from pmfid.monitor.rows import FleetRows
-from pmfid.monitor.saved import Saved, checked, read, written
+from pmfid.monitor.saved import AxisStates, check_states, read, write_states
 from pmfid.monitor.scores import ScoreFilter, reference_kernel
 from pmfid.shown import Parameters, Shown, Summary, plain, remarks_of
 from pmfid.status import Status
@@ -33,28 +33,28 @@ if TYPE_CHECKING:
     from pmfid.monitor.calibration import Calibration
     from pmfid.monitor.events import Watch
 
-#: What a flagged sample is told as.
+#: Signal of an outlier by its status bit.
 OUTLIERS = {int(Status.COUNT_JUMP): "counts", int(Status.INVALID_INPUT): "input"}
 ANY_OUTLIER = sum(OUTLIERS)
 
 
 @dataclass(repr=False)
-class Monitor(Axis, Shown):
+class Monitor(WatchedAxis, Shown):
     """Watches one axis.
 
     estimator: recursive, at its start; calibration: of its configuration and the reference parameters. `step` takes one
-    sample. At the first suspicion the estimator's memory is opened: what it gathers from then on is of the new plant,
-    and must not be thrown away when the cause is clear, which is when the alarm comes. The new value, once known, is
-    the reference, so every change is told once.
+    sample. The estimator's covariance is reset at the first suspicion: all later samples are of the new plant, and are
+    still needed when the cause is clear and the alarm comes. The new value, once known, becomes the reference, so each
+    change is reported once.
 
-    known: what is known of the parameters beside the samples. Values that are given stay, so no change is one of them;
-    where the gain of the input is to be found, the estimator has that of the reference, and what is told is of the
-    machine with the gain that it has now.
+    known: prior information on the parameters. Given values are constant, so they are no causes of a change. If the
+    input gain is to be found, the estimator has the gain of the reference; reported values are those of the machine
+    with its present gain.
     """
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters that are told: the estimator's, and the gain of the input where it is found."""
+        """Names of the reported parameters: the estimator's, and the input gain if it is to be found."""
         return choose_naming(self.estimator, self.known).names
 
     @property
@@ -63,7 +63,7 @@ class Monitor(Axis, Shown):
 
     @property
     def _parameters(self) -> Parameters:
-        """What deviations are measured from, with the standard deviations of one block."""
+        """The reference, with the standard deviations of one block."""
         return Parameters(self.estimator.names, self.estimator.units, self.reference, self._own.sigma[0].copy())
 
     def summary(self) -> Summary:
@@ -96,15 +96,15 @@ class Monitor(Axis, Shown):
             "reference": self._parameters.content,
         }
 
-    def told(self, estimate: Estimate) -> Estimate | Seen:
-        """An estimate with what is known beside it."""
+    def apply_known(self, estimate: Estimate) -> Estimate | Seen:
+        """An estimate combined with the prior information."""
         return estimate if self.known is None else Seen(self.known, estimate)
 
     def step(self, u: float, counts: int) -> tuple[Estimate, list[Event]]:
-        """One sample as in `RecursiveEstimator.step`: the estimate, and what there is to tell.
+        """Takes one sample as `RecursiveEstimator.step` does; returns the estimate and the events.
 
-        After a sample that was lost, u not finite, the counts go on from the last: whatever the counter did meanwhile,
-        no speed explains it.
+        A sample is lost if u is not finite. The counts after it continue the last ones, whatever the counter did in
+        the gap.
         """
         own = self._inputs.step(u, counts)
         estimate = self.estimator.step(u, own)
@@ -113,7 +113,7 @@ class Monitor(Axis, Shown):
         return estimate, events if rows is None else events + self._on_block(rows, disturbed, estimate)
 
     def _outliers(self, status: int) -> list[Event]:
-        """Once for what lasts over several samples."""
+        """An outlier that lasts over several samples is reported once."""
         signals, self._flagged = new_outliers(status, self._flagged) if status & ANY_OUTLIER else [], status
         return [Outlier(self._time, signal) for signal in signals]
 
@@ -130,13 +130,13 @@ class Monitor(Axis, Shown):
         return rows
 
     def _run(self, u: NDArray[np.float64], counts: NDArray[np.int64], rows: FleetRows, start: int) -> None:
-        """Samples of one block; the last may complete it. With what is known beside the samples, one alone."""
+        """Takes samples of one block; the last may complete it. With prior information, a single sample."""
         before, lost = self.samples, ~np.isfinite(u)
         own, part = self._inputs.run(u, counts), slice(start, start + u.size)
         track = Track(self.estimator.names, self.estimator.units, *self.estimator.runner.kernel.run(u, own))
         blocks, disturbed = self._filter.rows(u, own)
-        told = track if self.known is None else self.told(self.estimator.estimate)
-        rows.theta[0, part], rows.std[0, part] = told.theta, told.theta_std
+        result = track if self.known is None else self.apply_known(self.estimator.estimate)
+        rows.theta[0, part], rows.std[0, part] = result.theta, result.theta_std
         rows.innovation[0, part], rows.status[0, part] = track.innovation, track.status
         rows.state[0, part] = self._own.state[0]
         found, self._flagged = outliers(track.status, lost, self._flagged)
@@ -148,11 +148,11 @@ class Monitor(Axis, Shown):
             rows.state[0, part.stop - 1] = self._own.state[0]
 
     def rebase(self, counts: int) -> None:
-        """The counter was set anew: it would have read `counts` at the last sample. Raises TypeError for no integer."""
+        """The counter was reset: it would have read `counts` at the last sample. Raises TypeError for no integer."""
         self._inputs.rebase(counts)
 
     def skip(self, samples: int) -> list[Event]:
-        """Samples that were lost: the filters settle anew, and time goes on. What there is to tell."""
+        """Passes over lost samples: time goes on and the filters settle again. Returns the events."""
         few, events = min(samples, self._front.settle_samples), []
         for _ in range(few):
             events += self.step(float("nan"), 0)[1]
@@ -166,13 +166,15 @@ class Monitor(Axis, Shown):
 
     @property
     def longest(self) -> int:
-        """So many lost samples are for `between`, more for `skip`."""
+        """Most lost samples that `fill_gap` takes; a longer gap needs `skip`."""
         return longest(self._rate)
 
-    def between(self, missing: int, u: float, counts: int) -> list[Event]:
-        """A few samples that were lost before one of u and counts: what most likely stood there (`guess`), and nothing
-        is learnt for a while where a held input switched in one of them, nobody knows which. Where nothing is known of
-        them, as `skip`. What there is to tell."""
+    def fill_gap(self, missing: int, u: float, counts: int) -> list[Event]:
+        """Imputes a few samples that were lost before the sample u, counts (`guess`); returns the events.
+
+        If a held input switched in the gap, learning stops for a while, because the instant is unknown. Samples that
+        cannot be guessed are passed over as in `skip`.
+        """
         last = self._inputs
         found = guess(last, self._rate, missing, u, counts + last.zero)
         if found is None:
@@ -186,9 +188,9 @@ class Monitor(Axis, Shown):
         return events
 
     def refer(self, theta: ArrayLike | None = None) -> list[Event]:
-        """What is now is normal: theta (p,) becomes the reference, None: the present estimate. What there is to tell:
-        the new reference, and that the watch begins. Raises UsageError, and changes nothing, while there is no estimate
-        and for numbers that no machine has."""
+        """Makes theta (p,), None: the present estimate, the reference. Returns the events: the new reference, and a
+        change of state if the axis was suspicious or settling. Raises UsageError, and changes nothing, while there is
+        no estimate and for parameters that are impossible for a machine."""
         estimate = self.estimator.estimate
         unknown = estimate.status & (Status.STARTING | Status.FALLBACK) or not np.all(np.isfinite(estimate.theta_std))
         if theta is None and unknown:
@@ -198,13 +200,13 @@ class Monitor(Axis, Shown):
             raise UsageError(f"these are no parameters of a machine: {wanted.tolist()}; give {list(self._front.names)}")
         before, std = self.reference, np.array(estimate.theta_std) if theta is None else np.zeros(wanted.size)
         self._refer(wanted)
-        events: list[Event] = [Settled(self._time, *self._beside(wanted, std), self._beside(before, std)[0])]
+        events: list[Event] = [Settled(self._time, *self._add_known(wanted, std), self._add_known(before, std)[0])]
         busy = self.state in (SUSPICIOUS, SETTLING)
         return [*events, *(self._enter(WATCHING, "a new reference was given") if busy else [])]
 
     @cached_property
     def configuration_number(self) -> int:
-        """A checksum of all that does not change."""
+        """Checksum of the configuration."""
         calibration, estimator = self.calibration, self.estimator
         reference, _ = reference_kernel(self._front, calibration.theta.tolist())
         number = zlib.crc32(reference.raw_config(), zlib.crc32(estimator.runner.kernel.raw_config()))
@@ -219,25 +221,25 @@ class Monitor(Axis, Shown):
 
     @cached_property
     def packers(self) -> tuple[ManyKernel, ManyKernel]:
-        """What packs the states of the estimator's kernel and of the filter's, and runs many of them."""
+        """Kernels that pack the states of the estimator and of the filter, and that run many of them."""
         words = whole_words(self.estimator.precision)
         return self.estimator.runner.kernel.many(1, words), self._filter.kernel.many(1, words)
 
-    def saved(self) -> Saved:
-        """All that changes, as arrays of one row."""
+    def pack_state(self) -> AxisStates:
+        """The state as arrays of one row."""
         kernels = self.estimator.runner.kernel, self._filter.kernel
-        estimator, filtered = (_packed(many, kernel) for many, kernel in zip(self.packers, kernels, strict=True))
+        estimator, filtered = (_pack_kernel(many, kernel) for many, kernel in zip(self.packers, kernels, strict=True))
         whole, real = self._inputs.numbers
         flagged, now = np.array([self._flagged], np.uint32), self._filter
         block = now.sums.copy(), now.progress.copy()
         sampled = Sampled(whole[None], real[None], flagged, estimator, filtered, *block)
-        return Saved(sampled, self._own.taken(FIRST), self._rest.taken(FIRST))
+        return AxisStates(sampled, self._own.take_rows(FIRST), self._rest.take_rows(FIRST))
 
-    def go_on(self, saved: Saved, axis: int) -> None:
-        """From the state of an axis, whose numbers are not looked at."""
+    def go_on(self, saved: AxisStates, axis: int) -> None:
+        """Continues from the state of an axis, without a check of its numbers."""
         row, sampled = slice(axis, axis + 1), saved.sampled
-        self._own.put(slice(0, 1), saved.watched.taken(row))
-        self._rest.put(slice(0, 1), saved.disturbed.taken(row))
+        self._own.put(slice(0, 1), saved.watched.take_rows(row))
+        self._rest.put(slice(0, 1), saved.disturbed.take_rows(row))
         if not np.array_equal(self._filter.theta, self._own.theta[0]):
             self._filter = ScoreFilter(self._front, self.reference, left_out=self.calibration.left_out)
         self._inputs.numbers, self._flagged = (sampled.whole[axis], sampled.real[axis]), int(sampled.flagged[axis])
@@ -248,24 +250,24 @@ class Monitor(Axis, Shown):
             many.load(kernel, 0)
 
     def get_state(self) -> bytes:
-        """All that changes, with a version and checksums; `set_state` of a monitor with the same configuration goes on
-        from it."""
-        return written(self.saved(), self.configuration_number)
+        """The state with a version and checksums; `set_state` of a monitor with the same configuration continues from
+        it."""
+        return write_states(self.pack_state(), self.configuration_number)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Copies and pickles are made from the configuration and the saved state."""
-        return _resumed, (self.estimator, self.calibration, self.watch, self.known, self.get_state())
+        return _resume_monitor, (self.estimator, self.calibration, self.watch, self.known, self.get_state())
 
     def set_state(self, state: bytes) -> None:
-        """Goes on from a saved state. Raises UsageError, and stays as it was, for one of another configuration, a
+        """Continues from a saved state. Raises UsageError, and changes nothing, for a state of another configuration, a
         damaged one, and numbers that no sample could have made."""
-        found = checked(self, read(state, self.saved(), self.configuration_number))
+        found = check_states(self, read(state, self.pack_state(), self.configuration_number))
         if found.axes != 1:
             raise UsageError(f"these bytes are the states of {found.axes} axes; a monitor is of one")
         self.go_on(found, 0)
 
 
-def _resumed(
+def _resume_monitor(
     estimator: RecursiveEstimator, calibration: Calibration, watch: Watch, known: Known | None, state: bytes
 ) -> Monitor:
     monitor = Monitor(estimator, calibration, watch, known)
@@ -273,7 +275,7 @@ def _resumed(
     return monitor
 
 
-def _packed(many: ManyKernel, kernel: Kernel) -> NDArray[np.uint8]:
+def _pack_kernel(many: ManyKernel, kernel: Kernel) -> NDArray[np.uint8]:
     """(1, bytes): a kernel's state."""
     many.hold(np.zeros((1, many.states.shape[1]), np.uint8))
     many.store(kernel, 0)
@@ -286,8 +288,8 @@ def new_outliers(status: int, before: int) -> list[str]:
 
 
 def outliers(status: NDArray[np.uint32], lost: NDArray[np.bool_], flagged: int) -> tuple[list[tuple[int, str]], int]:
-    """The samples of status (n,) at which a signal is newly flagged, with that signal, and the last status; of lost
-    ones (n,) nothing is said. flagged: the status before."""
+    """The samples of status (n,) at which a signal is newly flagged, with that signal, and the last status; lost
+    samples (n,) are left out. flagged: the previous status."""
     kept, found = np.flatnonzero(~lost), list[tuple[int, str]]()
     if not kept.size:
         return found, flagged

@@ -1,7 +1,7 @@
-"""Quiet axes, many at once: those of which nothing is to be told but how their watch goes on.
+"""Many quiet axes at once: axes that are neither suspicious nor settling.
 
-A piece of all their samples is computed in arrays, as if none became suspicious in it. One that does has opened its
-estimator's memory in the middle: what was computed of it is thrown away, and it goes through the piece by itself.
+A piece of all their samples is computed in arrays, as if no axis became suspicious in it. An axis that becomes
+suspicious resets its covariance within the piece, so its results are discarded and the piece is computed for it alone.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pmfid.monitor.arrays import Sampled, Watched
 from pmfid.monitor.events import SETTLING, SUSPICIOUS, Event, Outlier, StateChange
 from pmfid.monitor.monitor import ANY_OUTLIER, Monitor, outliers
 from pmfid.monitor.rows import STATES, FleetRows
-from pmfid.monitor.saved import Saved
+from pmfid.monitor.saved import AxisStates
 from pmfid.monitor.watching import REASONS
 from pmfid.types import Counts, Flags, Floats, Places
 
@@ -32,7 +32,7 @@ class Quiet:
         self._watching = monitor.watching
         self._estimator, self._filter = monitor.packers
         self._scoring, self._dt = monitor.scoring, monitor.estimator.dt
-        alone = monitor.known is not None  # put together with each estimate by itself
+        alone = monitor.known is not None  # prior information is combined with each estimate separately
         self._calm = np.array([state not in UNEASY and not alone for state in range(len(STATES))])
         self._memory = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0))
         self._one_reference = monitor.estimator.equation.dead_time == ESTIMATE  # the kernel is configured with it
@@ -43,7 +43,9 @@ class Quiet:
         quiet = self._calm[watched.state[index]]
         return quiet & np.all(watched.theta[index] == self._theta, axis=1) if self._one_reference else quiet
 
-    def run(self, every: Saved, index: Places, sampled: Sampled, u: Floats, counts: Counts, rows: FleetRows) -> Flags:
+    def run(
+        self, every: AxisStates, index: Places, sampled: Sampled, u: Floats, counts: Counts, rows: FleetRows
+    ) -> Flags:
         """A piece u, counts: (k, n), n >= 1, of k axes, the rows `index` (k,) of every. sampled: of these axes alone,
         which goes on; what is watched of those that stay quiet goes on in its place. rows: to be filled, as if all
         stayed quiet. Returns (k,) whether they do."""
@@ -69,7 +71,7 @@ class Quiet:
         bars(factor, variance, inflation, rows.std)
 
     def _room(self, k: int, n: int, p: int) -> tuple[Floats, Floats, Floats]:
-        """For what is not given out; the same memory again and again."""
+        """Work arrays for results that are not returned; their memory is reused."""
         if self._memory[0].shape != (k, n, p):
             self._memory = np.empty((k, n, p)), np.empty((k, n, p)), np.empty((k, n))
         return self._memory
@@ -85,7 +87,7 @@ class Quiet:
     def _changes(
         self, rows: FleetRows, wanted: NDArray[np.uint8], reason: NDArray[np.uint8], filled: Places, samples: Places
     ) -> None:
-        """The states behind the blocks, (k, most), where they are other ones than before."""
+        """Reports changes of state; wanted: (k, most) the state after each block."""
         if (wanted == rows.state[:, :1]).all():
             return
         before = np.concatenate([rows.state[:, :1], wanted[:, :-1]], axis=1)

@@ -1,9 +1,9 @@
-"""What a record of normal work says of the noise that no simulation of the model knows.
+"""Noise of a record of normal work that a simulation of the model does not have.
 
 An encoder's error is differentiated: its blocks balance each other, and sums of many hardly grow. A force that no
 equation explains does not: friction beyond the model's, a cable, a cutting force. So the deviations of sums of blocks
-in the record are compared with those of the simulation, and where they are larger, the detectors work on units of work
-(`work`) and are calibrated on the record's own ones, drawn anew in pieces (Künsch 1989; Politis and Romano 1994).
+in the record are compared with deviations in the simulation. If they are larger, the detectors take units of work
+(`work`), and are calibrated on pieces drawn from the record's units (Künsch 1989; Politis and Romano 1994).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pmfid.types import Floats
 LENGTHS = (1, 2, 4, 8, 16, 32)
 #: Units of a piece, and what more of them may change the variance of their sum by.
 PIECES, SAME = (1, 2, 4, 8, 16), 0.1
-#: A power of the record counts where it is larger by so many standard errors, and at least so much.
+#: Excess of a record's power over the simulated one that counts: in standard errors, and as a ratio.
 LARGER, AT_LEAST = 3.0, 1.3
 
 
@@ -29,8 +29,8 @@ def powers(x: Floats, w: Floats, edge: float) -> tuple[Floats, Floats]:
     for length in LENGTHS:
         n = x.shape[1] // length * length
         sums = [part[:, :n].reshape(x.shape[0] * (n // length), length, x.shape[2]).sum(axis=1) for part in (x, w)]
-        told = sums[1].mean(axis=1) > 0
-        power = sums[0][told] ** 2 / (sums[1][told] + edge)
+        informed = sums[1].mean(axis=1) > 0
+        power = sums[0][informed] ** 2 / (sums[1][informed] + edge)
         count = max(1, len(power))
         means.append(power.mean(axis=0) if len(power) else np.ones(x.shape[2]))
         errors.append(power.std(axis=0) / math.sqrt(count) if len(power) else np.full(x.shape[2], np.inf))
@@ -64,7 +64,7 @@ def _variance(x: Floats, length: int) -> Floats:
     return np.asarray((x[:n].reshape(-1, length, x.shape[1]).sum(axis=1) ** 2).mean(axis=0) / length)
 
 
-def resampled(
+def resample_units(
     x: Floats, w: Floats, shape: tuple[int, int], length: int, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """Units (runs, n, p) of pieces of `length` of a record x, w: (n, p), from random places.

@@ -1,4 +1,4 @@
-"""What a fleet of monitors says of its samples."""
+"""Results of a fleet of monitors for its samples."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ STATES = (STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING)
 
 @dataclass(frozen=True)
 class FleetRows:
-    """What n samples of k axes gave. theta, std: (k, n, q) of what is told; innovation: (k, n); status: (k, n)
-    bits of the estimates; state: (k, n) of the monitors behind the samples, numbers of `STATES`; events: (row, sample,
-    event), those of a row in the order of time, row by row."""
+    """Results for n samples of k axes. theta, std: (k, n, q) of the reported parameters; innovation: (k, n); status:
+    (k, n) bits of the estimates; state: (k, n) of the monitors after each sample, numbers of `STATES`; events: (row,
+    sample, event), row by row, each row in the order of time."""
 
     theta: Floats
     std: Floats
@@ -29,7 +29,7 @@ class FleetRows:
 
     @classmethod
     def empty(cls, axes: int, samples: int, parameters: int) -> FleetRows:
-        """Room for so many."""
+        """Uninitialised arrays for `axes` axes, `samples` samples and `parameters` parameters."""
         shape = (axes, samples)
         theta, std = np.empty((*shape, parameters)), np.empty((*shape, parameters))
         return cls(theta, std, np.empty(shape), np.empty(shape, np.uint32), np.empty(shape, np.uint8), [])

@@ -1,7 +1,7 @@
 """The states of monitored axes as bytes: one array for each part of a state, a row for each axis.
 
-Bytes of a file are hostile until they are checked: whole numbers against what they may be, real ones against being no
-number, the kernels' states by the kernels.
+Bytes of a file are hostile until they are checked: whole numbers against their bounds, real numbers for being finite,
+the kernels' states by the kernels.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from pmfid._kernel64 import ManyKernel
 from pmfid._stage import KEPT
 from pmfid.errors import UsageError
 from pmfid.kernel.structures import layout_number
-from pmfid.monitor.arrays import Disturbed, Rows, Sampled, Watched
+from pmfid.monitor.arrays import Disturbed, RowArrays, Sampled, Watched
 from pmfid.monitor.events import SETTLING, SUSPICIOUS
 from pmfid.monitor.rows import STATES
 from pmfid.monitor.scores import Scoring
 from pmfid.monitor.watching import Watching
 from pmfid.types import Floats, Places
 
-#: What stands before the states; layout: of a row; config: of whom it is; checksum: CRC-32 of all else.
+#: Header of the saved states. layout: of a row; config: number of the configuration; checksum: CRC-32 of all else.
 HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
 MAGIC, VERSION = 0x4D464D50, 1  # "PMFM"
-#: No fleet has more axes: what a head says is not believed beyond that.
+#: Most axes of a fleet; a header with more is refused.
 MOST_AXES = 2**24
-#: Samples and blocks beyond any that have been.
+#: Largest number of samples and blocks in a state.
 MOST = 2**60
 
 FOREIGN = (
@@ -44,8 +44,8 @@ IMPLAUSIBLE = (
 
 
 @dataclass
-class Saved:
-    """All that changes in some axes."""
+class AxisStates:
+    """The states of some axes."""
 
     sampled: Sampled
     watched: Watched
@@ -56,7 +56,7 @@ class Saved:
         return len(self.watched.state)
 
     @property
-    def _parts(self) -> tuple[Rows, Rows, Rows]:
+    def _parts(self) -> tuple[RowArrays, RowArrays, RowArrays]:
         return self.sampled, self.watched, self.disturbed
 
     def arrays(self) -> Iterator[NDArray[np.generic]]:
@@ -69,39 +69,39 @@ class Saved:
         named = [one for part in self._parts for one in part.parts(saved_only=True)]
         return np.dtype([(f"{k} {name}", array.dtype, array.shape[1:]) for k, (name, array) in enumerate(named)])
 
-    def taken(self, index: Places | slice) -> Saved:
-        """Some axes: copies by their numbers, the axes themselves as a slice."""
-        return Saved(self.sampled.taken(index), self.watched.taken(index), self.disturbed.taken(index))
+    def take_rows(self, index: Places | slice) -> AxisStates:
+        """Some axes: an array of numbers gives copies, a slice gives views."""
+        return AxisStates(self.sampled.take_rows(index), self.watched.take_rows(index), self.disturbed.take_rows(index))
 
-    def put(self, index: Places | slice, other: Saved) -> None:
-        """Other states for some axes."""
+    def put(self, index: Places | slice, other: AxisStates) -> None:
+        """Overwrites the states of some axes."""
         for part, rows in zip(self._parts, (other.sampled, other.watched, other.disturbed), strict=True):
             part.put(index, rows)
 
-    def repeated(self, times: int) -> Saved:
-        """All axes, so many times."""
-        again = self.sampled.repeated(times), self.watched.repeated(times)
-        return Saved(*again, self.disturbed.repeated(times))
+    def repeat_rows(self, times: int) -> AxisStates:
+        """Each axis, `times` times."""
+        again = self.sampled.repeat_rows(times), self.watched.repeat_rows(times)
+        return AxisStates(*again, self.disturbed.repeat_rows(times))
 
-    def joined(self, other: Saved) -> Saved:
-        """The axes of another one behind these."""
-        parts = self.sampled.joined(other.sampled), self.watched.joined(other.watched)
-        return Saved(*parts, self.disturbed.joined(other.disturbed))
-
-
-def written(saved: Saved, config: int) -> bytes:
-    """The bytes of all axes; config: a checksum of whose they are."""
-    return b"".join(sealed(unsealed(saved, config)))
+    def join_rows(self, other: AxisStates) -> AxisStates:
+        """These axes, then those of `other`."""
+        parts = self.sampled.join_rows(other.sampled), self.watched.join_rows(other.watched)
+        return AxisStates(*parts, self.disturbed.join_rows(other.disturbed))
 
 
-def unsealed(saved: Saved, config: int) -> list[memoryview]:
-    """The same one after the other, still without the checksum; all but the first are the arrays themselves."""
+def write_states(saved: AxisStates, config: int) -> bytes:
+    """The bytes of all axes; config: checksum of the configuration."""
+    return b"".join(seal_parts(make_parts(saved, config)))
+
+
+def make_parts(saved: AxisStates, config: int) -> list[memoryview]:
+    """The same bytes in parts, still without the checksum; all parts but the first are the arrays themselves."""
     parts = [np.ascontiguousarray(array).reshape(-1).view(np.uint8).data for array in saved.arrays()]
     return [memoryview(_head(saved, config, saved.axes).tobytes()), *parts]
 
 
-def sealed(parts: Sequence[memoryview]) -> list[memoryview]:
-    """What `unsealed` gave, or a copy of it, with the checksum: by any thread, which does not hold the others up."""
+def seal_parts(parts: Sequence[memoryview]) -> list[memoryview]:
+    """The result of `make_parts`, or a copy of it, with the checksum. Any thread may compute it."""
     head = np.frombuffer(parts[0], HEAD)[0].copy()
     checksum = zlib.crc32(head.tobytes()[:-4])
     for part in parts[1:]:
@@ -110,9 +110,9 @@ def sealed(parts: Sequence[memoryview]) -> list[memoryview]:
     return [memoryview(head.tobytes()), *parts[1:]]
 
 
-def read(data: bytes, like: Saved, config: int) -> Saved:
-    """What `written` wrote of states such as `like`, of any number of axes. Raises UsageError for anything else; what
-    the numbers may be is for `checked` to say."""
+def read(data: bytes, like: AxisStates, config: int) -> AxisStates:
+    """The states that `write_states` wrote, of any number of axes with the layout of `like`. Raises UsageError for
+    anything else; `check_states` checks the numbers."""
     if not isinstance(data, bytes | bytearray | memoryview):
         raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
     data = bytes(data)
@@ -124,14 +124,14 @@ def read(data: bytes, like: Saved, config: int) -> Saved:
         raise UsageError(DAMAGED)
     if head.tobytes()[:-4] != _head(like, config, axes).tobytes()[:-4]:
         raise UsageError(FOREIGN)
-    found = like.taken(slice(0, 1)).repeated(axes)
+    found = like.take_rows(slice(0, 1)).repeat_rows(axes)
     for array in found.arrays():
         array[:] = np.frombuffer(data, array.dtype, array.size, place).reshape(array.shape)
         place += array.nbytes
     return found
 
 
-def _head(saved: Saved, config: int, axes: int) -> NDArray[np.void]:
+def _head(saved: AxisStates, config: int, axes: int) -> NDArray[np.void]:
     head = np.zeros((), HEAD)
     row = saved.row_type()
     head["magic"], head["version"], head["config"] = MAGIC, VERSION, config
@@ -140,7 +140,7 @@ def _head(saved: Saved, config: int, axes: int) -> NDArray[np.void]:
 
 
 class Judge(Protocol):
-    """What a `Monitor` knows of states that are possible."""
+    """The parts of a `Monitor` that decide whether a state is possible."""
 
     watching: Watching
 
@@ -151,8 +151,8 @@ class Judge(Protocol):
     def plausible(self, theta: Floats) -> bool: ...
 
 
-def checked(judge: Judge, saved: Saved) -> Saved:
-    """The same with what follows from it. Raises UsageError for numbers that no sample could have made."""
+def check_states(judge: Judge, saved: AxisStates) -> AxisStates:
+    """The states with their derived arrays. Raises UsageError for numbers that no sample could have made."""
     sampled, watched = saved.sampled, saved.watched
     references = np.unique(watched.theta, axis=0)
     fine = all(np.all(np.isfinite(array)) for array in saved.arrays() if array.dtype.kind == "f")
@@ -168,8 +168,8 @@ def checked(judge: Judge, saved: Saved) -> Saved:
     return saved
 
 
-def _counts_fit(judge: Judge, saved: Saved) -> bool:
-    """Whether whole numbers, and real ones that have a sign, are what they may be."""
+def _counts_fit(judge: Judge, saved: AxisStates) -> bool:
+    """Whether whole numbers, and real ones that have a sign, are within their bounds."""
     sampled, watched, rest = saved.sampled, saved.watched, saved.disturbed
     samples = sampled.samples
     uneasy = np.isin(watched.state, [STATES.index(SUSPICIOUS), STATES.index(SETTLING)])

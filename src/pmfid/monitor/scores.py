@@ -1,12 +1,12 @@
-"""Block scores: what the samples of a short time say of a deviation from reference parameters.
+"""Block scores: the evidence of the samples of a short time for a deviation from reference parameters.
 
 The model is simulated with the reference theta0, so nothing here follows the estimate. The error of the filtered
 equation, e = z - phi^T theta0, is gathered with the instruments, in blocks longer than the memory of the filters:
 
     S_b = sum zeta e,   E S_b = W_b (theta - theta0),   W_b = sum zeta phi^T
 
-Estimates with forgetting remember for hundreds of samples; blocks remember but their neighbour (an encoder's error is
-differentiated, hence a correlation of -0.3 to -0.4 with it and none beyond).
+Estimates with forgetting correlate over hundreds of samples; a block correlates with its neighbours only. The encoder's
+error is differentiated, so this correlation is -0.3 to -0.4.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
 
 
-#: Samples with one of these say nothing of the plant.
+#: Status bits of samples that are not used.
 UNUSABLE = int(Status.SETTLING | Status.INVALID_INPUT | Status.COUNT_JUMP)
-#: Nor does an axis that a friction at rest holds, which the model lacks, while its model creeps on.
+#: The same for an axis with unmodelled static friction: the axis rests while its model creeps on.
 UNUSABLE_AT_REST = UNUSABLE | int(Status.STANDSTILL)
 
-#: After so many of its time constants the model's velocity is the plant's; at most so many blocks are waited.
+#: Time until the model's velocity is the plant's, in the plant's time constants, and the most blocks of it.
 START_TIME_CONSTANTS, MOST_START_BLOCKS = 4.0, 60
 
 
@@ -61,14 +61,14 @@ class Blocks:
         return Blocks(*(part.sum(axis=0, keepdims=True) for part in (self.score, self.cross, self.square)))
 
     @classmethod
-    def joined(cls, parts: Iterable[Blocks]) -> Blocks:
-        """One after the other."""
+    def concatenate(cls, parts: Iterable[Blocks]) -> Blocks:
+        """The blocks of all parts in order."""
         score, cross, square = zip(*((part.score, part.cross, part.square) for part in parts), strict=True)
         return cls(np.concatenate(score), np.concatenate(cross), np.concatenate(square))
 
     @classmethod
-    def of(cls, rows: Floats, p: int) -> Blocks:
-        """Of rows (n, p + 2 p^2) of all their numbers, which they share."""
+    def from_rows(cls, rows: Floats, p: int) -> Blocks:
+        """Blocks as views of rows (n, p + 2 p^2) of all their numbers."""
         ends = p, p + p * p
         cross, square = (part.reshape(len(rows), p, p) for part in (rows[:, ends[0] : ends[1]], rows[:, ends[1] :]))
         return cls(rows[:, :p], cross, square)
@@ -165,16 +165,16 @@ class ScoreFilter:
         return (rows if len(rows) else None), lost
 
     def run(self, u: Floats, counts: NDArray[np.int64]) -> Blocks:
-        """The same, without what is said while it waits."""
+        """The same; blocks while the filter waits are set to 0."""
         rows, lost = self.rows(np.ascontiguousarray(u), np.ascontiguousarray(counts))
         used = np.empty(len(rows))
         for k in range(len(rows)):
             self.waiting = waiting_after(bool(lost[k]), self.waiting, self.wait)
             used[k] = self.waiting == 0
-        return Blocks.of(rows * used[:, None], self.theta.size)
+        return Blocks.from_rows(rows * used[:, None], self.theta.size)
 
     def doubt(self, samples: int) -> None:
-        """So many samples from now on count for nothing."""
+        """The next `samples` samples count for nothing."""
         self.kernel.doubt(samples)
 
     def step(self, u: float, count: int) -> Blocks | None:
@@ -198,7 +198,7 @@ class Scale:
 
     @property
     def norms(self) -> Norms:
-        """What computes the following."""
+        """Kernel of the methods below."""
         return Norms(self.inverse, self.energy)
 
     def standardise(self, blocks: Blocks) -> tuple[Floats, Floats]:
@@ -209,7 +209,7 @@ class Scale:
         return self.norms.deviations(blocks.score, self.sigma), self.norms.told(blocks.square)
 
     def information(self, blocks: Blocks) -> Floats:
-        """(n,) that blocks tell of all parameters, in average blocks."""
+        """(n,) information of blocks on all parameters, in average blocks."""
         return self.norms.information(blocks.square)
 
 

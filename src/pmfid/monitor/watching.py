@@ -1,6 +1,6 @@
-"""What monitors make of their blocks: one axis, block by block, or many quiet ones at once, by the same arithmetic.
+"""Decisions of monitors on their blocks: of one axis, block by block, or of many quiet axes at once.
 
-It is that of `_stage.Watcher`, one axis after the other: how many there are makes no difference to the bits of one.
+Both use the arithmetic of `_stage.Watcher`, one axis after the other, so the number of axes does not change any bit.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from pmfid.monitor.detectors import Detector
 from pmfid.monitor.scores import Scale
 from pmfid.types import Floats
 
-#: What is told where there is nothing to tell from, by the numbers that the watcher gives.
+#: Reasons of the state CANNOT_TELL, by the numbers of the watcher.
 REASONS = ("", "the estimate has not started", "poor excitation", "standstill", "the motion tells nothing")
 
 
 @dataclass(frozen=True)
 class Watching:
-    """What does not change from axis to axis. detector, threshold: of its statistic; relative: deviation that is no
-    change; noise: (p, p) of the estimator; wait: blocks for a reference (p,); silent_blocks: without information after
-    which nothing can be told; block_time [s]."""
+    """Configuration that all axes share. detector, threshold: of its statistic; relative: deviation that is no change;
+    noise: (p, p) of the estimator; wait: blocks for a reference (p,); silent_blocks: blocks without information until
+    the state is CANNOT_TELL; block_time [s]."""
 
     calibration: Calibration
     detector: Detector
@@ -39,16 +39,16 @@ class Watching:
 
     @property
     def _seen(self) -> Scale:
-        """Of the units that the detector sees."""
+        """Scale of the units that the detector takes."""
         work = self.calibration.work
         return self.calibration.scale if work is None else work.scale
 
-    def seen(self, sigma: Floats) -> Scale:
-        """The same for axes with other references, and sigma (n, p) or (p,)."""
+    def rescale(self, sigma: Floats) -> Scale:
+        """The scale for axes with other references: sigma is (n, p) or (p,)."""
         return replace(self._seen, sigma=sigma)
 
     def sizes(self, theta: Floats) -> Floats:
-        """(n,) by how much the noise of references (n, p) is larger than that of the calibration's."""
+        """(n,) noise at references (n, p), over the noise at the calibration's reference."""
         first = float(self._square(self.calibration.theta[None])[0])
         return np.asarray(np.sqrt(self._square(theta) / max(first, 1e-300)))
 
@@ -79,7 +79,7 @@ class Watching:
         self.restart(own)
 
     def restart(self, own: Watched) -> None:
-        """The detector begins anew."""
+        """Resets the detector."""
         own.detection[:] = self.detector.start(own.theta.shape)
 
     def detection_rows(self, p: int) -> int:
@@ -88,7 +88,7 @@ class Watching:
 
     @cached_property
     def watcher(self) -> Watcher:
-        """What computes the following."""
+        """Kernel of these decisions."""
         work = self.calibration.work
         return Watcher(
             self.calibration.scale.norms,

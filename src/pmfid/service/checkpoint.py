@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
-from pmfid.monitor.saved import sealed
+from pmfid.monitor.saved import seal_parts
 from pmfid.service.board.alarms import Standing
 from pmfid.service.delivery import Block, Mark
 from pmfid.service.groups import Group, Pace, Prepared, Seat
@@ -97,7 +97,7 @@ class Draft:
         """The whole: by any thread, as long as the states stay where they were copied to."""
         found: list[bytes | memoryview] = [_LENGTH.pack(len(self.text)), self.text]
         for state, own in zip(self.states, self.others, strict=True):
-            found += [*sealed(state), *own]
+            found += [*seal_parts(state), *own]
         return found
 
 

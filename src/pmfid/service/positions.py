@@ -12,7 +12,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.monitor.arrays import Rows
+from pmfid.monitor.arrays import RowArrays
 from pmfid.types import Flags, Floats
 
 __all__ = ["Column", "Place", "Positions"]
@@ -21,7 +21,7 @@ T = TypeVar("T", int, float, bool)
 
 
 @dataclass
-class Positions(Rows):
+class Positions(RowArrays):
     """Columns (axes,). epoch, expected: of the next sample, epoch -1 before the first; time: of sample `number` by the
     sender's clock [s], NaN while unknown; start, first: a time and its number from where the rate of that clock is
     measured; told: that it has another one; wrong_period: what came with another period was told; waits: some blocks
@@ -50,7 +50,7 @@ class Positions(Rows):
 
     def add(self, axes: int) -> None:
         """So many more."""
-        vars(self).update(vars(self.joined(Positions.fresh(axes))))
+        vars(self).update(vars(self.join_rows(Positions.fresh(axes))))
 
     def forget(self, index: int) -> None:
         """Of this one nothing came yet; how long it has been silent stays."""
@@ -66,7 +66,7 @@ class Positions(Rows):
     def remove(self, index: Sequence[int]) -> None:
         """Without these; the others move up in their order."""
         left = np.delete(np.arange(self.epoch.size), list(index))
-        vars(self).update(vars(self.taken(left)))
+        vars(self).update(vars(self.take_rows(left)))
 
 
 class Place:

@@ -73,7 +73,7 @@ def _interrupted(group: Group, index: int, piece: Piece) -> list[Event]:
     missing = max(1, piece.lead)
     group.numbers[index] += missing
     if 0 < piece.lead <= group.fleet.longest and not piece.apart:
-        return group.fleet.between(index, missing, float(piece.u[0]), int(piece.counts[0]))
+        return group.fleet.fill_gap(index, missing, float(piece.u[0]), int(piece.counts[0]))
     return group.fleet.skip(index, missing)
 
 

@@ -16,7 +16,7 @@ from pmfid.estimators.base import Estimator
 from pmfid.monitor.calibration import Calibration, Tail, block_keep, calibrate
 from pmfid.monitor.detectors import make_detectors
 from pmfid.monitor.scores import Scale
-from pmfid.monitor.work import Work
+from pmfid.monitor.work import NormalWork
 from pmfid.types import Floats
 
 #: To be raised with every change of what a calibration computes, or of its file.
@@ -97,5 +97,5 @@ def _tail(raw: dict[str, Any]) -> Tail:
     return Tail(**(raw | {"maxima": tuple(raw["maxima"]), "parts": parts}))
 
 
-def _work(raw: dict[str, Any]) -> Work:
-    return Work(raw["size"], np.array(raw["offset"]), _scale(raw["scale"]), np.array(raw["limit"]))
+def _work(raw: dict[str, Any]) -> NormalWork:
+    return NormalWork(raw["size"], np.array(raw["offset"]), _scale(raw["scale"]), np.array(raw["limit"]))

@@ -113,7 +113,7 @@ def _step(
     events = _interrupted(sample, monitor, run, tell) if sample.missing or sample.jump else []
     estimate, now = monitor.step(sample.u, sample.counts)
     run.samples += 1
-    told = monitor.told(estimate)
+    told = monitor.apply_known(estimate)
     if not isinstance(sink, Nowhere):
         sink.write(_row(sample.time, told, monitor.state))
     for observe in observers:
@@ -146,7 +146,7 @@ def _interrupted(sample: Sample, monitor: Monitor, run: MonitoredRun, tell: Tell
         if run.gaps <= TOLD:
             tell({"event": "gap", "time": sample.time, "missing": sample.missing})
         if sample.missing <= monitor.longest:
-            return monitor.between(sample.missing, sample.u, sample.counts)
+            return monitor.fill_gap(sample.missing, sample.u, sample.counts)
         return monitor.skip(sample.missing)
     run.clock_jumps += 1
     if run.clock_jumps <= TOLD:
