@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmfid.simulation import (
     CART,
@@ -21,6 +22,7 @@ from pmfid.simulation import (
     simulate_drive,
     stop_and_go,
 )
+from pmfid.types import Floats
 from studies.paper.truth import CartRecord
 
 MOTIONS = ("prbs", "stop-and-go", "multisine")
@@ -111,15 +113,13 @@ def machine_record(axis: Axis, wrong: str, motion: str, increments: int, seed: i
 
 
 def record_of(axis: Axis, machine: Machine, motion: str, increments: int, seed: int) -> CartRecord:
-    """One run of a machine on the bench of an axis; exactly simulated where it lacks nothing."""
-    rng, right = np.random.default_rng([seed, 7]), machine == Machine(axis.drive)
+    """One run of a machine on the bench of an axis."""
+    rng = np.random.default_rng([seed, 7])
     resolution = axis.resolution * 4096 / increments
     phase = resolution * rng.random()
     if motion == "prbs":
         u = prbs(axis.samples, clock=axis.clock, amplitude=axis.volt, rng=rng)
-        if right:
-            return CartRecord(u, quantize(simulate_drive(axis.drive, u, axis.dt).x, resolution, phase), resolution)
-        return CartRecord(u, drive_machine(machine, u, axis.dt, resolution, phase=phase).counts, resolution)
+        return CartRecord(u, driven_counts(axis, machine, u, resolution, phase), resolution)
     if motion == "stop-and-go":
         # a controller parks the axis at the same edge of the lattice after the same move, whatever its phase
         stroke = axis.stroke * (1 + OTHERWISE * rng.uniform(-1, 1))
@@ -127,11 +127,30 @@ def record_of(axis: Axis, machine: Machine, motion: str, increments: int, seed: 
     else:
         tones = np.array(TONES) / (axis.move + axis.dwell)
         reference = multisine(axis.samples, axis.dt, tones, axis.stroke / 2, rng)
-    kp, kd, u_max = (axis.control[name] for name in ("kp", "kd", "u_max"))
-    if right:
-        motion_, counts = position_control(
-            axis.drive, reference, axis.dt, kp=kp, kd=kd, u_max=u_max, resolution=resolution, phase=phase
-        )
-        return CartRecord(motion_.u, counts, resolution)
-    run = control_machine(machine, reference, axis.dt, resolution, kp=kp, kd=kd, u_max=u_max, phase=phase)
+    return controlled_record(axis, machine, reference, resolution, phase)
+
+
+def driven_counts(
+    axis: Axis, machine: Machine, u: Floats, resolution: float, phase: float, rng: np.random.Generator | None = None
+) -> NDArray[np.int64]:
+    """(n,) under an input u (n,); exactly simulated where a machine has nothing but the model's terms."""
+    if machine == Machine(machine.drive):
+        return quantize(simulate_drive(machine.drive, u, axis.dt).x, resolution, phase)
+    return drive_machine(machine, u, axis.dt, resolution, phase=phase, rng=rng).counts
+
+
+def controlled_record(
+    axis: Axis,
+    machine: Machine,
+    reference: Floats,
+    resolution: float,
+    phase: float,
+    rng: np.random.Generator | None = None,
+) -> CartRecord:
+    """One run under position control along a reference (n,); exact as `driven_counts`."""
+    control, dt = dict(axis.control), axis.dt
+    if machine == Machine(machine.drive):
+        moved, counts = position_control(machine.drive, reference, dt, resolution=resolution, phase=phase, **control)
+        return CartRecord(moved.u, counts, resolution)
+    run = control_machine(machine, reference, dt, resolution, phase=phase, rng=rng, **control)
     return CartRecord(run.u, run.counts, resolution)

@@ -17,19 +17,9 @@ import numpy as np
 import pmfid
 from pmfid.estimators.configuration import change_arguments
 from pmfid.judge.matter import BARS, NORMAL_95, TOLERANCE
-from pmfid.simulation import (
-    Machine,
-    control_machine,
-    drive_machine,
-    multisine,
-    position_control,
-    prbs,
-    quantize,
-    simulate_drive,
-    stop_and_go,
-)
+from pmfid.simulation import Machine, multisine, prbs, stop_and_go
 from pmfid.types import Floats
-from studies.machines import TONES, Axis, truth
+from studies.machines import TONES, Axis, controlled_record, driven_counts, truth
 from studies.paper.truth import CartRecord, Study, Task, table, tally, triple
 from studies.real_axes import axis as axis_of
 from studies.sections import Page, by_name
@@ -168,26 +158,14 @@ def run(wrong: str, seed: int) -> tuple[Axis, str, CartRecord]:
 
 
 def record(axis: Axis, machine: Machine, what: Wrong, motion: str, rng: Rng) -> CartRecord:
-    """One run; that of a machine with nothing but the model's terms is exact."""
-    resolution, exact = axis.resolution, machine == Machine(machine.drive)
+    """One run."""
+    resolution = axis.resolution
     phase = resolution * rng.random()
     if motion in OPEN:
         u = OPEN[motion](axis, rng)
         acts = _bent(u, what.zone, what.most)
-        if exact:
-            return CartRecord(
-                u, quantize(simulate_drive(machine.drive, acts, axis.dt).x, resolution, phase), resolution
-            )
-        counts = drive_machine(machine, acts, axis.dt, resolution, phase=phase, rng=rng).counts
-        return CartRecord(u, counts, resolution)
-    reference, (kp, kd, u_max) = CLOSED[motion](axis, rng), (axis.control[name] for name in ("kp", "kd", "u_max"))
-    if exact:
-        moved, counts = position_control(
-            machine.drive, reference, axis.dt, kp=kp, kd=kd, u_max=u_max, resolution=resolution, phase=phase
-        )
-        return CartRecord(moved.u, counts, resolution)
-    made = control_machine(machine, reference, axis.dt, resolution, kp=kp, kd=kd, u_max=u_max, phase=phase, rng=rng)
-    return CartRecord(made.u, made.counts, resolution)
+        return CartRecord(u, driven_counts(axis, machine, acts, resolution, phase, rng), resolution)
+    return controlled_record(axis, machine, CLOSED[motion](axis, rng), resolution, phase, rng)
 
 
 @dataclass(frozen=True)
