@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
+from html import unescape
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
 from pmfid.findings import Finding
 from pmfid.judge.matter import matter_of, sizes
+from pmfid.report.result import write_result
 from pmfid.session.result import DriveResult
 from pmfid.simulation import Machine, quantize, simulate_drive
 from studies.friction_axes import FRICTIONS
@@ -112,7 +116,7 @@ def doubts(findings: Iterable[Finding]) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("friction", ["nothing", "quadratic 20 %"])
-def test_every_face_says_the_same(friction: str) -> None:
+def test_every_face_says_the_same(friction: str, tmp_path: Path) -> None:
     """Four commands gave four verdicts on one record."""
     record = record_of(TURRET, FRICTIONS[friction](TURRET), "multisine", 1024, 23)
     own = {"model": pmfid.Drive(TURRET.drive.input_gain), "encoder": pmfid.Encoder(record.resolution), "dt": TURRET.dt}
@@ -121,8 +125,21 @@ def test_every_face_says_the_same(friction: str) -> None:
     assert bool(said) == (friction != "nothing")
     assert doubts(pmfid.check(record.u, record.counts, **own)) == said
     validation = pmfid.validate(result, record.u, record.counts)
-    assert [code for code, _ in doubts(validation.findings)] == [code for code, _ in said]
-    assert validation.status == result.status
+    assert doubts(validation.findings) == said
+    assert validation.status == result.status == tuple(dict.fromkeys(code for code, _ in said))
+    write_result(tmp_path, result)
+    assert json.loads((tmp_path / "result.json").read_text())["status"] == list(result.status)
+    page = unescape((tmp_path / "report.html").read_text())
+    assert [text for _, text in said if text not in page] == []
+    assert ("% off" in page) == bool(said)
+
+
+def test_terms_says_of_the_model_that_it_chose_what_identify_says() -> None:
+    record = record_of(TURRET, FRICTIONS["quadratic 20 %"](TURRET), "multisine", 1024, 23)
+    own = {"encoder": pmfid.Encoder(record.resolution), "dt": TURRET.dt}
+    found = pmfid.search_terms(record.u, record.counts, model=pmfid.Drive(TURRET.drive.input_gain), scan=False, **own)
+    assert found.added == {"quadratic": True}
+    assert found.status == pmfid.identify(record.u, record.counts, model=found.model, **own).status == ()
 
 
 def test_terms_that_finds_none_says_what_identify_says() -> None:

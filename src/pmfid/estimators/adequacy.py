@@ -199,13 +199,17 @@ def _tested(best: Best, information: float, slope: Floats, places: Sequence[Plac
     alone, moves = alone[:, apart], moves[:, apart]
     score, expected = alone.T @ slope, np.sum(alone**2, axis=0) * information
     variance = score_variance(best, alone, information, slope)
+    if best.noise is None and not np.any(np.abs(score) > MISSED * np.sqrt(variance)):
+        # something is missing, yet what it leaves hides it: chance is what a force leaves
+        left = slope[:, None] - information * alone * (score / expected)
+        variance = np.minimum(variance, np.maximum(expected, block_scatter(alone * left, difference.recovery)))
     z, size, std = score / np.sqrt(variance), score / expected, np.sqrt(variance) / expected
     found = tuple(lack for lack, there in zip(candidates, apart, strict=True) if there)
     elsewhere = gain_elsewhere(alone * slope[:, None], alone**2 * information)
     unseen = np.linalg.norm(hidden, axis=1)
     of_encoder = slope.size * (1.0 if best.noise is not None else information / 12)
-    left = max(float(slope @ slope) / information - of_encoder, TINY)
-    explained = min(float(np.sqrt(np.max(size**2 * expected, initial=0.0) / left)), 1.0)
+    wrong = max(float(slope @ slope) / information - of_encoder, TINY)
+    explained = min(float(np.sqrt(np.max(size**2 * expected, initial=0.0) / wrong)), 1.0)
     return Adequacy(difference, q, best.noise, found, z, size, std, expected, moves, elsewhere, unseen, explained)
 
 

@@ -39,6 +39,9 @@ DIRECTIONAL: Change = {"friction": "directional", "offset": False}
 #: What a machine may well have: parts of Coulomb friction, of viscous friction, of the motor's force, of a sample, of
 #: the largest input.
 STRIBECK, UNEVEN, CURVED, LATE_BY, DEAD_ZONE = 0.3, 0.15, 0.15, 0.5, 0.03
+#: Parts of the largest input from which on an amplifier may give less.
+KINKS = (0.5, 0.7, 0.9)
+ACTING = "give the input that acts, as [record] input"
 
 
 @dataclass(frozen=True)
@@ -167,8 +170,14 @@ def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator
         change = {"spring": True}
         yield Lack("spring", "a force that grows with the position", _cure(change), place, 0.0, changes=(change,))
     yield Lack("bent_input", "an input that does not act in proportion", "", -gain * u * np.abs(u) / rms(u), 0.0)
-    zone, most = gain * np.sign(u), DEAD_ZONE * float(np.max(np.abs(u)))
-    yield Lack("dead_zone", "a dead zone of the input", "give the input that acts, as [record] input", zone, most)
+    largest = float(np.max(np.abs(u)))
+    for part in KINKS:
+        less = gain * np.sign(u) * np.maximum(np.abs(u) - part * largest, 0.0)
+        yield Lack(
+            "saturated_input", "an input whose largest values act as smaller ones", ACTING, less, 0.0, positive=True
+        )
+    zone, most = gain * np.sign(u), DEAD_ZONE * largest
+    yield Lack("dead_zone", "a dead zone of the input", ACTING, zone, most)
     if difference.equation.roles[MASS] is not None:
         acceleration = np.diff(v, append=v[-1]) / difference.dt
         yield Lack(

@@ -86,7 +86,8 @@ def _views(
 ) -> Iterator[Floats]:
     """Mean squares (p,), one for each way to look at it."""
     follows = isinstance(estimator, Following)
-    yield (_own_moves(found, twin, columns, follows) ** 2 @ believed_squares(found))[: theta.size]
+    squares = _own_moves(found, twin, columns, follows)[: theta.size] ** 2 * believed_squares(found)
+    yield np.sum([np.max(squares[:, own], axis=1) for own in _kinds_of_force(found)], axis=0)
     yield np.maximum((theta - best) ** 2 - std**2, 0.0)
     if found.adequate or (follows and found.follows):
         return
@@ -96,6 +97,13 @@ def _views(
     if follows:
         yield np.maximum((whole[0] - theta) ** 2 - whole[1] - std**2, 0.0)
     yield from _contradictions(twin, columns, found.difference.motion(found.q)[1])
+
+
+def _kinds_of_force(found: Adequacy) -> Iterator[list[int]]:
+    """The places of the forces that are one, tested at several speeds or sizes, of which a machine has one."""
+    names = [lack.name for lack in found.lacks]
+    for name in dict.fromkeys(names):
+        yield [k for k, other in enumerate(names) if other == name]
 
 
 def _contradictions(twin: IV, columns: Columns, velocity: Floats) -> Iterator[Floats]:
