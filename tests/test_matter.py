@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from studies.friction_axes import FRICTIONS
 from studies.machines import Axis, record_of, truth
 from studies.paper.truth import CartRecord
 from studies.real_axes import axis as axis_of
+from studies.verdict import Wrong, _load, random_axis, record
 from tests.test_model_spread import LIFT, TABLE, identified
 
 TURRET = axis_of((0.8, 3.0, 1.7, 5.0), 0.003, 2e-4, 1.1, 0.6)
@@ -106,6 +108,19 @@ def test_where_no_motion_can_be_fitted_the_interval_is_a_number(monkeypatch: pyt
     assert result.interval_95 is not None
     assert np.all(np.isfinite(result.interval_95))
     assert np.all(result.interval_95[:, 0] < result.interval_95[:, 1])
+
+
+def test_a_machine_at_the_edge_of_rest_has_error_bars() -> None:
+    """The model moved where it rested at parameters a millionth beside, and the arrays of both did not fit together."""
+    rng, what = np.random.default_rng([8101, 18]), Wrong(_load, ("levels",), most=0.75)
+    axis = random_axis(rng)
+    rng.integers(len(what.motions))
+    load = what.further(axis, rng)["offset"]
+    made = record(axis, Machine(replace(axis.drive, offset=load)), what, "levels", rng)
+    result = identified(axis, made)
+    assert result.interval_95 is not None
+    assert np.all(np.isfinite(result.interval_95))
+    assert "unmodelled" in result.status
 
 
 # --- one verdict ------------------------------------------------------------------------------------------------------

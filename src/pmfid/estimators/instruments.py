@@ -127,12 +127,11 @@ class Instruments(ProcessSolver, Simulating):
         size = np.maximum(np.abs(theta), 1e-3 * np.max(np.abs(theta)))
         size[[name in (DEAD_TIME, LAG) for name in self.names]] = self.dt
         for i, step in enumerate(JACOBIAN_STEP * size):
-            error = []
-            for side in (step, -step):
-                moved = theta + side * np.eye(theta.size)[i]
-                beside = self.columns_at(moved, u, counts, rests)
-                error.append(beside.z - beside.phi @ moved)
-            jacobian[:, i] = columns.zeta.T @ (error[1] - error[0]) / (2 * step)
+            moved = [theta + side * np.eye(theta.size)[i] for side in (step, -step)]
+            beside = [self.columns_at(at, u, counts, rests) for at in moved]
+            used = columns.used & beside[0].used & beside[1].used  # one that moves where the other rests uses others
+            error = [(side.z - side.phi @ at)[used[side.used]] for side, at in zip(beside, moved, strict=True)]
+            jacobian[:, i] = columns.zeta[used[columns.used]].T @ (error[1] - error[0]) / (2 * step)
         return inverse_of(jacobian)
 
     def start(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
