@@ -148,9 +148,11 @@ def controlled_record(
     rng: np.random.Generator | None = None,
 ) -> CartRecord:
     """One run under position control along a reference (n,); exact as `driven_counts`."""
-    control, dt = dict(axis.control), axis.dt
+    (kp, kd, u_max), dt = (axis.control[name] for name in ("kp", "kd", "u_max")), axis.dt
     if machine == Machine(machine.drive):
-        moved, counts = position_control(machine.drive, reference, dt, resolution=resolution, phase=phase, **control)
+        moved, counts = position_control(
+            machine.drive, reference, dt, kp=kp, kd=kd, u_max=u_max, resolution=resolution, phase=phase
+        )
         return CartRecord(moved.u, counts, resolution)
-    run = control_machine(machine, reference, dt, resolution, phase=phase, rng=rng, **control)
+    run = control_machine(machine, reference, dt, resolution, kp=kp, kd=kd, u_max=u_max, phase=phase, rng=rng)
     return CartRecord(run.u, run.counts, resolution)

@@ -22,6 +22,7 @@ from pmfid.types import Floats
 from studies.machines import TONES, Axis, controlled_record, driven_counts, truth
 from studies.paper.truth import CartRecord, Study, Task, table, tally, triple
 from studies.real_axes import axis as axis_of
+from studies.record_parts import RECORD_PARTS
 from studies.sections import Page, by_name
 
 SAMPLES = (2500, 5000)
@@ -171,9 +172,10 @@ def record(axis: Axis, machine: Machine, what: Wrong, motion: str, rng: Rng) -> 
 @dataclass(frozen=True)
 class Told:
     """What `identify` says of a record. error, std, half: each (3,), in parts of the truth, half of the interval above
-    the value; None where it refuses; status: or the reason."""
+    the value; None where it refuses; status: or the reason; shown: can this input show a dead zone?"""
 
     status: tuple[str, ...]
+    shown: bool
     error: Floats | None = None
     std: Floats | None = None
     half: Floats | None = None
@@ -187,15 +189,16 @@ class Told:
 
 
 def work(wrong: str, seed: int) -> Told:
-    axis, _, made = run(wrong, seed)
+    axis, motion, made = run(wrong, seed)
+    shown = motion != "binary"
     model, encoder, known = pmfid.Drive(axis.drive.input_gain), pmfid.Encoder(made.resolution), truth(axis)
     try:
         found = pmfid.identify(made.u, made.counts, model=model, encoder=encoder, dt=axis.dt)
     except pmfid.NotIdentifiableError as error:
-        return Told((str(error),))
+        return Told((str(error),), shown)
     assert found.interval_95 is not None
     theta, std, interval = found.theta[:3], found.theta_std[:3], found.interval_95[:3]
-    return Told(found.status, (theta - known) / known, std / known, (interval[:, 1] - theta) / known)
+    return Told(found.status, shown, (theta - known) / known, std / known, (interval[:, 1] - theta) / known)
 
 
 def tasks(seeds: int) -> list[Task]:
@@ -215,8 +218,9 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         f"more than {BARS:g} standard deviations and {TOLERANCE:.0%}; silent: those without a status. Covered: runs in "
         "percent whose 95 % interval contains the parameter, by mass, viscous and Coulomb friction, and all three at "
         f"once. Length: half the interval over {NORMAL_95} errors, both root mean squares over the runs. Under a "
-        "binary input a dead zone shows nowhere, so a note tells it, and the last row leaves it out. No constant was "
-        "chosen on these seeds.",
+        "binary input a dead zone shows nowhere: every such interval holds one, and a note says so. Length leaves such "
+        "inputs out but in the row of that dead zone, and the last row leaves that out. No constant was chosen on "
+        "these seeds.",
         "",
         *table([*header, "status"], rows),
     ]
@@ -226,8 +230,9 @@ def _row(name: str, told: Sequence[Told], every: bool = False) -> list[str]:
     found = [one for one in told if one.error is not None]
     empty, matters = [one for one in found if not one.status], [one for one in found if one.matters]
     error, half = (np.array([getattr(one, part) for one in found]).reshape(-1, 3) for part in ("error", "half"))
-    inside = np.abs(error) <= half
-    length = np.sqrt(np.mean(half**2, axis=0) / np.mean(error**2, axis=0)) / NORMAL_95
+    inside, shown = np.abs(error) <= half, np.array([one.shown for one in found])
+    shown |= not shown.any()
+    length = np.sqrt(np.mean(half[shown] ** 2, axis=0) / np.mean(error[shown] ** 2, axis=0)) / NORMAL_95
     counts = len(told), len(told) - len(found), len(empty), len(matters), len([one for one in empty if one.matters])
     return [
         name,
@@ -244,7 +249,7 @@ INTRODUCTION = """\
 What is found becomes a status where it may move a parameter by more than `[estimator] tolerance`, 1 % if nothing else
 is said, and by more than noise; else it is a note. A status that is always up says nothing, and one that is empty
 beside a wrong number is the worst."""
-PAGE = Page("verdict", "Does the status mean something?", INTRODUCTION, by_name(STUDY), SEEDS)
+PAGE = Page("verdict", "Does the status mean something?", INTRODUCTION, by_name(STUDY, RECORD_PARTS), SEEDS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,0 +1,84 @@
+"""Section: measured records cut in four. Do the estimates from the parts agree, and how long are their intervals?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+import pmfid
+from pmfid.types import Floats
+from studies.paper.truth import Study, Task, table
+from studies.predicted import Motion
+from studies.prediction_emps import EMPS, measured
+
+#: Logs of a cart under relay current: 150 Hz, travel per count [m], force per current [N/A].
+CART, CART_DT, STEP, FORCE = EMPS.parents[1] / "real" / "cart_relay", 1 / 150, 8.8e-5, 3.3357
+PARTS = 4
+#: Half of an interval is at most so many times the scatter of the parts.
+LONGEST = 4.0
+#: Value from each part that has one (k,), and half its interval (k,).
+Parts = tuple[Floats, Floats]
+
+
+def tasks(seeds: int) -> list[Task]:
+    """One for each record that is there."""
+    emps = [("EMPS",)] if EMPS.exists() else []
+    return [*emps, *((path.stem,) for path in sorted(CART.glob("*.csv")))]
+
+
+def _cart(name: str) -> Motion:
+    """On an even clock, without the first two rows."""
+    time, current, position = np.loadtxt(CART / f"{name}.csv", delimiter=",", usecols=(0, 1, 2), skiprows=2).T
+    even = np.arange(time[0], time[-1], CART_DT)
+    last = np.searchsorted(time, even + CART_DT / 4) - 1
+    return Motion(current[last], np.rint(position[last] / STEP).astype(np.int64), STEP, CART_DT)
+
+
+def work(name: str) -> dict[str, Parts]:
+    """The parts' estimates, by parameter."""
+    emps = name == "EMPS"
+    whole = measured(5e-8) if emps else _cart(name)
+    model = pmfid.Drive(1.0, offset=True) if emps else pmfid.Drive(FORCE)
+    found = list(_identified(whole, model))
+    return {
+        key: (np.array([theta[i] for theta, _ in found]), np.array([half[i] for _, half in found]))
+        for i, key in enumerate(model.equation.names)
+    }
+
+
+def _identified(whole: Motion, model: pmfid.Drive) -> Iterator[Parts]:
+    encoder, dt = pmfid.Encoder(whole.resolution), whole.dt
+    for part in np.array_split(np.arange(whole.u.size), PARTS):
+        try:
+            found = pmfid.identify(whole.u[part], whole.counts[part], model=model, encoder=encoder, dt=dt)
+        except pmfid.NotIdentifiableError:
+            continue
+        assert found.interval_95 is not None
+        yield found.theta, np.ptp(found.interval_95, axis=1) / 2
+
+
+def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
+    cells = [(name, key, *parts) for (name,), by_key in results.items() for key, parts in by_key.items()]
+    rows, short = [], 0
+    for name, key, values, half in cells:
+        pairs = list(combinations(range(values.size), 2))
+        agree = sum(abs(values[i] - values[j]) <= np.hypot(half[i], half[j]) for i, j in pairs)
+        length = float(np.sqrt(np.mean(half**2)) / np.std(values, ddof=1)) if values.size > 1 else np.nan
+        short += length <= LONGEST
+        each = ", ".join(f"{value:.4g} ± {h:.2g}" for value, h in zip(values, half, strict=True))
+        rows.append([name, key, each, f"{agree} of {len(pairs)}", f"{length:.1f}"])
+    return [
+        "## Measured records in four parts",
+        "",
+        f"Of {len(cells)} cells {short} have half an interval of at most {LONGEST:g} times the scatter of the parts. "
+        "The parts repeat one motion. An error of the model that is the same in each is in the interval, and not in "
+        "the scatter.",
+        "",
+        *table(["record", "parameter", "parts", "pairs that agree", "half interval over scatter"], rows),
+    ]
+
+
+RECORD_PARTS = Study("records", tasks, work, write)
