@@ -92,7 +92,7 @@ def measured() -> dict[str, float]:
             peak = pool.apply(memory, (path, small))
         polars, reading = cpu(lambda: pl.read_csv(path)), cpu(lambda: read_record(path, AXIS))
         record = read_record(path, AXIS)
-    estimator = pmfid.RIV(pmfid.Drive(CART.input_gain), AXIS.encoder.made(STEP), record.dt, 20.0)
+    estimator = pmfid.RIV(pmfid.Drive(CART.input_gain), AXIS.encoder.make_encoder(STEP), record.dt, 20.0)
     run = cpu(lambda: estimator.run(record.u, record.counts))
     return {"polars": polars, "reading": reading, "run": run, "peak": peak, "columns": COLUMNS}
 

@@ -20,8 +20,8 @@ from pmfid.estimators.bridges import gaps_in
 from pmfid.estimators.iv import IV, RIV
 from pmfid.models.drive import Drive
 from pmfid.monitor.lost import guess, longest
-from pmfid.session.gaps.motion import by_motion, doubt
-from pmfid.session.gaps.standing import ALWAYS, filled, gaps_of, is_held
+from pmfid.session.gaps.motion import doubt, fill_by_motion
+from pmfid.session.gaps.standing import ALWAYS, fill_gaps, gaps_of, is_held
 from pmfid.simulation import prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
@@ -120,8 +120,8 @@ def estimated(bench: Bench, seed: int, loss: str) -> Found:
     (method, run, there), more, true = lost(bench, seed, loss), np.zeros(3), truth(AXES[bench.axis])
     u, counts = run.u, run.counts
     if loss:
-        u, counts, there = filled(run.u[there], run.counts[there], np.flatnonzero(there))
-        u, counts = by_motion(method, u, counts, there) or (u, counts)
+        u, counts, there = fill_gaps(run.u[there], run.counts[there], np.flatnonzero(there))
+        u, counts = fill_by_motion(method, u, counts, there) or (u, counts)
         more = doubt(method, u, counts, there)
     fit = method.fit(u, counts)
     tracks = [
@@ -168,7 +168,7 @@ def information_left(bench: Bench, seed: int, loss: str) -> Floats:
     """(3,) by how much the Cramer-Rao bounds grow. A held input is known in a gap that is filled, for its instants can
     be told; another to what the samples near by leave of it; in a gap that is left out, or long, not at all."""
     method, run, there = lost(bench, seed, loss)
-    line, _, there = filled(run.u[there], run.counts[there], np.flatnonzero(there))
+    line, _, there = fill_gaps(run.u[there], run.counts[there], np.flatnonzero(there))
     held, gap, unknown = is_held(run.u, there), gaps_of(there), np.zeros(there.size)
     short = ~there & np.isfinite(line)
     if not held and np.any(short):

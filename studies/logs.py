@@ -17,7 +17,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.session.config import Axis
 from pmfid.session.guess.axis_file import guess
 from pmfid.session.identify import identify, kind_of
-from pmfid.session.toml_file import validated
+from pmfid.session.toml_file import validate_sections
 from pmfid.session.units import Quantity, gain
 from pmfid.types import Floats
 from studies.log_bench import BENCHES, Keys, Log
@@ -53,7 +53,7 @@ Judge = Callable[[Log, Path, Floats], Outcome]
 
 def by_config(path: Path, keys: Keys) -> Floats:
     """The estimate that `pmfid identify` gives with these keys. Raises as it does."""
-    axis = validated(Axis, keys)
+    axis = validate_sections(Axis, keys)
     return identify(kind_of(axis).read([path], axis), axis).theta
 
 

@@ -13,7 +13,7 @@ from pmfid.encoder import Encoder
 from pmfid.errors import PmfidError
 from pmfid.models.drive import Drive
 from pmfid.session.arrays import search_terms
-from pmfid.session.nested import spoken
+from pmfid.session.nested import format_terms
 from studies.paper.truth import Study, Task, table
 from studies.predicted import EXPLAINED, METHODS, Motion, Predicted, free_run, predicted
 
@@ -65,7 +65,7 @@ def after_search(method: str, train: Motion, test: Motion) -> Predicted | None:
     except PmfidError:
         return None
     found = predicted(terms.model, method, CUTOFF, train, test)
-    return found and replace(found, searched=spoken(terms.added) or "nothing")
+    return found and replace(found, searched=format_terms(terms.added) or "nothing")
 
 
 def measured(resolution: float) -> Motion:

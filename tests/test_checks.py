@@ -22,7 +22,7 @@ from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
 from pmfid.findings import Finding, codes, sort_findings
 from pmfid.judge.matter import OF_LOG
 from pmfid.report.result import write_result
-from pmfid.session.checks import checked
+from pmfid.session.checks import check_record
 from pmfid.session.config import Axis
 from pmfid.session.identify import check, identify
 from pmfid.session.records import Record, record_of
@@ -51,7 +51,7 @@ def found_in(fault: str) -> tuple[Finding, ...]:
     log = log_of(fault)
     if fault == JUDGED:
         return check(log.record(), log.configuration)
-    return checked(log.record(), log.configuration)
+    return check_record(log.record(), log.configuration)
 
 
 def plainly(record: Record, axis: Axis) -> Result | NotIdentifiableError:
@@ -79,7 +79,7 @@ def test_the_fault_is_named_with_its_remedy(fault: str) -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_a_clean_log_has_no_fault(seed: int) -> None:
     log = clean(seed, AXES)
-    assert checked(log.record(), log.configuration) == ()
+    assert check_record(log.record(), log.configuration) == ()
 
 
 # --- one sentence -----------------------------------------------------------------------------------------------------

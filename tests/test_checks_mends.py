@@ -11,16 +11,16 @@ from click.testing import CliRunner
 
 from pmfid.cli.main import main
 from pmfid.findings import Finding, codes
-from pmfid.session.checks import checked
-from pmfid.session.checks.readings import as_velocity
+from pmfid.session.checks import check_record
+from pmfid.session.checks.readings import convert_velocity
 from pmfid.session.checks.stops import long_stops, sudden
-from pmfid.session.outliers import believed
+from pmfid.session.outliers import repair_record
 from studies.check_logs import ALL, Logged, clean, faulty, limited
 from tests.test_checks import written
 
 
 def found_in(log: Logged) -> tuple[str, ...]:
-    return codes(checked(log.record(), log.configuration))
+    return codes(check_record(log.record(), log.configuration))
 
 
 @pytest.mark.parametrize("seed", [3006, 3019])
@@ -30,7 +30,7 @@ def test_a_velocity_is_read_as_it_stands(seed: int) -> None:
 
 
 def test_an_axis_at_rest_stays_where_it_is() -> None:
-    encoder, counts = as_velocity(np.array([0, 0, 5, 5, 0, 0, 0]), 1e-3, 0.1)
+    encoder, counts = convert_velocity(np.array([0, 0, 5, 5, 0, 0, 0]), 1e-3, 0.1)
     assert np.ptp(counts[:2]) == np.ptp(counts[5:]) == 0
     assert encoder.position(counts)[-1] - encoder.position(counts)[0] == pytest.approx(1e-3, rel=1e-6)
 
@@ -81,7 +81,7 @@ def test_a_short_record_whose_input_explains_it_is_not() -> None:
     log = clean(5023)
     record = log.record()
     short = replace(record, u=record.u[:120], counts=record.counts[:120])
-    assert "rate_low" not in codes(checked(short, log.configuration))
+    assert "rate_low" not in codes(check_record(short, log.configuration))
 
 
 # --- limits of the input ----------------------------------------------------------------------------------------------
@@ -90,7 +90,7 @@ def test_a_short_record_whose_input_explains_it_is_not() -> None:
 def test_what_the_log_cuts_off_is_told_from_the_limit_of_the_drive() -> None:
     assert found_in(faulty("saturated input", 3027)) == ("saturated",)
     log = limited(3041)
-    found = checked(log.record(), log.configuration)
+    found = check_record(log.record(), log.configuration)
     assert [(one.code, one.severity) for one in found] == [("saturated", "note")]
 
 
@@ -114,10 +114,10 @@ def test_a_sign_is_not_told_from_what_explains_nothing() -> None:
 
 def test_a_motion_that_starts_with_all_its_force_has_no_wrong_first_row() -> None:
     record = clean(1037).record()
-    assert believed(record).findings == ()
-    assert believed(replace(record, counts=record.counts[::-1].copy())).findings == ()
+    assert repair_record(record).findings == ()
+    assert repair_record(replace(record, counts=record.counts[::-1].copy())).findings == ()
     wrong = replace(record, counts=np.r_[500, record.counts[1:]])
-    assert [one.code for one in believed(wrong).findings] == ["count_jump"]
+    assert [one.code for one in repair_record(wrong).findings] == ["count_jump"]
 
 
 def test_findings_are_told_by_their_weight() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.models.drive import Drive
-from pmfid.session.design_run import appraised, designed, read_run
+from pmfid.session.design_run import read_run, run_appraisal, run_design
 from pmfid.session.design_spec import Spec, load_spec, make_problem
 from studies.design_case import case
 
@@ -100,7 +100,7 @@ def test_parts_that_do_not_fit_are_one_line(overrides: dict[str, object], messag
 def test_parameters_that_no_input_tells_are_named() -> None:
     both = spec(drive__offset=0.2, experiment__unknown=["mass", "coulomb_friction", "offset"], search__starts=2)
     with pytest.raises(NotIdentifiableError, match="coulomb_friction from offset"):
-        designed(both)
+        run_design(both)
     # what is known beforehand tells them apart
     prior = spec(
         drive__offset=0.2,
@@ -108,7 +108,7 @@ def test_parameters_that_no_input_tells_are_named() -> None:
         search__starts=2,
         prior__offset=0.01,
     )
-    std = designed(prior).predicted_std
+    std = run_design(prior).predicted_std
     assert std["offset"] == pytest.approx(0.01, rel=1e-3)
     assert std["coulomb_friction"] == pytest.approx(0.01, rel=0.1)
 
@@ -129,11 +129,11 @@ def test_missing_parts_are_named(tmp_path: Path) -> None:
 
 def test_criterion_c_wants_its_combination() -> None:
     wanted = spec(experiment__criterion="c", experiment__weights={"mass": 1.0}, search__starts=3)
-    found = appraised(wanted, designed(wanted))
-    alone = designed(spec(experiment__criterion="D", search__starts=3))
+    found = run_appraisal(wanted, run_design(wanted))
+    alone = run_design(spec(experiment__criterion="D", search__starts=3))
     assert found.design.predicted_std["mass"] < alone.predicted_std["mass"]
     with pytest.raises(UsageError, match="combination"):
-        designed(spec(experiment__criterion="c", search__starts=3))
+        run_design(spec(experiment__criterion="c", search__starts=3))
 
 
 def test_a_record_needs_the_resolution(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.results import Columns
 from pmfid.findings import texts
-from pmfid.session.checks import checked
+from pmfid.session.checks import check_record
 from pmfid.session.compare import compare
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.diagnosis import check_direction
@@ -69,7 +69,7 @@ def axis_of(output_kind: str = "position", method: str = "auto", **model: object
 
 def named(record: Record, axis: Axis) -> str:
     """What is wrong with the log, as one sentence."""
-    return "; ".join(texts(checked(record, axis)))
+    return "; ".join(texts(check_record(record, axis)))
 
 
 MISTAKES = {

@@ -74,7 +74,11 @@ def codes_in(path: Path) -> set[str]:
     """Names that a module gives to what it finds, but for notes, which are in no status."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        named = isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("Finding", "_said")
+        named = (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id in ("Finding", "_make_finding")
+        )
         if not (named and isinstance(node.args[0], ast.Constant)):
             continue
         given = [*node.args, *(keyword.value for keyword in node.keywords)]

@@ -19,7 +19,7 @@ import zstandard
 from pmfid.errors import UsageError
 from pmfid.session.config import Axis
 from pmfid.session.formats.reading import READERS, read_table
-from pmfid.session.formats.signals import Signal, Signals
+from pmfid.session.formats.signals import ClockedSignals, Signal
 from pmfid.session.records import Record, read_record
 from pmfid.session.tables import column, whole_name
 from tests.formats import WRITERS, wpilog_record, write_excel, write_matlab_7_3
@@ -180,7 +180,7 @@ def test_signals_with_clocks_of_their_own_stand_side_by_side(tmp_path: Path) -> 
 
 def test_the_clock_is_that_of_the_output_from_where_the_input_has_begun() -> None:
     slow, fast = np.arange(20) * 0.01 + 0.05, np.arange(300) * 0.001
-    table = Signals({"u": Signal(slow, np.arange(20.0)), "y": Signal(fast, np.arange(300.0))}).on("y", ("u",))
+    table = ClockedSignals({"u": Signal(slow, np.arange(20.0)), "y": Signal(fast, np.arange(300.0))}).align("y", ("u",))
     assert column(table, "time", "time")[0] == pytest.approx(0.05)
     assert not np.isnan(column(table, "input", "u")).any()
     assert list(table) == ["time", "u", "y"]

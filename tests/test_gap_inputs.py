@@ -13,8 +13,8 @@ from pmfid.estimators.rls import RLS
 from pmfid.monitor.lost import GuessedSamples, guess, longest
 from pmfid.session.config import Axis
 from pmfid.session.gaps.local import Polynomial, best_of
-from pmfid.session.gaps.motion import by_motion
-from pmfid.session.gaps.standing import filled, is_held, missing_said
+from pmfid.session.gaps.motion import fill_by_motion
+from pmfid.session.gaps.standing import fill_gaps, is_held, missing_said
 from pmfid.session.identify import kind_of
 from pmfid.session.records import Record
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
@@ -58,7 +58,7 @@ def test_bends_of_an_input_are_not_cut_short() -> None:
     """A line through the neighbours took 0.5 % off the input in every gap, and as much off the mass."""
     u = waving()
     there = kept(u.size, 0.1)
-    found = filled(u[there], np.zeros(there.sum(), np.int64), np.flatnonzero(there))[0]
+    found = fill_gaps(u[there], np.zeros(there.sum(), np.int64), np.flatnonzero(there))[0]
     missed, smooth = (found - wave())[~there], wave()[~there]
     assert abs(missed @ smooth / (smooth @ smooth)) < 1e-3
     assert np.std(missed) < 0.003
@@ -68,8 +68,10 @@ def test_what_is_left_out_says_what_is_taken() -> None:
     rng, places = np.random.default_rng(3), np.arange(2000)
     assert best_of(rng.standard_normal(2000), places) == Polynomial(0, 8)
     smooth = np.sin(0.2 * places)
-    assert best_of(smooth, places).missed(smooth, places, 1) < 0.02 * Polynomial(1, 1).missed(smooth, places, 1)
-    assert Polynomial(1, 1).missed(smooth, places, 20) > 50 * Polynomial(1, 1).missed(smooth, places, 1)
+    assert best_of(smooth, places).estimate_error(smooth, places, 1) < 0.02 * Polynomial(1, 1).estimate_error(
+        smooth, places, 1
+    )
+    assert Polynomial(1, 1).estimate_error(smooth, places, 20) > 50 * Polynomial(1, 1).estimate_error(smooth, places, 1)
     assert best_of(smooth[:3], places[:3]) == Polynomial(1, 1)
 
 
@@ -77,7 +79,7 @@ def test_samples_beyond_another_gap_hardly_count() -> None:
     u, there = waving(400), np.ones(400, bool)
     there[[200, *range(202, 262)]] = False
     places = np.flatnonzero(there)
-    assert abs(Polynomial(3, 8).on_grid(u[places], places)[200] - u[200]) < 0.05
+    assert abs(Polynomial(3, 8).fill_grid(u[places], places)[200] - u[200]) < 0.05
 
 
 def test_an_input_that_rests_now_and_then_is_not_held() -> None:
@@ -86,7 +88,7 @@ def test_an_input_that_rests_now_and_then_is_not_held() -> None:
     u[1000:2800] = 0.0
     assert not is_held(u, there)
     assert is_held(np.repeat(waving(300), 10), there)
-    line = filled(u[there], np.zeros(there.sum(), np.int64), np.flatnonzero(there))[0]
+    line = fill_gaps(u[there], np.zeros(there.sum(), np.int64), np.flatnonzero(there))[0]
     assert np.all(np.isfinite(line))
 
 
@@ -94,7 +96,7 @@ def test_long_gaps_under_control_are_left_out_where_the_counts_tell_more() -> No
     """Filled, the mass was 0.06 % off, and behind gaps of 50 samples 1.1 %. The note says what became of them."""
     axis, run = AXES["heavy"], machine_record(AXES["heavy"], "nothing", "stop-and-go", 4096, 40)
     there = kept(run.u.size, 0.1, 20)[:2500]
-    line, counts, _ = filled(run.u[:2500][there], run.counts[:2500][there], np.flatnonzero(there))
+    line, counts, _ = fill_gaps(run.u[:2500][there], run.counts[:2500][there], np.flatnonzero(there))
     said, other = missing_said(line, there), "another note"
     config = Axis.model_validate(
         {
@@ -105,7 +107,7 @@ def test_long_gaps_under_control_are_left_out_where_the_counts_tell_more() -> No
         }
     )
     record = Record(line, counts, axis.dt, run.resolution, (said, other), "run", there=there)
-    found = kind_of(config).completed(record, config)
+    found = kind_of(config).complete_record(record, config)
     np.testing.assert_array_equal(np.isnan(found.u), ~there)
     assert "filled in" in said
     assert found.notes == (missing_said(found.u, there), other)
@@ -120,7 +122,7 @@ def test_a_short_gap_of_a_smooth_input_is_filled() -> None:
     axis, run = AXES["rotary"], machine_record(AXES["rotary"], "nothing", "multisine", 4096, 22)
     there = kept(run.u.size, 0.2)
     method = IV(Drive(axis.drive.input_gain), Encoder(run.resolution), axis.dt, 30.0)
-    found = by_motion(method, *filled(run.u[there], run.counts[there], np.flatnonzero(there)))
+    found = fill_by_motion(method, *fill_gaps(run.u[there], run.counts[there], np.flatnonzero(there)))
     assert found is not None
     assert np.all(np.isfinite(found[0]))
     assert abs(method.settle_iteration(*found)[1][0] / truth(axis)[0] - 1) < 3e-4  # of lines 8e-4

@@ -16,9 +16,9 @@ from pmfid.estimators.restarts import Restart
 from pmfid.estimators.rls import RLS
 from pmfid.session.config import Axis
 from pmfid.session.gaps.longest import unbroken
-from pmfid.session.gaps.motion import by_motion
-from pmfid.session.gaps.places import laid
-from pmfid.session.gaps.standing import filled
+from pmfid.session.gaps.motion import fill_by_motion
+from pmfid.session.gaps.places import place_rows
+from pmfid.session.gaps.standing import fill_gaps
 from pmfid.session.identify import identify as identify_record
 from pmfid.session.identify import kind_of
 from pmfid.session.records import Record
@@ -74,9 +74,9 @@ def axis(method: str = "iv", **record: object) -> Axis:
 def test_the_motion_tells_when_a_held_input_changed(part: float) -> None:
     u, counts = run()
     there = kept(u.size, part)
-    line, whole, own = filled(u[there], counts[there], np.flatnonzero(there))
+    line, whole, own = fill_gaps(u[there], counts[there], np.flatnonzero(there))
     assert np.any(line != u)  # the line between the neighbours does not know it
-    found = by_motion(IV(**SETTINGS), line, whole, own)
+    found = fill_by_motion(IV(**SETTINGS), line, whole, own)
     assert found is not None
     np.testing.assert_allclose(found[0], u, atol=1e-9)
     assert np.max(np.abs(found[1] - counts)) <= 1
@@ -85,7 +85,7 @@ def test_the_motion_tells_when_a_held_input_changed(part: float) -> None:
 def test_a_gap_longer_than_the_input_is_held_is_not_filled() -> None:
     u, counts = run()
     there = kept(u.size, 0.02, 50)
-    line = filled(u[there], counts[there], np.flatnonzero(there))[0]
+    line = fill_gaps(u[there], counts[there], np.flatnonzero(there))[0]
     np.testing.assert_array_equal(np.isnan(line), ~there)
 
 
@@ -218,7 +218,7 @@ def test_stamps_on_no_grid_are_refused(tmp_path: Path) -> None:
 def test_a_pause_need_not_be_whole() -> None:
     time = np.r_[np.arange(50), 50 + 130.4 + np.arange(50)] * DT
     config = axis().record
-    found = laid(time, np.ones(100, bool), np.zeros(100, bool), config)
+    found = place_rows(time, np.ones(100, bool), np.zeros(100, bool), config)
     assert found.dt == pytest.approx(DT, rel=1e-9)
     assert np.diff(found.places)[49] == 131
 
@@ -270,7 +270,7 @@ def test_a_row_right_behind_another_costs_no_record() -> None:
             "model": {"input_gain": 1.0},
         }
     ).record
-    rows = laid(time, np.ones(301, bool), np.zeros(301, bool), config)
+    rows = place_rows(time, np.ones(301, bool), np.zeros(301, bool), config)
     assert rows.dt == pytest.approx(DT, rel=1e-3)
     assert rows.rows.size == 300
     assert "1 row comes less than 0.3 of a period behind another: left out" in rows.notes

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import pmfid
 from pmfid import RIV, RLS, Drive, Encoder, Status
-from pmfid.session.checks import checked
+from pmfid.session.checks import check_record
 from pmfid.simulation import CART, quantize, simulate_drive
 from studies import glitch_sizes
 from studies.glitches import AXES, STDS, SUSPICIOUS, effects, make
@@ -180,5 +180,5 @@ def test_wrong_readings_are_no_velocity() -> None:
     counts[places] += rng.choice([-1, 1], places.size) * rng.integers(100_000, 10_000_000, places.size)
     axis = axis_of()
     axis = axis.model_copy(update={"encoder": axis.encoder.model_copy(update={"guard": False})})
-    (finding, *_) = checked(replace(record, counts=counts), axis)
+    (finding, *_) = check_record(replace(record, counts=counts), axis)
     assert finding.text.startswith("the counts jump by")

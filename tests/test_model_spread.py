@@ -16,7 +16,7 @@ from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.lacks import DEAD_ZONE
 from pmfid.judge.matter import NORMAL_95
 from pmfid.judge.spread import ODDS, believed_squares
-from pmfid.session.parameters import UNKNOWN, between, parameter_header, parameter_rows
+from pmfid.session.parameters import UNKNOWN, format_interval, parameter_header, parameter_rows
 from pmfid.session.result import DriveResult
 from pmfid.simulation import CART, CART_DT, DriveParameters, Machine, drive_machine, prbs
 from pmfid.types import Floats
@@ -300,6 +300,6 @@ def test_the_study_measures_length_by_the_scatter_of_the_errors() -> None:
 
 def test_an_interval_has_the_digits_of_its_width() -> None:
     """It was 1.07 to 1.07."""
-    assert between(1.0699875, 1.0700126) == "1.069988 to 1.070013"
-    assert between(-3.2, 20.0) == "-3.2 to 20"
-    assert between(2.0, 2.0) == "2 to 2"
+    assert format_interval(1.0699875, 1.0700126) == "1.069988 to 1.070013"
+    assert format_interval(-3.2, 20.0) == "-3.2 to 20"
+    assert format_interval(2.0, 2.0) == "2 to 2"

@@ -25,7 +25,7 @@ from pmfid.cli.main import main
 from pmfid.errors import UsageError
 from pmfid.session.config import load_axis
 from pmfid.session.monitored.cache import cache_dir
-from pmfid.session.monitored.run import MOST_ROWS, History
+from pmfid.session.monitored.run import MOST_ROWS, RunHistory
 from pmfid.session.monitored.sinks import CsvSink, ParquetSink
 from pmfid.session.monitored.stream import Stop, line_samples
 from pmfid.session.monitored.timeline import Sample, Skipped
@@ -363,7 +363,7 @@ class Known:
 
 
 def test_the_history_stays_small() -> None:
-    history = History()
+    history = RunHistory()
     for k in range(5 * MOST_ROWS):
         estimate = Known()
         if k == 12_345:

@@ -20,7 +20,7 @@ from pmfid.service.secrets import secret
 from pmfid.service.sources.mqtt import MqttSection, MqttSource
 from pmfid.service.wire.blocks import encode
 from pmfid.service.wire.sender import Sender
-from pmfid.session.toml_file import FileSection, validated
+from pmfid.session.toml_file import FileSection, validate_sections
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.engine import FakeEngine, wait_for
 from tests.service.test_lines import axis
@@ -328,7 +328,7 @@ class Plant(FileSection):
 )
 def test_a_section_that_cannot_work_is_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        validated(Plant, {"source": {"kind": "mqtt", "topics": ["a"], **change}})
+        validate_sections(Plant, {"source": {"kind": "mqtt", "topics": ["a"], **change}})
 
 
 @pytest.mark.parametrize(
@@ -336,12 +336,12 @@ def test_a_section_that_cannot_work_is_refused(change: dict[str, object], messag
 )
 def test_a_password_may_go_where_nobody_else_reads_it(change: dict[str, object]) -> None:
     section = {"kind": "mqtt", "topics": ["a"], "host": "broker.example", "user": "u", "password_env": "A"}
-    assert validated(Plant, {"source": {**section, **change}}).source.user == "u"
+    assert validate_sections(Plant, {"source": {**section, **change}}).source.user == "u"
 
 
 def test_the_password_in_an_address_is_not_repeated() -> None:
     with pytest.raises(UsageError, match=r"host = 'mqtt://\.\.\.@hall/': it should be a name") as error:
-        validated(Plant, {"source": {"kind": "mqtt", "topics": ["a"], "host": "mqtt://me:hidden@hall/"}})
+        validate_sections(Plant, {"source": {"kind": "mqtt", "topics": ["a"], "host": "mqtt://me:hidden@hall/"}})
     assert "hidden" not in str(error.value)
 
 

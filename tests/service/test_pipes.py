@@ -20,7 +20,7 @@ from pmfid.service.sources.serial import SerialSection, SerialSource
 from pmfid.service.wire.blocks import encode
 from pmfid.service.wire.splitter import LineSplitter
 from pmfid.session.monitored.stream import FIRST_LINES, LONGEST_LINE
-from pmfid.session.toml_file import FileSection, validated
+from pmfid.session.toml_file import FileSection, validate_sections
 from tests.service.engine import FakeEngine, wait_for
 from tests.service.test_lines import axis
 
@@ -142,7 +142,7 @@ class Plant(FileSection):
 )
 def test_a_section_that_cannot_work_is_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        validated(Plant, {"source": {"kind": "serial", "port": "a", **change}})
+        validate_sections(Plant, {"source": {"kind": "serial", "port": "a", **change}})
 
 
 @pytest.mark.parametrize(("name", "header", "message"), [("x9", None, "no such axis"), ("x1", "t,v", "no column 'u'")])

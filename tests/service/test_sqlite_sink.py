@@ -17,7 +17,7 @@ from pmfid.errors import UsageError
 from pmfid.service.outcome import Notice, Rows
 from pmfid.service.sinks import sqlite
 from pmfid.service.sinks.sqlite import SqliteSection, SqliteSink
-from pmfid.session.toml_file import FileSection, validated
+from pmfid.session.toml_file import FileSection, validate_sections
 from tests.service.feed import Host, alarm, block, kindred, notice, until
 from tests.service.kills import killed_after
 
@@ -184,7 +184,7 @@ def test_a_misspelt_key_is_named() -> None:
         alarms: SqliteSection
 
     with pytest.raises(UsageError, match="file is an unknown key; known are"):
-        validated(Whole, {"alarms": {"kind": "sqlite", "file": "a"}})
+        validate_sections(Whole, {"alarms": {"kind": "sqlite", "file": "a"}})
 
 
 WRITER = """

@@ -16,7 +16,7 @@ import pmfid.service
 from pmfid.errors import UsageError
 from pmfid.service.sinks import RefusedError
 from pmfid.service.sinks.webhook import EVENTS, WebhookSection, WebhookSink
-from pmfid.session.toml_file import FileSection, validated
+from pmfid.session.toml_file import FileSection, validate_sections
 from tests.service.feed import Host, alarm, block, kindred, notice, until
 from tests.service.web_servers import bad_server, web_server
 
@@ -205,7 +205,7 @@ def test_a_section_that_cannot_be_is_told(keys: dict[str, object], problem: str)
         hook: WebhookSection
 
     with pytest.raises(UsageError, match=problem):
-        validated(Whole, {"hook": {"kind": "webhook", **keys}})
+        validate_sections(Whole, {"hook": {"kind": "webhook", **keys}})
 
 
 def test_all_events_of_the_service_are_known() -> None:

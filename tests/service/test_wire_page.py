@@ -19,7 +19,7 @@ from pmfid.service.web.config import PORT
 from pmfid.service.wire.layout import MOST_SAMPLES
 from pmfid.service.wire.messages import LARGEST, Messages
 from pmfid.service.wire.points import MOST_POINTS, Readers
-from pmfid.session.toml_file import FileSection, validated
+from pmfid.session.toml_file import FileSection, validate_sections
 from tests.service.test_lines import axis
 
 ROOT = Path(__file__).parents[2]
@@ -34,10 +34,10 @@ class Plant(FileSection):
 
 def test_the_sections_are_valid_and_every_kind_has_one() -> None:
     texts = [text for text in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL) if "[sources." in text]
-    shown = [source for text in texts for source in validated(Plant, tomllib.loads(text)).sources.values()]
+    shown = [source for text in texts for source in validate_sections(Plant, tomllib.loads(text)).sources.values()]
     assert [type(source) for source in shown] == list(SECTIONS)
     commented = tomllib.loads(re.sub(r"^# (\w+ =)", r"\1", texts[0], flags=re.MULTILINE))
-    assert validated(Plant, commented).sources["hall"].address == ("127.0.0.1", 8883)
+    assert validate_sections(Plant, commented).sources["hall"].address == ("127.0.0.1", 8883)
 
 
 @pytest.mark.parametrize("form", ["JSON", "columns", "line protocol"])

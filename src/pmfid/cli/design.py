@@ -67,14 +67,14 @@ def design(
     """
     with _infeasible_as_json(as_json), progress("design") as tell:
         from pmfid.report.design import write_design
-        from pmfid.session.design_run import appraised, campaigned, designed
+        from pmfid.session.design_run import run_appraisal, run_campaign, run_design
 
         loaded = _load(spec, options)
-        found = designed(
+        found = run_design(
             loaded, workers=workers, certify=certify or None, progress=lambda done, total, _: tell(done / total)
         )
-        appraisal = appraised(loaded, found)
-        together = campaigned(loaded, motions) if motions > 1 else None
+        appraisal = run_appraisal(loaded, found)
+        together = run_campaign(loaded, motions) if motions > 1 else None
         if out is not None:
             write_design(out, appraisal, together)
     if as_json:
@@ -120,15 +120,15 @@ def commission(
     met, or the runs cannot tell a parameter.
     """
     with _infeasible_as_json(as_json), progress("commission"):
-        from pmfid.session.design_run import appraised, commissioned, read_run
+        from pmfid.session.design_run import read_run, run_appraisal, run_commissioning
 
         loaded = _load(spec, options)
         runs = [read_run(loaded, path) for path in records]
-        state = commissioned(loaded, runs, _pairs("want", want), _pairs("truth", truth) if truth else None, rounds)
+        state = run_commissioning(loaded, runs, _pairs("want", want), _pairs("truth", truth) if truth else None, rounds)
         if out is not None and state.next is not None:
             from pmfid.report.design import write_design
 
-            write_design(out, appraised(loaded, state.next))
+            write_design(out, run_appraisal(loaded, state.next))
     if as_json:
         print_json(state.to_json())
     else:

@@ -9,7 +9,7 @@ import click
 from pmfid.cli.options import JSON
 
 if TYPE_CHECKING:
-    from pmfid.session.reference import Entry
+    from pmfid.session.reference import ReferenceEntry
 
 
 @click.command(short_help="Say what a key of AXIS.toml or a status means.")
@@ -23,7 +23,7 @@ def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> 
     for each.
     """
     from pmfid.service.reference import plant_entries, plant_page
-    from pmfid.session.reference import entries, explained, page
+    from pmfid.session.reference import entries, explain_entries, page
 
     if as_page:
         click.echo(plant_page() if plant else page(), nl=False)
@@ -34,10 +34,10 @@ def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> 
 
         print_json({"entries": [entry.to_json() for entry in found]})
     else:
-        click.echo(explained(found))
+        click.echo(explain_entries(found))
 
 
-def _found(word: str, plant: bool) -> list[Entry]:
+def _found(word: str, plant: bool) -> list[ReferenceEntry]:
     """plant: of PLANT.toml alone. Raises UsageError for what is nothing."""
     from pmfid.service.reference import plant_entries, without_names
     from pmfid.session.reference import entries, find

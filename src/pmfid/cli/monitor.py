@@ -14,9 +14,9 @@ from pmfid.monitor.names import DETECTORS
 
 if TYPE_CHECKING:
     from pmfid.session.config import Axis
-    from pmfid.session.monitored.run import History, MonitoredRun
+    from pmfid.session.monitored.run import MonitoredRun, RunHistory
     from pmfid.session.monitored.setup import Setup
-    from pmfid.session.monitored.sinks import Sink
+    from pmfid.session.monitored.sinks import RowSink
     from pmfid.session.monitored.stream import Stop
     from pmfid.session.records import Record
 
@@ -81,7 +81,7 @@ def _check_places(out: Path | None, report: Path | None, inputs: list[Path]) -> 
             raise UsageError(f"--report {report} would overwrite {path}; choose another name")
 
 
-def _write_report(path: Path, name: str, setup: Setup, run: MonitoredRun, history: History, tell: _Teller) -> None:
+def _write_report(path: Path, name: str, setup: Setup, run: MonitoredRun, history: RunHistory, tell: _Teller) -> None:
     """What came from a pipe is nowhere else: its page replaces no other."""
     from pmfid.report.monitored import write_monitored
     from pmfid.session.row_file import fresh, is_stream
@@ -93,14 +93,14 @@ def _write_report(path: Path, name: str, setup: Setup, run: MonitoredRun, histor
 
 def _run(
     setup: Setup, axis: Axis, data: Record | None, out: Path | None, stop: Stop, tell: _Teller, keep: bool
-) -> tuple[MonitoredRun, History | None, Sink]:
+) -> tuple[MonitoredRun, RunHistory | None, RowSink]:
     """The run, its history, and where the estimates went."""
-    from pmfid.session.monitored.run import History, header, watch
+    from pmfid.session.monitored.run import RunHistory, header, watch
     from pmfid.session.monitored.sinks import open_sink
     from pmfid.session.monitored.stream import line_samples, record_samples
 
     sink = open_sink(out, header(setup.monitor), tell)
-    history = History() if keep else None
+    history = RunHistory() if keep else None
     try:
         tell.start(setup, sink.path)
         piped = line_samples(sys.stdin.buffer, axis, setup.monitor.estimator.dt, stop)
@@ -111,7 +111,7 @@ def _run(
     return run, history, sink
 
 
-def _complain(run: MonitoredRun, sink: Sink) -> None:
+def _complain(run: MonitoredRun, sink: RowSink) -> None:
     """Raises UsageError for what ended the run before its time, or is missing in its file."""
     from pmfid.errors import UsageError
 
@@ -155,7 +155,7 @@ class _Teller:
 
         self({**start_object(setup), "out": None if out is None else str(out)})
 
-    def end(self, run: MonitoredRun, sink: Sink) -> None:
+    def end(self, run: MonitoredRun, sink: RowSink) -> None:
         """The totals; what was skipped also on standard error, where it is seen."""
         from pmfid.cli.monitor_lines import skipped
 

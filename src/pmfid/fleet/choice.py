@@ -14,7 +14,7 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.fleet.series import UNUSABLE
 from pmfid.fleet.settings import SEGMENTS, Chosen, forgetting_of, on_line, record_at, recursive
 from pmfid.session.config import Axis
-from pmfid.session.drives import make_estimator, of_kind
+from pmfid.session.drives import make_estimator, match_kind
 from pmfid.session.records import Record
 from pmfid.session.tables import Table
 from pmfid.status import Status
@@ -94,7 +94,7 @@ def _estimators(axis: Axis, record: Record, pole: float) -> Iterator[RecursiveEs
     """With all zeros of the pre-filters that there are to choose from, where they are not given."""
     update = {"cutoff": pole, "forgetting": forgetting_of(SEGMENTS[0], record.dt)}
     own = axis.model_copy(update={"estimator": axis.estimator.model_copy(update=update)})
-    estimator = recursive(make_estimator(of_kind(record, own), record))
+    estimator = recursive(make_estimator(match_kind(record, own), record))
     if not estimator.instrumental or axis.estimator.prefilter_zeros is not None:
         yield estimator
         return

@@ -7,7 +7,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from pmfid.errors import UsageError
-from pmfid.session.formats.safety import needed, readable
+from pmfid.session.formats.safety import readable, require_extra
 
 #: Where Delta Lake and Iceberg list the files that count.
 DELTA, ICEBERG, METADATA = "_delta_log", "metadata", "*.metadata.json"
@@ -41,7 +41,7 @@ def delta_files(folder: Path) -> Iterator[tuple[Path, Mapping[str, str]]]:
     package deltalake, for a damaged log, and for a table whose files say less than its log."""
     import polars as pl
 
-    with needed("delta"):
+    with require_extra("delta"):
         from deltalake import DeltaTable
     with readable("Delta"):
         table = DeltaTable(str(folder))

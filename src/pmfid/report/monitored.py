@@ -9,13 +9,13 @@ import numpy as np
 from pmfid.monitor.calibration import Calibration
 from pmfid.report.html import Section, svg, write_report
 from pmfid.report.monitored_figures import RunData, calibration_figure, run_figure
-from pmfid.session.monitored.run import History, MonitoredRun, Told
+from pmfid.session.monitored.run import MonitoredRun, RunHistory, Told
 from pmfid.session.monitored.setup import Setup
 
 SHOWN_ALARMS = 200
 
 
-def write_monitored(path: Path, name: str, setup: Setup, run: MonitoredRun, history: History) -> None:
+def write_monitored(path: Path, name: str, setup: Setup, run: MonitoredRun, history: RunHistory) -> None:
     """Writes one self-contained HTML file on a run. Raises OSError where it cannot be written."""
     sections = [_verdict(setup, run)]
     if len(history.rows) > 1:
@@ -26,7 +26,7 @@ def write_monitored(path: Path, name: str, setup: Setup, run: MonitoredRun, hist
     write_report(path, f"{name}: {_headline(run)}", sections)
 
 
-def run_data(setup: Setup, run: MonitoredRun, history: History) -> RunData:
+def run_data(setup: Setup, run: MonitoredRun, history: RunHistory) -> RunData:
     """The columns that the figure shows."""
     time, u, counts, theta, std, innovation, status, state = zip(*history.rows, strict=True)
     estimator = setup.monitor.estimator
@@ -99,7 +99,7 @@ def _alarm_row(run: MonitoredRun, alarm: Told) -> list[str]:
     ]
 
 
-def _run_text(history: History, setup: Setup) -> str:
+def _run_text(history: RunHistory, setup: Setup) -> str:
     estimator = setup.monitor.estimator
     text = (
         f"Estimates by {estimator.method}, memory {estimator.dt / (1 - estimator.forgetting):.3g} s, with two standard "

@@ -17,7 +17,7 @@ from pmfid.service.kinds import REMOVED, SINKS, SOURCES
 from pmfid.service.sinks.section import SinkSection
 from pmfid.service.web.config import PageConfig
 from pmfid.session.model_config import Name
-from pmfid.session.toml_file import FileSection, validated
+from pmfid.session.toml_file import FileSection, validate_sections
 
 __all__ = [
     "MOST_AXES",
@@ -159,7 +159,7 @@ def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, ob
 def page_config(plant: Plant) -> PageConfig:
     """[page], with its defaults. Raises UsageError for what it may not be."""
     whole = create_model("Whole", __base__=FileSection, page=(PageConfig, ...))
-    return validated(whole, {"page": dict(plant.page or {})}).page  # type: ignore[attr-defined,no-any-return]
+    return validate_sections(whole, {"page": dict(plant.page or {})}).page  # type: ignore[attr-defined,no-any-return]
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -215,7 +215,7 @@ def _section(label: str, cls: type[Section], table: Mapping[str, Any]) -> Sectio
         return cls.model_validate(table)
     except ValidationError:
         whole = create_model("Whole", __base__=FileSection, **{label: (cls, ...)})  # type: ignore[call-overload]
-        validated(whole, {label: table})
+        validate_sections(whole, {label: table})
         raise
 
 

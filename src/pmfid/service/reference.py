@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pmfid.service.kinds import SINKS, SOURCES
 from pmfid.service.plant import AxisSection, FleetSection, ServiceSection
 from pmfid.service.web.config import HERE, PORT, PageConfig
-from pmfid.session.reference import Entry, keys_in, tables
+from pmfid.session.reference import ReferenceEntry, keys_in, tables
 
 __all__ = ["plant_entries", "plant_page", "without_names"]
 
@@ -30,12 +30,12 @@ begun: [guide/service.md](guide/service.md); the axes themselves: [axis_toml.md]
 """
 
 
-def plant_entries() -> tuple[Entry, ...]:
+def plant_entries() -> tuple[ReferenceEntry, ...]:
     """Of all keys; those of sources and sinks stand under their kind."""
     return tuple(_entries())
 
 
-def _entries() -> Iterator[Entry]:
+def _entries() -> Iterator[ReferenceEntry]:
     for section, model in (("service", ServiceSection), ("page", PageConfig)):
         yield from keys_in(section, model, _KEY)
     for section, one in (("axes", AxisSection), ("fleets", FleetSection)):

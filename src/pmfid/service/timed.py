@@ -141,7 +141,7 @@ class Timed:
             "recent": list(self._recent),
             "latest": self._latest,
             "held": [[line.time, line.u, line.counts, line.problem] for line in self._held],
-            "grid": self._grid.saved(),
+            "grid": self._grid.save_state(),
         }
 
     def restore(self, saved: Saved) -> None:

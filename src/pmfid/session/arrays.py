@@ -29,8 +29,8 @@ from pmfid.session.record_config import NO_ENCODER
 from pmfid.session.records import Record, record_of
 from pmfid.session.result import Result
 from pmfid.session.terms import TermSearch, places_of, search_drive
-from pmfid.session.toml_file import validated as axis_from
-from pmfid.session.validation import Validation, validated
+from pmfid.session.toml_file import validate_sections as axis_from
+from pmfid.session.validation import Validation, validate_parameters
 from pmfid.transfer.experiment import Experiment
 
 #: Names of the two signals in messages.
@@ -66,7 +66,7 @@ def identify(
     if axis is not None:
         if settings or any(value is not None for value in (y, model, dt, cutoff, encoder)):
             raise UsageError("axis says everything but the record: leave out y, model, dt, encoder and settings")
-        return _configured(u, axis)
+        return _identify_by_axis(u, axis)
     if model is None:
         raise UsageError("neither model nor axis is given: give a Drive, or an AXIS.toml")
     if isinstance(model, TransferFunction):
@@ -80,7 +80,7 @@ def identify(
     return run(one_of([_record(*pair, own) for pair in pairs], place_matters), own)
 
 
-def _configured(record: object, axis: Axis | Path | str) -> Result:
+def _identify_by_axis(record: object, axis: Axis | Path | str) -> Result:
     """Of a frame, a file or several of either, by an AXIS.toml."""
     own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
     return run(_read(record, own), own)
@@ -93,7 +93,7 @@ def _read(record: object, axis: Axis) -> Records:
         return kind.read([Path(record)], axis)
     if isinstance(record, list | tuple) and record and all(isinstance(one, str | Path) for one in record):
         return kind.read([Path(one) for one in record], axis)
-    return kind.of_table(table_of(record), axis)
+    return kind.read_table(table_of(record), axis)
 
 
 def check(
@@ -149,7 +149,7 @@ def validate(
         axis = axis_of(own.model, encoder or own.encoder, dt or own.dt, {"cutoff": own.cutoff})
         data = [_record(cast(ArrayLike, u), y, axis)]
     names = parameters_of(own.model)[0]
-    return validated(own.method, np.array([values[name] for name in names]), data, axis)
+    return validate_parameters(own.method, np.array([values[name] for name in names]), data, axis)
 
 
 def search_terms(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
 from pmfid.estimators.registry import methods_for
 from pmfid.session.config import Axis
-from pmfid.session.identify import explained, kind_of
+from pmfid.session.identify import explain_error, kind_of
 from pmfid.session.kinds import Progress, Records
 from pmfid.session.result import Result
 
@@ -33,7 +33,7 @@ def compare(data: Records, axis: Axis, done: Progress | None = None) -> Comparis
     """Runs every method with the settings of `axis` on what `kind_of(axis).read` gives; `done` is called with the part
     that has run. Raises UsageError as `identify` does, and what the first method raised where none has an answer."""
     kind, methods = kind_of(axis), methods_for(axis.model.make())
-    axis = kind.prepared(data, axis)
+    axis = kind.prepare_axis(data, axis)
     results: dict[str, Result] = {}
     refused: dict[str, PmfidError] = {}
     kind.check(data, axis)
@@ -45,8 +45,8 @@ def compare(data: Records, axis: Axis, done: Progress | None = None) -> Comparis
         if done is not None:
             done(count / len(methods))
     unknown = {method: error for method, error in refused.items() if isinstance(error, NotIdentifiableError)}
-    found = kind.checked(data, axis) if unknown else ()
-    told = refused | {method: explained(error, found) for method, error in unknown.items()}
+    found = kind.check_record(data, axis) if unknown else ()
+    told = refused | {method: explain_error(error, found) for method, error in unknown.items()}
     if not results:
         raise next(iter(told.values()))
     return Comparison(*kind.name_and_samples(data), results, {method: str(error) for method, error in told.items()})

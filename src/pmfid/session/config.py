@@ -130,7 +130,7 @@ class Axis(FileSection):
     monitor: MonitorConfig = Field(MonitorConfig(), description="a section that names the reference")
 
     @model_validator(mode="after")
-    def _used(self) -> Self:
+    def _refuse_unused(self) -> Self:
         """What is given must have an effect: a key that the model does not use is refused."""
         kind, sections = self.model.kind, {"record": self.record, "encoder": self.encoder, "estimator": self.estimator}
         for section, key, of_process in _KEYS_OF_ONE_KIND:
@@ -176,10 +176,10 @@ def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis
     `overrides` holds dotted keys, {"estimator.cutoff": 50.0}, that go before the file's; None is ignored.
     Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
     """
-    return load_sections(Axis, path, overrides, "an AXIS.toml", _without_encoder)
+    return load_sections(Axis, path, overrides, "an AXIS.toml", _add_unit_encoder)
 
 
-def _without_encoder(raw: dict[str, object]) -> None:
+def _add_unit_encoder(raw: dict[str, object]) -> None:
     """A transfer function needs no encoder: its output is a number, or in counts. Of an unknown kind only that is
     said."""
     model = raw.get("model")

@@ -65,7 +65,7 @@ def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
         return Conversion(1.0, 1.0, None, notes)
     y, u = _output_unit(axis, output_name), _input_unit(axis, input_name)
     kind = axis_kind(axis, y)
-    told = [f"{key} in {_told(unit)}" for key, unit in (("u", u), ("y", y)) if unit]
+    told = [f"{key} in {_format_unit(unit)}" for key, unit in (("u", u), ("y", y)) if unit]
     notes = (f"the file has {' and '.join(told)}",) if told else ()
     return Conversion(u.factor if u else 1.0, y.factor if y else 1.0, kind, notes)
 
@@ -107,7 +107,7 @@ def _numbers(axis: Sections, keys: tuple[tuple[str, str], ...]) -> Iterator[tupl
             yield section, key, value
 
 
-def _believed(key: str, given: str | None, name: str, table: dict[str, Unit]) -> Unit | None:
+def _choose_unit(key: str, given: str | None, name: str, table: dict[str, Unit]) -> Unit | None:
     """The unit that is configured, or that the name of the column says; None where neither does. Raises UsageError
     where they differ."""
     named, stated = column_unit(name, table), table.get(given or "")
@@ -121,7 +121,7 @@ def _believed(key: str, given: str | None, name: str, table: dict[str, Unit]) ->
 
 def _output_unit(axis: Sections, name: str) -> Unit | None:
     config = axis.record
-    unit, kind = _believed("output_unit", config.output_unit, name, OUTPUTS), config.output_kind
+    unit, kind = _choose_unit("output_unit", config.output_unit, name, OUTPUTS), config.output_kind
     if unit is None:
         return None
     fitting = "velocity" if unit.of in _SPEEDS else "position"
@@ -153,7 +153,7 @@ def _check_written(axis: Sections, name: str, unit: Unit) -> None:
 def _input_unit(axis: Sections, name: str) -> Unit | None:
     """Of the input, as far as no scale is configured, which is another way to say it."""
     scaled = isinstance(axis.record.input_scale, str) or abs(axis.record.input_scale) != 1.0
-    unit = _believed("input_unit", axis.record.input_unit, "" if scaled else name, INPUTS)
+    unit = _choose_unit("input_unit", axis.record.input_unit, "" if scaled else name, INPUTS)
     gain = axis.model.input_gain
     if unit is None or isinstance(gain, str) or gain is None:
         return unit
@@ -174,5 +174,5 @@ def _input_unit(axis: Sections, name: str) -> Unit | None:
     return unit
 
 
-def _told(unit: Unit) -> str:
+def _format_unit(unit: Unit) -> str:
     return unit.name if unit.plain else f"{unit.name} (converted to {SI[unit.of]})"

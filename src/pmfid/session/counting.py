@@ -12,7 +12,7 @@ from pmfid.types import Counts, Floats
 if TYPE_CHECKING:
     from pmfid.session.config import Axis
 
-__all__ = ["DISTINCT", "MOST_WHOLE", "counts_of", "floor_counts", "unwrapped"]
+__all__ = ["DISTINCT", "MOST_WHOLE", "counts_of", "floor_counts", "unwrap_counts"]
 
 # Beyond 2**53 neighbouring integers share one float64, and a count would be silently wrong.
 _MAX_COUNT = 2.0**53
@@ -73,7 +73,7 @@ def floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
     return counts.astype(np.int64)
 
 
-def unwrapped(output: Floats, bits: int | None) -> Floats:
+def unwrap_counts(output: Floats, bits: int | None) -> Floats:
     """Counts (n,) as numbers, the wrap of a counter undone; missing ones stay missing."""
     if bits is None:
         return output

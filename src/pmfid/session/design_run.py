@@ -20,13 +20,15 @@ from pmfid.session.model_config import ModelConfig
 from pmfid.session.record_config import EncoderConfig
 from pmfid.session.records import read_record
 
-__all__ = ["appraised", "campaigned", "commissioned", "designed", "read_run"]
+__all__ = ["read_run", "run_appraisal", "run_campaign", "run_commissioning", "run_design"]
 
 #: (starts done, starts in all, best value so far)
 Progress = Callable[[int, int, float], None]
 
 
-def designed(spec: Spec, *, workers: int = 1, certify: float | None = None, progress: Progress | None = None) -> Design:
+def run_design(
+    spec: Spec, *, workers: int = 1, certify: float | None = None, progress: Progress | None = None
+) -> Design:
     """The design that a specification asks for; certify: seconds for a proved bound, None: none. Raises as `solve`."""
     return solve(
         make_problem(spec),
@@ -40,7 +42,7 @@ def designed(spec: Spec, *, workers: int = 1, certify: float | None = None, prog
     )
 
 
-def campaigned(spec: Spec, motions: int) -> Campaign:
+def run_campaign(spec: Spec, motions: int) -> Campaign:
     """At most so many motions that tell the most together. Raises as `campaign`."""
     return campaign(
         make_problem(spec),
@@ -52,12 +54,12 @@ def campaigned(spec: Spec, motions: int) -> Campaign:
     )
 
 
-def appraised(spec: Spec, design: Design) -> Appraisal:
+def run_appraisal(spec: Spec, design: Design) -> Appraisal:
     """A design of the specification beside the standard inputs."""
     return appraise(design, spec.experiment.weights, spec.search.seed)
 
 
-def commissioned(
+def run_commissioning(
     spec: Spec,
     runs: Sequence[DesignedRun],
     wanted: Mapping[str, float],

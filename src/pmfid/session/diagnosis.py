@@ -13,7 +13,7 @@ from pmfid.estimators.ls import LS
 from pmfid.models.drive import EquationModel
 from pmfid.models.equation import Equation
 from pmfid.session.checks.log import liveliest
-from pmfid.session.checks.readings import INTEGRATE, as_velocity
+from pmfid.session.checks.readings import INTEGRATE, convert_velocity
 from pmfid.session.config import Axis
 from pmfid.session.records import Record
 
@@ -28,13 +28,13 @@ def check_direction(record: Record, axis: Axis) -> str:
     of the output's change, which is then the acceleration's. Empty where the output may be a position.
     """
     model, config = axis.model.make(), axis.estimator
-    above = _of_position(model.equation)
+    above = _integrate_equation(model.equation)
     if above is None or not np.any(np.diff(record.counts)):
         return ""
     part = liveliest(record.counts)
     u, counts = record.u[part], record.counts[part]
     encoder = Encoder(record.resolution, standstill_time=axis.encoder.standstill_time)
-    finer, position = as_velocity(counts, record.resolution, record.dt)
+    finer, position = convert_velocity(counts, record.resolution, record.dt)
     try:
         plain = LS(model, encoder, record.dt, config.pole, order=config.order).fit(u, counts).relative_error
         risen = IV(EquationModel(above), finer, record.dt, config.pole, order=config.order).fit(u, position)
@@ -49,7 +49,7 @@ def check_direction(record: Record, axis: Axis) -> str:
     )
 
 
-def _of_position(equation: Equation) -> Equation | None:
+def _integrate_equation(equation: Equation) -> Equation | None:
     """The same equation of first order with the integral of the output in its place; None if it is no such equation."""
     terms = (*equation.unknown, *equation.known)
     if equation.order != 1 or any(term.facts.measured and term.facts.one_way for term in terms):

@@ -41,10 +41,10 @@ from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction
 from pmfid.session.gaps.joining import one_of
 from pmfid.session.gaps.longest import unbroken
-from pmfid.session.gaps.motion import by_motion, doubt
+from pmfid.session.gaps.motion import doubt, fill_by_motion
 from pmfid.session.gaps.standing import missing_said
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
-from pmfid.session.known import at_gain, at_some_gain, finds_gain, known_of, of_either_sign, put_together
+from pmfid.session.known import finds_gain, known_of, put_together, set_any_gain, set_gain, try_both_signs
 from pmfid.session.outliers import believed_of
 from pmfid.session.records import Record, read_record, record_of
 from pmfid.session.result import DriveResult
@@ -70,33 +70,33 @@ class Drives(Kind[Record]):
         place_matters = axis.model.make().equation.place_matters
         return one_of([read_record(path, axis, quantize) for path in paths], place_matters)
 
-    def of_table(self, table: Table, axis: Axis) -> Record:
+    def read_table(self, table: Table, axis: Axis) -> Record:
         return record_of(table, axis)
 
     def name_and_samples(self, data: Record) -> tuple[str, int]:
         return data.name, int(data.u.size)
 
-    def prepared(self, data: Record, axis: Axis) -> Axis:
-        axis = of_kind(data, axis)
+    def prepare_axis(self, data: Record, axis: Axis) -> Axis:
+        axis = match_kind(data, axis)
         if axis.estimator.cutoff is not None or data.counts.size == 0:
             return axis
         known = believed_of(data, axis).record
-        either = [at_gain(axis, 1.0), at_gain(axis, -1.0)] if finds_gain(axis) else [axis]
+        either = [set_gain(axis, 1.0), set_gain(axis, -1.0)] if finds_gain(axis) else [axis]
         models = [one.model.make() for one in either]
-        encoder, forgetting = axis.encoder.made(data.resolution), axis.estimator.forgetting
+        encoder, forgetting = axis.encoder.make_encoder(data.resolution), axis.estimator.forgetting
         cutoff = choose_cutoff(models, encoder, data.dt, known.u, known.counts, forgetting)
         return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
 
-    def completed(self, data: Record, axis: Axis) -> Record:
+    def complete_record(self, data: Record, axis: Axis) -> Record:
         if data.there is None or np.all(data.there | np.isnan(data.u)):
             return data
         known = believed_of(data, axis).record
-        for one in [at_gain(axis, 1.0), at_gain(axis, -1.0)] if finds_gain(axis) else [axis]:
+        for one in [set_gain(axis, 1.0), set_gain(axis, -1.0)] if finds_gain(axis) else [axis]:
             model = one.model.make()
             if IV.refuses(model.simple.equation):
                 return data
-            method = IV(model.simple, one.encoder.made(data.resolution), data.dt, one.estimator.pole)
-            found = by_motion(method, known.u, known.counts, data.there)
+            method = IV(model.simple, one.encoder.make_encoder(data.resolution), data.dt, one.estimator.pole)
+            found = fill_by_motion(method, known.u, known.counts, data.there)
             if found is not None:
                 u, counts = (np.where(data.there, *pair) for pair in zip((data.u, data.counts), found, strict=True))
                 said = {missing_said(data.u, data.there): missing_said(u, data.there)}
@@ -106,21 +106,21 @@ class Drives(Kind[Record]):
         return data
 
     def check(self, data: Record, axis: Axis) -> None:
-        axis = at_some_gain(axis)
+        axis = set_any_gain(axis)
         mistake = check_direction(believed_of(data, axis).record, axis)
         if mistake:
             raise UsageError(mistake)
 
-    def glanced(self, data: Record, axis: Axis) -> tuple[Finding, ...]:
-        return checks.glanced(data, axis)
+    def scan_record(self, data: Record, axis: Axis) -> tuple[Finding, ...]:
+        return checks.scan_record(data, axis)
 
-    def checked(self, data: Record, axis: Axis) -> tuple[Finding, ...]:
-        return checks.checked(data, axis) or believed_of(data, axis).findings
+    def check_record(self, data: Record, axis: Axis) -> tuple[Finding, ...]:
+        return checks.check_record(data, axis) or believed_of(data, axis).findings
 
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
         known = believed_of(data, axis)
-        result = of_either_sign(axis, lambda own: _identified(known.record, own, axis, progress))
-        result = replace(result, theta_std=_doubted(result, data))
+        result = try_both_signs(axis, lambda own: _identify_by_method(known.record, own, axis, progress))
+        result = replace(result, theta_std=_widen_errors(result, data))
         return result.with_findings(*known.findings)
 
     def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
@@ -140,7 +140,7 @@ class Drives(Kind[Record]):
         return axis.model.make().equation.motion.travel if axis.model.kind == "drive" else ""
 
 
-def _identified(data: Record, axis: Axis, asked: Axis, progress: Progress | None) -> DriveResult:
+def _identify_by_method(data: Record, axis: Axis, asked: Axis, progress: Progress | None) -> DriveResult:
     """By the method of `axis`; asked: the axis as it is configured, with what is known beforehand."""
     estimator, reason, choice = make_estimator(axis, data), "", None
     if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
@@ -153,7 +153,7 @@ def _identified(data: Record, axis: Axis, asked: Axis, progress: Progress | None
     return result.with_findings(*make_notes("method", [f"auto chose {reason}"])) if reason else result
 
 
-def of_kind(record: Record, axis: Axis) -> Axis:
+def match_kind(record: Record, axis: Axis) -> Axis:
     """The same axis, rotary where the file says that its output is an angle. Raises UsageError where parameters of a
     linear one are known."""
     if not record.rotary or axis.model.kind != "drive" or axis.model.axis == "rotary":
@@ -173,7 +173,7 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
     cls = ESTIMATORS[method_of(axis, first)]
     own = {
         "model": model,
-        "encoder": axis.encoder.made(record.resolution),
+        "encoder": axis.encoder.make_encoder(record.resolution),
         "dt": record.dt,
         "cutoff": axis.estimator.pole,
     }
@@ -234,7 +234,7 @@ def _estimate(
     estimator: Estimator, record: Record, axis: Axis, progress: Progress | None, choice: MethodChoice | None
 ) -> DriveResult:
     batch = _batch_twin(estimator)
-    seen = like(LS, batch, model=batch.model.simple, prefilter_zeros=None) if _by_motion(estimator) else batch
+    seen = like(LS, batch, model=batch.model.simple, prefilter_zeros=None) if _needs_simulation(estimator) else batch
     columns = seen.columns(record.u, record.counts)
     check_identifiable(columns, seen.names, seen.least_part)
     known = known_of(axis, estimator)
@@ -256,13 +256,13 @@ def _estimate(
         unused.append(f"{estimator.method} is an off-line method: forgetting is not used")
     notes = make_notes("record", record.notes) + make_notes("method", fit.notes) + make_notes("unused", unused)
     notes += _check_error(estimator, fit.relative_error, said)
-    findings = sort_findings((*status_findings(fit.status & ~_told(record)), *said.findings, *notes))
+    findings = sort_findings((*status_findings(fit.status & ~_collect_status(record)), *said.findings, *notes))
     found = fit.theta, fit.theta_std, findings
     result = DriveResult(estimator, *found, record, fit.relative_error, said.matter, fit=fit, model_spread=spread)
     return result if known is None else put_together(result, known, axis, known.of(fit, spread))
 
 
-def _doubted(result: DriveResult, record: Record) -> Floats:
+def _widen_errors(result: DriveResult, record: Record) -> Floats:
     """Error bars (p,) with what samples that were filled in may have moved."""
     if record.doubt is None:
         return result.theta_std
@@ -271,7 +271,7 @@ def _doubted(result: DriveResult, record: Record) -> Floats:
     return np.asarray(np.hypot(result.theta_std, parts * np.abs(result.theta)))
 
 
-def _told(record: Record) -> int:
+def _collect_status(record: Record) -> int:
     """Status bits of what the record's notes say: its gaps."""
     return int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.STANDSTILL) if np.any(np.isnan(record.u)) else 0
 
@@ -300,7 +300,7 @@ def all_known(
     return found, record.u, record.counts, theta[:p], std[:p]
 
 
-def _by_motion(estimator: Estimator) -> bool:
+def _needs_simulation(estimator: Estimator) -> bool:
     """Are there regressors that only a simulated motion gives?"""
     of_speed = any(term.shape is not None and term.shape.of_speed for term in estimator.equation.shaped)
     return of_speed or estimator.equation.lag == ESTIMATE
@@ -311,7 +311,7 @@ def _batch_twin(estimator: Estimator) -> BatchEstimator:
     if isinstance(estimator, BatchEstimator):
         return estimator
     if isinstance(estimator, RIV):
-        if _by_motion(estimator):
+        if _needs_simulation(estimator):
             return like(IV, estimator, prefilter_zeros=None)
         model = estimator.model.at_dead_time(0.0) if late_of(estimator) is not None else estimator.model
         return like(LS, estimator, model=model, prefilter_zeros=None)
@@ -343,7 +343,7 @@ def _recursive(
     method: Estimator = estimator
     theta, std = track.theta[-1], track.theta_std[-1]
     late, free = late_of(estimator), track.theta
-    if _by_motion(estimator):
+    if _needs_simulation(estimator):
         simulating = like(IV, estimator, prefilter_zeros=None, precision="float64")
         columns = simulating.columns_at(theta, record.u, record.counts)
     elif late is not None:  # the equation at the dead time that was found, which has no unknown for it
@@ -352,7 +352,7 @@ def _recursive(
         free = np.delete(free, late, axis=1)
     relative = _relative_error(columns, free, track.status)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
-    occurred &= ~_told(record)
+    occurred &= ~_collect_status(record)
     closer = Status.UNMODELLED | Status.FEEDBACK | Status.DEAD_TIME  # `judge` looks closer at these
     held = occurred | (last & ~int(Status.SETTLING | closer))
     last_estimate: Estimate | Posterior = estimator.estimate

@@ -28,7 +28,7 @@ def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None =
     sample period.
     """
     if record is not None:
-        axis = kind_of(axis).prepared(record, axis)
+        axis = kind_of(axis).prepare_axis(record, axis)
     config, model = check_exportable(axis), axis.model.make()
     if record is None:
         record = _no_record(axis, dt)

@@ -23,7 +23,7 @@ def table_of(frame: object) -> Table:
     import narwhals.stable.v2 as nw
 
     try:
-        found: nw.DataFrame[Any] = nw.from_native(_known(frame), eager_only=True)
+        found: nw.DataFrame[Any] = nw.from_native(_wrap_frame(frame), eager_only=True)
     except TypeError:
         raise UsageError(
             f"a record is a frame of pandas, Polars or Arrow, a dict of arrays or the path of a file, got "
@@ -32,7 +32,7 @@ def table_of(frame: object) -> Table:
     return {name: _column(found[name]) for name in found.columns}
 
 
-def _known(frame: object) -> Any:
+def _wrap_frame(frame: object) -> Any:
     """What Narwhals knows; of another owner of Arrow data, a frame of these."""
     import narwhals.stable.v2 as nw
     import polars as pl

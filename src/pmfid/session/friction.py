@@ -19,7 +19,7 @@ from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.session.arrays import axis_of
 from pmfid.session.config import Axis, check_sampling
-from pmfid.session.drives import of_kind
+from pmfid.session.drives import match_kind
 from pmfid.session.gaps.longest import unbroken
 from pmfid.session.known import check_numbers_known
 from pmfid.session.outliers import believed_of
@@ -56,18 +56,18 @@ def friction_curve(
     arguments that do not fit and NotIdentifiableError where the record does not show friction apart.
     """
     axis = axis_of(model, encoder, dt, {"cutoff": cutoff})
-    return _found(*check_arrays(u, counts), dt, encoder, axis, nodes, rising_from)
+    return _estimate_curve(*check_arrays(u, counts), dt, encoder, axis, nodes, rising_from)
 
 
 def record_curve(record: Record, axis: Axis, nodes: int = NODES, rising_from: float | None = None) -> FrictionCurve:
     """The same of a record that was read for `axis`, without what no motion explains."""
-    record, axis = unbroken(record), of_kind(record, axis)
-    without, encoder = believed_of(record, axis), axis.encoder.made(record.resolution)
-    found = _found(without.record.u, without.record.counts, record.dt, encoder, axis, nodes, rising_from)
+    record, axis = unbroken(record), match_kind(record, axis)
+    without, encoder = believed_of(record, axis), axis.encoder.make_encoder(record.resolution)
+    found = _estimate_curve(without.record.u, without.record.counts, record.dt, encoder, axis, nodes, rising_from)
     return replace(found, notes=(*record.notes, *filter(None, (without.told,)), *found.notes))
 
 
-def _found(
+def _estimate_curve(
     u: Floats, counts: Counts, dt: float, encoder: Encoder, axis: Axis, nodes: int, rising_from: float | None
 ) -> FrictionCurve:
     model = axis.model.make()

@@ -37,21 +37,21 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     every parameter, with the mistake that explains it, where one is found, in front.
     """
     kind, given = kind_of(axis), axis
-    axis = kind.prepared(data, given)
+    axis = kind.prepare_axis(data, given)
     kind.check(data, axis)
-    whole = kind.completed(data, axis)
+    whole = kind.complete_record(data, axis)
     if whole is not data:  # behind another pole it may say more
-        data, axis = whole, kind.prepared(whole, given)
+        data, axis = whole, kind.prepare_axis(whole, given)
     try:
         result = kind.estimate(data, axis, progress)
     except NotIdentifiableError as error:
-        raise explained(error, kind.checked(data, axis)) from None
+        raise explain_error(error, kind.check_record(data, axis)) from None
     suspicious = bool(SUSPICIOUS & set(result.status))
-    log = kind.checked(data, axis) if suspicious else kind.glanced(data, axis)
-    return result.with_findings(*log, *make_notes("cutoff", chosen(given, axis)))
+    log = kind.check_record(data, axis) if suspicious else kind.scan_record(data, axis)
+    return result.with_findings(*log, *make_notes("cutoff", describe_choices(given, axis)))
 
 
-def chosen(given: Axis, prepared: Axis) -> tuple[str, ...]:
+def describe_choices(given: Axis, prepared: Axis) -> tuple[str, ...]:
     """What was chosen by the record in a configuration, for people."""
     if given.estimator.cutoff == prepared.estimator.cutoff:
         return ()
@@ -59,7 +59,7 @@ def chosen(given: Axis, prepared: Axis) -> tuple[str, ...]:
     return (f"{cutoff} rad/s was chosen by this record; write it into [estimator] to keep it for others",)
 
 
-def explained(error: NotIdentifiableError, findings: tuple[Finding, ...]) -> NotIdentifiableError:
+def explain_error(error: NotIdentifiableError, findings: tuple[Finding, ...]) -> NotIdentifiableError:
     """The same error with what may have led to it, if there is something, in front."""
     mistakes = "; ".join(texts(findings))
     return NotIdentifiableError(f"{mistakes}; as the record is read now: {error}") if mistakes else error
@@ -69,7 +69,7 @@ def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
     """What a log may have got wrong, most important first; of a machine's log that is right, what `identify` has to
     doubt in its model, in the same words."""
     kind = kind_of(axis)
-    log = kind.checked(data, axis)
+    log = kind.check_record(data, axis)
     if not isinstance(kind, Drives) or set(codes(log)) - OF_LOG:
         return log
     with suppress(NotIdentifiableError, UsageError):

@@ -43,14 +43,14 @@ class Kind(ABC, Generic[Data]):
         """The records at `paths`. Raises UsageError for what is no such record, or too many of them."""
 
     @abstractmethod
-    def of_table(self, table: Table, axis: Axis) -> Data:
+    def read_table(self, table: Table, axis: Axis) -> Data:
         """The same of a table of columns. Raises UsageError as `read` does."""
 
-    def prepared(self, data: Data, axis: Axis) -> Axis:
+    def prepare_axis(self, data: Data, axis: Axis) -> Axis:
         """The configuration with what it leaves to the record; the same where it leaves nothing."""
         return axis
 
-    def completed(self, data: Data, axis: Axis) -> Data:
+    def complete_record(self, data: Data, axis: Axis) -> Data:
         """The records with what the model of a complete configuration says of samples that they lack."""
         return data
 
@@ -82,13 +82,13 @@ class Kind(ABC, Generic[Data]):
     def check_on_line(self, axis: Axis) -> None:
         """Raises UsageError for what a record may have and a drive, sample by sample, has not."""
 
-    def glanced(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
+    def scan_record(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
         """What the log may have got wrong, as far as it costs next to nothing to tell."""
         return ()
 
-    def checked(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
+    def check_record(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
         """All that the log may have got wrong."""
-        return self.glanced(data, axis)
+        return self.scan_record(data, axis)
 
 
 def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -107,7 +107,9 @@ def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def simulator(axis: Axis, dt: float, resolution: float) -> OE:
     """The method that simulates the model of `axis`; dt [s], resolution [unit of the output]."""
     check_sampling(axis, dt)
-    return OE(axis.model.make(), axis.encoder.made(resolution), dt, axis.estimator.pole, order=axis.estimator.order)
+    return OE(
+        axis.model.make(), axis.encoder.make_encoder(resolution), dt, axis.estimator.pole, order=axis.estimator.order
+    )
 
 
 def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:

@@ -27,35 +27,35 @@ def finds_gain(axis: Axis) -> bool:
     return axis.model.input_gain == ESTIMATE
 
 
-def at_gain(axis: Axis, gain: float) -> Axis:
+def set_gain(axis: Axis, gain: float) -> Axis:
     """The same axis with another gain of the input."""
     return axis.model_copy(update={"model": axis.model.model_copy(update={INPUT_GAIN: gain})})
 
 
-def at_some_gain(axis: Axis) -> Axis:
+def set_any_gain(axis: Axis) -> Axis:
     """The same with a number for the gain, where what is asked does not depend on it."""
-    return at_gain(axis, 1.0) if finds_gain(axis) else axis
+    return set_gain(axis, 1.0) if finds_gain(axis) else axis
 
 
-def at_stored_gain(axis: Axis, stored: Stored) -> Axis:
+def set_stored_gain(axis: Axis, stored: Stored) -> Axis:
     """The same with the gain of a file's parameters, where it was to be found. Raises UsageError where it has none."""
     if not finds_gain(axis):
         return axis
     if stored.input_gain is None:
         raise UsageError(f"{stored.source}: it has no input_gain, and [model] gives none; write a number there")
-    return at_gain(axis, stored.input_gain)
+    return set_gain(axis, stored.input_gain)
 
 
-def of_either_sign(axis: Axis, identified: Callable[[Axis], Found]) -> Found:
+def try_both_signs(axis: Axis, identified: Callable[[Axis], Found]) -> Found:
     """What `identified` makes of an axis with a number for the gain; one that is to be found has a sign, and with the
     wrong one nothing follows the record. Raises as `identified` does."""
     if not finds_gain(axis):
         return identified(axis)
     try:
-        return identified(at_gain(axis, 1.0))
+        return identified(set_gain(axis, 1.0))
     except NotIdentifiableError as error:
         with suppress(NotIdentifiableError):
-            return identified(at_gain(axis, -1.0))
+            return identified(set_gain(axis, -1.0))
         raise error from None
 
 
@@ -92,7 +92,7 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
         known=known,
     ).with_findings(
         *(Finding(CONTRADICTED, contradiction) for contradiction in estimate.notes),
-        *make_notes("known", [*said, _said(known)]),
+        *make_notes("known", [*said, _describe_known(known)]),
     )
 
 
@@ -107,7 +107,7 @@ def check_numbers_known(axis: Axis, what: str) -> None:
         raise UsageError(f"{what} takes nothing that is known beforehand: drop given and prior of {', '.join(known)}")
 
 
-def _said(known: Known) -> str:
+def _describe_known(known: Known) -> str:
     parts = [f"{name} = {value:.6g} is given" for name, value in known.given.items()]
     parts += [f"{name} has the prior {mean:.6g} ± {std:.2g}" for name, (mean, std) in known.prior.items()]
     if known.find_gain:

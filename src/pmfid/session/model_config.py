@@ -19,7 +19,7 @@ from pmfid.models.shapes import Along, Shape, Square, Stribeck, Wave
 from pmfid.models.signals import Signal
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.toml_file import FileSection
-from pmfid.session.units import gain, kept, quantity
+from pmfid.session.units import gain, keep_unit, quantity
 
 #: What makes the model of a kind, beside the user's own terms.
 MODELS: dict[str, type[Drive | TransferFunction]] = {cls.kind: cls for cls in (Drive, TransferFunction)}
@@ -31,11 +31,11 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 def _travel(value: object, check: ValidatorFunctionWrapHandler) -> object:
-    return kept(value, check, quantity)
+    return keep_unit(value, check, quantity)
 
 
 def _gain(value: object, check: ValidatorFunctionWrapHandler) -> object:
-    return kept(value, check, gain)
+    return keep_unit(value, check, gain)
 
 
 #: A length, an angle or a speed: a number in SI, or a text with its unit.

@@ -38,12 +38,12 @@ class Nested:
 
     @property
     def label(self) -> str:
-        return f"with {spoken(self.added)}" if self.added else "to begin with"
+        return f"with {format_terms(self.added)}" if self.added else "to begin with"
 
 
-def nested(bench: Bench, first: Drive, pairs: Sequence[tuple[Trial, float]]) -> tuple[Nested, ...]:
+def compare_nested(bench: Bench, first: Drive, pairs: Sequence[tuple[Trial, float]]) -> tuple[Nested, ...]:
     balances = [_balance(bench, trial) for trial, _ in pairs]
-    shares = [_unexplained(balance, balances[-1], pairs[-1][0]) for balance in balances]
+    shares = [_measure_unexplained(balance, balances[-1], pairs[-1][0]) for balance in balances]
     return tuple(
         Nested(changed_fields(first, trial.model), trial, bars(trial), error, balance, share)
         for (trial, error), balance, share in zip(pairs, balances, shares, strict=True)
@@ -65,7 +65,7 @@ def _balance(bench: Bench, trial: Trial) -> Balance | None:
         return None
 
 
-def _unexplained(balance: Balance | None, last: Balance | None, chosen: Trial) -> tuple[float, float]:
+def _measure_unexplained(balance: Balance | None, last: Balance | None, chosen: Trial) -> tuple[float, float]:
     """Parts of what resists the motion that a model leaves, root mean squares over the motion of the chosen one, and
     over the slow part of it: what the chosen model has and this one has not, and what the force balance says that the
     chosen one leaves beyond chance."""
@@ -84,7 +84,7 @@ def _unexplained(balance: Balance | None, last: Balance | None, chosen: Trial) -
     return float(every), float(low)
 
 
-def spoken(added: Mapping[str, object]) -> str:
+def format_terms(added: Mapping[str, object]) -> str:
     """Terms of [model], for people."""
     named = {key: value for key, value in added.items() if value is not False}
     return ", ".join(

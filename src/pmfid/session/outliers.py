@@ -19,7 +19,7 @@ from pmfid.session.records import Record
 from pmfid.session.wrap import wrap_of
 from pmfid.types import Counts, Floats
 
-__all__ = ["Believed", "believed"]
+__all__ = ["Believed", "repair_record"]
 
 
 #: A change of the counts is compared with the median of so many around it: that of a velocity which steps is on either
@@ -60,7 +60,7 @@ class Believed:
 
 
 @dataclass(frozen=True)
-class _Run:
+class _WrongRun:
     """Changes first to last - 1 of the counts that are no motion; `moved`: by how many counts the zero moved."""
 
     first: int
@@ -72,49 +72,49 @@ class _Run:
         return np.arange(0 if self.first == 0 else self.first + 1, samples if self.last == samples - 1 else self.last)
 
 
-def believed(record: Record) -> Believed:
+def repair_record(record: Record) -> Believed:
     """The record with wrong counts and spikes of the input on the line between their neighbours, and a counter that was
     set anew put back. A counter that wraps, and a record in which too much is wrong, stay as they are."""
-    runs, counts = _found(record.counts)
+    runs, counts = _find_runs(record.counts)
     moves = [run for run in runs if run.moved]
     if moves and wrap_of(record.counts) is not None:  # what comes back at once is no wrap
         runs, moves, counts = [], [], record.counts
     rows = sorted({int(row) for run in runs if run.moved == 0 for row in run.rows(counts.size)})
     spikes = _spikes(record.u, counts)
-    left_out = [("count_jump", said) for said in (*_wrong(rows), *(_moved(run) for run in moves[:NAMED]))]
+    left_out = [("count_jump", said) for said in (*_wrong(rows), *(_describe_shift(run) for run in moves[:NAMED]))]
     left_out += [("invalid_input", said) for said in _spiky(spikes)]
     if not left_out:
         return Believed(record)
     findings = tuple(Finding(code, said) for code, said in left_out)
-    return Believed(replace(record, u=_bridged(record.u, spikes), counts=counts), findings)
+    return Believed(replace(record, u=_bridge_input(record.u, spikes), counts=counts), findings)
 
 
 def believed_of(record: Record, axis: Axis) -> Believed:
     """The same, as far as the configuration lets anything be left out, and the model is that of a body that rests."""
     rests = plant_of(axis.model.make().equation).rests
-    return believed(record) if axis.encoder.guard and rests else Believed(record)
+    return repair_record(record) if axis.encoder.guard and rests else Believed(record)
 
 
-def _found(counts: Counts) -> tuple[list[_Run], Counts]:
+def _find_runs(counts: Counts) -> tuple[list[_WrongRun], Counts]:
     """Runs of changes that are no motion, and the counts (n,) without them; none where something is left after all."""
-    found, left = list[_Run](), counts
+    found, left = list[_WrongRun](), counts
     for _ in range(PASSES):
         runs = _runs(left)
         if not runs:
             return found, left
-        found, left = found + runs, _without(left, runs)
+        found, left = found + runs, _repair_counts(left, runs)
     return [], counts
 
 
-def _runs(counts: Counts) -> list[_Run]:
+def _runs(counts: Counts) -> list[_WrongRun]:
     """Changes of the counts (n,) in a row that are no motion."""
     change = np.diff(counts).astype(np.float64)
-    usual, limit = _expected(change)
+    usual, limit = _predict_changes(change)
     wild = np.flatnonzero((np.abs(change - usual) > limit) & ~_goes_on(change, limit))
     if not 0 < wild.size <= max(2, MOST_CHANGES * change.size):
         return []
     near = np.split(wild, np.flatnonzero(np.diff(wild) > AROUND // 2) + 1)
-    return [run for part in near for run in _apart(counts, part, usual, limit)]
+    return [run for part in near for run in _split_runs(counts, part, usual, limit)]
 
 
 def _goes_on(change: Floats, limit: Floats) -> NDArray[np.bool_]:
@@ -127,7 +127,7 @@ def _goes_on(change: Floats, limit: Floats) -> NDArray[np.bool_]:
     return found
 
 
-def _apart(counts: Counts, wild: NDArray[np.intp], usual: Floats, limit: Floats) -> list[_Run]:
+def _split_runs(counts: Counts, wild: NDArray[np.intp], usual: Floats, limit: Floats) -> list[_WrongRun]:
     """The runs of changes `wild` (k,) close to each other: one if the counts come back behind it."""
     whole = _run(counts, int(wild[0]), int(wild[-1]) + 1, usual, limit)
     if whole.moved == 0:
@@ -136,33 +136,33 @@ def _apart(counts: Counts, wild: NDArray[np.intp], usual: Floats, limit: Floats)
     return [_run(counts, int(part[0]), int(part[-1]) + 1, usual, limit) for part in parts]
 
 
-def _run(counts: Counts, first: int, last: int, usual: Floats, limit: Floats) -> _Run:
+def _run(counts: Counts, first: int, last: int, usual: Floats, limit: Floats) -> _WrongRun:
     if first == 0 or last == counts.size - 1:  # nothing says that those at the end are right, or that the zero moved
-        return _Run(first, last, 0)
+        return _WrongRun(first, last, 0)
     beside = np.diff(counts)[[first - 1, last]]
     moved = int(counts[last]) - int(counts[first]) - round((last - first) * float(np.mean(beside)))
     if abs(moved) <= (last - first) * float(np.max(limit[first:last])):
         moved = 0
-    return _Run(first, last, moved)
+    return _WrongRun(first, last, moved)
 
 
-def _expected(change: Floats) -> tuple[Floats, Floats]:
+def _predict_changes(change: Floats) -> tuple[Floats, Floats]:
     """What each change of the counts (n,) should be, and by how much it may differ: (n,)."""
-    windows = _around(change)
+    windows = _stack_neighbours(change)
     middle = np.concatenate([np.median(windows[k : k + CHUNK], axis=1) for k in range(0, len(windows), CHUNK)])
-    steps = np.max(_around(np.abs(np.diff(middle, append=middle[-1:]))), axis=1)
+    steps = np.max(_stack_neighbours(np.abs(np.diff(middle, append=middle[-1:]))), axis=1)
     moving = middle != 0
     usual = float(np.quantile(np.abs(change - middle)[moving], USUAL)) if np.any(moving) else 0.0
     return middle, COUNTS + TIMES * (usual + steps)
 
 
-def _around(values: Floats) -> Floats:
+def _stack_neighbours(values: Floats) -> Floats:
     """(n, AROUND) each of the values (n,) with those around it; at the ends as in a mirror."""
     half = min(AROUND // 2, values.size - 1)
     return np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="reflect"), 2 * half + 1)
 
 
-def _without(counts: Counts, runs: list[_Run]) -> Counts:
+def _repair_counts(counts: Counts, runs: list[_WrongRun]) -> Counts:
     """The counts (n,), with the zero put back and wrong readings on the line between the good ones; at the ends of the
     record on that through the nearest two."""
     counts = counts.copy()
@@ -194,13 +194,13 @@ def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
     return large[answer[large] <= ANSWER * usual]
 
 
-def _bridged(u: Floats, places: NDArray[np.intp]) -> Floats:
+def _bridge_input(u: Floats, places: NDArray[np.intp]) -> Floats:
     """The input (n,) with those at places (k,) on the line between their neighbours."""
     good = np.setdiff1d(np.arange(u.size), places)
     return np.interp(np.arange(u.size), good, u[good]) if places.size else u
 
 
-def _named(rows: list[int]) -> str:
+def _format_rows(rows: list[int]) -> str:
     """Rows from 1 on, as people count."""
     shown = ", ".join(str(row + 1) for row in rows[:NAMED])
     more = f" and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
@@ -211,12 +211,12 @@ def _wrong(rows: list[int]) -> tuple[str, ...]:
     if not rows:
         return ()
     return (
-        f"the counts of {_named(rows)} are no motion, for the others go on as if they were not: left out; check the "
-        "wiring, and if the axis did move so, give [encoder] guard = false",
+        f"the counts of {_format_rows(rows)} fit no motion, and the other counts continue without them: left out; "
+        "check the wiring, and if the axis did move so, give [encoder] guard = false",
     )
 
 
-def _moved(run: _Run) -> str:
+def _describe_shift(run: _WrongRun) -> str:
     return (
         f"the counts jump by {run.moved} at row {run.last + 1} and stay: taken for a counter that was set anew, and "
         "put back; if the axis did move so, give [encoder] guard = false"
@@ -227,6 +227,6 @@ def _spiky(places: NDArray[np.intp]) -> tuple[str, ...]:
     if places.size == 0:
         return ()
     return (
-        f"the input of {_named(places.tolist())} is far beyond all others, and the counts do not answer it: left out; "
-        "if the drive did get it, give [encoder] guard = false",
+        f"the input of {_format_rows(places.tolist())} is far beyond all others, and the counts do not follow: left "
+        "out; if the drive did receive it, give [encoder] guard = false",
     )

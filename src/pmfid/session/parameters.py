@@ -48,9 +48,10 @@ def parameter_rows(result: Parametric) -> list[list[str]]:
     """One row of text for each parameter; of a machine also by how much what its model lacks may move it, and between
     which values it is then."""
     names, units = result.names, result.units
-    found = zip(names, result.theta, result.theta_std, _beyond(result), units, strict=True)
+    found = zip(names, result.theta, result.theta_std, _list_beyond_noise(result), units, strict=True)
     return [
-        [_named(result, name), f"{value:.6g}", f"{std:.2g}", *beyond, unit] for name, value, std, beyond, unit in found
+        [_format_name(result, name), f"{value:.6g}", f"{std:.2g}", *beyond, unit]
+        for name, value, std, beyond, unit in found
     ]
 
 
@@ -59,22 +60,22 @@ def findings_lines(result: Parametric) -> list[str]:
     return [f"{finding.line[0].upper()}{finding.line[1:]}." for finding in result.findings]
 
 
-def _named(result: Parametric, name: str) -> str:
+def _format_name(result: Parametric, name: str) -> str:
     known = result.beforehand.get(name)
     return name if known is None else f"{name} ({known})"
 
 
-def between(low: float, high: float) -> str:
+def format_interval(low: float, high: float) -> str:
     """An interval with the digits that its width asks for, five at least."""
     width, size = high - low, max(abs(low), abs(high))
     digits = 5 if not width > 0 else max(5, min(15, 2 + math.ceil(math.log10(size / width))))
     return f"{low:.{digits}g} to {high:.{digits}g}"
 
 
-def _beyond(result: Parametric) -> list[list[str]]:
+def _list_beyond_noise(result: Parametric) -> list[list[str]]:
     if result.model_spread is None or result.interval_95 is None:
         return [[]] * len(result.names)
     return [
-        [f"{spread:.2g}", between(low, high)] if np.isfinite(spread) else [UNKNOWN, UNKNOWN]
+        [f"{spread:.2g}", format_interval(low, high)] if np.isfinite(spread) else [UNKNOWN, UNKNOWN]
         for spread, (low, high) in zip(result.model_spread, result.interval_95, strict=True)
     ]

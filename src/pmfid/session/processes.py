@@ -65,7 +65,7 @@ class Processes(Kind[Sequence[Experiment]]):
             raise UsageError("quantize is for a drive; floor the column of the record for a transfer function")
         return [read_experiment(path, axis) for path in paths]
 
-    def of_table(self, table: Table, axis: Axis) -> Sequence[Experiment]:
+    def read_table(self, table: Table, axis: Axis) -> Sequence[Experiment]:
         return [experiment_of(table, axis)]
 
     def name_and_samples(self, data: Sequence[Experiment]) -> tuple[str, int]:

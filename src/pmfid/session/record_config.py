@@ -118,6 +118,6 @@ class EncoderConfig(FileSection):
     )
     guard: bool = Field(True, description="true, or false to let samples in that no motion explains")
 
-    def made(self, resolution: float) -> Encoder:
+    def make_encoder(self, resolution: float) -> Encoder:
         """What the estimators know of the encoder, read in steps of `resolution` [unit of y per count]."""
         return Encoder(resolution, standstill_time=self.standstill_time, max_speed=self.max_speed, guard=self.guard)

@@ -17,15 +17,15 @@ import numpy as np
 from pmfid.errors import UsageError
 from pmfid.session.clock import named_unit, time_factor
 from pmfid.session.conversion import Sections, conversion
-from pmfid.session.counting import counts_of, floor_counts, unwrapped
+from pmfid.session.counting import counts_of, floor_counts, unwrap_counts
 from pmfid.session.formats.layout import Stated
 from pmfid.session.formats.reading import read_table
-from pmfid.session.formats.signals import Signals
-from pmfid.session.gaps.places import Laid, laid, left_out
-from pmfid.session.gaps.standing import filled, missing_said
+from pmfid.session.formats.signals import ClockedSignals
+from pmfid.session.gaps.places import Laid, left_out, place_rows
+from pmfid.session.gaps.standing import fill_gaps, missing_said
 from pmfid.session.record_config import NO_ENCODER, RecordConfig
 from pmfid.session.tables import Table, column, from_array, lookup, notes_of, times, whole_name
-from pmfid.session.travel import travelled
+from pmfid.session.travel import measure_travel
 from pmfid.transfer.experiment import Experiment
 from pmfid.types import Counts, Flags, Floats
 
@@ -81,9 +81,9 @@ def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
     if config.output_kind == "counts":
         resolution = axis.encoder.resolution
         step = 1.0 if resolution == NO_ENCODER else resolution
-        y = _scaled(unwrapped(y, axis.encoder.bits) + 0.5, step, "[encoder] resolution")
+        y = _scale_column(unwrap_counts(y, axis.encoder.bits) + 0.5, step, "[encoder] resolution")
     return Experiment(
-        _scaled(columns["input"], scale),
+        _scale_column(columns["input"], scale),
         y,
         dt=config.dt if t is None else None,
         t=t,
@@ -125,8 +125,8 @@ def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, Table, d
     and all, and with the unit of a time that is written as a date or a time of day."""
     names = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
     found = {key: whole_name(table, name) for key, name in names.items() if name is not None}
-    if isinstance(table, Signals):
-        table = table.on(found["output"], tuple(found[key] for key in ("input", "reference") if key in found))
+    if isinstance(table, ClockedSignals):
+        table = table.align(found["output"], tuple(found[key] for key in ("input", "reference") if key in found))
     columns = {key: column(table, key, name) for key, name in found.items() if key != "time"}
     changed: dict[str, str] = dict(found)
     if "time" in found:
@@ -162,8 +162,8 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     if rows.rows.size < len(columns["input"]):  # else a copy of each for nothing
         columns = {key: values[rows.rows] for key, values in columns.items()}
     columns.pop("time", None)
-    y = _scaled(columns["output"], units.y, "the unit of the output")
-    travel, motion_notes = _travelled(y, rows, axis)
+    y = _scale_column(columns["output"], units.y, "the unit of the output")
+    travel, motion_notes = _measure_travel(y, rows, axis)
     counts, count_notes = counts_of(travel, axis)
     resolution = axis.encoder.resolution
     if quantize is not None:
@@ -174,18 +174,18 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     if config.output_kind == "counts" and resolution == 1:
         count_notes += ("resolution is 1: lengths are in counts; give the travel of a count in [encoder]",)
     notes = notes_of(table) + units.notes + scale_notes + row_notes + motion_notes + count_notes
-    u = _scaled(columns["input"], scale * units.u)
+    u = _scale_column(columns["input"], scale * units.u)
     if rows.whole:
         return Record(u, counts, rows.dt, resolution, notes, name, units.kind == "rotary")
-    u, counts, there = filled(u, counts, rows.places, bridged=config.output_kind != "velocity")
+    u, counts, there = fill_gaps(u, counts, rows.places, bridged=config.output_kind != "velocity")
     return Record(u, counts, rows.dt, resolution, (*notes, missing_said(u, there)), name, units.kind == "rotary", there)
 
 
-def _travelled(y: Floats, rows: Laid, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
+def _measure_travel(y: Floats, rows: Laid, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
     """The travel (m,) of the rows that count; a velocity runs along a line over those that are missing."""
     if axis.record.output_kind != "velocity":
-        return travelled(y, rows.dt, axis)
-    whole, notes = travelled(np.interp(np.arange(rows.places[-1] + 1), rows.places, y), rows.dt, axis)
+        return measure_travel(y, rows.dt, axis)
+    whole, notes = measure_travel(np.interp(np.arange(rows.places[-1] + 1), rows.places, y), rows.dt, axis)
     return whole[rows.places], notes
 
 
@@ -196,7 +196,7 @@ def _rows(table: Table, config: RecordConfig, columns: Mapping[str, Floats]) -> 
     out, notes = left_out(time, samples, config, mask)
     u, y = columns["input"], columns["output"]
     repeated = np.r_[False, (u[1:] == u[:-1]) & (y[1:] == y[:-1])]
-    rows = laid(time, ~out & np.isfinite(u) & np.isfinite(y), repeated, config)
+    rows = place_rows(time, ~out & np.isfinite(u) & np.isfinite(y), repeated, config)
     if rows.rows.size < MIN_SAMPLES:
         raise UsageError(
             f"{rows.rows.size} of {samples} rows have input and output and are not left out, at least "
@@ -234,7 +234,7 @@ def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ..
     return array.item(), (f"input scaled by {scale} = {array.item():g}",)
 
 
-def _scaled(column: Floats, scale: float, key: str = "[record] input_scale") -> Floats:
+def _scale_column(column: Floats, scale: float, key: str = "[record] input_scale") -> Floats:
     if scale == 1:  # no copy of a long record
         return column
     with np.errstate(over="ignore"):  # looked at

@@ -23,7 +23,7 @@ from pmfid.session.config import _KEYS_OF_ONE_KIND, Axis
 from pmfid.session.model_config import keys_of
 from pmfid.status import ADVICE, Status
 
-__all__ = ["Entry", "entries", "explained", "find", "keys_in", "page", "tables"]
+__all__ = ["ReferenceEntry", "entries", "explain_entries", "find", "keys_in", "page", "tables"]
 
 #: How descriptions name units, as the messages that end with them do.
 _UNITS = re.compile(
@@ -36,7 +36,7 @@ _KEY = "key of AXIS.toml"
 
 
 @dataclass(frozen=True)
-class Entry:
+class ReferenceEntry:
     """A key of a file, or a word of a status. name: with its section; what: one of these; kind, unit, default: of a
     key, "" where it has none; models: the kinds of model that it is for, "" for all; meaning: a sentence."""
 
@@ -71,21 +71,21 @@ class Entry:
         return {key: value for key, value in vars(self).items() if value}
 
 
-def entries() -> tuple[Entry, ...]:
+def entries() -> tuple[ReferenceEntry, ...]:
     """Of all keys in the order of the file, then of all words of a status."""
     sections = ((name, field) for name, field in Axis.model_fields.items())
     keys = [key for name, field in sections for key in keys_in(name, field.annotation)]
     bits = {str(bit.name).lower(): ADVICE[bit] for bit in Status}
-    words = [Entry(name, "status of a sample and of an estimate", meaning) for name, meaning in bits.items()]
-    return (*keys, *words, *(Entry(name, "status of an estimate", meaning) for name, meaning in FLAGS.items()))
+    words = [ReferenceEntry(name, "status of a sample and of an estimate", meaning) for name, meaning in bits.items()]
+    return (*keys, *words, *(ReferenceEntry(name, "status of an estimate", meaning) for name, meaning in FLAGS.items()))
 
 
-def keys_in(section: str, annotation: object, what: str = _KEY) -> Iterator[Entry]:
+def keys_in(section: str, annotation: object, what: str = _KEY) -> Iterator[ReferenceEntry]:
     """Of a section of this type, and of the tables inside it; what: that they are."""
     for model in _models_in(annotation):
         for name, own in model.model_fields.items():
             described = own.description or ""
-            yield Entry(
+            yield ReferenceEntry(
                 f"{section}.{name}",
                 what,
                 described,
@@ -168,7 +168,7 @@ def _models(section: str, name: str) -> str:
     return "" if len(kinds) == len(lists) else "kind = " + " or ".join(f'"{kind}"' for kind in kinds)
 
 
-def find(word: str, known: Sequence[Entry] | None = None) -> list[Entry]:
+def find(word: str, known: Sequence[ReferenceEntry] | None = None) -> list[ReferenceEntry]:
     """What a word means among the known, None: those of AXIS.toml: a key with its section or without, a whole section,
     or a word of a status, spaces for underscores. Raises UsageError with what it may have meant."""
     wanted = re.sub(r"^\[(.+)\]\s*", r"\1.", word.strip()).rstrip(".").replace(" ", "_").replace("-", "_").lower()
@@ -179,7 +179,7 @@ def find(word: str, known: Sequence[Entry] | None = None) -> list[Entry]:
     raise UsageError(f"there is nothing called {word!r}{hint}; pmfid explain alone lists all keys and words")
 
 
-def explained(found: Sequence[Entry]) -> str:
+def explain_entries(found: Sequence[ReferenceEntry]) -> str:
     """For people: a list of many, all that is known of a few."""
     if len(found) <= 4:
         return "\n\n".join(entry.text for entry in found)
@@ -190,12 +190,12 @@ def explained(found: Sequence[Entry]) -> str:
 def page() -> str:
     """The page of all keys, in Markdown."""
     known = entries()
-    parts = tables([entry for entry in known if entry.kind], _about)
+    parts = tables([entry for entry in known if entry.kind], _describe_section)
     words = [f"| `{entry.name}` | {entry.what} | {entry.meaning} |" for entry in known if not entry.kind]
     return "\n".join([_HEAD, *parts, _STATUS, *words, ""])
 
 
-def tables(known: Sequence[Entry], about: Callable[[str], str]) -> list[str]:
+def tables(known: Sequence[ReferenceEntry], about: Callable[[str], str]) -> list[str]:
     """A table of the keys of each section, in Markdown; about: what stands above that of a section."""
     found = []
     for section in dict.fromkeys(entry.section for entry in known):
@@ -221,7 +221,7 @@ What `status` says of an estimate, in the terminal, in JSON, in reports and in P
 |---|---|---|"""
 
 
-def _about(section: str) -> str:
+def _describe_section(section: str) -> str:
     """What a whole section is, where it has a description of its own."""
     field = Axis.model_fields.get(section)
     return f"{_sentence(field.description)}\n\n" if field is not None and field.description else ""
@@ -231,7 +231,7 @@ def _sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def _row(entry: Entry) -> str:
+def _row(entry: ReferenceEntry) -> str:
     only = f" Only with {entry.models}." if entry.models else ""
     key = entry.name.rpartition(".")[2]
     cells = (f"`{key}`", entry.kind, entry.unit, entry.default, f"{_sentence(entry.meaning)}{only}")

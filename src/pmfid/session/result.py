@@ -102,7 +102,7 @@ class Result(Shown):
     def __str__(self) -> str:
         """A line for each parameter, then the status and what to mind."""
         lines = [self.title, *(f"  {line}" for line in self._lines)]
-        lines += [f"  95 % with what the model may lack: {told}" for told in self._told_beyond_noise()]
+        lines += [f"  95 % with what the model may lack: {told}" for told in self._list_beyond_noise()]
         return "\n".join([*lines, *self._remarks])
 
     @property
@@ -137,7 +137,7 @@ class Result(Shown):
         """What `--json` prints."""
         return plain_dict(self.to_json())
 
-    def _told_beyond_noise(self) -> list[str]:
+    def _list_beyond_noise(self) -> list[str]:
         """One line for each parameter of which something is known beside the noise."""
         if self.model_spread is None or self.interval_95 is None:
             return []
@@ -148,7 +148,7 @@ class Result(Shown):
             if np.isfinite(spread)
         ]
 
-    def _beyond_noise(self) -> dict[str, dict[str, object]]:
+    def _describe_beyond_noise(self) -> dict[str, dict[str, object]]:
         """By parameter, what `to_json` has of it beside value, error bar and unit; null: not known."""
         names = self.names
         if self.model_spread is None or self.interval_95 is None:
@@ -165,7 +165,7 @@ class Result(Shown):
         """The object that `--json` prints."""
         estimator = self.estimator
         rows = zip(self.names, self.units, self.theta, self.theta_std, strict=True)
-        further = self._beyond_noise()
+        further = self._describe_beyond_noise()
         return {
             "model": estimator.model.kind,
             "method": estimator.method,

@@ -54,7 +54,7 @@ class RowFile:
     def _write(self) -> None:
         try:
             while self._waiting:
-                self._written(os.write(self._file, self._waiting))
+                self._drop_written(os.write(self._file, self._waiting))
         except BrokenPipeError:
             raise
         except OSError as error:
@@ -66,7 +66,7 @@ class RowFile:
             self._tell({"event": "written again", "file": str(self.path), "lost": self.lost})
         self._failing = False
 
-    def _written(self, size: int) -> None:
+    def _drop_written(self, size: int) -> None:
         end = self._waiting.rfind(b"\n", 0, size)
         self._whole = self._size + end + 1 if end >= 0 else self._whole
         self._size += size

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.session.formats.signals import Signals
+from pmfid.session.formats.signals import ClockedSignals
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["TWICE", "Columns", "Table", "column", "from_array", "lookup", "notes_of", "times", "whole_name"]
+__all__ = ["TWICE", "NotedTable", "Table", "column", "from_array", "lookup", "notes_of", "times", "whole_name"]
 
 #: Column by name: an array or a polars series, whichever the reader of the file has.
 Table = Mapping[str, object]
@@ -30,7 +30,7 @@ DAY = 86_400.0
 _UNIT = re.compile(r"\s*[\[(][^\])]*[\])]$")
 
 
-class Columns(dict[str, object]):
+class NotedTable(dict[str, object]):
     """A table, and how it was read, for people."""
 
     def __init__(self, columns: Mapping[str, object], notes: tuple[str, ...]) -> None:
@@ -40,7 +40,7 @@ class Columns(dict[str, object]):
 
 def notes_of(table: Table) -> tuple[str, ...]:
     """How a table was read, where that was not plain."""
-    return table.notes if isinstance(table, Columns | Signals) else ()
+    return table.notes if isinstance(table, NotedTable | ClockedSignals) else ()
 
 
 def whole_name(table: Table, name: str) -> str:
@@ -104,15 +104,15 @@ def times(table: Table, name: str) -> tuple[Floats, bool]:
     value, label = lookup(table, "time", name), f"time column {name!r}"
     if isinstance(value, np.ndarray):
         return from_array(label, value).ravel(), False
-    return _clocked(label, cast("pl.Series", value))
+    return _read_clock(label, cast("pl.Series", value))
 
 
-def _clocked(label: str, series: pl.Series) -> tuple[Floats, bool]:
+def _read_clock(label: str, series: pl.Series) -> tuple[Floats, bool]:
     import polars as pl
 
     _check_cells(label, series)
     if series.dtype == pl.String and not _has_number(series):
-        series = _parsed(series)
+        series = _parse_times(series)
     daily = series.dtype if series.dtype == pl.Time else None
     if daily is not None:
         series = series.cast(pl.Duration("ns"))
@@ -136,7 +136,7 @@ def _has_number(series: pl.Series) -> bool:
     return not series.str.strip_chars().cast(pl.Float64, strict=False).is_null().all()
 
 
-def _parsed(series: pl.Series) -> pl.Series:
+def _parse_times(series: pl.Series) -> pl.Series:
     """Dates with times, or times of day, as ISO 8601 writes them; the text itself where it is neither."""
     import polars as pl
 

@@ -23,12 +23,12 @@ from pmfid.judge.term_trials import known_shapes
 from pmfid.judge.terms import Step, Terms, search
 from pmfid.models.drive import Drive
 from pmfid.session.config import Axis, check_sampling
-from pmfid.session.drives import Drives, all_known, of_kind
+from pmfid.session.drives import Drives, all_known, match_kind
 from pmfid.session.gaps.longest import unbroken
-from pmfid.session.identify import explained, identify
+from pmfid.session.identify import explain_error, identify
 from pmfid.session.kinds import Progress
 from pmfid.session.known import check_numbers_known
-from pmfid.session.nested import Nested, finite, nested, spoken
+from pmfid.session.nested import Nested, compare_nested, finite, format_terms
 from pmfid.session.outliers import believed_of
 from pmfid.session.records import Record
 from pmfid.session.result import DriveResult
@@ -95,7 +95,7 @@ class TermSearch(Shown):
         first = f"{_share(self.models[0])} of friction and load unexplained"
         if not self.added:
             return f"No term beyond those of [model] is found; they leave {first}."
-        return f"The terms to begin with leave {first}; with {spoken(self.added)} {_share(self.chosen)}."
+        return f"The terms to begin with leave {first}; with {format_terms(self.added)} {_share(self.chosen)}."
 
     def to_json(self) -> dict[str, object]:
         """The object that `--json` prints."""
@@ -190,7 +190,7 @@ def search_drive(
     drive and NotIdentifiableError where the record is too short, or cannot identify the model to begin with.
     """
     data, other = unbroken(data), None if other is None else unbroken(other)
-    axis = of_kind(data, axis)
+    axis = match_kind(data, axis)
     model = axis.model.make()
     if not isinstance(model, Drive):
         raise UsageError(
@@ -210,7 +210,7 @@ def search_drive(
     try:
         found = search(bench, model, places, scan, done)
     except NotIdentifiableError as error:
-        raise explained(error, Drives().checked(data, axis)) from None
+        raise explain_error(error, Drives().check_record(data, axis)) from None
     notes = tuple(filter(None, (*data.notes, known.told)))
     own = None if found.added else _identified(data, axis)
     return _told(data, bench, found, notes, known.status, axis.estimator.tolerance, own)
@@ -234,7 +234,7 @@ def round_up(number: float) -> float:
 
 def _fast_enough(data: Record, axis: Axis) -> Axis:
     """With a cutoff: if none is given, one after whose filters a part of the record can be predicted."""
-    found, least = Drives().prepared(data, axis), cutoff_for(data.u.size // PARTS, data.dt)
+    found, least = Drives().prepare_axis(data, axis), cutoff_for(data.u.size // PARTS, data.dt)
     if axis.estimator.cutoff is not None or least is None or found.estimator.pole >= least:
         return found
     return found.model_copy(update={"estimator": found.estimator.model_copy(update={"cutoff": least})})
@@ -242,7 +242,7 @@ def _fast_enough(data: Record, axis: Axis) -> Axis:
 
 def _method(model: Drive, data: Record, axis: Axis) -> IntervalML:
     return IntervalML(
-        model, axis.encoder.made(data.resolution), data.dt, axis.estimator.pole, order=axis.estimator.order
+        model, axis.encoder.make_encoder(data.resolution), data.dt, axis.estimator.pole, order=axis.estimator.order
     )
 
 
@@ -271,7 +271,7 @@ def _told(
     own_said: Said | None,
 ) -> TermSearch:
     pairs = zip(found.trials, found.errors, strict=True)
-    models = nested(bench, found.trials[0].model, list(pairs))
+    models = compare_nested(bench, found.trials[0].model, list(pairs))
     judged, beyond = own_said or _judged(bench, models[-1], tolerance)
     unresolved = beyond and (not found.adequacy.adequate or bool(found.refused))
     own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * unresolved

@@ -16,7 +16,7 @@ from pydantic_core import ErrorDetails
 
 from pmfid.errors import UsageError, did_you_mean
 
-__all__ = ["FileSection", "load_sections", "shown", "validated"]
+__all__ = ["FileSection", "load_sections", "show_value", "validate_sections"]
 
 
 class FileSection(BaseModel):
@@ -52,12 +52,14 @@ def load_sections(
         if isinstance(table, dict):
             table[key] = value
     try:
-        return validated(whole, raw, given)
+        return validate_sections(whole, raw, given)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
 
 
-def validated(whole: type[Whole], raw: Mapping[str, object], given: Mapping[str, object] | None = None) -> Whole:
+def validate_sections(
+    whole: type[Whole], raw: Mapping[str, object], given: Mapping[str, object] | None = None
+) -> Whole:
     """The sections of `raw` as an object; given: those dotted keys that came as options. Raises UsageError with all
     problems in one text."""
     try:
@@ -108,10 +110,10 @@ def _problem(
         return f"{label}: {message}" if isinstance(table, dict) else f"{label} must be a section of keys"
     value = table[rest[0]] if isinstance(table, dict) else None
     origin = " (given as an option)" if f"{section}.{rest[0]}" in given else ""
-    return f"{label} = {shown(value)}{origin}: {message}; give {field.description}"
+    return f"{label} = {show_value(value)}{origin}: {message}; give {field.description}"
 
 
-def shown(value: object) -> str:
+def show_value(value: object) -> str:
     """As it is written, without user and password where it is an address."""
     return re.sub(r"//[^/'\"\s]*@", "//...@", repr(value))
 

@@ -17,7 +17,7 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     from pmfid.session.config import Axis
 
-__all__ = ["travelled"]
+__all__ = ["measure_travel"]
 
 #: Velocities are multiples of a step where they are within this part of it.
 WHOLE = 1e-3
@@ -36,7 +36,7 @@ def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats
     return line, "the velocity is integrated along lines between samples: an offset of it grows into the position"
 
 
-def travelled(y: Floats, dt: float, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
+def measure_travel(y: Floats, dt: float, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
     """The output as one that does not begin anew, and no velocity; what was done, for people."""
     if axis.record.output_kind == "velocity":
         position, how = _position_of(y, dt, axis.encoder.resolution)

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-__all__ = ["INPUTS", "OUTPUTS", "SI", "Quantity", "Unit", "column_unit", "gain", "kept", "known_unit", "quantity"]
+__all__ = ["INPUTS", "OUTPUTS", "SI", "Quantity", "Unit", "column_unit", "gain", "keep_unit", "known_unit", "quantity"]
 
 _PREFIXES = {"": 1.0, "k": 1e3, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
 _MINUTE = 60.0
@@ -91,10 +91,10 @@ class Quantity(float):
 
     def __reduce__(self) -> tuple[Callable[[float, Unit], Quantity], tuple[float, Unit]]:
         """Copies and pickles have the same bits: nothing is converted twice."""
-        return _in_si, (float(self), self.unit)
+        return _make_quantity, (float(self), self.unit)
 
 
-def _in_si(value: float, unit: Unit) -> Quantity:
+def _make_quantity(value: float, unit: Unit) -> Quantity:
     made = float.__new__(Quantity, value)
     made.unit = unit
     return made
@@ -122,7 +122,7 @@ def column_unit(name: str, table: dict[str, Unit]) -> Unit | None:
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
 
-def kept(value: object, check: Callable[[object], object], read: Callable[[object], object]) -> object:
+def keep_unit(value: object, check: Callable[[object], object], read: Callable[[object], object]) -> object:
     """What `read` makes of a value, if a field's `check` takes it as a number."""
     made = read(value)
     checked = check(float(made) if isinstance(made, Quantity) else made)

@@ -14,12 +14,12 @@ from pmfid.judge.free_run import FreeRun, Horizon
 from pmfid.session.config import Axis
 from pmfid.session.identify import check, kind_of
 from pmfid.session.kinds import Records, parameters_of
-from pmfid.session.known import at_stored_gain
+from pmfid.session.known import set_stored_gain
 from pmfid.session.stored import Stored
 from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 from pmfid.types import Floats
 
-__all__ = ["Validation", "read_records", "validate_stored", "validated"]
+__all__ = ["Validation", "read_records", "validate_parameters", "validate_stored"]
 
 #: A free run within so many times what the encoder leaves explains the counts.
 WITHIN = 1.5
@@ -139,20 +139,20 @@ def read_records(paths: Sequence[Path], axis: Axis) -> list[Records]:
 def validate_stored(stored: Stored, data: Sequence[Records], axis: Axis) -> Validation:
     """Free runs with the parameters of a file over what `read_records` gives. Raises UsageError where the parameters
     are not of the model of `axis`, or nothing can be simulated with them."""
-    kind, axis = kind_of(axis), at_stored_gain(axis, stored)
+    kind, axis = kind_of(axis), set_stored_gain(axis, stored)
     theta = stored.theta(axis.model.kind, *parameters_of(axis.model.make()))
     for record in data:
         kind.check_known(stored, record, axis)
-    return validated(stored.method, theta, data, axis)
+    return validate_parameters(stored.method, theta, data, axis)
 
 
-def validated(method: str, theta: Floats, data: Sequence[Records], axis: Axis) -> Validation:
+def validate_parameters(method: str, theta: Floats, data: Sequence[Records], axis: Axis) -> Validation:
     """Free runs with parameters theta (p,) of the model of `axis`, found by `method`, over records. Raises as
     `validate_stored`."""
     kind, (names, units) = kind_of(axis), parameters_of(axis.model.make())
     if not data:
         raise UsageError("there is no record to validate on; give one")
-    asked, axis = axis, kind.prepared(data[0], axis)
+    asked, axis = axis, kind.prepare_axis(data[0], axis)
     if not np.all(np.isfinite(theta)):
         raise UsageError("a parameter is not finite: identify it again")
     for record in data:

@@ -39,20 +39,20 @@ def weighed_terms(found: Terms, fit: Fit | None) -> Iterator[Weighed]:
     """Each term of the chosen model, with its error bars `fit`, and after them those that were fitted and not kept."""
     first, last = found.trials[0].model, dict[str, Step]()
     for step in found.without:
-        yield _weighed(step, first, found.chosen, fit)
+        yield _weigh_step(step, first, found.chosen, fit)
     for step in (step for tried in found.steps for step in tried):
         if step.trial is not None and not step.kept and not step.candidate.change.items() <= found.added.items():
             last[_setting(step)] = step
     for step in last.values():
         if step.trial is not None:
-            yield _weighed(step, first, step.trial, bars(step.trial))
+            yield _weigh_step(step, first, step.trial, bars(step.trial))
 
 
 def _setting(step: Step) -> str:
     return ", ".join(setting(*pair) for pair in step.candidate.change.items())
 
 
-def _weighed(step: Step, first: Drive, trial: Trial, fit: Fit | None) -> Weighed:
+def _weigh_step(step: Step, first: Drive, trial: Trial, fit: Fit | None) -> Weighed:
     """first: the model to begin with; trial: one with the term."""
     equation = trial.model.equation
     rest = change_arguments(trial.model, {key: getattr(first, key) for key in step.candidate.change}).equation

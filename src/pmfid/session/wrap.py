@@ -34,7 +34,7 @@ class Wrap:
         """The width of a counter of that range, None where it is no power of two."""
         return self.span.bit_length() - 1 if self.span.bit_count() == 1 else None
 
-    def said(self, column: str, kind: str, resolution: float, unit: str) -> tuple[str, str]:
+    def describe_mistake(self, column: str, kind: str, resolution: float, unit: str) -> tuple[str, str]:
         """The mistake and its remedy, for an output column of that output_kind; unit: of the resolution."""
         size = self.span if kind == "counts" else self.span * resolution
         what = f"the output column {column!r} wraps at {size:.4g}, the first time at row {self.row}"

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from pmfid.findings import Finding, codes, sort_findings
-from pmfid.session.checks.counter import forgotten_bits, frozen, held_output, jump
-from pmfid.session.checks.inputs import held_input, saturated
-from pmfid.session.checks.log import Log
+from pmfid.session.checks.counter import forgotten_bits, find_frozen_counts, held_output, jump
+from pmfid.session.checks.inputs import held_input, find_saturation
+from pmfid.session.checks.log import CheckedLog
 from pmfid.session.checks.motion import no_inertia, no_motion
 from pmfid.session.checks.readings import read_as
 from pmfid.session.checks.timing import drifts, too_fast, too_slow
@@ -19,31 +19,31 @@ from pmfid.session.config import Axis
 from pmfid.session.gaps.longest import unbroken
 from pmfid.session.records import Record
 
-__all__ = ["LATER", "SOON", "Check", "checked", "glanced"]
+__all__ = ["LATER", "SOON", "Check", "check_record", "scan_record"]
 
-Check = Callable[[Log], Iterator[Finding]]
+Check = Callable[[CheckedLog], Iterator[Finding]]
 
 #: Families of checks, in this order: what one finds would look like the next ones' faults, and ends the search.
 SOON: tuple[tuple[Check, ...], ...] = (
     (no_motion, forgotten_bits, too_fast),
     (read_as,),
-    (held_output, frozen, held_input, saturated),
+    (held_output, find_frozen_counts, held_input, find_saturation),
     (too_slow, jump),
 )
 LATER: tuple[tuple[Check, ...], ...] = ((drifts,), (no_inertia,))
 
 
-def glanced(record: Record, axis: Axis) -> tuple[Finding, ...]:
+def scan_record(record: Record, axis: Axis) -> tuple[Finding, ...]:
     """What the columns show at a glance."""
-    return sort_findings(_found(Log(unbroken(record), axis), SOON))
+    return sort_findings(_run_families(CheckedLog(unbroken(record), axis), SOON))
 
 
-def checked(record: Record, axis: Axis) -> tuple[Finding, ...]:
+def check_record(record: Record, axis: Axis) -> tuple[Finding, ...]:
     """All that is found."""
-    return sort_findings(_found(Log(unbroken(record), axis), (*SOON, *LATER)))
+    return sort_findings(_run_families(CheckedLog(unbroken(record), axis), (*SOON, *LATER)))
 
 
-def _found(log: Log, families: tuple[tuple[Check, ...], ...]) -> Iterator[Finding]:
+def _run_families(log: CheckedLog, families: tuple[tuple[Check, ...], ...]) -> Iterator[Finding]:
     """What the families find, up to the first that finds more than a note."""
     for family in families:
         found = [finding for check in family for finding in check(log)]

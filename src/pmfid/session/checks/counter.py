@@ -8,33 +8,33 @@ import numpy as np
 
 from pmfid.findings import Finding
 from pmfid.judge.counts import count_jump
-from pmfid.session.checks.log import Log
+from pmfid.session.checks.log import CheckedLog
 from pmfid.session.checks.repeats import period_of
 from pmfid.session.checks.stops import Stop
 from pmfid.session.wrap import wrap_of
 
-__all__ = ["forgotten_bits", "frozen", "held_output", "jump"]
+__all__ = ["find_frozen_counts", "forgotten_bits", "held_output", "jump"]
 
 
-def forgotten_bits(log: Log) -> Iterator[Finding]:
+def forgotten_bits(log: CheckedLog) -> Iterator[Finding]:
     """A counter that wraps, and nobody has undone it."""
     wrap = wrap_of(log.record.counts) if log.axis.encoder.bits is None and log.axis.encoder.range is None else None
     if wrap is not None:
         config = log.axis.record
-        sentence, remedy = wrap.said(
+        sentence, remedy = wrap.describe_mistake(
             config.output, config.output_kind, log.record.resolution, log.axis.model.make().equation.motion.travel
         )
         yield Finding("wrapped", sentence, remedy, "wrong")
 
 
-def jump(log: Log) -> Iterator[Finding]:
+def jump(log: CheckedLog) -> Iterator[Finding]:
     """One change of the counts that is no motion, where nothing keeps it out."""
     sentence = count_jump(log.known.counts) if log.axis.encoder.max_speed is None and log.is_machine else ""
     if sentence:
         yield Finding("count_jump", sentence, severity="wrong")
 
 
-def held_output(log: Log) -> Iterator[Finding]:
+def held_output(log: CheckedLog) -> Iterator[Finding]:
     """Counts that are read anew every few samples."""
     every = period_of(np.flatnonzero(log.change))
     if every > 1:
@@ -47,7 +47,7 @@ def held_output(log: Log) -> Iterator[Finding]:
         )
 
 
-def frozen(log: Log) -> Iterator[Finding]:
+def find_frozen_counts(log: CheckedLog) -> Iterator[Finding]:
     """Counts that stop where the axis cannot: at the end of their range, or anywhere."""
     counts, stops = log.record.counts, log.sudden_stops
     if not stops:
@@ -62,7 +62,7 @@ def frozen(log: Log) -> Iterator[Finding]:
             f"the output column {output!r} ends at {size:.6g} while the axis goes on, {len(ends)} "
             f"time{'s' * (len(ends) > 1)}, first in rows {first[0] + 1} to {first[1] + 1}: the range of the counter or "
             "the sensor ends there, and what moves on is taken for rest",
-            f"use rows {_between(ends, counts.size)}, the most without, or record within the range",
+            f"use rows {_format_free_rows(ends, counts.size)}, the most without, or record within the range",
         )
         return
     yield Finding(
@@ -70,11 +70,11 @@ def frozen(log: Log) -> Iterator[Finding]:
         f"the output column {output!r} stands still while the axis goes on, {len(stops)} "
         f"time{'s' * (len(stops) > 1)}, first in rows {first[0] + 1} to {first[1] + 1}: "
         "the counter, or what reads it, was stuck",
-        f"use rows {_between(stops, counts.size)}, the most without, and check the wiring",
+        f"use rows {_format_free_rows(stops, counts.size)}, the most without, and check the wiring",
     )
 
 
-def _between(stops: list[Stop], rows: int) -> str:
+def _format_free_rows(stops: list[Stop], rows: int) -> str:
     """The longest stretch of rows, from 1 on, without any of the stops."""
     edges = [-1, *(edge for stop in stops for edge in stop), rows]
     first, last = max(zip(edges[::2], edges[1::2], strict=True), key=lambda pair: pair[1] - pair[0])

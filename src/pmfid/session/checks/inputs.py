@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.findings import Finding
-from pmfid.session.checks.log import Log
+from pmfid.session.checks.log import CheckedLog
 from pmfid.session.checks.repeats import period_of
 from pmfid.session.checks.view import View, view, with_friction
 from pmfid.types import Floats
 
-__all__ = ["held_input", "saturated"]
+__all__ = ["find_saturation", "held_input"]
 
 #: An input of fewer values is one of steps.
 LEVELS = 20
@@ -27,7 +27,7 @@ LARGER = "log the force or current that the drive gave with a larger range, or r
 TIMES = (3.0, 10.0, 30.0, 100.0)
 
 
-def held_input(log: Log) -> Iterator[Finding]:
+def held_input(log: CheckedLog) -> Iterator[Finding]:
     """An input that is logged anew every few samples."""
     u = log.record.u
     every = period_of(np.flatnonzero(np.diff(u))) if _varies(u) else 1
@@ -40,7 +40,7 @@ def held_input(log: Log) -> Iterator[Finding]:
         )
 
 
-def saturated(log: Log) -> Iterator[Finding]:
+def find_saturation(log: CheckedLog) -> Iterator[Finding]:
     """An input that stays at its largest or smallest value: limited by the drive, or cut off in the log."""
     u = log.record.u
     if not _varies(u):
@@ -73,7 +73,7 @@ def _piles_up(u: Floats, limit: float) -> bool:
     return at_limit >= AT_LIMIT * u.size and at_limit > PILED * float(np.mean(times[beside]))
 
 
-def _falls_short(log: Log, there: NDArray[np.bool_]) -> bool:
+def _falls_short(log: CheckedLog, there: NDArray[np.bool_]) -> bool:
     """Does the motion ask for more force where the input is cut off?"""
     if log.view is None or not log.is_machine:
         return False
@@ -91,7 +91,7 @@ def _arcs(there: NDArray[np.bool_]) -> Floats:
     return arcs
 
 
-def _lacks(log: Log, shape: Floats, time: float) -> bool:
+def _lacks(log: CheckedLog, shape: Floats, time: float) -> bool:
     """Is a force of this shape (n,) missing, as filters of one time constant show it? Friction of forms that are not
     viscous and dry would be taken for it, and has columns of its own."""
     counts, encoder, dt = log.known.counts[log.part], log.encoder, log.record.dt

@@ -13,19 +13,19 @@ from pmfid.models.drive import Drive
 from pmfid.session.checks.stops import Stop, held_back, long_stops, sudden
 from pmfid.session.checks.view import View, best_view
 from pmfid.session.config import Axis
-from pmfid.session.known import at_some_gain, finds_gain
+from pmfid.session.known import finds_gain, set_any_gain
 from pmfid.session.outliers import believed_of
 from pmfid.session.records import Record
 from pmfid.types import Counts, Floats
 
-__all__ = ["Log", "hasty", "liveliest"]
+__all__ = ["CheckedLog", "hasty", "liveliest"]
 
 #: Part of a record that is looked at behind filters: the one with the most motion.
 MOST_SAMPLES = 8000
 
 
 @dataclass(frozen=True, eq=False)
-class Log:
+class CheckedLog:
     """A record, as it is read with a configuration."""
 
     record: Record
@@ -39,18 +39,18 @@ class Log:
     @cached_property
     def is_machine(self) -> bool:
         """Is it one with a position and a mass, as the readings take it?"""
-        equation = at_some_gain(self.axis).model.make().equation
+        equation = set_any_gain(self.axis).model.make().equation
         return plant_of(equation).rests and equation.order == 2
 
     @cached_property
     def known(self) -> Record:
         """The record without what no motion explains."""
-        return believed_of(self.record, at_some_gain(self.axis)).record
+        return believed_of(self.record, set_any_gain(self.axis)).record
 
     @cached_property
     def force(self) -> Floats:
         """(n,): the input with the sign that the configuration gives its force."""
-        gain = at_some_gain(self.axis).model.make().equation.input_gain
+        gain = set_any_gain(self.axis).model.make().equation.input_gain
         return np.asarray(np.sign(gain) * self.known.u)
 
     @property

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from pmfid.findings import Finding
-from pmfid.session.checks.log import Log
+from pmfid.session.checks.log import CheckedLog
 from pmfid.session.checks.readings import is_exchanged
 from pmfid.session.checks.view import MASS
 
@@ -19,7 +19,7 @@ FEWEST = 8
 TOLD = 2.0
 
 
-def no_motion(log: Log) -> Iterator[Finding]:
+def no_motion(log: CheckedLog) -> Iterator[Finding]:
     """An axis at rest, or one that hardly leaves its count."""
     travel = int(np.ptp(log.record.counts))
     if travel == 0:
@@ -39,7 +39,7 @@ def no_motion(log: Log) -> Iterator[Finding]:
         )
 
 
-def no_inertia(log: Log) -> Iterator[Finding]:
+def no_inertia(log: CheckedLog) -> Iterator[Finding]:
     """An axis that never changes its speed as the input asks."""
     view = log.view if log.is_machine else None
     if view is not None and abs(view.sure(np.eye(view.theta.size)[MASS])) < TOLD:

@@ -13,12 +13,12 @@ import numpy as np
 
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.findings import Finding
-from pmfid.session.checks.log import Log, hasty, liveliest
+from pmfid.session.checks.log import CheckedLog, hasty, liveliest
 from pmfid.session.checks.timing import drifts, too_slow
 from pmfid.session.checks.view import MASS, VISCOUS, View, best_view
 from pmfid.types import Counts, Floats
 
-__all__ = ["INTEGRATE", "as_velocity", "integrated", "is_exchanged", "read_as", "turned"]
+__all__ = ["INTEGRATE", "convert_velocity", "integrate_velocity", "is_exchanged", "read_as", "suggest_sign"]
 
 #: Part of the input that a reading may leave unexplained, of all of it, and of what the record as it stands leaves.
 FOLLOWS, BETTER = 0.15, 0.3
@@ -45,7 +45,7 @@ INTEGRATE = (
 )
 
 
-def read_as(log: Log) -> Iterator[Finding]:
+def read_as(log: CheckedLog) -> Iterator[Finding]:
     """Columns that are exchanged, a velocity, turned, or do not belong together."""
     if not log.is_machine:
         return
@@ -54,42 +54,42 @@ def read_as(log: Log) -> Iterator[Finding]:
         yield other
     elif log.view is not None and log.knows_sign and is_turned(log.view):
         mistake = "the output has the opposite sign of the input"
-        yield _said("reversed", mistake, turned(log), log.view.unexplained)
+        yield _make_finding("reversed", mistake, suggest_sign(log), log.view.unexplained)
 
 
-def _other_reading(log: Log) -> Finding | None:
+def _other_reading(log: CheckedLog) -> Finding | None:
     """Of exchanged columns or a velocity, where these explain the input so much better."""
     view = log.closest_view
     heavy = view is not None and _has_inertia(view, log.record.dt) and _is_one_body(view)
-    left = _left(view)
+    left = _measure_rest(view)
     if heavy and left < CLEARLY:
         return None
-    velocity, exchanged = _left(_velocity(log)), _left(_exchanged(log))
+    velocity, exchanged = _measure_rest(_velocity(log)), _measure_rest(_view_exchanged(log))
     better = ALIKE if hasty(log.change) > ROUGH > SMOOTH > hasty(np.diff(log.record.u)) else BETTER
     bound = min(better * left, velocity)
     if exchanged < min(FOLLOWS, bound) or (exchanged < min(LOOSELY, bound) and not any(drifts(log))):
-        return _said("exchanged", "input and output are exchanged", _exchange(log), exchanged)
+        return _make_finding("exchanged", "input and output are exchanged", _exchange(log), exchanged)
     if log.sudden_stops or view is None or view.one_way or log.axis.record.output_kind == "velocity":
         return None
     bound = left * (BETTER if heavy else 1.0 if _is_one_body(view) else ALIKE)
     loosely = velocity < LOOSELY and (velocity < bound or (velocity < FOLLOWS and _is_no_body(view)))
     if velocity < min(FOLLOWS, bound, left) or (loosely and _is_in_time(log)):
         mistake = f"the output column {log.axis.record.output!r} is a velocity and no position"
-        return _said("velocity", mistake, RATE, velocity)
+        return _make_finding("velocity", mistake, RATE, velocity)
     return None
 
 
-def _is_in_time(log: Log) -> bool:
+def _is_in_time(log: CheckedLog) -> bool:
     """Is the input of the output's clock, and the record fast enough for the axis?"""
     return not (any(too_slow(log)) or any(drifts(log)))
 
 
-def is_exchanged(log: Log) -> bool:
+def is_exchanged(log: CheckedLog) -> bool:
     """Do the columns follow each other the other way round, whatever they do as they stand?"""
-    return log.is_machine and _left(_exchanged(log)) < FOLLOWS
+    return log.is_machine and _measure_rest(_view_exchanged(log)) < FOLLOWS
 
 
-def _said(code: str, mistake: str, remedy: str, left: float) -> Finding:
+def _make_finding(code: str, mistake: str, remedy: str, left: float) -> Finding:
     sentence = f"{mistake}, for then the motion explains the input to {100 * (1 - left):.3g} %"
     return Finding(code, sentence, remedy, "wrong")
 
@@ -119,50 +119,50 @@ def _is_no_body(view: View) -> bool:
     return mass * work < 0 and min(abs(mass), abs(work)) > LIKELY
 
 
-def _left(view: View | None) -> float:
+def _measure_rest(view: View | None) -> float:
     """Of the input; all where there is no such reading."""
     return np.inf if view is None else view.unexplained
 
 
-def _exchanged(log: Log) -> View | None:
+def _view_exchanged(log: CheckedLog) -> View | None:
     if isinstance(log.axis.record.input_scale, str):
         return None
     position = log.encoder.position(log.record.counts)  # with steps, as a random input has them
     encoder, counts = fine_counts(log.record.u)
-    return _seen(position - position.mean(), counts, encoder, log.record.dt)
+    return _view_reading(position - position.mean(), counts, encoder, log.record.dt)
 
 
-def _velocity(log: Log) -> View | None:
-    encoder, counts = as_velocity(log.record.counts, log.record.resolution, log.record.dt)
-    return _seen(log.force, counts, encoder, log.record.dt)
+def _velocity(log: CheckedLog) -> View | None:
+    encoder, counts = convert_velocity(log.record.counts, log.record.resolution, log.record.dt)
+    return _view_reading(log.force, counts, encoder, log.record.dt)
 
 
-def _seen(force: Floats, counts: Counts, encoder: Encoder, dt: float) -> View | None:
+def _view_reading(force: Floats, counts: Counts, encoder: Encoder, dt: float) -> View | None:
     """A reading of the record, if it makes a machine of it."""
     part = liveliest(counts)
     view = best_view(force[part], counts[part], encoder, dt, lasting=LASTING)
     return view if view is not None and _has_inertia(view, dt) and _is_one_body(view) else None
 
 
-def _exchange(log: Log) -> str:
+def _exchange(log: CheckedLog) -> str:
     config = log.axis.record
     return f'give [record] input = "{config.output}" and output = "{config.input}"'
 
 
-def integrated(velocity: Floats, dt: float) -> Floats:
+def integrate_velocity(velocity: Floats, dt: float) -> Floats:
     """The position (n,) from 0 on of a velocity (n,) that runs along a line between samples."""
     return np.asarray(np.r_[0.0, np.cumsum(velocity[1:] + velocity[:-1])] * (dt / 2))
 
 
-def as_velocity(counts: Counts, resolution: float, dt: float) -> tuple[Encoder, Counts]:
+def convert_velocity(counts: Counts, resolution: float, dt: float) -> tuple[Encoder, Counts]:
     """A fine encoder and its counts (n,) of the position of a velocity of counts (n,) times a resolution.
 
     Count 0 is none, not the middle of its step: an axis at rest would creep on, and its friction have a direction.
     """
-    return fine_counts(integrated(np.float64(resolution) * counts.astype(np.float64), dt))
+    return fine_counts(integrate_velocity(np.float64(resolution) * counts.astype(np.float64), dt))
 
 
-def turned(log: Log) -> str:
+def suggest_sign(log: CheckedLog) -> str:
     """What to write where the force of the input points the other way."""
     model = log.axis.model
     if model.kind == "drive" and isinstance(model.input_gain, float):

@@ -50,11 +50,11 @@ class _Sums:
     cross: Floats
     power: Floats
 
-    def without(self, piece: int) -> _Sums:
+    def drop_piece(self, piece: int) -> _Sums:
         keep = np.arange(len(self.gram)) != piece
         return _Sums(self.gram * keep[:, None, None], self.cross * keep[:, None, None], self.power * keep[:, None])
 
-    def left(self, shifts: Floats) -> Floats:
+    def measure_rest(self, shifts: Floats) -> Floats:
         """(m,): part of the input's power that is left where piece k is shifted by shifts (m, k)."""
         low = np.clip(np.floor(shifts).astype(int) + MOST, 0, 2 * MOST - 1)
         part = np.clip(shifts + MOST - low, 0.0, 1.0)
@@ -73,7 +73,7 @@ def drift_of(view: View) -> Drift | None:
         return None
     sums = _sums(view, n)
     whole, best, least = _best(sums)
-    others = np.array([_best(sums.without(piece))[0] for piece in range(PIECES)])
+    others = np.array([_best(sums.drop_piece(piece))[0] for piece in range(PIECES)])
     spread = np.sqrt((PIECES - 1) / PIECES * np.sum((others - others.mean()) ** 2) + STEP**2 / 12)
     return Drift(whole, n, abs(whole) / float(spread), best / max(least, 1e-300))
 
@@ -84,7 +84,7 @@ def _best(sums: _Sums) -> tuple[float, float, float]:
     middles = np.arange(-MOST / 2, MOST / 2 + 1)
     places = (np.arange(PIECES) + 0.5) / PIECES - 0.5
     shifts = middles[:, None, None] + drifts[None, :, None] * places
-    left = sums.left(shifts.reshape(-1, PIECES)).reshape(middles.size, drifts.size)
+    left = sums.measure_rest(shifts.reshape(-1, PIECES)).reshape(middles.size, drifts.size)
     _, column = np.unravel_index(int(np.argmin(left)), left.shape)
     return float(drifts[column]), float(left.min()), float(left[:, drifts.size // 2].min())
 

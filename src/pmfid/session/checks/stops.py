@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.judge.counts import counts_per_sample
-from pmfid.session.checks.view import COULOMB, MASS, VISCOUS, View, solved
+from pmfid.session.checks.view import COULOMB, MASS, VISCOUS, View, solve_least_squares
 from pmfid.types import Counts, Floats
 
 __all__ = ["Stop", "held_back", "long_stops", "sudden"]
@@ -63,7 +63,7 @@ def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
             break
         turn = np.zeros(counts.size)
         turn[span:-span] = np.abs(counts[2 * span :] - 2 * counts[span:-span] + counts[: -2 * span])
-        apart = ~_near(edges, span)
+        apart = ~_widen_marks(edges, span)
         if np.mean(apart) < APART:
             break
         long_ones = [stop for stop in stops if stop[1] - stop[0] >= span]
@@ -93,7 +93,7 @@ def held_back(force: Floats, stops: list[Stop], view: View, offset: int, dt: flo
     keep = ~resting[rows]
     if np.mean(keep) < MOVING:
         return set()
-    theta = solved(view.phi[keep], view.z[keep])
+    theta = solve_least_squares(view.phi[keep], view.z[keep])
     if not (theta[MASS] > 0 and theta[COULOMB] >= 0):
         return set()
     return {stop for stop in stops if _moves(force[stop[0] : stop[1]], theta, dt) > FAR * resolution}
@@ -114,6 +114,6 @@ def _moves(force: Floats, theta: Floats, dt: float) -> float:
     return moved
 
 
-def _near(marked: NDArray[np.bool_], span: int) -> NDArray[np.bool_]:
+def _widen_marks(marked: NDArray[np.bool_], span: int) -> NDArray[np.bool_]:
     """(n,): those that are marked, and `span` samples to either side."""
     return np.asarray(np.convolve(marked, np.ones(2 * span + 1), mode="same") > 0.5)

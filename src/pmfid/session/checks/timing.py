@@ -8,7 +8,7 @@ import numpy as np
 
 from pmfid.findings import Finding
 from pmfid.judge.counts import counts_per_sample
-from pmfid.session.checks.log import Log, hasty, liveliest
+from pmfid.session.checks.log import CheckedLog, hasty, liveliest
 from pmfid.session.checks.shift import Drift, drift_of
 from pmfid.session.checks.view import view
 from pmfid.types import Counts, Floats
@@ -32,7 +32,7 @@ CORRECTIONS, MOST = 3, 1.5
 MOST_SAMPLES = 40_000
 
 
-def too_slow(log: Log) -> Iterator[Finding]:
+def too_slow(log: CheckedLog) -> Iterator[Finding]:
     """A sample period in which the velocity becomes another one."""
     change = np.diff(log.known.counts)
     moving = np.abs(change[change != 0])
@@ -49,7 +49,7 @@ def too_slow(log: Log) -> Iterator[Finding]:
     )
 
 
-def _misses_input(log: Log) -> bool:
+def _misses_input(log: CheckedLog) -> bool:
     """Does the velocity of a short record change by what the input at the rows does not say?"""
     change, u = np.diff(log.known.counts).astype(np.float64), log.known.u
     turn, velocity = np.diff(change), (change[1:] + change[:-1]) / 2
@@ -60,7 +60,7 @@ def _misses_input(log: Log) -> bool:
     return bool(np.linalg.norm(left) > ASTRAY * np.linalg.norm(turn - turn.mean()))
 
 
-def too_fast(log: Log) -> Iterator[Finding]:
+def too_fast(log: CheckedLog) -> Iterator[Finding]:
     """A sample period in which nearly never a count comes."""
     per_sample = counts_per_sample(log.known.counts)
     if 0 < per_sample < IDLE:
@@ -73,7 +73,7 @@ def too_fast(log: Log) -> Iterator[Finding]:
         )
 
 
-def drifts(log: Log) -> Iterator[Finding]:
+def drifts(log: CheckedLog) -> Iterator[Finding]:
     """An input whose rows are those of another clock than the output's."""
     if not log.is_machine or log.view is None:
         return
@@ -89,7 +89,7 @@ def drifts(log: Log) -> Iterator[Finding]:
     )
 
 
-def _drift(log: Log) -> float:
+def _drift(log: CheckedLog) -> float:
     """The surest drift that is beyond chance, per row, 0 where there is none; found again behind a first correction,
     which large ones need."""
     part = liveliest(log.known.counts, MOST_SAMPLES)
@@ -99,20 +99,20 @@ def _drift(log: Log) -> float:
         return 0.0
     rate = first.rate
     for _ in range(CORRECTIONS):
-        further = _surest(log, _resampled(u, rate), counts)
+        further = _surest(log, _resample_input(u, rate), counts)
         if further is None or abs(rate + further.rate) > MOST * abs(first.rate):
             break
         rate += further.rate
     return rate
 
 
-def _resampled(u: Floats, rate: float) -> Floats:
+def _resample_input(u: Floats, rate: float) -> Floats:
     """The input (n,), held between its rows, at the rows of an output against which it drifts by a rate."""
     rows = np.arange(u.size) / (1 + rate)
     return np.asarray(u[np.minimum(rows, u.size - 1).astype(int)])
 
 
-def _surest(log: Log, u: Floats, counts: Counts) -> Drift | None:
+def _surest(log: CheckedLog, u: Floats, counts: Counts) -> Drift | None:
     views = [view(u, counts, log.encoder, log.record.dt, time) for time in DRIFT_TIMES]
     found = [drift for one in views if one is not None and (drift := drift_of(one)) is not None]
     sure = [one for one in found if abs(one.samples) >= DRIFTED and one.sure > SURE and one.less < LESS]

@@ -52,9 +52,9 @@ class View:
     @cached_property
     def unexplained(self) -> float:
         """Part of the input that no such sum explains."""
-        return float(self.left(self.z))
+        return float(self.measure_rest(self.z))
 
-    def left(self, z: Floats) -> float:
+    def measure_rest(self, z: Floats) -> float:
         """The same for another filtered input (n,)."""
         size = float(np.linalg.norm(z))
         return float(np.linalg.norm(z - self.basis @ (self.basis.T @ z))) / size if size > 0 else 1.0
@@ -62,7 +62,7 @@ class View:
     @cached_property
     def theta(self) -> Floats:
         """(p,): mass, viscous and Coulomb friction, load, further terms, per unit of the input; 0 if not visible."""
-        return solved(self.phi, self.z)
+        return solve_least_squares(self.phi, self.z)
 
     @cached_property
     def pieces(self) -> Floats:
@@ -70,7 +70,7 @@ class View:
         edges = np.linspace(0, self.z.size, PARTS + 1).astype(int)
         rows = np.arange(self.z.size)
         kept = [(rows < a) | (rows >= b) for a, b in pairwise(edges)]
-        return np.array([solved(self.phi[keep], self.z[keep]) for keep in kept])
+        return np.array([solve_least_squares(self.phi[keep], self.z[keep]) for keep in kept])
 
     def sure(self, weights: Floats) -> float:
         """A sum of the theta (p,) with weights (p,), in its standard deviations (jackknife over the pieces)."""
@@ -99,7 +99,7 @@ class View:
         return weights
 
 
-def solved(phi: Floats, z: Floats) -> Floats:
+def solve_least_squares(phi: Floats, z: Floats) -> Floats:
     """(p,): least squares of z (n,) on phi (n, p)."""
     size = np.linalg.norm(phi, axis=0)
     scale = np.where(size > 0, size, 1.0)

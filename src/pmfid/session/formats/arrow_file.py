@@ -6,7 +6,7 @@ import io
 from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
-from pmfid.session.formats.parquet_file import Frame
+from pmfid.session.formats.parquet_file import LazyColumns
 from pmfid.session.formats.safety import check_unpacked
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 FILE, OLD = b"ARROW1", b"FEA1"
 
 
-class ArrowTable(Frame):
+class ArrowTable(LazyColumns):
     """The columns of an Arrow file, each read when it is asked for."""
 
     kind = ".arrow"

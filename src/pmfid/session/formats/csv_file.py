@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
 from pmfid.session.formats.layout import LOOKED_AT, NOTHING, Layout, Stated, layout_of
-from pmfid.session.formats.packed import unpacked
-from pmfid.session.tables import TWICE, Columns
+from pmfid.session.formats.packed import unpack_file
+from pmfid.session.tables import TWICE, NotedTable
 
 if TYPE_CHECKING:
     import polars as pl
@@ -23,20 +23,20 @@ _COMMENT = re.compile(rb"(?m)^[ \t]*(#|%|//).*(\n|\Z)")
 _WIDE, _FIRST = 30, 2000
 
 
-def parse_csv(data: bytes, stated: Stated = NOTHING) -> Columns:
+def parse_csv(data: bytes, stated: Stated = NOTHING) -> NotedTable:
     """The columns as text, numbers with a decimal point; stated: what is known of the layout. Raises UsageError for
     what is packed other than by gzip or zstd, no text, or no table."""
-    text = _text(unpacked(data))
+    text = _text(unpack_file(data))
     head = text[: _end_of_line(text, LOOKED_AT)].decode("utf-8")
     layout = layout_of(head.splitlines(), stated)
-    return Columns(_columns(text[_end_of_line(text, layout.first) :], layout), layout.notes)
+    return NotedTable(_columns(text[_end_of_line(text, layout.first) :], layout), layout.notes)
 
 
 def _text(data: bytes) -> bytes:
     """As UTF-8, lines ended by line feeds. Raises UsageError for what is no text."""
     if data.startswith(_PACKED):  # polars would unpack it, however large
         raise UsageError("a packed file; unpack it first, and mind how large it becomes")
-    coding = next((coding for mark, coding in _MARKS.items() if data.startswith(mark)), None) or _unmarked(data)
+    coding = next((coding for mark, coding in _MARKS.items() if data.startswith(mark)), None) or _detect_encoding(data)
     if coding is not None:
         data = data.decode(coding).encode("utf-8")
     if b"\0" in data:
@@ -44,7 +44,7 @@ def _text(data: bytes) -> bytes:
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
 
 
-def _unmarked(data: bytes) -> str | None:
+def _detect_encoding(data: bytes) -> str | None:
     """The coding of a text without a mark, None: UTF-8."""
     first = data[:_FIRST]
     for coding, zeros in (("utf-16-le", first[1::2]), ("utf-16-be", first[::2])):

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from pmfid.errors import UsageError
 from pmfid.session.formats.csv_file import named_columns
 from pmfid.session.formats.layout import LOOKED_AT, layout_of
-from pmfid.session.formats.safety import checked_archive, most_of, needed
-from pmfid.session.tables import Columns
+from pmfid.session.formats.safety import checked_archive, most_of, require_extra
+from pmfid.session.tables import NotedTable
 
 if TYPE_CHECKING:
     import fastexcel
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 CELL = 8
 
 
-def parse_excel(data: bytes) -> Columns:
+def parse_excel(data: bytes) -> NotedTable:
     """The columns, below whatever stands above them. Raises UsageError where no sheet is a table."""
     checked_archive(data).close()
-    with needed("excel"):
+    with require_extra("excel"):
         import fastexcel
     book = fastexcel.read_excel(data)
     refusal = UsageError("no sheet with lines of numbers in columns: write a header, then one line for each sample")
@@ -31,11 +31,11 @@ def parse_excel(data: bytes) -> Columns:
             refusal = error
             continue
         others = (f"the sheet {name!r} is read",) if len(book.sheet_names) > 1 else ()
-        return Columns(found, (*others, *found.notes))
+        return NotedTable(found, (*others, *found.notes))
     raise refusal
 
 
-def _sheet(book: fastexcel.ExcelReader, name: str, most: int) -> Columns:
+def _sheet(book: fastexcel.ExcelReader, name: str, most: int) -> NotedTable:
     # as text, which has a number of digits, to find the header; then the numbers as they are
     head = book.load_sheet(name, header_row=None, skip_rows=0, n_rows=LOOKED_AT, dtypes="string")
     if head.width * head.total_height * CELL > most:
@@ -44,4 +44,4 @@ def _sheet(book: fastexcel.ExcelReader, name: str, most: int) -> Columns:
     layout = layout_of(lines)
     body = book.load_sheet(name, header_row=None, skip_rows=layout.first).to_polars()
     plain = tuple(note for note in layout.notes if "separated by" not in note)
-    return Columns(named_columns(body, layout), plain)
+    return NotedTable(named_columns(body, layout), plain)

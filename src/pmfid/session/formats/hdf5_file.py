@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.session.formats.nested import by_path
-from pmfid.session.formats.safety import check_unpacked, needed
+from pmfid.session.formats.nested import flatten_fields
+from pmfid.session.formats.safety import check_unpacked, require_extra
 from pmfid.session.tables import Table
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -36,7 +36,7 @@ def parse_hdf5(data: bytes) -> Table:
     Data that lie in other files are left out: a record is one file. Raises UsageError for a bomb, and with what h5py
     raises what `readable` turns into one.
     """
-    with needed("hdf5"):
+    with require_extra("hdf5"):
         import h5py
     found: dict[str, NDArray[np.generic]] = {}
     left = len(data)
@@ -52,7 +52,7 @@ def parse_hdf5(data: bytes) -> Table:
 
     with h5py.File(io.BytesIO(data), "r") as file:
         file.visititems(take)
-    return by_path(found)
+    return flatten_fields(found)
 
 
 def _is_column(item: _Dataset) -> bool:

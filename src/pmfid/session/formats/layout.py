@@ -113,7 +113,7 @@ def split(line: str, separator: str) -> list[str]:
 def _worth(rows: Sequence[Sequence[str]], decimal: str) -> tuple[bool, float, int]:
     """Several columns before one, then how much of the fields are numbers, then the number of lines."""
     fields = [field for row in rows for field in row]
-    known = sum(_known(field, decimal) for field in fields)
+    known = sum(_is_data_field(field, decimal) for field in fields)
     return len(rows[0]) > 1, known / len(fields), len(rows)
 
 
@@ -134,17 +134,17 @@ def _fields(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[st
 
 def _numeric(fields: Sequence[str], decimal: str) -> bool:
     """Is this a line of data? One number at least, and few words, and no settings, a word in front of each number."""
-    words = [field for field in fields if not _known(field, decimal)]
+    words = [field for field in fields if not _is_data_field(field, decimal)]
     if len(words) > 1 and set(words) == {fields[0]}:
         return False
-    known = sum(_known(field, decimal) for field in fields)
+    known = sum(_is_data_field(field, decimal) for field in fields)
     return any(_NUMBER[decimal].fullmatch(field) for field in fields) and 100 * known >= NUMBERS * len(fields)
 
 
 def is_data(line: str) -> bool:
     """Is this a line of data without a word in it, however its fields are separated?"""
     rows = ((split(line, separator), decimal) for separator, decimal in product(SEPARATORS, ".,"))
-    return any(len(row) > 1 and all(_known(field, decimal) for field in row) for row, decimal in rows)
+    return any(len(row) > 1 and all(_is_data_field(field, decimal) for field in row) for row, decimal in rows)
 
 
 def _are_numbers(column: Sequence[str], decimal: str) -> bool:
@@ -153,7 +153,7 @@ def _are_numbers(column: Sequence[str], decimal: str) -> bool:
     return bool(own) and all(_NUMBER[decimal].fullmatch(field) for field in own)
 
 
-def _known(field: str, decimal: str) -> bool:
+def _is_data_field(field: str, decimal: str) -> bool:
     return bool(_NUMBER[decimal].fullmatch(field) or _TIME.fullmatch(field)) or field.lower() in _WORDS
 
 
@@ -163,7 +163,7 @@ def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple
     lines = [split(line.strip().lstrip("#%/ "), separator) for line in above]
     if scope := _scope_names([line for line in lines if len(line) == len(fields)]):
         return scope, True
-    rows = [row for line in reversed(lines) if _says_names(row := _as_long(line, fields))]
+    rows = [row for line in reversed(lines) if _says_names(row := _fit_line(line, fields))]
     if not rows:
         return tuple(f"column_{k}" for k in range(1, len(fields) + 1)), False
     header, units = rows[0], [""] * len(fields)
@@ -197,7 +197,7 @@ def are_units(fields: Sequence[str]) -> bool:
     return all(_UNIT.fullmatch(field) for field in fields if field)
 
 
-def _as_long(line: list[str], fields: Sequence[str]) -> list[str]:
+def _fit_line(line: list[str], fields: Sequence[str]) -> list[str]:
     """The line, if it has as many fields, or one less where those end with an empty one."""
     if len(line) == len(fields) - 1 and not fields[-1]:
         line = [*line, ""]

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from pmfid.session.formats.hdf5_file import MATLAB_HEADER, SIGNATURE, parse_hdf5
-from pmfid.session.formats.nested import by_path
+from pmfid.session.formats.nested import flatten_fields
 from pmfid.session.formats.safety import MOST_BYTES, MOST_TIMES, check_unpacked
 from pmfid.session.tables import Table
 
@@ -33,7 +33,7 @@ def parse_mat(data: bytes) -> Table:
     named = {name: value for name, value in variables.items() if not name.startswith("__")}
     # a sparse matrix, or another class, is no column, and says so when it is asked for
     arrays = {name: value if isinstance(value, np.ndarray) else np.empty(0, object) for name, value in named.items()}
-    return by_path(arrays)
+    return flatten_fields(arrays)
 
 
 def _check_mat(data: bytes) -> None:
@@ -47,7 +47,7 @@ def _check_mat(data: bytes) -> None:
     left = max(MOST_BYTES, MOST_TIMES * len(data))
     for kind, body in _elements(memoryview(data)[128:], order, padding=1):
         if kind == _COMPRESSED:
-            inner = _unpacked(body, left, len(data))
+            inner = _unpack_element(body, left, len(data))
             left -= len(inner)
             ((kind, body),) = _elements(inner, order, padding=1)
         if kind != _MATRIX:
@@ -55,7 +55,7 @@ def _check_mat(data: bytes) -> None:
         _check_matrix(body, order)
 
 
-def _unpacked(body: memoryview, most: int, packed: int) -> memoryview:
+def _unpack_element(body: memoryview, most: int, packed: int) -> memoryview:
     """A compressed element, of at most so many bytes; raises UsageError before more are taken."""
     stream = zlib.decompressobj()
     inner = stream.decompress(body, most + 1)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from pmfid.errors import UsageError
 from pmfid.session.formats.messages import signals_of
 from pmfid.session.formats.packed import from_zstd
-from pmfid.session.formats.safety import check_unpacked, most_of, needed
-from pmfid.session.formats.signals import Signals
+from pmfid.session.formats.safety import check_unpacked, most_of, require_extra
+from pmfid.session.formats.signals import ClockedSignals
 
 if TYPE_CHECKING:
     from mcap.records import Schema
@@ -20,14 +20,14 @@ MAGIC = b"\x89MCAP0\r\n"
 Decode = Callable[[bytes], object]
 
 
-def parse_mcap(data: bytes) -> Signals:
+def parse_mcap(data: bytes) -> ClockedSignals:
     """The numbers in the messages, "/topic.field.0" each. Raises UsageError for another coding, and a bomb, and with
     what the library raises what `readable` turns into one."""
     return signals_of(_messages(data))
 
 
 def _messages(data: bytes) -> Iterator[tuple[str, int, object]]:
-    with needed("mcap"):
+    with require_extra("mcap"):
         from mcap import records
     schemas: dict[int, Schema] = {}
     decoders: dict[int, tuple[str, Decode]] = {}
@@ -44,7 +44,7 @@ def _messages(data: bytes) -> Iterator[tuple[str, int, object]]:
 
 def _records(data: bytes) -> Iterator[object]:
     """All records, those in packed chunks, too."""
-    with needed("mcap"):
+    with require_extra("mcap"):
         from mcap.records import Chunk
         from mcap.stream_reader import StreamReader, breakup_chunk
     taken = 0
@@ -72,7 +72,7 @@ def _plain(packed: bytes, how: str, size: int) -> bytes:
     if how == "zstd":
         plain = from_zstd(packed, min(size, most_of(len(packed))), "a chunk")
     elif how == "lz4":
-        with needed("mcap"):
+        with require_extra("mcap"):
             from lz4.frame import LZ4FrameDecompressor
         plain = bytes(LZ4FrameDecompressor().decompress(packed, max_length=size + 1))
     else:
@@ -93,7 +93,7 @@ def _decoder(encoding: str, schema: Schema | None) -> Decode:
 
 def ros_decoder(kind: str, definition: str = "") -> Decode:
     """What makes a ROS 2 message of bytes; kind: its type; definition: its fields, where the file has them."""
-    with needed("ros"):
+    with require_extra("ros"):
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     store = get_typestore(Stores.ROS2_HUMBLE)
     if definition:

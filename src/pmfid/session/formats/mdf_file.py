@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.session.formats.safety import check_unpacked, needed
-from pmfid.session.formats.signals import Signal, Signals
+from pmfid.session.formats.safety import check_unpacked, require_extra
+from pmfid.session.formats.signals import ClockedSignals, Signal
 
 MAGIC = (b"MDF     ", b"UnFinMF ")
 
 
-def parse_mdf(data: bytes) -> Signals:
+def parse_mdf(data: bytes) -> ClockedSignals:
     """The channels of numbers by name, with their unit in brackets; a name that comes again gets the number of its
     group. Raises UsageError for a bomb, and with what asammdf raises what `readable` turns into one."""
     found: dict[str, Signal] = {}
-    with needed("mdf4"):
+    with require_extra("mdf4"):
         from asammdf.blocks.mdf_v4 import MDF4
-    whole = type("Whole", (MDF4,), {"__del__": _forgotten})
+    whole = type("Whole", (MDF4,), {"__del__": _silence_close})
     with closing(whole(io.BytesIO(data), __internal__=True, original_name=None)) as file:
         check_unpacked(_size(file), len(data), "the data")
         for k, group in enumerate(file.groups):
@@ -31,10 +31,10 @@ def parse_mdf(data: bytes) -> Signals:
                 name = f"{signal.name} [{signal.unit}]" if signal.unit else signal.name
                 name = f"{k}.{name}" if name in found else name
                 found[name] = Signal(np.asarray(signal.timestamps, np.float64), signal.samples)
-    return Signals(found)
+    return ClockedSignals(found)
 
 
-def _forgotten(file: Any) -> None:
+def _silence_close(file: Any) -> None:
     """What is half read has not all that closing asks for, and would complain on standard error."""
     with suppress(Exception):
         file._tempfile.close()

@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 
-from pmfid.session.formats.signals import Signal, Signals
+from pmfid.session.formats.signals import ClockedSignals, Signal
 
 #: Elements of an array that may be columns; more are an image or a cloud.
 LONGEST = 64
@@ -15,7 +15,7 @@ DEEPEST = 8
 NANOSECOND = 1e-9
 
 
-def signals_of(messages: Iterable[tuple[str, int, object]]) -> Signals:
+def signals_of(messages: Iterable[tuple[str, int, object]]) -> ClockedSignals:
     """Signals of messages, as (topic, stamp [ns], message): "/joint_states.position.0" on the stamps of its topic. A
     stamp inside a message is in s from the first one."""
     stamps: dict[str, list[int]] = {}
@@ -32,7 +32,7 @@ def signals_of(messages: Iterable[tuple[str, int, object]]) -> Signals:
         own = values[path]
         numbers = [value - own[0] for value in own] if path in moments else own
         found[path] = Signal(since, np.array(numbers, np.float64) * (NANOSECOND if path in moments else 1.0))
-    return Signals(found)
+    return ClockedSignals(found)
 
 
 def _numbers(path: str, value: object, depth: int, moments: set[str]) -> Iterator[tuple[str, float | int]]:

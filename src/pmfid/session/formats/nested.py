@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 DEEPEST = 16
 
 
-def by_path(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, object]:
+def flatten_fields(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, object]:
     """Arrays by name, those with fields by "name.field", at any depth."""
     return {path: found for name, array in arrays.items() for path, found in _fields(name, array, DEEPEST)}
 

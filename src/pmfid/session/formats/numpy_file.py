@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
-from pmfid.session.formats.nested import by_path
+from pmfid.session.formats.nested import flatten_fields
 from pmfid.session.formats.safety import checked_archive
 from pmfid.session.tables import Table
 
@@ -21,10 +21,10 @@ def parse_numpy(data: bytes) -> Table:
     if data.startswith(ARRAY):
         array = _array(data)
         plain = array.dtype.names is None and array.ndim == 2
-        return {f"column_{k + 1}": array[:, k] for k in range(array.shape[1])} if plain else by_path({"": array})
+        return {f"column_{k + 1}": array[:, k] for k in range(array.shape[1])} if plain else flatten_fields({"": array})
     with checked_archive(data) as archive:
         names = [name for name in archive.namelist() if name.endswith(".npy")]
-        return by_path({name.removesuffix(".npy"): _array(archive.read(name)) for name in names})
+        return flatten_fields({name.removesuffix(".npy"): _array(archive.read(name)) for name in names})
 
 
 def _array(data: bytes) -> NDArray[np.generic]:

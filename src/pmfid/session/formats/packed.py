@@ -6,22 +6,22 @@ import io
 import zlib
 
 from pmfid.errors import UsageError
-from pmfid.session.formats.safety import check_unpacked, most_of, needed
+from pmfid.session.formats.safety import check_unpacked, most_of, require_extra
 
 GZIP, ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
 
 
-def unpacked(data: bytes) -> bytes:
+def unpack_file(data: bytes) -> bytes:
     """What is packed in the bytes of a file; the bytes themselves where nothing is. Raises UsageError for a bomb, and
     for what is cut off."""
     if data.startswith(GZIP):
-        return _gunzipped(data)
+        return _unpack_gzip(data)
     return from_zstd(data, most_of(len(data)), "the text") if data.startswith(ZSTD) else data
 
 
 def from_zstd(data: bytes, most: int, what: str) -> bytes:
     """What zstd has packed, in one frame or more, of at most so many bytes."""
-    with needed("zst"):
+    with require_extra("zst"):
         import zstandard
     packed = io.BytesIO(data)
     try:
@@ -35,7 +35,7 @@ def from_zstd(data: bytes, most: int, what: str) -> bytes:
     return text
 
 
-def _gunzipped(data: bytes) -> bytes:
+def _unpack_gzip(data: bytes) -> bytes:
     """What gzip has packed, in one member or more."""
     most, text = most_of(len(data)), bytearray()
     rest = data

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 
-class Frame(Mapping[str, object], ABC):
+class LazyColumns(Mapping[str, object], ABC):
     """The columns of a file, each read when it is asked for; of a column of lists or structures, "column.0" or
     "column.field" is one of them."""
 
@@ -64,7 +64,7 @@ def _part(series: pl.Series, part: str, name: str) -> pl.Series:
     return elements.get(int(part), null_on_oob=True).alias(name)
 
 
-class ParquetTable(Frame):
+class ParquetTable(LazyColumns):
     """The columns of a Parquet file."""
 
     kind = ".parquet"

@@ -62,7 +62,7 @@ class _Compact:
             raise ValueError("the footer is cut")
         return self.data[self.place - length : self.place]
 
-    def _unsigned(self) -> int:
+    def _read_unsigned(self) -> int:
         found, shift = 0, 0
         while (byte := self._byte()) & 128:
             found |= (byte & 127) << shift
@@ -71,7 +71,7 @@ class _Compact:
 
     def _integer(self) -> int:
         """Of either sign, as zigzag."""
-        found = self._unsigned()
+        found = self._read_unsigned()
         return (found >> 1) ^ -(found & 1)
 
     def _value(self, kind: int) -> Any:
@@ -82,10 +82,10 @@ class _Compact:
         if kind == DOUBLE:
             return self._bytes(8)
         if kind == BINARY:
-            return self._bytes(self._unsigned())
+            return self._bytes(self._read_unsigned())
         if kind in LISTS:
             head = self._byte()
-            length = self._unsigned() if head >> 4 == 15 else head >> 4
+            length = self._read_unsigned() if head >> 4 == 15 else head >> 4
             return [self._value(head & 15) for _ in range(length)]
         if kind == STRUCT:
             return self.structure()

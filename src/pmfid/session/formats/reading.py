@@ -96,10 +96,10 @@ def read_table(path: Path, stated: Stated = NOTHING) -> Table:
     with readable(suffix if kind == named else kind), silent():
         table = parse_csv(data, stated) if kind == ".csv" else READERS[kind](data)
     del data  # of the size of the columns, which are copied next
-    return _in_one_piece(table)
+    return _rechunk_table(table)
 
 
-def _in_one_piece(table: Table) -> Table:
+def _rechunk_table(table: Table) -> Table:
     """The table with each polars series in one piece, of which an array is no copy; one after the other, for the
     pieces need as much memory as the series."""
     if isinstance(table, dict):

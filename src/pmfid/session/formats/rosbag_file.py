@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from pmfid.errors import UsageError
 from pmfid.session.formats.mcap_file import ros_decoder
 from pmfid.session.formats.messages import signals_of
-from pmfid.session.formats.safety import needed
-from pmfid.session.formats.signals import Signals
+from pmfid.session.formats.safety import require_extra
+from pmfid.session.formats.signals import ClockedSignals
 
 if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader
@@ -29,9 +29,9 @@ def file_of(folder: Path) -> Path:
     raise UsageError(f"a folder with one log is a record, this one has {listed}; give the path of a file")
 
 
-def parse_rosbag(data: bytes) -> Signals:
+def parse_rosbag(data: bytes) -> ClockedSignals:
     """The numbers in the messages, "/topic.field.0" each, by the stamps of their recording."""
-    with needed("ros"):
+    with require_extra("ros"):
         from rosbags.rosbag2 import Reader
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bag.db3"  # SQLite reads files

@@ -44,7 +44,7 @@ def silent() -> Iterator[None]:
 
 
 @contextmanager
-def needed(extra: str) -> Iterator[None]:
+def require_extra(extra: str) -> Iterator[None]:
     """Around the import of a library that comes with an extra of the package: raises UsageError, with what to install,
     where it is not there."""
     try:

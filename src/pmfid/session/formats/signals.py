@@ -25,7 +25,7 @@ class Signal:
     values: NDArray[np.generic]
 
 
-class Signals(Mapping[str, object]):
+class ClockedSignals(Mapping[str, object]):
     """Signals by name, on the clock of one of them: `TIME` has its stamps. Another with one value in each of its cycles
     is taken cycle by cycle, and any other holds its last value."""
 
@@ -38,9 +38,9 @@ class Signals(Mapping[str, object]):
         self._from = int(np.searchsorted(stamps, max(starts, default=-np.inf) - CYCLE * _period(stamps)))
         self._stamps, self._held = stamps, dict[str, None]()
 
-    def on(self, base: str, others: tuple[str, ...]) -> Signals:
+    def align(self, base: str, others: tuple[str, ...]) -> ClockedSignals:
         """The same on the clock of `base`, from where the others have begun."""
-        return Signals(self._signals, base, others)
+        return ClockedSignals(self._signals, base, others)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -52,7 +52,7 @@ class Signals(Mapping[str, object]):
     def __getitem__(self, name: str) -> object:
         if name == TIME and name not in self._signals:
             return self._stamps[self._from :]
-        return self._seen(name, self._signals[name])[self._from :]
+        return self._sample(name, self._signals[name])[self._from :]
 
     def __iter__(self) -> Iterator[str]:
         return iter(dict.fromkeys((TIME, *self._signals)))
@@ -60,7 +60,7 @@ class Signals(Mapping[str, object]):
     def __len__(self) -> int:
         return len(set(self._signals) | {TIME})
 
-    def _seen(self, name: str, signal: Signal) -> NDArray[np.generic]:
+    def _sample(self, name: str, signal: Signal) -> NDArray[np.generic]:
         """The values of a signal at the stamps."""
         stamps, time = self._stamps, signal.time
         if time.size == stamps.size and np.all(np.abs(time - stamps) <= CYCLE * _period(stamps)):

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.session.formats.safety import check_unpacked, needed
-from pmfid.session.formats.signals import Signal, Signals
+from pmfid.session.formats.safety import check_unpacked, require_extra
+from pmfid.session.formats.signals import ClockedSignals, Signal
 from pmfid.session.tables import Table
 
 MAGIC = b"TDSm"
@@ -21,7 +21,7 @@ def parse_tdms(data: bytes) -> Table:
     """The channels as "group.channel", or "channel" where there is one group, with their unit in brackets: of waveforms
     with their clock, else as they are. Raises UsageError for a bomb, and with what npTDMS raises what `readable` turns
     into one."""
-    with needed("tdms"):
+    with require_extra("tdms"):
         from nptdms import TdmsFile
     _check_whole(data)
     with TdmsFile.open(io.BytesIO(data)) as file:
@@ -30,7 +30,7 @@ def parse_tdms(data: bytes) -> Table:
         alone = len(file.groups()) == 1
         columns = {_name(channel, alone): channel for channel in channels}
         if all("wf_increment" in channel.properties for channel in channels):
-            return Signals({name: Signal(channel.time_track(), channel[:]) for name, channel in columns.items()})
+            return ClockedSignals({name: Signal(channel.time_track(), channel[:]) for name, channel in columns.items()})
         return {name: np.asarray(channel[:]) for name, channel in columns.items()}
 
 

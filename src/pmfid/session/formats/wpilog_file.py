@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.session.formats.signals import Signal, Signals
+from pmfid.session.formats.signals import ClockedSignals, Signal
 
 MAGIC = b"WPILOG"
 _START, _FINISH = 0, 1
@@ -26,7 +26,7 @@ class _Log:
     payloads: list[bytes]
 
 
-def parse_wpilog(data: bytes) -> Signals:
+def parse_wpilog(data: bytes) -> ClockedSignals:
     """The entries of numbers by name, "name.0" of arrays. Raises ValueError for damage."""
     if not data.startswith(MAGIC) or len(data) < 12:
         raise ValueError("not a data log")
@@ -40,7 +40,9 @@ def parse_wpilog(data: bytes) -> Signals:
             log = logged[entries[entry]]
             log.times.append(time)
             log.payloads.append(payload)
-    return Signals({path: found for (name, kind), log in logged.items() for path, found in _signals(name, kind, log)})
+    return ClockedSignals(
+        {path: found for (name, kind), log in logged.items() for path, found in _signals(name, kind, log)}
+    )
 
 
 def _records(data: bytes, start: int) -> Iterator[tuple[int, int, bytes]]:

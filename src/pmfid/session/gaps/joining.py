@@ -37,9 +37,9 @@ def one_of(records: Sequence[Record], place_matters: bool) -> Record:
                 f"{record.name} has a sample period of {record.dt:g} s, {first.name} one of {first.dt:g} s: identify "
                 "them one by one"
             )
-    parts = [_moved(first, 0, first=True)]
+    parts = [_settle_part(first, 0, first=True)]
     for record in records[1:]:
-        parts.append(_moved(record, int(parts[-1][1][-1]), first=False))
+        parts.append(_settle_part(record, int(parts[-1][1][-1]), first=False))
     u, counts, there = (np.concatenate(signal) for signal in zip(*parts, strict=True))
     said = f"{len(records)} records make one estimate: the motion of each begins anew"
     notes = (said, *dict.fromkeys(f"{record.name}: {note}" for record in records for note in record.notes))
@@ -47,7 +47,7 @@ def one_of(records: Sequence[Record], place_matters: bool) -> Record:
     return replace(first, u=u, counts=counts, there=there, notes=notes, name=name)
 
 
-def _moved(record: Record, start: int, *, first: bool) -> tuple[Floats, Counts, Flags]:
+def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Counts, Flags]:
     """Input, counts from `start` on, and which samples were measured; behind a gap, but for the first."""
     there = np.ones(record.u.size, bool) if record.there is None else record.there
     counts = record.counts - record.counts[0] + (record.counts[0] if first else start)

@@ -27,7 +27,7 @@ class Polynomial:
     degree: int
     half: int
 
-    def on_grid(self, u: Floats, places: NDArray[np.intp]) -> Floats:
+    def fill_grid(self, u: Floats, places: NDArray[np.intp]) -> Floats:
         """The input (n,) at every place from 0 to the last, from u (m,) at rising places (m,)."""
         whole = np.empty(int(places[-1]) + 1)
         missing = np.setdiff1d(np.arange(whole.size), places)
@@ -35,10 +35,10 @@ class Polynomial:
         for first in range(0, missing.size, CHUNK):
             at = missing[first : first + CHUNK]
             start = np.clip(np.searchsorted(places, at) - self.half, 0, places.size - 2 * self.half)
-            whole[at] = self._through(u, places, start[:, None] + np.arange(2 * self.half), at)
+            whole[at] = self._interpolate_at(u, places, start[:, None] + np.arange(2 * self.half), at)
         return whole
 
-    def missed(self, u: Floats, places: NDArray[np.intp], length: int) -> float:
+    def estimate_error(self, u: Floats, places: NDArray[np.intp], length: int) -> float:
         """Root mean square of what it misses of the sum of so many samples in a row, by those that are there; infinite
         where too few are."""
         first = np.arange(self.half, places.size - self.half - length + 1)
@@ -49,10 +49,12 @@ class Polynomial:
         beside = np.r_[np.arange(-self.half, 0), np.arange(length, length + self.half)]
         rows, missed = first[:, None] + beside, np.zeros(first.size)
         for k in range(length):
-            missed += self._through(u, places, rows, places[first + k]) - u[first + k]
+            missed += self._interpolate_at(u, places, rows, places[first + k]) - u[first + k]
         return float(np.sqrt(np.mean(missed**2)))
 
-    def _through(self, u: Floats, places: NDArray[np.intp], rows: NDArray[np.intp], at: NDArray[np.intp]) -> Floats:
+    def _interpolate_at(
+        self, u: Floats, places: NDArray[np.intp], rows: NDArray[np.intp], at: NDArray[np.intp]
+    ) -> Floats:
         """Values (t,) at places (t,), by the samples in rows (t, 2 half)."""
         apart = (places[rows] - at[:, None]).astype(np.float64)
         weight = np.where(np.abs(apart) <= NEAR * self.half, 1.0, FAR_WEIGHT)
@@ -77,4 +79,4 @@ TRIED = (
 
 def best_of(u: Floats, places: NDArray[np.intp]) -> Polynomial:
     """The one that misses least of the samples u (m,) at rising places (m,); the line where there are too few."""
-    return min(TRIED, key=lambda tried: tried.missed(u, places, 1) if places.size > 2 * tried.half else np.inf)
+    return min(TRIED, key=lambda tried: tried.estimate_error(u, places, 1) if places.size > 2 * tried.half else np.inf)

@@ -19,8 +19,8 @@ from pmfid.estimators.difference import rms
 from pmfid.estimators.iv import IV
 from pmfid.models.equation import MASS
 from pmfid.session.gaps.local import best_of
-from pmfid.session.gaps.smoother import Steps, smoothed
-from pmfid.session.gaps.standing import ALWAYS, Gap, filled, gaps_of, is_held
+from pmfid.session.gaps.smoother import Steps, smooth_deviation
+from pmfid.session.gaps.standing import ALWAYS, Gap, fill_gaps, gaps_of, is_held
 from pmfid.types import Counts, Flags, Floats
 
 #: Turns of estimate and filling; what stands in a gap hardly changes the estimate.
@@ -42,7 +42,7 @@ KNOWN = 0.25
 WITHIN = 1.0
 
 
-class Machine(Body):
+class FilledMachine(Body):
     """A model at its parameters, and what filling a gap asks of it."""
 
     def motion(self, u: Floats, speed: float) -> tuple[Floats, Floats]:
@@ -61,20 +61,20 @@ class Machine(Body):
         return self.equation.input_gain * self.dt / self.values[MASS] / self.step
 
 
-def by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts] | None:
+def fill_by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts] | None:
     """Input and counts (n,) with those that are not there as the motion says; an input that is NaN stays so, and
-    becomes so where the motion tells more. What stands there now is what `filled` says. None where the record
+    becomes so where the motion tells more. The present values are those of `fill_gaps`. None where the record
     identifies no motion."""
     line, own, held = (u, counts), np.flatnonzero(np.isfinite(u)), is_held(u, there)
     parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
     try:
         theta = method.settle_iteration(u, counts)[1]
         for _ in range(TURNS):
-            machine = Machine(method.equation, theta, method.dt, method.encoder.resolution, method.cutoff)
+            machine = FilledMachine(method.equation, theta, method.dt, method.encoder.resolution, method.cutoff)
             u, counts = line[0].copy(), line[1].copy()
             for part in parts:
                 if not np.all(there[part]):
-                    u[part], counts[part] = _filled(machine, line[0][part], line[1][part], there[part], held)
+                    u[part], counts[part] = _fill_part(machine, line[0][part], line[1][part], there[part], held)
             before, theta = theta, method.settle_iteration(u, counts)[1]
             if np.max(np.abs(theta - before) / np.maximum(np.abs(theta), np.finfo(float).tiny)) < SETTLED:
                 break
@@ -91,21 +91,21 @@ def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
     fewer = there & (chance.random(u.size) >= part)
     fewer[[0, -1]] = True
     places = np.flatnonzero(fewer)
-    again = filled(u[places], counts[places], places)[:2]
+    again = fill_gaps(u[places], counts[places], places)[:2]
     line = np.where(np.isfinite(u), again[0], np.nan), again[1]
     try:
-        theta, found = method.settle_iteration(u, counts)[1], by_motion(method, *line, fewer) or line
+        theta, found = method.settle_iteration(u, counts)[1], fill_by_motion(method, *line, fewer) or line
         moved = method.settle_iteration(*found)[1] - theta
     except NotIdentifiableError:
         return np.ones(len(method.names))
     return np.abs(moved) / np.maximum(np.abs(theta), np.finfo(float).tiny)
 
 
-def _filled(machine: Machine, u: Floats, counts: Counts, there: Flags, held: bool) -> tuple[Floats, Counts]:
+def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, held: bool) -> tuple[Floats, Counts]:
     """Of one part (n,), which is there at its ends; held: is the input?"""
     place, speed = counts - counts[0] + 0.5, 0.0
     gap = _doubtful(u, there, held)
-    missed, none = _missed(gap, u, there, held), np.zeros(0, np.intp)
+    missed, none = _estimate_input_errors(gap, u, there, held), np.zeros(0, np.intp)
     u = u.copy()
     for wrong in WRONG:
         position, velocity = machine.motion(u, speed)
@@ -135,7 +135,7 @@ def _doubtful(u: Floats, there: Flags, held: bool) -> Gap:
     return Gap(gap.before[found], gap.after[found])
 
 
-def _missed(gap: Gap, u: Floats, there: Flags, held: bool) -> Floats:
+def _estimate_input_errors(gap: Gap, u: Floats, there: Flags, held: bool) -> Floats:
     """(g,) standard deviations of the sum of the input (n,) over each gap."""
     if held:
         return np.asarray(np.abs(u[gap.after] - u[gap.before]) * gap.missing / np.sqrt(12))
@@ -143,12 +143,12 @@ def _missed(gap: Gap, u: Floats, there: Flags, held: bool) -> Floats:
         return np.zeros(0)
     places = np.flatnonzero(there)
     local = best_of(u[places], places)
-    sizes = {length: local.missed(u[places], places, length) for length in np.unique(gap.missing).tolist()}
+    sizes = {length: local.estimate_error(u[places], places, length) for length in np.unique(gap.missing).tolist()}
     return np.array([sizes[length] for length in gap.missing.tolist()])
 
 
 def _deviation(
-    machine: Machine, gap: Gap, missed: Floats, deviation: Floats, velocity: Floats, there: Flags, wrong: float
+    machine: FilledMachine, gap: Gap, missed: Floats, deviation: Floats, velocity: Floats, there: Flags, wrong: float
 ) -> tuple[Steps, NDArray[np.intp]]:
     """The smoothed deviation (n,) [counts] of the measured motion from the simulated one, and the events: gaps,
     reversals, and ever so often, for wrong parameters. missed: (g,) what of the sum of the input is not known in each
@@ -161,10 +161,10 @@ def _deviation(
     moves = np.full(events.size, SHIFT**2)
     steps[at] += (machine.push * missed) ** 2
     moves[at] += steps[at] * (gap.missing * machine.dt) ** 2 / 4
-    return smoothed(deviation, there, events, steps, moves, machine.decay, machine.dt), events
+    return smooth_deviation(deviation, there, events, steps, moves, machine.decay, machine.dt), events
 
 
-def _decide(machine: Machine, gap: Gap, u: Floats, steps: Floats, variance: Floats) -> None:
+def _decide(machine: FilledMachine, gap: Gap, u: Floats, steps: Floats, variance: Floats) -> None:
     """Sets the input (n,) in gaps that hide a change, at the instant that the steps (g,) of the velocity ask for beyond
     those of the input as it is; an instant that is not known stays between two."""
     before, change = u[gap.before], u[gap.after] - u[gap.before]

@@ -51,15 +51,15 @@ class Laid:
         return bool(self.places.size == self.places[-1] + 1)
 
 
-def laid(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig) -> Laid:
+def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig) -> Laid:
     """The rows `kept` (N,) with time (N,) in the unit of its column, or at a constant period. repeated (N,): rows with
     the values of the row before. Raises UsageError for a time that belongs to no even grid."""
     if time is None:
         rows = np.flatnonzero(kept)
-        return Laid(rows, _shortened(rows), *sample_period(None, config))
-    rows, repeats = _without_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
-    rows, early = _without_early(time, rows)
-    stamps, places = _at(time, rows), None
+        return Laid(rows, _shorten_gaps(rows), *sample_period(None, config))
+    rows, repeats = _drop_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
+    rows, early = _drop_early(time, rows)
+    stamps, places = _take_rows(time, rows), None
     if not (_steady(stamps) or even_grid(stamps)[1]):
         found = _places(stamps)
         if found is not None:
@@ -68,10 +68,10 @@ def laid(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig
     dt, notes = sample_period(stamps, config)  # which refuses what is on no grid
     counts = kept[rows]
     places = np.flatnonzero(counts) if places is None else places[counts]
-    return Laid(_at(rows, np.flatnonzero(counts)), _shortened(places), dt, (*repeats, *early, *notes))
+    return Laid(_take_rows(rows, np.flatnonzero(counts)), _shorten_gaps(places), dt, (*repeats, *early, *notes))
 
 
-def _at(values: NDArray[Number], rows: NDArray[np.intp]) -> NDArray[Number]:
+def _take_rows(values: NDArray[Number], rows: NDArray[np.intp]) -> NDArray[Number]:
     """The values (N,) at rows (n,), rising ones; no copy where these are all."""
     return values if rows.size == values.size else values[rows]
 
@@ -100,9 +100,9 @@ def _steady(time: Floats) -> bool:
     return bool(steps.size and np.min(steps) > 0 and np.max(steps) <= MISSING * np.median(steps))
 
 
-def _without_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     """Rows without those that are the same as the row before, time and all."""
-    again = np.r_[False, np.diff(_at(time, rows)) == 0] & _at(repeated, rows)
+    again = np.r_[False, np.diff(_take_rows(time, rows)) == 0] & _take_rows(repeated, rows)
     count = int(np.count_nonzero(again))
     if not count:
         return rows, ()
@@ -110,9 +110,9 @@ def _without_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> t
     return rows[~again], (f"{count} {said} left out",)
 
 
-def _without_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     """Rows without the few that come right behind another, as where a logger starts: no grid has a place for them."""
-    steps = np.diff(_at(time, rows))
+    steps = np.diff(_take_rows(time, rows))
     early = np.r_[False, (steps > 0) & (steps < EARLY * np.median(steps))] if steps.size else np.zeros(rows.size, bool)
     count = int(np.count_nonzero(early))
     if not 0 < count <= max(1, RARE * rows.size):
@@ -142,10 +142,10 @@ def _places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
         return None
     if np.max(np.abs(steps / period - numbers)[short]) <= NEAR:
         return places, period
-    return _along_a_line(time, places)
+    return _place_by_line(time, places)
 
 
-def _along_a_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.intp], float] | None:
+def _place_by_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.intp], float] | None:
     """The same of stamps that are late or early by chance, from places (n,) that are nearly right."""
     for _ in range(TURNS):
         period, start = np.polyfit(places, time - time[0], 1)
@@ -158,7 +158,7 @@ def _along_a_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.in
     return (found - found[0], float(period)) if rises and np.std(at - found) < SCATTER else None
 
 
-def _shortened(places: NDArray[np.intp]) -> NDArray[np.intp]:
+def _shorten_gaps(places: NDArray[np.intp]) -> NDArray[np.intp]:
     """Places with gaps of at most LONGEST samples."""
     steps = np.diff(places, prepend=places[:1])
     return np.cumsum(np.minimum(steps, LONGEST + 1, out=steps), out=steps)

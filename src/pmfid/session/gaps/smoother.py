@@ -35,7 +35,7 @@ class Steps:
     deviation: Floats
 
 
-def smoothed(
+def smooth_deviation(
     deviation: Floats, there: Flags, events: NDArray[np.intp], steps: Floats, moves: Floats, decay: float, dt: float
 ) -> Steps:
     """Of the deviation (n,) [counts] where it is there. events: (g,) samples, the first is 0; steps, moves: (g,)

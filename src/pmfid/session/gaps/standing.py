@@ -58,7 +58,7 @@ def is_held(u: Floats, there: Flags) -> bool:
     return bool(np.any(beside) and np.mean((np.diff(u) == 0)[beside]) > HELD and _longest_held(u, there) > 0)
 
 
-def filled(
+def fill_gaps(
     u: Floats, counts: Counts, places: NDArray[np.intp], *, bridged: bool = True
 ) -> tuple[Floats, Counts, Flags]:
     """Input and counts (n,) on the whole grid, from those (m,) at their places, and which of them were measured. The
@@ -74,7 +74,7 @@ def filled(
         longest = _longest_held(line, there)
     else:
         local = best_of(u, places)
-        line, longest = local.on_grid(u, places), _longest_bridged(local, u, places, int(np.max(gap.missing)))
+        line, longest = local.fill_grid(u, places), _longest_bridged(local, u, places, int(np.max(gap.missing)))
     if np.mean(~there & ~np.isnan(line)) > SCATTERED:
         longest = max(longest, min(ALWAYS, int(np.quantile(gap.missing, 0.99)) if gap.missing.size else 0))
     longest = longest if bridged else 0
@@ -112,7 +112,7 @@ def _longest_bridged(local: Polynomial, u: Floats, places: NDArray[np.intp], mos
     gaps have."""
     size, longest = float(np.sqrt(np.mean(u**2))), 0
     for length in LENGTHS:
-        if u.size < 10 * (length + 2) or local.missed(u, places, length) > FAITHFUL * size * length:
+        if u.size < 10 * (length + 2) or local.estimate_error(u, places, length) > FAITHFUL * size * length:
             break
         longest = length
         if length >= most:

@@ -19,7 +19,7 @@ from pmfid.session.units import INPUTS, OUTPUTS, SI, Unit, column_unit
 from pmfid.session.wrap import wrap_of
 from pmfid.types import Floats
 
-__all__ = ["Guess", "guess"]
+__all__ = ["AxisGuess", "guess"]
 
 #: Asks for a number that the record does not tell: the question and what is taken without an answer.
 Ask = Callable[[str, str], str]
@@ -33,7 +33,7 @@ TO_DO = "TO DO: "
 
 
 @dataclass
-class Guess:
+class AxisGuess:
     """Lines of an AXIS.toml, by section."""
 
     name: str
@@ -49,7 +49,7 @@ class Guess:
         return "\n".join([HEADING.format(name=self.name), "\n\n".join(parts), ""])
 
 
-def guess(path: Path, ask: Ask | None = None) -> Guess:
+def guess(path: Path, ask: Ask | None = None) -> AxisGuess:
     """What a record suggests; ask: who is asked for what it does not tell. Raises UsageError where it cannot be read,
     or has not two columns of numbers."""
     table = read_table(path)
@@ -64,22 +64,22 @@ def guess(path: Path, ask: Ask | None = None) -> Guess:
     if pair is None:
         listed = ", ".join(table) or "none"
         raise UsageError(f"{path}: no two columns can be input and output of an axis, of these: {listed}; name them")
-    result = Guess(path.name)
+    result = AxisGuess(path.name)
     _record(result, pair, found, dt)
     _encoder(result, pair, columns[pair.output], dt, ask)
     _model(result, pair, ask)
     return result
 
 
-def _record(result: Guess, pair: Pair, found: tuple[str, str, str] | None, dt: float) -> None:
-    result.add("record", f"input = {quoted(pair.input)}", pair.reason)
-    result.add("record", f"output = {quoted(pair.output)}", _why(pair))
+def _record(result: AxisGuess, pair: Pair, found: tuple[str, str, str] | None, dt: float) -> None:
+    result.add("record", f"input = {quote_name(pair.input)}", pair.reason)
+    result.add("record", f"output = {quote_name(pair.output)}", _why(pair))
     result.add("record", f'output_kind = "{pair.kind}"', KINDS[pair.kind])
     if found is None:
         result.add("record", f"dt = {dt:g}", f"{TO_DO}no column tells the time; the sample period in s")
         return
     name, unit, reason = found
-    result.add("record", f"time = {quoted(name)}", f"it grows from row to row; a sample period of {dt:.6g} s")
+    result.add("record", f"time = {quote_name(name)}", f"it grows from row to row; a sample period of {dt:.6g} s")
     if unit:
         result.add("record", f'time_unit = "{unit}"', reason)
 
@@ -123,7 +123,7 @@ def _may_be_numbers(name: str, values: Floats, written: bool) -> bool:
     return not written and named_unit(name) is None and bool(np.all(np.diff(values) == 1))
 
 
-def _encoder(result: Guess, pair: Pair, output: Floats, dt: float, ask: Ask | None) -> None:
+def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask | None) -> None:
     wrap = wrap_of(output.astype(np.int64)) if pair.kind == "counts" else None
     if pair.kind == "counts":
         answer = ask("travel per count, in m or rad (1: results in counts)", "1") if ask else ""
@@ -143,19 +143,21 @@ def _encoder(result: Guess, pair: Pair, output: Floats, dt: float, ask: Ask | No
     if pair.kind == "velocity":
         step, reason = step * dt * (unit.factor if unit else 1.0), f"{reason}, times the sample period"
         unit = None if unit is None or unit.plain else Unit("rad" if "ang" in unit.of else "m", "travel", 0.0)
-    result.add("encoder", f"resolution = {_written(step, unit)}", reason)
+    result.add("encoder", f"resolution = {_format_number(step, unit)}", reason)
     wrap = wrap_of(np.floor(output / step + 0.5).astype(np.int64)) if found and pair.kind == "position" else None
     if wrap is not None:
         size = float(f"{wrap.span * step:.9g}")
-        result.add("encoder", f"range = {_written(size, unit)}", f"it begins anew, the first time at row {wrap.row}")
+        result.add(
+            "encoder", f"range = {_format_number(size, unit)}", f"it begins anew, the first time at row {wrap.row}"
+        )
 
 
-def _written(value: float, unit: Unit | None) -> str:
+def _format_number(value: float, unit: Unit | None) -> str:
     """A number as TOML has it, with its unit where that is not the one of SI."""
     return repr(value) if unit is None or unit.plain else f'"{value:.12g} {unit.name}"'
 
 
-def _model(result: Guess, pair: Pair, ask: Ask | None) -> None:
+def _model(result: AxisGuess, pair: Pair, ask: Ask | None) -> None:
     result.add("model", 'kind = "drive"', "mass and friction")
     unit = column_unit(pair.input, INPUTS)
     force = "N m" if (measured := column_unit(pair.output, OUTPUTS)) and "ang" in measured.of else "N"
@@ -190,7 +192,7 @@ def _number(answer: str, usual: float) -> float:
     return value
 
 
-def quoted(name: str) -> str:
+def quote_name(name: str) -> str:
     """A name as TOML has it."""
     escaped = "".join(c if c.isprintable() and c not in '"\\' else f"\\u{ord(c):04x}" for c in name)
     return f'"{escaped}"'

@@ -11,7 +11,7 @@ import numpy as np
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import UsageError
 from pmfid.session.checks.log import liveliest
-from pmfid.session.checks.readings import integrated, is_turned
+from pmfid.session.checks.readings import integrate_velocity, is_turned
 from pmfid.session.checks.view import MASS, View, best_view
 from pmfid.session.guess.lattice import is_whole
 from pmfid.session.guess.names import Role, role_of
@@ -101,7 +101,7 @@ def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
         for name in inputs[:MOST_COLUMNS]
         if name != output
         and columns[name].size == columns[output].size
-        and (one := _tried(columns, name, output, roles[output], dt))
+        and (one := _try_pair(columns, name, output, roles[output], dt))
     ]
     if not tried:
         return None
@@ -131,7 +131,7 @@ def _jumps(values: Floats) -> bool:
     return bool(np.mean(wraps) < 0.8)
 
 
-def _tried(columns: Mapping[str, Floats], name: str, output: str, role: Role, dt: float) -> Pair | None:
+def _try_pair(columns: Mapping[str, Floats], name: str, output: str, role: Role, dt: float) -> Pair | None:
     """A pair of columns, as what it explains most; None of a column and its own velocity, either way around."""
     if role != "velocity" and _is_rate(columns[name], columns[output]):
         return None
@@ -175,7 +175,7 @@ def _whole(name: str, output: Floats, kind: str) -> str:
 
 def _view(u: Floats, y: Floats, kind: str, dt: float) -> View | None:
     if kind == "velocity":
-        encoder, counts = fine_counts(integrated(y, dt))
+        encoder, counts = fine_counts(integrate_velocity(y, dt))
     elif is_whole(y):
         encoder, counts = Encoder(1.0), y.astype(np.int64)
         wrap = wrap_of(counts)

@@ -43,7 +43,7 @@ def step_of(values: Floats) -> tuple[float, bool]:
     rounded = rounding_of(found) / step
     allowed = max(EXACT, 1.01 * rounded if rounded < MOST_ROUNDED else 0.0)
     if found.size > 3 and np.mean(off[exact] < allowed) > PART and reach / step < FINE:
-        return _rounded(step), True
+        return _round_step(step), True
     return reach / FINE, False
 
 
@@ -56,7 +56,7 @@ def rounding_of(values: Floats) -> float:
     return 0.0
 
 
-def _rounded(step: float) -> float:
+def _round_step(step: float) -> float:
     """With as few digits as the step has."""
     for digits in range(1, 8):
         short = float(f"{step:.{digits}g}")

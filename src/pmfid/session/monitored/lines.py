@@ -53,7 +53,7 @@ class LineParser:
     def __call__(self, line: bytes) -> Line | None:
         """What a line says; None of a comment, of units, and of a header: a logger that starts again writes its own."""
         text = _text(line)
-        if _for_people(text) and not (self._header.separator == ";" and text.startswith(";")):
+        if _is_comment(text) and not (self._header.separator == ";" and text.startswith(";")):
             return None
         try:
             return self._values(self._cells(text))
@@ -91,10 +91,10 @@ class LineParser:
 
 def is_comment(line: bytes) -> bool:
     """Whether a line is empty or begins as one for people does."""
-    return _for_people(_text(line))
+    return _is_comment(_text(line))
 
 
-def _for_people(text: str) -> bool:
+def _is_comment(text: str) -> bool:
     return not text or text.startswith(COMMENTS)
 
 

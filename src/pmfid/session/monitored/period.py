@@ -38,7 +38,7 @@ class Period:
     _count: int = field(default=0, init=False)
     _checked: bool = field(default=False, init=False)
 
-    def saved(self) -> Saved:
+    def save_state(self) -> Saved:
         """Where it is, for JSON that knows NaN."""
         return {
             "steps": list(self._steps),

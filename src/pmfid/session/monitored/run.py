@@ -12,7 +12,7 @@ from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.estimators.known import Seen
 from pmfid.monitor.events import Event, Outlier, Settled, StateChange
 from pmfid.monitor.monitor import Monitor
-from pmfid.session.monitored.sinks import Nowhere, Sink
+from pmfid.session.monitored.sinks import Nowhere, RowSink
 from pmfid.session.monitored.timeline import BAD, COMMENT, REPEATED, Found, Sample, Skipped
 from pmfid.types import Floats
 
@@ -31,7 +31,7 @@ Observer = Callable[[Sample, Estimate | Seen, str], None]
 
 
 @dataclass
-class History:
+class RunHistory:
     """What the report shows, in bounded memory: time, u, counts, theta, std, innovation, status bits and state of every
     `stride`th sample; the bits of the samples between are kept, and the largest innovation."""
 
@@ -89,7 +89,7 @@ def header(monitor: Monitor) -> list[str]:
 
 
 def watch(
-    found: Iterable[Found], monitor: Monitor, sink: Sink, tell: Tell, observers: Sequence[Observer] = ()
+    found: Iterable[Found], monitor: Monitor, sink: RowSink, tell: Tell, observers: Sequence[Observer] = ()
 ) -> MonitoredRun:
     """Runs the monitor over the samples; `tell` gets each event as an object for JSON, times as in the samples.
 
@@ -99,7 +99,7 @@ def watch(
     try:
         for one in found:
             if isinstance(one, Skipped):
-                _skipped(one, run, tell)
+                _count_skipped(one, run, tell)
             else:
                 _step(one, monitor, run, sink, tell, observers)
     except UsageError as error:
@@ -108,9 +108,9 @@ def watch(
 
 
 def _step(
-    sample: Sample, monitor: Monitor, run: MonitoredRun, sink: Sink, tell: Tell, observers: Sequence[Observer]
+    sample: Sample, monitor: Monitor, run: MonitoredRun, sink: RowSink, tell: Tell, observers: Sequence[Observer]
 ) -> None:
-    events = _interrupted(sample, monitor, run, tell) if sample.missing or sample.jump else []
+    events = _count_interruption(sample, monitor, run, tell) if sample.missing or sample.jump else []
     estimate, now = monitor.step(sample.u, sample.counts)
     run.samples += 1
     told = monitor.apply_known(estimate)
@@ -130,7 +130,7 @@ def _step(
         tell(told_event)
 
 
-def _skipped(line: Skipped, run: MonitoredRun, tell: Tell) -> None:
+def _count_skipped(line: Skipped, run: MonitoredRun, tell: Tell) -> None:
     """Counts a line that is no sample, and tells the first of them."""
     name = {BAD: "bad_lines", REPEATED: "repeated_lines", COMMENT: "comments"}[line.kind]
     setattr(run, name, getattr(run, name) + 1)
@@ -138,7 +138,7 @@ def _skipped(line: Skipped, run: MonitoredRun, tell: Tell) -> None:
         tell({"event": line.kind, "time": line.time, "problem": line.problem})
 
 
-def _interrupted(sample: Sample, monitor: Monitor, run: MonitoredRun, tell: Tell) -> list[Event]:
+def _count_interruption(sample: Sample, monitor: Monitor, run: MonitoredRun, tell: Tell) -> list[Event]:
     """Counts and tells a gap, or that the clock was set, and lets the monitor know."""
     if sample.missing:
         run.gaps += 1
@@ -164,7 +164,7 @@ def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> To
     if isinstance(event, StateChange):
         return {"event": "state", "time": event.time + shift, "state": event.state, "reason": event.reason}
     if isinstance(event, Settled):
-        return {"event": "settled", "time": event.time + shift, "parameters": _settled(event, names)}
+        return {"event": "settled", "time": event.time + shift, "parameters": _format_settled(event, names)}
     if isinstance(event, Outlier):
         return {"event": "outlier", "time": event.time + shift, "signal": event.signal}
     return {
@@ -183,7 +183,7 @@ def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> To
     }
 
 
-def _settled(event: Settled, names: tuple[str, ...]) -> dict[str, dict[str, float | None]]:
+def _format_settled(event: Settled, names: tuple[str, ...]) -> dict[str, dict[str, float | None]]:
     """Value, standard deviation and relative change by name; after an alarm of the gain of the input the gain leads,
     and the others are of the machine with the gain that it has now."""
     gain = {} if event.gain is None else {INPUT_GAIN: event.gain}

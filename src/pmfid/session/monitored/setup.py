@@ -24,7 +24,7 @@ from pmfid.monitor.monitor import Monitor
 from pmfid.session.config import Axis
 from pmfid.session.drives import make_estimator
 from pmfid.session.identify import kind_of
-from pmfid.session.known import at_gain, finds_gain, known_of, of_either_sign
+from pmfid.session.known import finds_gain, known_of, set_gain, try_both_signs
 from pmfid.session.monitored.cache import cached_calibration
 from pmfid.session.records import Record, read_record
 from pmfid.types import Floats
@@ -75,8 +75,8 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
         raise UsageError(
             f"the record has dt = {record.dt:g} s, the reference {normal.dt:g} s; take a reference with the same"
         )
-    on_line = kind_of(axis).prepared(source, _on_line(axis, source.dt))
-    estimator = _estimator(_at_normal_gain(on_line, source), source, wraps=record is None)
+    on_line = kind_of(axis).prepare_axis(source, _configure_recursive(axis, source.dt))
+    estimator = _estimator(_set_normal_gain(on_line, source), source, wraps=record is None)
     known = known_of(axis, estimator)
     nominal = _nominal(estimator, config.nominal, source, known)
     if isinstance(estimator, RIV):
@@ -120,7 +120,7 @@ def check_monitored(axis: Axis) -> None:
         )
 
 
-def _on_line(axis: Axis, dt: float) -> Axis:
+def _configure_recursive(axis: Axis, dt: float) -> Axis:
     """With a recursive method, `riv` for auto, and a memory where none is given."""
     method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
     forgetting = axis.estimator.forgetting
@@ -146,7 +146,7 @@ def _estimator(axis: Axis, source: Record, wraps: bool) -> RecursiveEstimator:
     return estimator
 
 
-def _at_normal_gain(axis: Axis, source: Record) -> Axis:
+def _set_normal_gain(axis: Axis, source: Record) -> Axis:
     """With the gain of the input in normal work, where it is to be found: of [monitor] nominal or the reference.
     Raises UsageError for a nominal without it."""
     if not finds_gain(axis):
@@ -155,15 +155,15 @@ def _at_normal_gain(axis: Axis, source: Record) -> Axis:
     if given is not None and INPUT_GAIN not in given:
         raise UsageError(f"[monitor] nominal must name {INPUT_GAIN}, too, where [model] has it to be found")
     if given is not None:
-        return at_gain(axis, given[INPUT_GAIN])
+        return set_gain(axis, given[INPUT_GAIN])
 
-    def found(own: Axis) -> Axis:
+    def find_gain(own: Axis) -> Axis:
         estimator = _estimator(own, source, wraps=False)
         known = known_of(axis, estimator)
         fit = like(IV, estimator, prefilter_zeros=None).fit(source.u, source.counts)
-        return own if known is None else at_gain(own, known.of(fit)[INPUT_GAIN])
+        return own if known is None else set_gain(own, known.of(fit)[INPUT_GAIN])
 
-    return of_either_sign(axis, found)
+    return try_both_signs(axis, find_gain)
 
 
 def _nominal(

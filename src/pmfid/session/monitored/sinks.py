@@ -14,7 +14,7 @@ from pmfid.session.row_file import RowFile, Tell, fresh, is_stream
 Row = tuple[float | int | str, ...]
 
 
-class Sink(Protocol):
+class RowSink(Protocol):
     """Takes rows; after `close` all of them are in the file. path: of the file, None where there is none; lost: rows
     that could not be written."""
 
@@ -131,7 +131,7 @@ def _short(row: Row) -> str:
     return ",".join(f"{cell:.9g}" if isinstance(cell, float) else str(cell) for cell in row)
 
 
-def open_sink(out: Path | None, header: Sequence[str], tell: Tell) -> Sink:
+def open_sink(out: Path | None, header: Sequence[str], tell: Tell) -> RowSink:
     """The sink for a path; "-": CSV on standard output. A file that is there stays: the rows go to path-2 and so on.
 
     Raises UsageError for another kind of file.

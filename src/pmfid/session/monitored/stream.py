@@ -30,7 +30,7 @@ class _InterruptedError(Exception):
 
 
 @contextmanager
-def caught(handle: Callable[[int, FrameType | None], None], hangup: bool = True) -> Iterator[None]:
+def catch_signals(handle: Callable[[int, FrameType | None], None], hangup: bool = True) -> Iterator[None]:
     """SIGINT, SIGTERM and, if wanted and where there is one, SIGHUP go to a handler inside of the block."""
     numbers = [signal.SIGINT, signal.SIGTERM]
     if hangup and hasattr(signal, "SIGHUP"):
@@ -62,7 +62,7 @@ class Stop:
         """Signals are handled here inside of the block."""
         hangup = getattr(signal, "SIGHUP", None)
         ignored = hangup is not None and signal.getsignal(hangup) is signal.SIG_IGN
-        with caught(self._handle, hangup=not ignored):
+        with catch_signals(self._handle, hangup=not ignored):
             yield self
 
     def read(self, stream: BinaryIO) -> bytes:
@@ -92,7 +92,7 @@ def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterato
     dt: sample period [s]. Raises UsageError for a header without the columns of [record], for no line at all, for lines
     with another period than dt, and where the first lines, or most of all lines, cannot be used.
     """
-    parse = _begun(stream, axis, stop)
+    parse = _read_header(stream, axis, stop)
     if parse is None:
         return
     timeline = Timeline(dt) if axis.record.time else Metronome(dt)
@@ -108,7 +108,7 @@ def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterato
     tally.check()
 
 
-def _begun(stream: BinaryIO, axis: Axis, stop: Stop) -> LineParser | None:
+def _read_header(stream: BinaryIO, axis: Axis, stop: Stop) -> LineParser | None:
     """With the header; None if a signal comes before it."""
     beginning = Beginning(axis)
     while line := stop.read(stream):
@@ -170,7 +170,7 @@ class _Tally:
             if isinstance(one, Sample):
                 self._sample(one)
             elif one.kind != COMMENT:
-                self._skipped(one)
+                self._count_skipped(one)
         if before < FIRST_LINES <= self.lines and self.samples < LEAST_SAMPLES:
             self._refuse(self.lines - self.samples, self.lines)
 
@@ -179,7 +179,7 @@ class _Tally:
             self.samples += 1
             self.tail, self.problem = 0, ""
 
-    def _skipped(self, line: Skipped) -> None:
+    def _count_skipped(self, line: Skipped) -> None:
         self.bad += line.kind == BAD
         self.repeated += line.kind == REPEATED
         self.tail += 1

@@ -76,7 +76,7 @@ class Metronome:
     _next: float = field(default=0.0, init=False)
     _counts: int = field(default=0, init=False)
 
-    def saved(self) -> Saved:
+    def save_state(self) -> Saved:
         """Where it is, for JSON."""
         return {"next": self._next, "counts": self._counts}
 
@@ -115,7 +115,7 @@ class Timeline:
         self._period = Period(self.dt)
         self._recent: deque[Line] = deque(maxlen=REMEMBERED)
 
-    def saved(self) -> Saved:
+    def save_state(self) -> Saved:
         """Where it is, for JSON that knows NaN."""
         lines = {"held": self._held, "recent": self._recent}
         return {
@@ -123,7 +123,7 @@ class Timeline:
             "unused": self._unused,
             "strays": self._strays,
             "counts": self._counts,
-            "period": self._period.saved(),
+            "period": self._period.save_state(),
             **{name: [[x.time, x.u, x.counts, x.problem] for x in some] for name, some in lines.items()},
         }
 
