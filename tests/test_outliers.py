@@ -65,7 +65,7 @@ def test_wrong_counts_are_left_out_and_their_rows_named(fault: str, size: int) -
             counts[FAULTS[fault]] += size
             known = repair_record(logged(counts, record.u))
             assert known.status == ("count_jump",)
-            assert re.search(rf"rows? {FAULTS[fault][0] + 1}\b", known.told)
+            assert re.search(rf"rows? {FAULTS[fault][0] + 1}\b", known.sentence)
             off = known.record.counts - record.counts
             rough = np.abs(np.diff(record.counts, 2)).max()
             assert np.abs(off - off[50]).max() <= 1 + rough
@@ -112,13 +112,13 @@ def test_no_healthy_record_is_touched(axis: str) -> None:
         for motion in MOTIONS:
             for increments in (4096 * 64, 4096, 256, 16):
                 record = recorded(axis, motion, increments, wrong)
-                assert repair_record(logged(record.counts, record.u)).told == ""
+                assert repair_record(logged(record.counts, record.u)).sentence == ""
 
 
 def test_a_collision_is_a_motion() -> None:
     velocity = np.r_[np.full(300, 200.0), 80.0, np.full(300, -150.0), np.zeros(200)]
     counts = np.floor(np.cumsum(velocity)).astype(np.int64)
-    assert repair_record(logged(counts, np.ones(counts.size))).told == ""
+    assert repair_record(logged(counts, np.ones(counts.size))).sentence == ""
 
 
 def test_a_pulse_that_the_axis_answers_is_an_input() -> None:
@@ -128,7 +128,7 @@ def test_a_pulse_that_the_axis_answers_is_an_input() -> None:
     for k in range(1, 2000):
         velocity[k] = 0.97 * velocity[k - 1] + 8.0 * u[k - 1]
     counts = np.floor(np.cumsum(velocity)).astype(np.int64)
-    assert repair_record(logged(counts, u)).told == ""
+    assert repair_record(logged(counts, u)).sentence == ""
     u[900] = 4.0
     assert repair_record(logged(counts, u)).status == ("invalid_input",)
 
@@ -136,7 +136,7 @@ def test_a_pulse_that_the_axis_answers_is_an_input() -> None:
 def test_a_counter_that_wraps_is_no_jump() -> None:
     counts = np.round(3e5 * np.sin(np.arange(3000) / 100)).astype(np.int64)
     wrapped = (counts + 30_000) % 2**16
-    assert repair_record(logged(wrapped, np.ones(3000))).told == ""
+    assert repair_record(logged(wrapped, np.ones(3000))).sentence == ""
 
 
 def test_the_remedy_of_the_command_works(tmp_path: Path) -> None:

@@ -234,7 +234,7 @@ def test_a_velocity_that_is_no_change_of_counts_is_integrated(tmp_path: Path) ->
     record = read_record(tmp_path / "run.csv", moving)
     assert np.max(np.abs((record.counts - record.counts[0]) - (RUN.counts - RUN.counts[0]))) < 3 / STEP * 1e-3
     assert identify(record, moving)["inertia"] == pytest.approx(1.07, rel=0.03)
-    with pytest.raises(UsageError, match="a velocity does not tell the place: drop spring"):
+    with pytest.raises(UsageError, match="a velocity does not determine the position: drop spring"):
         axis("v", record_output_kind="velocity", model_spring=True)
 
 

@@ -1,7 +1,7 @@
 """The time column of a record: its unit, and the sample period that it gives.
 
-The unit is [record] time_unit, or else what the column's name says ("t_ms", "Time [us]"), or else s. An axis whose
-period would be one that no axis has is refused with the units that make sense of it, rather than taken at its word.
+The unit is [record] time_unit, or else the unit in the column's name ("t_ms", "Time [us]"), or else s. A sample period
+that no axis has is refused, and the message names units that give a usual period.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ __all__ = ["UNITS", "named_unit", "sample_period", "time_factor"]
 
 #: Unit of time -> its length [s].
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-#: What may stand at the end of a column's name, after a separator -> the unit.
+#: Unit -> what may end a column's name, after a separator.
 _NAMES = {
     "s": r"s|secs?|seconds?",
     "ms": r"ms|msecs?|millis|milliseconds?",
     "us": r"[uµμ]s|[uµμ]secs?|micros|microseconds?",
     "ns": r"ns|nsecs?|nanos|nanoseconds?",
 }
-#: Sample periods of machine axes [s], from this up to, but not at, that: drives log every 10 us to 100 ms.
+#: Sample periods of machine axes [s], the first included, the last excluded: drives log every 10 us to 100 ms.
 _SHORTEST, _LONGEST = 0.999e-5, 0.1
 #: Seconds since 1970 at the beginning of 2000 and of 2100.
 EPOCHS = (946_684_800.0, 4_102_444_800.0)
-#: Neighbouring steps may differ by this part of their median and nothing is said.
+#: Steps may differ from their median by this part without a note.
 EVEN = 0.1
-#: Steps within this part of one another need no closer look.
+#: Steps that differ by less than this part are an even grid without a further test.
 PLAIN = 1e-6
-#: A stamp further off its place on an even grid, in periods, is no chance.
+#: Largest deviation of a stamp from an even grid by chance [sample periods].
 FURTHEST = 0.9
-#: So many stamps together tell a missing sample from chance, which is so many standard deviations at most.
+#: Stamps that are averaged to detect a missing sample; largest mean by chance, in standard deviations.
 GROUP, MOST_BY_CHANCE = 50, 5.0
 #: A period and a time column agree within this part.
 _SAME = 0.01
@@ -61,8 +61,8 @@ def named_unit(name: str) -> str | None:
 def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tuple[str, ...]]:
     """The sample period [s] of an axis' record with the time column (n,), and notes for people.
 
-    Raises UsageError where there is no period, where the steps are uneven, where [record] dt says another one, and
-    where no axis has such a period and nothing says that this one does.
+    Raises UsageError if there is no period, if the steps are uneven, if [record] dt differs, and if no axis has such a
+    period and the configuration does not confirm it.
     """
     if time is None:
         if config.dt is None:
@@ -88,19 +88,19 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
 
 
 def _steps_of(time: Floats) -> tuple[float, float]:
-    """The median of the steps of stamps (n,), and by how much they differ from it at most, in parts of it."""
+    """The median of the steps of stamps (n,), and the largest deviation from the median, as a part of it."""
     steps = np.diff(time)
     median = float(np.median(steps))
     return median, _furthest(steps, median) / median if median else 0.0
 
 
 def even_grid(time: Floats) -> tuple[float, bool]:
-    """The period of the line through the stamps (n,), in their unit, and whether they are late or early by chance
-    around an even grid, one sample for each of its points.
+    """The period of the line through the stamps (n,), in their unit, and whether the stamps scatter by chance around an
+    even grid with one sample for each of its points.
 
-    They are where no stamp is off by nearly a period, as a duplicate is, where the steps scatter by more than the
-    stamps do, which chance that adds up never does, and where no group of stamps is off by a quarter of a period, as
-    from a missing sample on.
+    The grid is even under three conditions. No stamp is off by nearly a period, as a duplicate is. The steps scatter
+    more than the stamps, which errors that add up never do. No group of stamps is off by a quarter of a period, as
+    after a missing sample.
     """
     n = time.size
     if n < GROUP or not np.all(np.isfinite(time)):
@@ -124,19 +124,19 @@ def even_grid(time: Floats) -> tuple[float, bool]:
 
 
 def _furthest(values: Floats, middle: float) -> float:
-    """How far the values (n,) are from a middle at most; without a copy of them, as a long record is large."""
+    """The largest distance of the values (n,) from a middle; without a copy, because a long record is large."""
     return max(float(np.max(values)) - middle, middle - float(np.min(values)))
 
 
 def _counts_samples(time: Floats, config: RecordConfig) -> bool:
-    """Is the time column nothing but the numbers of the samples?"""
+    """Does the time column number the samples?"""
     unit = config.time_unit or named_unit(config.time or "")
     return unit is None and bool(time[0] == np.rint(time[0]) and np.all(np.diff(time) == 1.0))
 
 
 def _epoch(first: float, step: float, config: RecordConfig) -> str | None:
-    """The unit in which the first stamp is a date of this century and the step a period of an axis; None if there is
-    none, or the unit is known."""
+    """The unit in which the first stamp is a date of this century and the step a period of an axis; None without such a
+    unit, or if the unit is known."""
     if config.time_unit or config.dt is not None or named_unit(config.time or ""):
         return None
     dated = [unit for unit, length in UNITS.items() if EPOCHS[0] <= first * length < EPOCHS[1]]
@@ -200,7 +200,7 @@ def _check_steps(time: Floats, steps: Floats, median: float) -> None:
 
 
 def _back(k: int, median: float) -> str:
-    """What to do where the time goes back after step k: mostly the logger has started again, rarely rows are mixed."""
+    """The remedy for a time that goes back after step k: usually the logger restarted, rarely rows are mixed."""
     if median <= 0:
         return "most rows go back: sort them by time"
     return (

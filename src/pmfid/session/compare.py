@@ -15,7 +15,7 @@ from pmfid.session.result import Result
 
 @dataclass(frozen=True)
 class Comparison:
-    """Results by method, and the reason for each method that has none; name, samples: of the record or records."""
+    """Results by method, and the reason for each method without a result; name, samples: of the record or records."""
 
     name: str
     samples: int
@@ -30,8 +30,11 @@ class Comparison:
 
 
 def compare(data: Records, axis: Axis, done: Progress | None = None) -> Comparison:
-    """Runs every method with the settings of `axis` on what `kind_of(axis).read` gives; `done` is called with the part
-    that has run. Raises UsageError as `identify` does, and what the first method raised where none has an answer."""
+    """Runs every method with the settings of `axis` on the records that `kind_of(axis).read` gives.
+
+    `done` is called with the part that has run. Raises UsageError as `identify` does, and the first method's error if
+    no method succeeds.
+    """
     kind, methods = kind_of(axis), methods_for(axis.model.make())
     axis = kind.prepare_axis(data, axis)
     results: dict[str, Result] = {}
@@ -46,10 +49,10 @@ def compare(data: Records, axis: Axis, done: Progress | None = None) -> Comparis
             done(count / len(methods))
     unknown = {method: error for method, error in refused.items() if isinstance(error, NotIdentifiableError)}
     found = kind.check_record(data, axis) if unknown else ()
-    told = refused | {method: explain_error(error, found) for method, error in unknown.items()}
+    errors = refused | {method: explain_error(error, found) for method, error in unknown.items()}
     if not results:
-        raise next(iter(told.values()))
-    return Comparison(*kind.name_and_samples(data), results, {method: str(error) for method, error in told.items()})
+        raise next(iter(errors.values()))
+    return Comparison(*kind.name_and_samples(data), results, {method: str(error) for method, error in errors.items()})
 
 
 def _with_method(axis: Axis, method: str) -> Axis:

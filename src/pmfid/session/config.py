@@ -49,7 +49,7 @@ class EstimatorConfig(FileSection):
         description="a factor in (0, 1]; for a memory of T seconds use 1 - dt/T, 1 never forgets",
     )
     forgetting_scheme: Literal["exponential", "directional", "constant-trace", "window"] = Field(
-        "exponential", description="what becomes of old samples where forgetting < 1"
+        "exponential", description="how old samples lose weight if forgetting < 1"
     )
     window: Positive | Literal["auto"] | None = Field(
         None, description='the length in s of the windows of output-error, for example 2.0, or "auto"'
@@ -72,7 +72,7 @@ class EstimatorConfig(FileSection):
 
     @property
     def pole(self) -> float:
-        """The cutoff [rad/s]. Raises UsageError where it is not known yet."""
+        """The cutoff [rad/s]. Raises UsageError if it is not known yet."""
         if self.cutoff is None:
             raise UsageError(
                 "[estimator] cutoff is missing; give the pole of the filter chain in rad/s: pmfid identify on a record "
@@ -85,7 +85,7 @@ class MonitorConfig(FileSection):
     """[monitor]: what `pmfid monitor` compares with, and how often it may be wrong."""
 
     reference: Name | None = Field(
-        None, description='a record of normal work with the same columns, beside AXIS.toml: "normal.csv"'
+        None, description='a record of normal work with the same columns, in the folder of AXIS.toml: "normal.csv"'
     )
     nominal: dict[str, float] | None = Field(
         None,
@@ -100,7 +100,7 @@ class MonitorConfig(FileSection):
     )
 
 
-#: Section, key, and whether it is one of a transfer function or of a machine with friction.
+#: Section, key, and whether the key is of a transfer function; otherwise it is of a machine with friction.
 _KEYS_OF_ONE_KIND = (
     ("record", "gap", True),
     ("record", "hold", True),
@@ -113,7 +113,7 @@ _KEYS_OF_ONE_KIND = (
     ("estimator", "window", False),
     ("estimator", "tolerance", False),
 )
-#: What serves the purpose instead.
+#: Key -> what serves its purpose instead.
 _CURE = {
     "gap": ", and cut the record at the gap",
     "hold": ", the input of an axis is taken to hold between samples",
@@ -131,7 +131,7 @@ class Axis(FileSection):
 
     @model_validator(mode="after")
     def _refuse_unused(self) -> Self:
-        """What is given must have an effect: a key that the model does not use is refused."""
+        """Refuses a key that the model does not use, so that every given key has an effect."""
         kind, sections = self.model.kind, {"record": self.record, "encoder": self.encoder, "estimator": self.estimator}
         for section, key, of_process in _KEYS_OF_ONE_KIND:
             part = sections[section]
@@ -148,19 +148,21 @@ class Axis(FileSection):
         return self
 
     def _check_units(self) -> None:
-        """Units tell the kind of axis, and a velocity has no place."""
+        """Derives the kind of axis from units, and refuses terms of the position if the output is a velocity."""
         if self.model.kind != "drive":
             if self.record.output_kind == "velocity":
                 raise UsageError('output_kind = "velocity" is for kind = "drive"; integrate the column, or change it')
             return
         places = [key for key in ("spring", "gravity", "cogging", "friction_period") if getattr(self.model, key)]
         if self.record.output_kind == "velocity" and places:
-            raise UsageError(f"a velocity does not tell the place: drop {', '.join(places)}, or record the position")
+            raise UsageError(
+                f"a velocity does not determine the position: drop {', '.join(places)}, or record the position"
+            )
         if axis_kind(Sections(self.record, self.encoder, self.model)) == "rotary":
             object.__setattr__(self, "model", self.model.model_copy(update={"axis": "rotary"}))
 
     def _check_known(self) -> None:
-        """What is known beforehand is of parameters of the model."""
+        """Refuses prior information on parameters that the model does not have."""
         given, prior, find = self.estimator.given, self.estimator.prior, self.model.input_gain == ESTIMATE
         if self.model.kind == "transfer_function" and (given or prior):
             raise UsageError("[estimator] given and prior are for machines; of a transfer function drop them")
@@ -173,15 +175,15 @@ class Axis(FileSection):
 def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis:
     """Read and validate an AXIS.toml.
 
-    `overrides` holds dotted keys, {"estimator.cutoff": 50.0}, that go before the file's; None is ignored.
+    `overrides` holds dotted keys, {"estimator.cutoff": 50.0}, that replace the file's values; None is ignored.
     Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
     """
     return load_sections(Axis, path, overrides, "an AXIS.toml", _add_unit_encoder)
 
 
 def _add_unit_encoder(raw: dict[str, object]) -> None:
-    """A transfer function needs no encoder: its output is a number, or in counts. Of an unknown kind only that is
-    said."""
+    """Adds [encoder] for a transfer function, which needs none. An unknown kind of model gets one, too: its error
+    message then names the kind alone."""
     model = raw.get("model")
     if isinstance(model, dict) and model.get("kind", "drive") not in ("drive", "equation"):
         raw.setdefault("encoder", {"resolution": NO_ENCODER})
@@ -198,7 +200,7 @@ def check_sampling(axis: Axis, dt: float) -> None:
 
 
 def _unit_of_time(axis: Axis) -> str:
-    """What to look at before the cutoff: with time in ms taken for s, a lower cutoff hides a factor of 1000."""
+    """The advice to check the unit of time first: with ms taken for s, a lower cutoff hides a factor of 1000."""
     if axis.record.time is None:
         return "check that [record] dt is in s, else "
     if axis.record.time_unit is None:

@@ -1,7 +1,7 @@
-"""From the units of a file's columns to SI, and which kind of axis they tell of.
+"""From the units of a file's columns to SI, and the kind of axis that the units determine.
 
-A unit is believed where the configuration says it or the column's name does; one that the configuration contradicts is
-refused, and so is a number of AXIS.toml that may be meant in either unit.
+A unit comes from the configuration or from the column's name. A unit that the configuration contradicts is refused, and
+so is a number of AXIS.toml that may be in either unit.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pmfid.session.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit
 
 __all__ = ["Conversion", "Sections", "axis_kind", "conversion"]
 
-#: Kind of axis that something measured in these is of.
+#: Kind of quantity -> kind of axis that has it.
 _KINDS: dict[str, AxisKind] = {
     "length": "linear",
     "speed": "linear",
@@ -38,7 +38,7 @@ _RATES = (("encoder", "max_speed"), ("model", "stribeck"))
 
 @dataclass(frozen=True)
 class Sections:
-    """What AXIS.toml says that has a unit."""
+    """The sections of AXIS.toml that have values with units."""
 
     record: RecordConfig
     encoder: EncoderConfig
@@ -47,7 +47,7 @@ class Sections:
 
 @dataclass(frozen=True)
 class Conversion:
-    """Factors to SI of u and y; kind: of axis, None where nothing tells; notes: for people."""
+    """Factors to SI of u and y; kind: of axis, None if nothing determines it; notes: for people."""
 
     u: float
     y: float
@@ -56,35 +56,36 @@ class Conversion:
 
 
 def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
-    """How the columns, which are called so in the file, become SI units. Raises UsageError for a unit that the
-    configuration contradicts, and for a number in it that may be meant in two."""
+    """The conversion of the columns with these names in the file to SI. Raises UsageError for a unit that the
+    configuration contradicts, and for a configured number that may be in either of two units."""
     own = {"u": column_unit(input_name, INPUTS), "y": column_unit(output_name, OUTPUTS)}
     if axis.model.kind != "drive":  # its user says in which units it is, and everything else is in these
-        said = " and ".join(f"{key} in {unit.name}" for key, unit in own.items() if unit)
-        notes = (f"the file has {said}: the results are in these units",) if said else ()
+        columns = " and ".join(f"{key} in {unit.name}" for key, unit in own.items() if unit)
+        notes = (f"the file has {columns}: the results are in these units",) if columns else ()
         return Conversion(1.0, 1.0, None, notes)
     y, u = _output_unit(axis, output_name), _input_unit(axis, input_name)
     kind = axis_kind(axis, y)
-    told = [f"{key} in {_format_unit(unit)}" for key, unit in (("u", u), ("y", y)) if unit]
-    notes = (f"the file has {' and '.join(told)}",) if told else ()
+    named = [f"{key} in {_format_unit(unit)}" for key, unit in (("u", u), ("y", y)) if unit]
+    notes = (f"the file has {' and '.join(named)}",) if named else ()
     return Conversion(u.factor if u else 1.0, y.factor if y else 1.0, kind, notes)
 
 
 def axis_kind(axis: Sections, unit: Unit | None = None) -> AxisKind | None:
-    """The kind of axis by what the configuration says, and a column in `unit`; None where nothing tells. Raises
-    UsageError where they contradict each other."""
-    told: dict[AxisKind, str] = {}
+    """The kind of axis by the configuration and by a column in `unit`; None if nothing determines it. Raises UsageError
+    if these contradict each other."""
+    evidence: dict[AxisKind, str] = {}
     for what, kind in _evidence(axis, unit):
-        told.setdefault(kind, what)
-    if len(told) > 1:
+        evidence.setdefault(kind, what)
+    if len(evidence) > 1:
         raise UsageError(
-            f"{told['rotary']} is of a rotary axis, {told['linear']} of a linear one: correct the unit of one of them"
+            f"{evidence['rotary']} is of a rotary axis, {evidence['linear']} of a linear one: correct the unit of one "
+            "of them"
         )
-    return next(iter(told), None)
+    return next(iter(evidence), None)
 
 
 def _evidence(axis: Sections, unit: Unit | None) -> Iterator[tuple[str, AxisKind]]:
-    """What tells the kind of axis, for people, and the kind."""
+    """Each fact that determines the kind of axis, for people, and the kind."""
     if "axis" in axis.model.model_fields_set:
         yield f'[model] axis = "{axis.model.axis}"', axis.model.axis
     for section, key, value in _numbers(axis, (*_TRAVELS, *_RATES)):
@@ -100,7 +101,7 @@ def _evidence(axis: Sections, unit: Unit | None) -> Iterator[tuple[str, AxisKind
 
 
 def _numbers(axis: Sections, keys: tuple[tuple[str, str], ...]) -> Iterator[tuple[str, str, float]]:
-    """Section, key and value of those that are numbers."""
+    """Section, key and value of the keys whose values are numbers."""
     for section, key in keys:
         value = getattr(getattr(axis, section), key)
         if isinstance(value, float):
@@ -108,8 +109,7 @@ def _numbers(axis: Sections, keys: tuple[tuple[str, str], ...]) -> Iterator[tupl
 
 
 def _choose_unit(key: str, given: str | None, name: str, table: dict[str, Unit]) -> Unit | None:
-    """The unit that is configured, or that the name of the column says; None where neither does. Raises UsageError
-    where they differ."""
+    """The configured unit, or the unit in the column's name; None without either. Raises UsageError if they differ."""
     named, stated = column_unit(name, table), table.get(given or "")
     if named and stated and (named.of, named.factor) != (stated.of, stated.factor):
         raise UsageError(
@@ -133,7 +133,7 @@ def _output_unit(axis: Sections, name: str) -> Unit | None:
 
 
 def _check_written(axis: Sections, name: str, unit: Unit) -> None:
-    """Raises UsageError for numbers without a unit beside a column that is not in SI."""
+    """Raises UsageError for configured numbers without a unit if the output column is not in SI."""
     travel = unit.name.partition("/")[0] if unit.name != "rpm" else "rev"
     base = SI["angle" if _KINDS[unit.of] == "rotary" else "length"]
     ways = [(*found, travel, base) for found in _numbers(axis, _TRAVELS)]
@@ -145,13 +145,13 @@ def _check_written(axis: Sections, name: str, unit: Unit) -> None:
             for section, key, value, own, other in bare
         )
         raise UsageError(
-            f"the output column {name!r} is in {unit.name}, and a number beside it may be meant in that or in {base}: "
-            f"write {written}"
+            f"the output column {name!r} is in {unit.name}, and a number without a unit may be in {unit.name} or in "
+            f"{base}: write {written}"
         )
 
 
 def _input_unit(axis: Sections, name: str) -> Unit | None:
-    """Of the input, as far as no scale is configured, which is another way to say it."""
+    """The unit of the input. A configured scale replaces the unit in the column's name."""
     scaled = isinstance(axis.record.input_scale, str) or abs(axis.record.input_scale) != 1.0
     unit = _choose_unit("input_unit", axis.record.input_unit, "" if scaled else name, INPUTS)
     gain = axis.model.input_gain

@@ -16,13 +16,13 @@ __all__ = ["DISTINCT", "MOST_WHOLE", "counts_of", "floor_counts", "unwrap_counts
 
 # Beyond 2**53 neighbouring integers share one float64, and a count would be silently wrong.
 _MAX_COUNT = 2.0**53
-#: Of so many rows, more than so many different whole numbers and nothing else are counts.
+#: Rows that are tested for counts; whole numbers without exception, and more of them than this differ, are counts.
 DISTINCT, MOST_WHOLE = 10_000, 20
 
 
 def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
     """Counts (n,) of the output column (n,) [unit of y, or counts] as `axis` describes it, and notes for people. Raises
-    UsageError for what is neither counts nor a position, and beyond 2**53 counts."""
+    UsageError for a column that is neither counts nor a position, and beyond 2**53 counts."""
     bits = axis.encoder.bits
     if axis.record.output_kind != "counts":
         if axis.record.output_kind == "position":
@@ -36,7 +36,7 @@ def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
 
 
 def _check_position(output: Floats, axis: Axis) -> None:
-    """Whole numbers of many steps each are counts, and no position with a resolution of a part of one."""
+    """Refuses whole numbers as a position with a resolution below 1: such a column holds counts."""
     whole = np.array_equal(output, np.rint(output)) and np.unique(output[:DISTINCT]).size > MOST_WHOLE
     if whole and axis.encoder.resolution < 1 and axis.model.kind != "transfer_function":
         raise UsageError(

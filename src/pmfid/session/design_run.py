@@ -43,7 +43,7 @@ def run_design(
 
 
 def run_campaign(spec: Spec, motions: int) -> Campaign:
-    """At most so many motions that tell the most together. Raises as `campaign`."""
+    """A campaign of at most `motions` motions that are the most informative together. Raises as `campaign`."""
     return campaign(
         make_problem(spec),
         spec.experiment.criterion,
@@ -55,7 +55,7 @@ def run_campaign(spec: Spec, motions: int) -> Campaign:
 
 
 def run_appraisal(spec: Spec, design: Design) -> Appraisal:
-    """A design of the specification beside the standard inputs."""
+    """A design of the specification compared with the standard inputs."""
     return appraise(design, spec.experiment.weights, spec.search.seed)
 
 
@@ -66,20 +66,20 @@ def run_commissioning(
     truth: Mapping[str, float] | None = None,
     rounds: int = 10,
 ) -> Commissioning:
-    """What the runs say and the next design; with the truth {name: value}, all rounds on a simulated axis instead.
+    """The estimate from the runs, and the next design; with the truth {name: value}, all rounds on a simulated axis.
 
-    Raises UsageError for a truth that has other names than the drive's, and as `sequential` and `redesign` do.
+    Raises UsageError for a truth with names that the drive does not have, and as `sequential` and `redesign` do.
     """
     problem = make_problem(spec)
     how = {"criterion": spec.experiment.criterion, "combination": spec.experiment.weights}
     search = {"starts": spec.search.starts, "seed": spec.search.seed}
     if truth is None:
         return redesign(problem, runs, wanted, **how, **search)  # type: ignore[arg-type]
-    strangers = [name for name in truth if name not in problem.nominal]
-    if strangers or runs:
+    unknown = [name for name in truth if name not in problem.nominal]
+    if unknown or runs:
         raise UsageError(
-            f"{strangers[0]} is no parameter of the drive, which has {', '.join(problem.nominal)}"
-            if strangers
+            f"{unknown[0]} is no parameter of the drive, which has {', '.join(problem.nominal)}"
+            if unknown
             else "give recorded runs, or the truth for a simulation, not both"
         )
     experiment = simulated_experiment(problem, truth, np.random.default_rng(spec.search.seed))

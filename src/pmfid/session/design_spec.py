@@ -21,7 +21,7 @@ from pmfid.session.toml_file import FileSection, load_sections
 
 __all__ = ["Spec", "load_spec", "make_problem"]
 
-#: No machine bears more, in any unit.
+#: Largest limit, in any unit: no machine reaches it.
 MOST_LIMIT = 1e100
 
 Criterion = Literal["trace", "D", "A", "E", "ME", "c"]
@@ -59,7 +59,7 @@ class EncoderSpec(FileSection):
 
 
 class ExperimentSpec(FileSection):
-    """[experiment]: what is to be found out, and how a design is judged."""
+    """[experiment]: the unknown parameters, and the criterion of a design."""
 
     unknown: Names = Field(min_length=1, description='the parameters to be found, for example ["mass"]')
     nuisance: Names = Field((), description="parameters that are unknown as well but of no interest")
@@ -72,7 +72,7 @@ class ExperimentSpec(FileSection):
 
 
 class MotionSpec(FileSection):
-    """[motion]: from where to where in what time, forward throughout unless `directions` says otherwise."""
+    """[motion]: start, end and duration; the motion is forward throughout unless `directions` says otherwise."""
 
     duration: Positive = Field(le=1e6, description="the length of the motion in s, at most 1e6")
     intervals: int = Field(ge=1, description="the number of intervals of constant input, at least 1")
@@ -89,7 +89,7 @@ class MotionSpec(FileSection):
 
 
 class LimitsSpec(FileSection):
-    """[limits]: what the machine bears; a single number b stands for [-b, b]."""
+    """[limits]: bounds of the machine; a single number b stands for [-b, b]."""
 
     input: Positive | Pair | None = Field(None, description="the largest input in its unit, or [lowest, highest]")
     input_rate: Positive | None = Field(None, description="the largest change of the input per s")
@@ -140,7 +140,7 @@ class SearchSpec(FileSection):
     seed: int = Field(0, ge=0, lt=2**63, description="a whole number, at least 0 and below 2**63")
 
 
-#: How a run is recorded where SPEC.toml does not say.
+#: The columns of a recorded run, unless SPEC.toml names others.
 RECORD = RecordConfig(input="u", output="counts", output_kind="counts", time="t")
 
 
@@ -161,14 +161,14 @@ class Spec(FileSection):
 def load_spec(path: Path, overrides: Mapping[str, object] | None = None) -> Spec:
     """Read and validate a SPEC.toml.
 
-    `overrides` holds dotted keys, {"experiment.criterion": "trace"}, that go before the file's; None is ignored.
+    `overrides` holds dotted keys, {"experiment.criterion": "trace"}, that replace the file's values; None is ignored.
     Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
     """
     return load_sections(Spec, path, overrides, "a SPEC.toml")
 
 
 def make_problem(spec: Spec) -> Problem:
-    """The problem that a specification poses. Raises UsageError where its parts do not fit each other."""
+    """The problem of a specification. Raises UsageError if its parts do not fit each other."""
     nominal = _nominal(spec.drive)
     experiment, motion = spec.experiment, spec.motion
     noise = spec.encoder.noise_std
@@ -203,9 +203,9 @@ def _nominal(drive: DriveSpec) -> dict[str, float]:
 def _prior(prior: PriorSpec, names: tuple[str, ...]) -> np.ndarray | None:
     """Information matrix (p, p) of independent standard deviations."""
     stds = {name: std for name, std in prior.model_dump().items() if std is not None}
-    strangers = [name for name in stds if name not in names]
-    if strangers:
-        raise UsageError(f"[prior] {strangers[0]} is not unknown: [experiment] names {', '.join(names)}; leave it out")
+    others = [name for name in stds if name not in names]
+    if others:
+        raise UsageError(f"[prior] {others[0]} is not unknown: [experiment] names {', '.join(names)}; leave it out")
     return np.diag([stds[name] ** -2.0 if name in stds else 0.0 for name in names]) if stds else None
 
 

@@ -1,4 +1,4 @@
-"""An equation of the user's own that takes a velocity for a position, found by reading it in the other way."""
+"""An equation of the user's own that takes a velocity for a position: the integrated output fits better."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ from pmfid.session.records import Record
 
 __all__ = ["check_direction"]
 
-#: What the other reading leaves, in parts of what the record as it stands leaves.
+#: Largest ratio of the unexplained part after integration to the unexplained part of the record as it is.
 BETTER = 0.5
 
 
 def check_direction(record: Record, axis: Axis) -> str:
-    """The mistake of an equation of first order with a direction, where the output is a velocity: the direction is that
-    of the output's change, which is then the acceleration's. Empty where the output may be a position.
+    """The mistake of an equation of first order with a direction if the output is a velocity; otherwise empty.
+
+    The direction follows the output's change. If the output is a velocity, this is the direction of the acceleration.
     """
     model, config = axis.model.make(), axis.estimator
     above = _integrate_equation(model.equation)
@@ -50,7 +51,7 @@ def check_direction(record: Record, axis: Axis) -> str:
 
 
 def _integrate_equation(equation: Equation) -> Equation | None:
-    """The same equation of first order with the integral of the output in its place; None if it is no such equation."""
+    """An equation of first order with the output replaced by its integral; None for any other equation."""
     terms = (*equation.unknown, *equation.known)
     if equation.order != 1 or any(term.facts.measured and term.facts.one_way for term in terms):
         return None

@@ -45,7 +45,7 @@ from pmfid.session.gaps.motion import doubt, fill_by_motion
 from pmfid.session.gaps.standing import missing_said
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.session.known import finds_gain, known_of, put_together, set_any_gain, set_gain, try_both_signs
-from pmfid.session.outliers import believed_of
+from pmfid.session.outliers import repair_as_configured
 from pmfid.session.records import Record, read_record, record_of
 from pmfid.session.result import DriveResult
 from pmfid.session.stored import Stored
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from pmfid._estimate import Estimate
 
 CHUNK = 100_000
-#: Part of the motion that a simulation may leave of one that it follows.
+#: Largest part of the motion that a simulation which follows the motion leaves unexplained.
 FOLLOWED = 0.2
 
 
@@ -80,7 +80,7 @@ class Drives(Kind[Record]):
         axis = match_kind(data, axis)
         if axis.estimator.cutoff is not None or data.counts.size == 0:
             return axis
-        known = believed_of(data, axis).record
+        known = repair_as_configured(data, axis).record
         either = [set_gain(axis, 1.0), set_gain(axis, -1.0)] if finds_gain(axis) else [axis]
         models = [one.model.make() for one in either]
         encoder, forgetting = axis.encoder.make_encoder(data.resolution), axis.estimator.forgetting
@@ -90,7 +90,7 @@ class Drives(Kind[Record]):
     def complete_record(self, data: Record, axis: Axis) -> Record:
         if data.there is None or np.all(data.there | np.isnan(data.u)):
             return data
-        known = believed_of(data, axis).record
+        known = repair_as_configured(data, axis).record
         for one in [set_gain(axis, 1.0), set_gain(axis, -1.0)] if finds_gain(axis) else [axis]:
             model = one.model.make()
             if IV.refuses(model.simple.equation):
@@ -107,7 +107,7 @@ class Drives(Kind[Record]):
 
     def check(self, data: Record, axis: Axis) -> None:
         axis = set_any_gain(axis)
-        mistake = check_direction(believed_of(data, axis).record, axis)
+        mistake = check_direction(repair_as_configured(data, axis).record, axis)
         if mistake:
             raise UsageError(mistake)
 
@@ -115,21 +115,21 @@ class Drives(Kind[Record]):
         return checks.scan_record(data, axis)
 
     def check_record(self, data: Record, axis: Axis) -> tuple[Finding, ...]:
-        return checks.check_record(data, axis) or believed_of(data, axis).findings
+        return checks.check_record(data, axis) or repair_as_configured(data, axis).findings
 
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
-        known = believed_of(data, axis)
+        known = repair_as_configured(data, axis)
         result = try_both_signs(axis, lambda own: _identify_by_method(known.record, own, axis, progress))
         result = replace(result, theta_std=_widen_errors(result, data))
         return result.with_findings(*known.findings)
 
     def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
         whole = unbroken(data)
-        known = believed_of(whole, axis)
+        known = repair_as_configured(whole, axis)
         method = simulator(axis, data.dt, data.resolution)
         run = drive_run(method, theta, known.record.u, known.record.counts, data.name)
         cut = whole.notes[len(data.notes) :]
-        return [replace(run, notes=(*cut, *filter(None, (known.told,)), *run.notes))]
+        return [replace(run, notes=(*cut, *filter(None, (known.sentence,)), *run.notes))]
 
     def check_known(self, stored: Stored, data: Record, axis: Axis) -> None:
         equation = axis.model.make().equation
@@ -141,7 +141,7 @@ class Drives(Kind[Record]):
 
 
 def _identify_by_method(data: Record, axis: Axis, asked: Axis, progress: Progress | None) -> DriveResult:
-    """By the method of `axis`; asked: the axis as it is configured, with what is known beforehand."""
+    """The result of the method of `axis`; asked: the axis as configured, with prior information."""
     estimator, reason, choice = make_estimator(axis, data), "", None
     if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
         choice = first_choice(estimator, data.u, data.counts)
@@ -154,8 +154,8 @@ def _identify_by_method(data: Record, axis: Axis, asked: Axis, progress: Progres
 
 
 def match_kind(record: Record, axis: Axis) -> Axis:
-    """The same axis, rotary where the file says that its output is an angle. Raises UsageError where parameters of a
-    linear one are known."""
+    """The same axis, rotary if the file says that its output is an angle. Raises UsageError if parameters of a linear
+    axis are known."""
     if not record.rotary or axis.model.kind != "drive" or axis.model.axis == "rotary":
         return axis
     if axis.estimator.given or axis.estimator.prior or axis.monitor.nominal:
@@ -184,14 +184,14 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
 
 
 def _check_known(result: DriveResult) -> None:
-    """A mass that is not known to its own size, or is negative, is no estimate, nor is one of a model that simulates
-    another motion."""
+    """Raises NotIdentifiableError for a mass below its standard deviation, and for a model whose simulated motion is
+    another one."""
     leading = result.estimator.equation.leading
     mass, std = result.theta[leading], result.theta_std[leading]
     numbers = (*result.theta, *result.theta_std, result.relative_error)
     if not np.all(np.isfinite(numbers)):
         raise NotIdentifiableError(
-            "a parameter, or how well it is known, is beyond numbers: this record cannot identify it "
+            "a parameter or its standard deviation is not finite: this record cannot identify it "
             "(record a motion with reversals and varying speed)"
         )
     advice = "; ".join(result.notes) or "record a motion with reversals and varying speed"
@@ -205,17 +205,16 @@ def _check_known(result: DriveResult) -> None:
 
 
 def _check_error(estimator: Estimator, relative: float, said: Verdict) -> list[Finding]:
-    """What to say where the equation leaves more than all of the input, as it does at the right parameters where a
-    coarse encoder's steps are in the acceleration. Raises NotIdentifiableError where no simulated motion says that
-    these are right."""
+    """The note on an equation whose error exceeds the input. The steps of a coarse encoder in the acceleration cause
+    that, even at the right parameters. Raises NotIdentifiableError if no simulated motion confirms the parameters."""
     if not relative > 1:
         return []
-    told, adequacy = f"the filtered equation leaves {100 * relative:.3g} % of the input", said.adequacy
+    sentence, adequacy = f"the filtered equation leaves {100 * relative:.3g} % of the input", said.adequacy
     if adequacy is not None and adequacy.left < FOLLOWED:
         return make_notes(
             "relative_error",
             [
-                f"{told}, the encoder's steps in the acceleration above all; the simulated motion leaves "
+                f"{sentence}, the encoder's steps in the acceleration above all; the simulated motion leaves "
                 f"{100 * adequacy.left:.2g} % of the measured one"
             ],
         )
@@ -224,8 +223,8 @@ def _check_error(estimator: Estimator, relative: float, said: Verdict) -> list[F
             "; ".join(texts(said.judged)) or "check the columns and the scales of input and output, or lower the cutoff"
         )
         raise NotIdentifiableError(
-            f"{told}, more than no motion at all would, and no simulated motion follows the measured one: this record "
-            f"cannot identify the parameters as it is read ({advice})"
+            f"{sentence}, more than no motion at all would, and no simulated motion follows the measured one: this "
+            f"record cannot identify the parameters as it is read ({advice})"
         )
     return []
 
@@ -263,7 +262,7 @@ def _estimate(
 
 
 def _widen_errors(result: DriveResult, record: Record) -> Floats:
-    """Error bars (p,) with what samples that were filled in may have moved."""
+    """Standard errors (p,) that include the effect of imputed samples."""
     if record.doubt is None:
         return result.theta_std
     most = float(np.max(record.doubt, initial=0.0))
@@ -272,13 +271,13 @@ def _widen_errors(result: DriveResult, record: Record) -> Floats:
 
 
 def _collect_status(record: Record) -> int:
-    """Status bits of what the record's notes say: its gaps."""
+    """Status bits that the record's notes explain: its gaps."""
     return int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.STANDSTILL) if np.any(np.isnan(record.u)) else 0
 
 
 def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: MethodChoice | None) -> Adequacy | None:
-    """What the counts say on the model, as far as it must be asked with a lag that is free: the one that instrumental
-    variables find is not that which fits best."""
+    """Whether the model explains the counts. Only a free lag needs a test here: the lag from instrumental variables is
+    not the lag that fits best."""
     if choice is not None or estimator.equation.lag != ESTIMATE:
         return choice.adequacy if choice else None
     known = estimator.equation.at_shapes(fit.theta[len(estimator.equation.names) :])
@@ -291,7 +290,7 @@ def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: MethodChoi
 def all_known(
     estimator: Estimator, record: Record, theta: Floats, std: Floats
 ) -> tuple[Estimator, Floats, Counts, Floats, Floats]:
-    """What `judge` asks, with the parameters that the equation is not linear in known as they were found."""
+    """The arguments of `verdict`, with the parameters that are not linear in the equation fixed at their estimates."""
     equation = estimator.equation
     p = len(equation.names)
     if not equation.further:
@@ -301,7 +300,7 @@ def all_known(
 
 
 def _needs_simulation(estimator: Estimator) -> bool:
-    """Are there regressors that only a simulated motion gives?"""
+    """Does the equation have regressors that only a simulated motion gives?"""
     of_speed = any(term.shape is not None and term.shape.of_speed for term in estimator.equation.shaped)
     return of_speed or estimator.equation.lag == ESTIMATE
 
@@ -317,12 +316,12 @@ def _batch_twin(estimator: Estimator) -> BatchEstimator:
         return like(LS, estimator, model=model, prefilter_zeros=None)
     twin = like(ESTIMATORS["bcls" if estimator.instrumental else "ls"], estimator)
     if not isinstance(twin, BatchEstimator):
-        raise UsageError(f"{estimator.method} has no off-line method beside it")
+        raise UsageError(f"{estimator.method} has no off-line method on the same columns")
     return twin
 
 
 def late_of(estimator: Estimator) -> int | None:
-    """The parameter that is the dead time, where it is to be found."""
+    """The index of the dead time, if it is a parameter."""
     return estimator.equation.roles[LATE]
 
 
@@ -334,7 +333,7 @@ def _recursive(
     known: Known | None,
     axis: Axis,
 ) -> DriveResult:
-    track, told = _run(estimator, record, progress, known)
+    track, reported = _run(estimator, record, progress, known)
     last = int(track.status[-1])
     if last & Status.STARTING:
         raise NotIdentifiableError(
@@ -346,7 +345,7 @@ def _recursive(
     if _needs_simulation(estimator):
         simulating = like(IV, estimator, prefilter_zeros=None, precision="float64")
         columns = simulating.columns_at(theta, record.u, record.counts)
-    elif late is not None:  # the equation at the dead time that was found, which has no unknown for it
+    elif late is not None:  # the equation at the estimated dead time, which is then no unknown
         at = estimator.model.at_dead_time(max(0.0, float(theta[late])))
         columns = like(LS, estimator, model=at, prefilter_zeros=None).columns(record.u, record.counts)
         free = np.delete(free, late, axis=1)
@@ -363,12 +362,12 @@ def _recursive(
     notes = make_notes("record", record.notes) + _check_error(method, relative, said)
     findings = sort_findings((*status_findings(held), *said.findings, *notes))
     found = method, theta, std, findings, record, relative, said.matter
-    result = DriveResult(*found, track=told, model_spread=said.spread)
+    result = DriveResult(*found, track=reported, model_spread=said.spread)
     return result if known is None else put_together(result, known, axis, known.of(last_estimate, said.spread))
 
 
 def _relative_error(columns: Columns, theta: Floats, status: NDArray[np.uint32]) -> float:
-    """Of the filtered equation, each sample with the estimate of its time."""
+    """The relative error of the filtered equation, each sample with the estimate of its time."""
     known = columns.used & ((status & (Status.SETTLING | Status.STARTING)) == 0)
     rows = known[columns.used]
     z = columns.z[rows]
@@ -380,21 +379,21 @@ def _relative_error(columns: Columns, theta: Floats, status: NDArray[np.uint32])
 def _run(
     estimator: RecursiveEstimator, record: Record, progress: Progress | None, known: Known | None
 ) -> tuple[Track, Track]:
-    """Over the record in chunks: the same numbers as in one piece; and the same with what is known beside it. In a gap
-    the estimate stays."""
-    n, parts, told = record.u.size, list[Track](), list[Track]()
+    """The tracks of a run over the record, without and with prior information. Chunks give the same numbers as one run;
+    in a gap the estimate stays."""
+    n, parts, reported = record.u.size, list[Track](), list[Track]()
     chunk = CHUNK if known is None else PIECE
     edges = [0, *(edge for gap in gaps_in(record.u) for edge in gap), n]
     for place, (first, last) in enumerate(pairwise(edges)):
         if place % 2 == 1:
             parts.append(parts[-1].repeat_last(last - first, Status.SETTLING))
-            told.append(told[-1].repeat_last(last - first, Status.SETTLING))
+            reported.append(reported[-1].repeat_last(last - first, Status.SETTLING))
             estimator.gap(int(record.counts[last]))
             continue
         for start in range(first, last, chunk):
             part = slice(start, min(start + chunk, last))
             parts.append(estimator.run(record.u[part], record.counts[part]))
-            told.append(parts[-1] if known is None else known.track(parts[-1], estimator.estimate))
+            reported.append(parts[-1] if known is None else known.track(parts[-1], estimator.estimate))
             if progress is not None:
                 progress(part.stop / n)
     return join_tracks(parts), join_tracks(told)

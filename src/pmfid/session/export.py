@@ -23,9 +23,9 @@ from pmfid.session.records import Record
 def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None = None) -> RecursiveEstimator:
     """The recursive estimator of a configuration, for the raw counts of its counter.
 
-    record: gives the sample period, and the pre-filter zeros where the configuration has none; without it dt [s] or
-    [record] dt does, and the zeros are the method's default. Raises UsageError for an off-line method or without a
-    sample period.
+    record: gives the sample period, and the pre-filter zeros if the configuration has none. Without a record dt [s] or
+    [record] dt is the sample period, and the zeros are the method's default. Raises UsageError for an off-line method
+    or without a sample period.
     """
     if record is not None:
         axis = kind_of(axis).prepare_axis(record, axis)
@@ -42,8 +42,8 @@ def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None =
 
 
 def check_exportable(axis: Axis) -> EstimatorConfig:
-    """[estimator] with the method that a drive runs in place of "auto". Raises UsageError, before a record is read, for
-    a method or data that no drive has."""
+    """[estimator] with the method that a drive runs in place of "auto". Raises UsageError for a method or data that no
+    drive has, before a record is read."""
     kind, config, model = kind_of(axis), axis.estimator, axis.model.make()
     check_numbers_known(axis, "firmware")
     if axis.encoder.resolution == NO_ENCODER:

@@ -17,7 +17,7 @@ __all__ = ["table_of"]
 
 
 def table_of(frame: object) -> Table:
-    """The columns of a frame, or of a dict of arrays. Raises UsageError for what is neither."""
+    """The columns of a frame, or of a dict of arrays. Raises UsageError for any other object."""
     if isinstance(frame, Mapping):
         return {str(name): np.asarray(values) for name, values in frame.items()}
     import narwhals.stable.v2 as nw
@@ -33,7 +33,7 @@ def table_of(frame: object) -> Table:
 
 
 def _wrap_frame(frame: object) -> Any:
-    """What Narwhals knows; of another owner of Arrow data, a frame of these."""
+    """The frame itself if Narwhals reads it; a Polars frame of any other Arrow data."""
     import narwhals.stable.v2 as nw
     import polars as pl
 
@@ -43,7 +43,7 @@ def _wrap_frame(frame: object) -> Any:
 
 
 def _column(series: nw.Series[Any]) -> object:
-    """A column as those of a file are: whole numbers stay whole, dates stay dates, missing is missing."""
+    """A column in the form of a file's columns: whole numbers, dates and missing values stay what they are."""
     import narwhals.stable.v2 as nw
     import polars as pl
 

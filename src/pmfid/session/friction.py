@@ -22,18 +22,18 @@ from pmfid.session.config import Axis, check_sampling
 from pmfid.session.drives import match_kind
 from pmfid.session.gaps.longest import unbroken
 from pmfid.session.known import check_numbers_known
-from pmfid.session.outliers import believed_of
+from pmfid.session.outliers import repair_as_configured
 from pmfid.session.records import Record
 from pmfid.types import Counts, Floats
 
-#: Forces of a model that stand beside friction, and that no curve takes.
-BESIDE = ("spring", "gravity", "cogging", "friction_period")
-#: Time constant of the filters [samples] that is chosen at most: behind slower ones nearby speeds look alike.
+#: Keys of forces other than friction, which a friction curve does not model.
+OTHER_FORCES = ("spring", "gravity", "cogging", "friction_period")
+#: Largest time constant of the filters that is chosen [samples]: after slower filters nearby speeds look alike.
 SLOWEST = 30
 FEEDBACK = (
-    "the input follows what the curve leaves unexplained, as under position control, or with a dead time or a lag that "
-    "[model] has not (pmfid identify tells): the curve may be off by many of its error bars, under control most where "
-    "the same stroke is made again and again"
+    "the input follows the part that the curve leaves unexplained, as under position control, or with a dead time or a "
+    "lag that [model] does not have (see pmfid identify): the curve may be off by many of its standard errors, most of "
+    "all under control with one repeated stroke"
 )
 
 
@@ -48,23 +48,23 @@ def friction_curve(
     nodes: int = NODES,
     rising_from: float | None = None,
 ) -> FrictionCurve:
-    """Friction over velocity with no law assumed, and the mass beside it, as `pmfid friction` finds them.
+    """Friction over velocity without an assumed law, and the mass, as `pmfid friction` estimates them.
 
-    u: input (n,); counts (n,) of the encoder. model: its input_gain and dead_time count, what it says of friction
-    does not. dt: sample period [s]. cutoff: pole of the filters [rad/s], None: by the record. nodes: speeds in each
-    direction; rising_from: from this speed [m/s] on friction does not fall, None: it may. Raises UsageError for
-    arguments that do not fit and NotIdentifiableError where the record does not show friction apart.
+    u: input (n,); counts (n,) of the encoder. model: its input_gain and dead_time are used, its friction is not. dt:
+    sample period [s]. cutoff: pole of the filters [rad/s], None: by the record. nodes: speeds in each direction;
+    rising_from: speed [m/s] above which friction does not fall, None: it may. Raises UsageError for arguments that do
+    not fit and NotIdentifiableError if the record does not separate friction from other forces.
     """
     axis = axis_of(model, encoder, dt, {"cutoff": cutoff})
     return _estimate_curve(*check_arrays(u, counts), dt, encoder, axis, nodes, rising_from)
 
 
 def record_curve(record: Record, axis: Axis, nodes: int = NODES, rising_from: float | None = None) -> FrictionCurve:
-    """The same of a record that was read for `axis`, without what no motion explains."""
+    """The friction curve of a record that was read for `axis`, without samples that no motion explains."""
     record, axis = unbroken(record), match_kind(record, axis)
-    without, encoder = believed_of(record, axis), axis.encoder.make_encoder(record.resolution)
-    found = _estimate_curve(without.record.u, without.record.counts, record.dt, encoder, axis, nodes, rising_from)
-    return replace(found, notes=(*record.notes, *filter(None, (without.told,)), *found.notes))
+    repaired, encoder = repair_as_configured(record, axis), axis.encoder.make_encoder(record.resolution)
+    found = _estimate_curve(repaired.record.u, repaired.record.counts, record.dt, encoder, axis, nodes, rising_from)
+    return replace(found, notes=(*record.notes, *filter(None, (repaired.sentence,)), *found.notes))
 
 
 def _estimate_curve(
@@ -76,12 +76,12 @@ def _estimate_curve(
     check_numbers_known(axis, "a friction curve")
     if axis.estimator.cutoff is not None:
         check_sampling(axis, dt)
-    if beside := [key for key in BESIDE if getattr(model, key)]:
-        raise UsageError(f"a friction curve beside {', '.join(beside)} is not there yet; record a motion without it")
+    if others := [key for key in OTHER_FORCES if getattr(model, key)]:
+        raise UsageError(f"a friction curve with {', '.join(others)} is not there yet; record a motion without it")
     if model.lag:
         raise UsageError(
-            "a friction curve behind a lag is not there yet, it would be wrong by many error bars: give [model] "
-            "dead_time of the same time, or record a motion that is slow beside it"
+            "a friction curve with a lag is not there yet, it would be wrong by many standard errors: give [model] "
+            "dead_time of the same time, or record a motion that is slow compared with it"
         )
     if model.dead_time == ESTIMATE:
         raise UsageError("a friction curve needs the dead time: pmfid identify finds it; write it into [model]")
@@ -91,9 +91,9 @@ def _estimate_curve(
     found = curve_of(estimator, u, counts, nodes, rising_from)
     if not found.mass_std < found.mass:
         raise NotIdentifiableError(
-            f"the mass beside the curve comes out as {found.mass:.3g} with a standard deviation of {found.mass_std:.2g}"
-            ": this record does not show friction apart behind these filters; use fewer nodes, or a higher cutoff, or "
-            "record reversals and speeds that vary"
+            f"the mass of the curve comes out as {found.mass:.3g} with a standard deviation of {found.mass_std:.2g}: "
+            "this record does not separate friction from the mass after these filters; use fewer nodes, or a higher "
+            "cutoff, or record reversals and speeds that vary"
         )
     change = np.diff(u, prepend=u[:1])[-found.error.size :]
     follows = correlation_score(found.error, change) > SIGNIFICANT

@@ -19,7 +19,7 @@ from pmfid.session.records import Record
 from pmfid.session.wrap import wrap_of
 from pmfid.types import Counts, Floats
 
-__all__ = ["Believed", "repair_record"]
+__all__ = ["RepairedRecord", "repair_record"]
 
 
 #: A change of the counts is compared with the median of so many around it: that of a velocity which steps is on either
@@ -43,14 +43,14 @@ NAMED = 4
 
 
 @dataclass(frozen=True)
-class Believed:
+class RepairedRecord:
     """A record without what no motion explains, and what there is to say of that."""
 
     record: Record
     findings: tuple[Finding, ...] = ()
 
     @property
-    def told(self) -> str:
+    def sentence(self) -> str:
         """All of it as one sentence."""
         return "; ".join(texts(self.findings))
 
@@ -72,7 +72,7 @@ class _WrongRun:
         return np.arange(0 if self.first == 0 else self.first + 1, samples if self.last == samples - 1 else self.last)
 
 
-def repair_record(record: Record) -> Believed:
+def repair_record(record: Record) -> RepairedRecord:
     """The record with wrong counts and spikes of the input on the line between their neighbours, and a counter that was
     set anew put back. A counter that wraps, and a record in which too much is wrong, stay as they are."""
     runs, counts = _find_runs(record.counts)
@@ -84,15 +84,15 @@ def repair_record(record: Record) -> Believed:
     left_out = [("count_jump", said) for said in (*_wrong(rows), *(_describe_shift(run) for run in moves[:NAMED]))]
     left_out += [("invalid_input", said) for said in _spiky(spikes)]
     if not left_out:
-        return Believed(record)
+        return RepairedRecord(record)
     findings = tuple(Finding(code, said) for code, said in left_out)
-    return Believed(replace(record, u=_bridge_input(record.u, spikes), counts=counts), findings)
+    return RepairedRecord(replace(record, u=_bridge_input(record.u, spikes), counts=counts), findings)
 
 
-def believed_of(record: Record, axis: Axis) -> Believed:
+def repair_as_configured(record: Record, axis: Axis) -> RepairedRecord:
     """The same, as far as the configuration lets anything be left out, and the model is that of a body that rests."""
     rests = plant_of(axis.model.make().equation).rests
-    return repair_record(record) if axis.encoder.guard and rests else Believed(record)
+    return repair_record(record) if axis.encoder.guard and rests else RepairedRecord(record)
 
 
 def _find_runs(counts: Counts) -> tuple[list[_WrongRun], Counts]:

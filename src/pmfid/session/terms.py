@@ -29,7 +29,7 @@ from pmfid.session.identify import explain_error, identify
 from pmfid.session.kinds import Progress
 from pmfid.session.known import check_numbers_known
 from pmfid.session.nested import Nested, compare_nested, finite, format_terms
-from pmfid.session.outliers import believed_of
+from pmfid.session.outliers import repair_as_configured
 from pmfid.session.records import Record
 from pmfid.session.result import DriveResult
 from pmfid.session.weighed import Weighed, weighed_terms
@@ -201,17 +201,17 @@ def search_drive(
     axis = _fast_enough(data, axis)
     Drives().check(data, axis)
     check_sampling(axis, data.dt)
-    known = believed_of(data, axis)
+    known = repair_as_configured(data, axis)
     method = _method(model, data, axis)
     _check(method, known.record)
-    second = believed_of(other, axis).record if other is not None else None
+    second = repair_as_configured(other, axis).record if other is not None else None
     pair = None if second is None else (second.u, second.counts)
     bench = Bench(method, known.record.u, known.record.counts, pair)
     try:
         found = search(bench, model, places, scan, done)
     except NotIdentifiableError as error:
         raise explain_error(error, Drives().check_record(data, axis)) from None
-    notes = tuple(filter(None, (*data.notes, known.told)))
+    notes = tuple(filter(None, (*data.notes, known.sentence)))
     own = None if found.added else _identified(data, axis)
     return _told(data, bench, found, notes, known.status, axis.estimator.tolerance, own)
 

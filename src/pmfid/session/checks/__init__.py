@@ -1,7 +1,7 @@
 """What is wrong with a log, said in plain sentences before anything is estimated, and with every estimate.
 
-A check takes a `Log` and gives findings; each family has a file of its own. Those in SOON cost next to nothing and run
-with every identification; those in LATER run where an estimate is in doubt, and in `pmfid check`.
+A check takes a `CheckedLog` and yields findings; each family has a file of its own. Checks in SOON cost next to nothing
+and run with every identification. Checks in LATER run in `pmfid check`, and if an estimate is in doubt.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["LATER", "SOON", "Check", "check_record", "scan_record"]
 
 Check = Callable[[CheckedLog], Iterator[Finding]]
 
-#: Families of checks, in this order: what one finds would look like the next ones' faults, and ends the search.
+#: Families of checks, in this order. A fault of one family would look like faults of later ones, so it ends the search.
 SOON: tuple[tuple[Check, ...], ...] = (
     (no_motion, forgotten_bits, too_fast),
     (read_as,),

@@ -1,4 +1,4 @@
-"""What the counts show by themselves: a counter that wraps, ends, sticks, or is read anew every few samples."""
+"""What the counts show by themselves: a counter that wraps, ends, sticks, or is read only every few samples."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["find_frozen_counts", "forgotten_bits", "held_output", "jump"]
 
 
 def forgotten_bits(log: CheckedLog) -> Iterator[Finding]:
-    """A counter that wraps, and nobody has undone it."""
+    """Counts of a counter that wraps, if the configuration does not name its range."""
     wrap = wrap_of(log.record.counts) if log.axis.encoder.bits is None and log.axis.encoder.range is None else None
     if wrap is not None:
         config = log.axis.record
@@ -28,14 +28,14 @@ def forgotten_bits(log: CheckedLog) -> Iterator[Finding]:
 
 
 def jump(log: CheckedLog) -> Iterator[Finding]:
-    """One change of the counts that is no motion, where nothing keeps it out."""
+    """One change of the counts that is no motion, unless [encoder] max_speed excludes such changes."""
     sentence = count_jump(log.known.counts) if log.axis.encoder.max_speed is None and log.is_machine else ""
     if sentence:
         yield Finding("count_jump", sentence, severity="wrong")
 
 
 def held_output(log: CheckedLog) -> Iterator[Finding]:
-    """Counts that are read anew every few samples."""
+    """Counts that are read only every few samples."""
     every = period_of(np.flatnonzero(log.change))
     if every > 1:
         yield Finding(
@@ -48,7 +48,7 @@ def held_output(log: CheckedLog) -> Iterator[Finding]:
 
 
 def find_frozen_counts(log: CheckedLog) -> Iterator[Finding]:
-    """Counts that stop where the axis cannot: at the end of their range, or anywhere."""
+    """Counts that stop although the axis moves: at the end of their range, or anywhere."""
     counts, stops = log.record.counts, log.sudden_stops
     if not stops:
         return

@@ -17,18 +17,18 @@ __all__ = ["find_saturation", "held_input"]
 
 #: An input of fewer values is one of steps.
 LEVELS = 20
-#: Part of the record at a limit that is worth a word; it is so many times what is at each of so many values beside it.
-AT_LIMIT, PILED, BESIDE = 0.005, 5.0, 20
-#: The force that is missing there: in standard deviations; in parts of the largest, times the part of the unexplained
-#: that it takes away; and what it must leave of the input at the most, or the view shows nothing.
+#: Least part of the record at a limit; least ratio to the rows at one of the NEIGHBOURS values next to the limit.
+AT_LIMIT, PILED, NEIGHBOURS = 0.005, 5.0, 20
+#: The missing force at the limit: least size in standard deviations; least size as a part of the largest force, times
+#: the part of the unexplained input that it removes; most that may stay unexplained of the input.
 CERTAIN, SHORT, SEEN = 4.0, 0.008, 0.2
 LARGER = "log the force or current that the drive gave with a larger range, or record with a smaller motion"
-#: Filters through which that is looked for [samples].
+#: Time constants of the filters that show the missing force [samples].
 TIMES = (3.0, 10.0, 30.0, 100.0)
 
 
 def held_input(log: CheckedLog) -> Iterator[Finding]:
-    """An input that is logged anew every few samples."""
+    """An input that is logged only every few samples."""
     u = log.record.u
     every = period_of(np.flatnonzero(np.diff(u))) if _varies(u) else 1
     if every > 1:
@@ -49,15 +49,15 @@ def find_saturation(log: CheckedLog) -> Iterator[Finding]:
     there = np.isin(u, limits)
     if not limits:
         return
-    said = (
+    sentence = (
         f"the input column {log.axis.record.input!r} stays at {' and '.join(f'{limit:.4g}' for limit in limits)} in "
         f"{100 * np.mean(there):.2g} % of the rows, first in row {int(np.argmax(there)) + 1}"
     )
     if _falls_short(log, there):
-        sentence, remedy = f"{said}, and falls short of what moves the axis there: the log cuts off the force", LARGER
-        yield Finding("saturated", sentence, remedy)
+        sentence += ", and falls short of what moves the axis there: the log cuts off the force"
+        yield Finding("saturated", sentence, LARGER)
     else:
-        yield Finding("saturated", f"{said}: right where the drive gave no more", f"else {LARGER}", "note")
+        yield Finding("saturated", f"{sentence}: right where the drive gave no more", f"else {LARGER}", "note")
 
 
 def _varies(u: Floats) -> bool:
@@ -68,17 +68,17 @@ def _varies(u: Floats) -> bool:
 def _piles_up(u: Floats, limit: float) -> bool:
     """Is the input at the limit far more often than at the values next to it?"""
     values, times = np.unique(u, return_counts=True)
-    beside = np.argsort(np.abs(values - limit))[1 : BESIDE + 1]
+    neighbours = np.argsort(np.abs(values - limit))[1 : NEIGHBOURS + 1]
     at_limit = int(times[values == limit][0])
-    return at_limit >= AT_LIMIT * u.size and at_limit > PILED * float(np.mean(times[beside]))
+    return at_limit >= AT_LIMIT * u.size and at_limit > PILED * float(np.mean(times[neighbours]))
 
 
 def _falls_short(log: CheckedLog, there: NDArray[np.bool_]) -> bool:
-    """Does the motion ask for more force where the input is cut off?"""
+    """Does the motion require more force in the rows in which the input is cut off?"""
     if log.view is None or not log.is_machine:
         return False
     side = np.where(there, np.sign(log.force), 0.0)
-    return any(_lacks(log, shape, time) for time in TIMES for shape in (side, side * _arcs(there)))
+    return any(_misses_force(log, shape, time) for time in TIMES for shape in (side, side * _arcs(there)))
 
 
 def _arcs(there: NDArray[np.bool_]) -> Floats:
@@ -91,9 +91,11 @@ def _arcs(there: NDArray[np.bool_]) -> Floats:
     return arcs
 
 
-def _lacks(log: CheckedLog, shape: Floats, time: float) -> bool:
-    """Is a force of this shape (n,) missing, as filters of one time constant show it? Friction of forms that are not
-    viscous and dry would be taken for it, and has columns of its own."""
+def _misses_force(log: CheckedLog, shape: Floats, time: float) -> bool:
+    """Is a force of this shape (n,) missing after filters of one time constant?
+
+    Friction that is neither viscous nor dry would look like this force and has columns of its own.
+    """
     counts, encoder, dt = log.known.counts[log.part], log.encoder, log.record.dt
     seen, cut = (view(u[log.part], counts, encoder, dt, time) for u in (log.force, shape))
     if seen is None or cut is None or not np.any(cut.z):

@@ -1,4 +1,4 @@
-"""What the checks look at: a record, its configuration, and what is made of both once."""
+"""The material of all checks: a record, its configuration, and quantities derived from both once."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from pmfid.session.checks.stops import Stop, held_back, long_stops, sudden
 from pmfid.session.checks.view import View, best_view
 from pmfid.session.config import Axis
 from pmfid.session.known import finds_gain, set_any_gain
-from pmfid.session.outliers import believed_of
+from pmfid.session.outliers import repair_as_configured
 from pmfid.session.records import Record
 from pmfid.types import Counts, Floats
 
 __all__ = ["CheckedLog", "hasty", "liveliest"]
 
-#: Part of a record that is looked at behind filters: the one with the most motion.
+#: Samples of the part of a record that is filtered: the part with the most motion.
 MOST_SAMPLES = 8000
 
 
 @dataclass(frozen=True, eq=False)
 class CheckedLog:
-    """A record, as it is read with a configuration."""
+    """A record as read with a configuration, and quantities that several checks share."""
 
     record: Record
     axis: Axis
@@ -38,14 +38,14 @@ class CheckedLog:
 
     @cached_property
     def is_machine(self) -> bool:
-        """Is it one with a position and a mass, as the readings take it?"""
+        """Does the model have a position and a mass, as the readings assume?"""
         equation = set_any_gain(self.axis).model.make().equation
         return plant_of(equation).rests and equation.order == 2
 
     @cached_property
     def known(self) -> Record:
-        """The record without what no motion explains."""
-        return believed_of(self.record, set_any_gain(self.axis)).record
+        """The record without samples that no motion explains."""
+        return repair_as_configured(self.record, set_any_gain(self.axis)).record
 
     @cached_property
     def force(self) -> Floats:
@@ -64,12 +64,12 @@ class CheckedLog:
 
     @cached_property
     def part(self) -> slice:
-        """The samples that are looked at behind filters."""
+        """The samples that are filtered."""
         return liveliest(self.known.counts)
 
     @cached_property
     def view(self) -> View | None:
-        """The record as it stands, behind filters; None where there is nothing to see."""
+        """The filtered record, with the columns as they are named; None if it shows no motion."""
         return best_view(self.force[self.part], self.known.counts[self.part], self.encoder, self.record.dt)
 
     @cached_property
@@ -105,7 +105,7 @@ def hasty(change: Counts | Floats) -> float:
 
 
 def liveliest(counts: Counts, most: int = MOST_SAMPLES) -> slice:
-    """At most so many samples in a row, those over which the counts change most."""
+    """The `most` consecutive samples over which the counts change most; all samples if there are fewer."""
     if counts.size <= most:
         return slice(0, counts.size)
     travelled = np.r_[0, np.cumsum(np.abs(np.diff(counts)))]

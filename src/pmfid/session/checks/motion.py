@@ -1,4 +1,4 @@
-"""Is there motion enough to tell anything by?"""
+"""Whether the record has enough motion for an estimate."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pmfid.session.checks.view import MASS
 
 __all__ = ["no_inertia", "no_motion"]
 
-#: Counts of travel from one end to the other, at the least.
+#: Least travel from one end to the other [counts].
 FEWEST = 8
-#: Standard deviations by which a mass must be told from none.
-TOLD = 2.0
+#: Least mass, in its standard deviations.
+DISTINCT = 2.0
 
 
 def no_motion(log: CheckedLog) -> Iterator[Finding]:
@@ -40,11 +40,11 @@ def no_motion(log: CheckedLog) -> Iterator[Finding]:
 
 
 def no_inertia(log: CheckedLog) -> Iterator[Finding]:
-    """An axis that never changes its speed as the input asks."""
+    """An axis whose acceleration does not follow the input."""
     view = log.view if log.is_machine else None
-    if view is not None and abs(view.sure(np.eye(view.theta.size)[MASS])) < TOLD:
+    if view is not None and abs(view.sure(np.eye(view.theta.size)[MASS])) < DISTINCT:
         yield Finding(
             "little_motion",
-            "the acceleration says nothing of the input: this record cannot tell a mass",
+            "the acceleration does not follow the input: this record cannot determine a mass",
             "record a motion with reversals and varying speed",
         )

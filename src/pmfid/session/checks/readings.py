@@ -1,8 +1,8 @@
-"""A log that is taken for what it is not: turned, exchanged, a velocity, or nothing that belongs together.
+"""A log whose columns are not what the configuration says: reversed, exchanged, or a velocity.
 
-Each is a reading of the two columns. As they stand, the input is a sum of acceleration, friction and load to a small
-part, with a positive mass and a friction that takes power from the motion. Where that is not so, the reading under
-which it is names the mistake.
+A reading assigns a meaning to the two columns. Under the right reading the input is, but for a small part, a sum of
+acceleration, friction and load; the mass is positive, and friction takes power from the motion. If the configured
+reading fails and another one holds, the other reading names the mistake.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ __all__ = ["INTEGRATE", "convert_velocity", "integrate_velocity", "is_exchanged"
 
 #: Part of the input that a reading may leave unexplained, of all of it, and of what the record as it stands leaves.
 FOLLOWS, BETTER = 0.15, 0.3
-#: The same, with friction of forms that no reading has, where the input is not of another clock: an integral follows
-#: that as well.
+#: The same for friction that no reading has. The input must then have the clock of the output, for an integral also
+#: follows an input of another clock.
 LOOSELY = 0.3
-#: With a part this small left, and a mass that is seen, no other reading need be tried.
+#: Unexplained part below which, with a significant mass, no other reading is tried.
 CLEARLY = 0.001
 #: Standard deviations from which on a sign is certain, and from which on it is likely.
 CERTAIN, LIKELY = 4.5, 3.0
-#: Part beyond which what a record as it stands leaves says nothing of a sign.
+#: Unexplained part above which a record says nothing about a sign.
 UNSEEN = 0.5
-#: A body comes to speed within more samples than this; where there is no body, a velocity may leave so many times as
-#: much.
+#: Least time in which a body reaches its speed [samples]; if there is no body, the factor by which a velocity may leave
+#: more unexplained.
 SAMPLES, ALIKE = 1.5, 2.0
-#: A reading is one of a motion that lasts for so many time constants of the filters.
+#: Least duration of the motion of a reading, in time constants of the filters.
 LASTING = 10.0
 #: Change of the velocity from row to row, in parts of the velocity: of a column that is no position, and of one that
 #: may be.
@@ -46,7 +46,7 @@ INTEGRATE = (
 
 
 def read_as(log: CheckedLog) -> Iterator[Finding]:
-    """Columns that are exchanged, a velocity, turned, or do not belong together."""
+    """Columns that are exchanged, a velocity, or reversed."""
     if not log.is_machine:
         return
     other = _other_reading(log)
@@ -58,7 +58,7 @@ def read_as(log: CheckedLog) -> Iterator[Finding]:
 
 
 def _other_reading(log: CheckedLog) -> Finding | None:
-    """Of exchanged columns or a velocity, where these explain the input so much better."""
+    """The finding of exchanged columns or a velocity, if that reading explains the input much better."""
     view = log.closest_view
     heavy = view is not None and _has_inertia(view, log.record.dt) and _is_one_body(view)
     left = _measure_rest(view)
@@ -80,12 +80,12 @@ def _other_reading(log: CheckedLog) -> Finding | None:
 
 
 def _is_in_time(log: CheckedLog) -> bool:
-    """Is the input of the output's clock, and the record fast enough for the axis?"""
+    """Do input and output share a clock, and is the record fast enough for the axis?"""
     return not (any(too_slow(log)) or any(drifts(log)))
 
 
 def is_exchanged(log: CheckedLog) -> bool:
-    """Do the columns follow each other the other way round, whatever they do as they stand?"""
+    """Does the motion explain the input if the two columns are exchanged?"""
     return log.is_machine and _measure_rest(_view_exchanged(log)) < FOLLOWS
 
 
@@ -95,32 +95,32 @@ def _make_finding(code: str, mistake: str, remedy: str, left: float) -> Finding:
 
 
 def is_turned(view: View) -> bool:
-    """Is the mass negative, or does friction drive, and neither is as it should be, in a record that says much of
-    them?"""
+    """Is the mass negative, or does friction drive, in a record that determines both and shows neither with its proper
+    sign?"""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
     return view.unexplained < UNSEEN and min(mass, work) < -CERTAIN and max(mass, work) < LIKELY
 
 
 def _has_inertia(view: View, dt: float) -> bool:
-    """Is there a mass, which takes more than a sample to come to speed?"""
+    """Is there a mass that takes more than SAMPLES to reach its speed?"""
     mass, viscous = abs(view.theta[MASS]), abs(view.theta[VISCOUS])
     return abs(view.sure(np.eye(view.theta.size)[MASS])) > CERTAIN and mass > SAMPLES * dt * viscous
 
 
 def _is_one_body(view: View) -> bool:
-    """Does friction take power from the motion where the mass is positive, and drive where all is turned?"""
+    """Do the mass and the power that friction takes have the same sign, if both are significant?"""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
     return mass * work > 0 or abs(work) < LIKELY
 
 
 def _is_no_body(view: View) -> bool:
-    """Does friction certainly drive what has a mass, or take power from what has a negative one?"""
+    """Do the mass and the power that friction takes have opposite signs, both significantly?"""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
     return mass * work < 0 and min(abs(mass), abs(work)) > LIKELY
 
 
 def _measure_rest(view: View | None) -> float:
-    """Of the input; all where there is no such reading."""
+    """The part of the input that a reading leaves unexplained; infinite without a reading."""
     return np.inf if view is None else view.unexplained
 
 
@@ -138,7 +138,7 @@ def _velocity(log: CheckedLog) -> View | None:
 
 
 def _view_reading(force: Floats, counts: Counts, encoder: Encoder, dt: float) -> View | None:
-    """A reading of the record, if it makes a machine of it."""
+    """A reading of the record; None if it gives no machine."""
     part = liveliest(counts)
     view = best_view(force[part], counts[part], encoder, dt, lasting=LASTING)
     return view if view is not None and _has_inertia(view, dt) and _is_one_body(view) else None
@@ -150,20 +150,21 @@ def _exchange(log: CheckedLog) -> str:
 
 
 def integrate_velocity(velocity: Floats, dt: float) -> Floats:
-    """The position (n,) from 0 on of a velocity (n,) that runs along a line between samples."""
+    """The position (n,), which starts at 0, of a velocity (n,) that is linear between samples."""
     return np.asarray(np.r_[0.0, np.cumsum(velocity[1:] + velocity[:-1])] * (dt / 2))
 
 
 def convert_velocity(counts: Counts, resolution: float, dt: float) -> tuple[Encoder, Counts]:
-    """A fine encoder and its counts (n,) of the position of a velocity of counts (n,) times a resolution.
+    """A fine encoder, and its counts (n,) of the integrated velocity; the velocity is counts (n,) times a resolution.
 
-    Count 0 is none, not the middle of its step: an axis at rest would creep on, and its friction have a direction.
+    Count 0 is velocity 0, not the middle of its step. Otherwise an axis at rest would creep on, and its friction would
+    have a direction.
     """
     return fine_counts(integrate_velocity(np.float64(resolution) * counts.astype(np.float64), dt))
 
 
 def suggest_sign(log: CheckedLog) -> str:
-    """What to write where the force of the input points the other way."""
+    """The remedy for an input whose force has the opposite sign."""
     model = log.axis.model
     if model.kind == "drive" and isinstance(model.input_gain, float):
         return f"give [model] input_gain = {-model.input_gain:g}"

@@ -1,8 +1,7 @@
-"""By how many samples the input must be shifted to explain the motion, and whether that changes along the record.
+"""By how many samples the input must be shifted to explain the motion, and whether the shift changes along the record.
 
-Behind the filters a shifted input is the shifted column, so that all shifts of all pieces of a record are sums that are
-made once. Friction that is none of viscous and Coulomb's would be taken for a shift: columns for its usual forms stand
-beside the others.
+After filtering, a shifted input is the shifted column, so that the sums of all shifts and pieces are computed once.
+Friction that is neither viscous nor Coulomb friction would look like a shift: its usual forms have columns, too.
 """
 
 from __future__ import annotations
@@ -17,18 +16,18 @@ from pmfid.types import Floats
 
 __all__ = ["Drift", "drift_of"]
 
-#: Shifts that are tried, to either side, and pieces of the record.
+#: Largest shift that is tried, to either side [samples]; pieces of the record.
 MOST, PIECES = 30, 16
-#: Samples in a piece, at the least, in times of the largest shift.
+#: Least length of a piece, in multiples of the largest shift.
 LEAST = 2
-#: Drift over the whole record that is tried, to either side, and in what steps [samples].
+#: Largest drift over the whole record that is tried, to either side, and the step between drifts [samples].
 FURTHEST, STEP = 30.0, 0.5
 
 
 @dataclass(frozen=True)
 class Drift:
-    """samples: by how many the input moves against the output over `rows` of the record, later if positive; sure: in
-    standard deviations; less: what is left unexplained, over what is left without."""
+    """samples: shift of the input against the output over `rows` of the record, later if positive; sure: the same in
+    standard deviations; less: unexplained power with the drift over unexplained power without."""
 
     samples: float
     rows: int
@@ -37,14 +36,14 @@ class Drift:
 
     @property
     def rate(self) -> float:
-        """Of the samples, per row."""
+        """Drift per row [samples]."""
         return self.samples / self.rows
 
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Of PIECES pieces: gram (k, p, p) of the columns, cross (k, s, p) with the input at each shift, and its power
-    (k, s)."""
+    """Sums over each of PIECES pieces: gram (k, p, p) of the columns; cross (k, s, p) of the columns with the input at
+    each shift; power (k, s) of the input."""
 
     gram: Floats
     cross: Floats
@@ -55,7 +54,7 @@ class _Sums:
         return _Sums(self.gram * keep[:, None, None], self.cross * keep[:, None, None], self.power * keep[:, None])
 
     def measure_rest(self, shifts: Floats) -> Floats:
-        """(m,): part of the input's power that is left where piece k is shifted by shifts (m, k)."""
+        """(m,): part of the input's power that stays unexplained if piece k is shifted by shifts (m, k)."""
         low = np.clip(np.floor(shifts).astype(int) + MOST, 0, 2 * MOST - 1)
         part = np.clip(shifts + MOST - low, 0.0, 1.0)
         rows = np.arange(len(self.gram))
@@ -67,7 +66,7 @@ class _Sums:
 
 
 def drift_of(view: View) -> Drift | None:
-    """The drift between input and output that explains the record best; None where it is too short."""
+    """The drift between input and output that explains the record best; None if the record is too short."""
     n = view.z.size - 2 * MOST
     if n < PIECES * LEAST * MOST:
         return None
@@ -79,7 +78,7 @@ def drift_of(view: View) -> Drift | None:
 
 
 def _best(sums: _Sums) -> tuple[float, float, float]:
-    """The best drift [samples], what is left with it, and the least that is left without any."""
+    """The best drift [samples], the unexplained part with it, and the least unexplained part without drift."""
     drifts = np.arange(-FURTHEST, FURTHEST + STEP, STEP)
     middles = np.arange(-MOST / 2, MOST / 2 + 1)
     places = (np.arange(PIECES) + 0.5) / PIECES - 0.5

@@ -1,7 +1,7 @@
 """Stretches of equal counts in which the axis does not rest.
 
-An axis cannot stop within a sample where it can be slowed down by so much less elsewhere, and it cannot rest under a
-force far above its friction. The first shows where counts are fine, the second where they are coarse.
+An axis cannot stop within a sample if its deceleration elsewhere is far smaller, and it cannot rest under a force far
+above its friction. The first rule works for fine counts, the second for coarse ones.
 """
 
 from __future__ import annotations
@@ -18,29 +18,28 @@ __all__ = ["Stop", "held_back", "long_stops", "sudden"]
 #: First and last sample of equal counts.
 Stop = tuple[int, int]
 
-#: A stop of the counts is looked at over so many samples, the first of these in which they move by as many counts.
+#: Spans over which the edges of a stop are examined [samples]; least turn of the motion at an abrupt edge [counts].
 SPANS, COUNTS = (1, 2, 4, 8, 16, 32), 6
-#: It is no stop of the axis where that moves on to it so many times as far as it can be slowed down elsewhere.
+#: Least ratio of the turn of the motion at an abrupt stop to the largest turn elsewhere.
 ABRUPT = 2.5
-#: The same of a stop that the axis leaves slowly or not at all: so many times as much, and so many times what is usual
-#: where the axis comes to rest.
-#: With fewer stops none is usual.
+#: A stop that the axis leaves slowly or never: the factor by which its limit is higher. With SEVERAL stops or more, its
+#: turn must also exceed ABRUPT times the median of all stops.
 DEAD, SEVERAL = 2.0, 3
-#: Part of the record that must be apart from stops, to tell that.
+#: Least part of the record outside of stops for this comparison.
 APART = 0.2
-#: Samples of a stop, at the least, and counts that would have come in it at the usual speed.
+#: Least samples of a stop; least counts that the usual speed would have brought within it.
 SHORTEST, MISSED = 5, 4.0
-#: Rows outside of stops, at the least: a column of steps has none.
+#: Least part of the rows outside of stops: a column of steps has none.
 MOVING = 0.05
-#: Nothing rests under a force so many times its friction; samples for which it may, as with a dead time, and counts
-#: that it would have moved by.
+#: An axis does not rest under a force above HELD times its friction, but for LATE samples, as with a dead time; the
+#: axis would have moved by FAR counts.
 HELD, LATE, FAR = 2.2, 5, 8.0
-#: Stops that are looked at, the longest.
+#: Most stops that are examined, the longest first.
 MOST = 1000
 
 
 def long_stops(counts: Counts) -> list[Stop]:
-    """Every stretch of equal counts behind the first that is long against the time between two counts."""
+    """Every stretch of equal counts after the first change that is long against the time between two counts."""
     moving: NDArray[np.intp] = np.flatnonzero(np.diff(counts))
     if moving.size < 2:
         return []
@@ -54,7 +53,7 @@ def long_stops(counts: Counts) -> list[Stop]:
 
 
 def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
-    """Those of the stops that begin in full motion, and end in it or are too sudden to be the axis's own."""
+    """The stops that begin in full motion, and that end in motion or begin too suddenly for the axis itself."""
     edges = (counts == counts.min()) | (counts == counts.max())
     edges[[edge for stop in stops for edge in stop]] = True
     found = set[Stop]()
@@ -72,7 +71,7 @@ def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
 
 
 def _abrupt(turn: Floats, stops: list[Stop], elsewhere: float) -> set[Stop]:
-    """Those of the stops at whose ends the motion turns (n,) by far more than it does elsewhere."""
+    """The stops at whose ends the turn of the motion (n,) far exceeds the turn elsewhere."""
     limit = max(ABRUPT * (elsewhere + 1), COUNTS)
     begins, ends = (np.array([turn[stop[side]] for stop in stops]) for side in (0, 1))
     # a counter that catches up jumps to where it should be: the larger edge then says more than the smaller one
@@ -83,7 +82,7 @@ def _abrupt(turn: Floats, stops: list[Stop], elsewhere: float) -> set[Stop]:
 
 
 def held_back(force: Floats, stops: list[Stop], view: View, offset: int, dt: float, resolution: float) -> set[Stop]:
-    """Those of the stops in which the input `force` (n,) would have moved the axis; view: of the rows from the offset
+    """The stops in which the input `force` (n,) would have moved the axis; view: the filtered rows from the offset
     on."""
     rows = np.arange(view.z.size) + offset
     memory = round(3 * view.time)
@@ -115,5 +114,5 @@ def _moves(force: Floats, theta: Floats, dt: float) -> float:
 
 
 def _widen_marks(marked: NDArray[np.bool_], span: int) -> NDArray[np.bool_]:
-    """(n,): those that are marked, and `span` samples to either side."""
+    """(n,): the marked samples, and `span` samples to either side."""
     return np.asarray(np.convolve(marked, np.ones(2 * span + 1), mode="same") > 0.5)

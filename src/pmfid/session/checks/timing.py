@@ -1,4 +1,4 @@
-"""Clocks: a sample rate that does not suit the axis, an input of another clock."""
+"""Clocks: a sample rate that does not suit the axis, an input with another clock."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from pmfid.types import Counts, Floats
 
 __all__ = ["drifts", "too_fast", "too_slow"]
 
-#: Change of the velocity from sample to sample, in parts of the velocity, beyond which samples miss the motion; counts
-#: per sample from which on that is not the encoder's.
+#: Change of the velocity from sample to sample, as a part of the velocity, above which samples miss the motion; counts
+#: per sample above which this change is not due to the encoder.
 HASTY, FINE = 0.42, 3.0
-#: The same in records too short for filters, where the input at the rows leaves so much of the change unexplained,
-#: which is so many counts, in so many rows.
+#: The same in records too short for filters; part of the change that the logged input leaves unexplained; least
+#: standard deviation of the change [counts]; least rows.
 RATHER, ASTRAY, COUNTS, ROWS = 0.25, 0.5, 10.0, 12
-#: Counts per sample below which most samples say nothing, and those that are plenty.
+#: Counts per sample below which most samples carry no information; counts per sample that suffice.
 IDLE, PLENTY = 0.02, 0.2
-#: Filters through which a drift is looked for [samples]; of a drift: samples, standard deviations, and what may be left
-#: of the unexplained part with it.
+#: Time constants of the filters that show a drift [samples]; of a drift the least size [samples], the least size in
+#: standard deviations, and the largest ratio of the unexplained parts with and without it.
 DRIFT_TIMES, DRIFTED, SURE, LESS = (10.0, 30.0, 100.0), 1.5, 4.5, 0.95
-#: Looks behind a correction, and how far these may move a drift, in parts of the first.
+#: Most further corrections; largest corrected drift, as a multiple of the first.
 CORRECTIONS, MOST = 3, 1.5
-#: Samples in which it is looked for.
+#: Samples that are searched for a drift.
 MOST_SAMPLES = 40_000
 
 
 def too_slow(log: CheckedLog) -> Iterator[Finding]:
-    """A sample period in which the velocity becomes another one."""
+    """A sample period within which the velocity changes by much of its size."""
     change = np.diff(log.known.counts)
     moving = np.abs(change[change != 0])
     if moving.size < 2 or float(np.median(moving)) < FINE:
@@ -45,12 +45,12 @@ def too_slow(log: CheckedLog) -> Iterator[Finding]:
         "rate_low",
         f"the velocity changes by {100 * jumps:.0f} % of its size from row to row: with a sample period of "
         f"{log.record.dt:g} s the record misses most of the motion",
-        f"record anew, at a sample period of at most {log.record.dt / 10 / min(jumps, 2):.1g} s",
+        f"make a new record at a sample period of at most {log.record.dt / 10 / min(jumps, 2):.1g} s",
     )
 
 
 def _misses_input(log: CheckedLog) -> bool:
-    """Does the velocity of a short record change by what the input at the rows does not say?"""
+    """Does the velocity of a short record change in a way that the logged input does not explain?"""
     change, u = np.diff(log.known.counts).astype(np.float64), log.known.u
     turn, velocity = np.diff(change), (change[1:] + change[:-1]) / 2
     if log.view is not None or not log.is_machine or turn.size < ROWS or np.std(turn) < COUNTS:
@@ -61,7 +61,7 @@ def _misses_input(log: CheckedLog) -> bool:
 
 
 def too_fast(log: CheckedLog) -> Iterator[Finding]:
-    """A sample period in which nearly never a count comes."""
+    """A sample period within which the count hardly ever changes."""
     per_sample = counts_per_sample(log.known.counts)
     if 0 < per_sample < IDLE:
         keep = max(2, round(PLENTY / per_sample))
@@ -74,7 +74,7 @@ def too_fast(log: CheckedLog) -> Iterator[Finding]:
 
 
 def drifts(log: CheckedLog) -> Iterator[Finding]:
-    """An input whose rows are those of another clock than the output's."""
+    """An input with another clock than the output."""
     if not log.is_machine or log.view is None:
         return
     rate, n = _drift(log), log.record.u.size
@@ -90,8 +90,8 @@ def drifts(log: CheckedLog) -> Iterator[Finding]:
 
 
 def _drift(log: CheckedLog) -> float:
-    """The surest drift that is beyond chance, per row, 0 where there is none; found again behind a first correction,
-    which large ones need."""
+    """The most significant drift per row, 0 if none is significant. Corrections refine the drift, which large drifts
+    need."""
     part = liveliest(log.known.counts, MOST_SAMPLES)
     u, counts = log.force[part], log.known.counts[part]
     first = _surest(log, u, counts)

@@ -1,7 +1,7 @@
-"""A record behind the filters: the input as a sum of acceleration, velocity, direction and a constant load.
+"""The filtered record: the input as a sum of acceleration, velocity, direction and a constant load.
 
-One run of the kernel gives the columns; what follows from other inputs, shifted ones above all, is a projection. The
-pole is that behind which most of the input is explained: a coarse encoder asks for a slow one.
+One run of the kernel gives the columns; the unexplained part of other inputs, such as shifted ones, is a projection.
+The chosen filter explains most of the input: a coarse encoder needs a slow filter.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from pmfid.types import Counts, Floats
 
 __all__ = ["PARTS", "View", "best_view", "view", "with_friction"]
 
-#: Time constants of the filters to look through [samples].
+#: Time constants of the filters that are tried [samples].
 TIMES = (3.0, 10.0, 30.0, 100.0)
-#: Pieces of the record whose differences tell how well a number is known; samples that a piece must have.
+#: Pieces of the record, whose differences give standard deviations; least samples of a piece.
 PARTS, SHORTEST = 8, 20
-#: Time constants that a record must have: behind slow filters a short one is explained by anything.
+#: Least duration of a record, in time constants: after slow filtering anything explains a short record.
 ENOUGH = 60.0
-#: Part of the travel that goes back, of a motion in both directions.
+#: Least part of the travel that goes back in a motion with both directions.
 ONE_WAY = 0.05
-#: Speed over which friction at rest falls, in parts of the usual speed.
+#: Speed over which friction at rest falls, as a part of the usual speed.
 SLOW = 0.1
 MASS, VISCOUS, COULOMB, LOAD = range(4)
 #: The model of these four columns.
@@ -45,17 +45,17 @@ class View:
 
     @cached_property
     def basis(self) -> Floats:
-        """(n, r): orthonormal columns that span those of phi; a column that is zero is left out."""
+        """(n, r): an orthonormal basis of the columns of phi; columns that are zero are left out."""
         size = np.linalg.norm(self.phi, axis=0)
         return np.asarray(np.linalg.qr(self.phi[:, size > 0] / size[size > 0])[0])
 
     @cached_property
     def unexplained(self) -> float:
-        """Part of the input that no such sum explains."""
+        """Part of the input that no sum of the columns explains."""
         return float(self.measure_rest(self.z))
 
     def measure_rest(self, z: Floats) -> float:
-        """The same for another filtered input (n,)."""
+        """Part of another filtered input (n,) that no sum of the columns explains."""
         size = float(np.linalg.norm(z))
         return float(np.linalg.norm(z - self.basis @ (self.basis.T @ z))) / size if size > 0 else 1.0
 
@@ -66,28 +66,28 @@ class View:
 
     @cached_property
     def pieces(self) -> Floats:
-        """(PARTS, p): theta of the record without one piece each."""
+        """(PARTS, p): theta of the record, each time without one piece."""
         edges = np.linspace(0, self.z.size, PARTS + 1).astype(int)
         rows = np.arange(self.z.size)
         kept = [(rows < a) | (rows >= b) for a, b in pairwise(edges)]
         return np.array([solve_least_squares(self.phi[keep], self.z[keep]) for keep in kept])
 
     def sure(self, weights: Floats) -> float:
-        """A sum of the theta (p,) with weights (p,), in its standard deviations (jackknife over the pieces)."""
+        """The sum of theta (p,) with weights (p,), in its standard deviations (jackknife over the pieces)."""
         value, others = float(self.theta @ weights), self.pieces @ weights
         spread = float(np.sqrt((PARTS - 1) / PARTS * np.sum((others - others.mean()) ** 2)))
         return value / spread if spread > 0 else float(np.sign(value)) * np.inf
 
     @property
     def one_way(self) -> bool:
-        """Does it move in one direction, nearly all the time? Dry friction is then a load."""
+        """Does the axis move in one direction nearly all the time? Dry friction is then a load."""
         velocity = self.phi[:, VISCOUS]
         back = float(np.sum(np.abs(velocity[velocity < 0]))) / max(float(np.sum(np.abs(velocity))), 1e-300)
         return min(back, 1 - back) < ONE_WAY
 
     @property
     def moving(self) -> float:
-        """Rows over which the motion is spread, for so many equal ones would have its power and the square of that."""
+        """Effective number of moving rows: rows of equal power that have the same first two moments of power."""
         power = np.square(self.phi[:, VISCOUS])
         return float(power.sum() ** 2 / max(float(np.sum(power**2)), 1e-300))
 
@@ -119,8 +119,8 @@ def view(u: Floats, counts: Counts, encoder: Encoder, dt: float, time: float, mo
 def best_view(
     u: Floats, counts: Counts, encoder: Encoder, dt: float, lasting: float = 0.0, model: Drive = PLAIN
 ) -> View | None:
-    """The view in which most of the input is explained, of those whose motion lasts for more than so many time
-    constants; None where the record is too short, or nothing moves."""
+    """The view that explains most of the input, among views whose motion lasts for more than `lasting` time constants;
+    None if the record is too short, or nothing moves."""
     views = [view(u, counts, encoder, dt, time, model) for time in TIMES]
     moved = [one for one in views if one is not None and np.any(one.z) and np.any(one.phi[:, VISCOUS])]
     seen = [one for one in moved if one.moving > lasting * one.time]
