@@ -302,4 +302,4 @@ def test_a_pendulum_under_slow_position_control_is_no_velocity() -> None:
     run = control_machine(machine, reference, dt, resolution, kp=8.0, kd=0.8, u_max=5.0)
     raw = {"record": {"input": "u", "output": "y", "dt": dt}, "encoder": {"resolution": resolution}}
     axis = Axis.model_validate(raw | {"model": {"kind": "drive", "input_gain": 1.0, "axis": "rotary", "gravity": True}})
-    assert checked(Record(run.u, run.counts, dt, resolution, (), "pendulum"), axis) == ()
+    assert check_record(Record(run.u, run.counts, dt, resolution, (), "pendulum"), axis) == ()

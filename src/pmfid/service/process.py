@@ -13,7 +13,7 @@ from types import FrameType
 from typing import Any
 
 from pmfid.service.counters import Counters
-from pmfid.session.monitored.stream import caught
+from pmfid.session.monitored.stream import catch_signals
 
 __all__ = ["Signals", "Standing", "notify"]
 
@@ -31,7 +31,7 @@ class Signals:
     @contextmanager
     def handled(self) -> Iterator[Signals]:
         """SIGINT and SIGTERM end the service, SIGHUP reads PLANT.toml again."""
-        with caught(self._handle):
+        with catch_signals(self._handle):
             yield self
 
     def _handle(self, number: int, frame: FrameType | None) -> None:

@@ -396,4 +396,4 @@ def _run(
             reported.append(parts[-1] if known is None else known.track(parts[-1], estimator.estimate))
             if progress is not None:
                 progress(part.stop / n)
-    return join_tracks(parts), join_tracks(told)
+    return join_tracks(parts), join_tracks(reported)

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from pmfid.findings import Finding, codes, sort_findings
-from pmfid.session.checks.counter import forgotten_bits, find_frozen_counts, held_output, jump
-from pmfid.session.checks.inputs import held_input, find_saturation
+from pmfid.session.checks.counter import find_frozen_counts, forgotten_bits, held_output, jump
+from pmfid.session.checks.inputs import find_saturation, held_input
 from pmfid.session.checks.log import CheckedLog
 from pmfid.session.checks.motion import no_inertia, no_motion
 from pmfid.session.checks.readings import read_as

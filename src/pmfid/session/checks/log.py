@@ -76,7 +76,7 @@ class CheckedLog:
     def closest_view(self) -> View | None:
         """The view that explains more of the input: of the plain drive, or of the configured one with its gravity,
         spring or cogging."""
-        model = at_some_gain(self.axis).model.make()
+        model = set_any_gain(self.axis).model.make()
         if self.view is None or not isinstance(model, Drive):
             return self.view
         own = replace(model.symmetric, input_gain=1.0, offset=True, dead_time=0.0, lag=0.0, axis="linear")
