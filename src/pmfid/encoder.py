@@ -24,8 +24,8 @@ class Encoder:
     resolution: unit of position per count, > 0. bits: width of the counter, 1 to 32; it wraps at 2**bits.
     standstill_time: without a count for so long the axis is taken to be at rest [s], > 0.
     max_speed: a larger change in one sample is a jump: flagged, not believed [unit/s], None: no check.
-    guard: samples that no motion explains (the counter set anew, a wrong reading, a spike of the input) are flagged and
-    kept out without it, too; where it goes wrong, False lets every sample in.
+    guard: samples that no motion explains (a counter set to another value, a wrong reading, a spike of the input) are
+    flagged and left out, also without max_speed; False lets every sample in, for axes on which the guard is wrong.
     Raises UsageError for a value outside these bounds.
     """
 

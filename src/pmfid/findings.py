@@ -13,8 +13,8 @@ from typing import Literal
 __all__ = ["Finding", "codes", "make_notes", "sort_findings", "texts"]
 
 Severity = Literal["wrong", "doubt", "note"]
-#: Most important first. wrong: no number that follows is to be believed; doubt: it may be further off than its error
-#: bar says; note: what was done, and how.
+#: Most important first. wrong: no result that follows is valid; doubt: an error may exceed its error bar; note: what
+#: was done, and how.
 SEVERITIES: tuple[Severity, ...] = ("wrong", "doubt", "note")
 
 

@@ -53,7 +53,7 @@ class Summary:
 
     @property
     def html(self) -> str:
-        """A table that needs nothing beside it; names from files are text in it, whatever they hold."""
+        """A self-contained table; names from files are plain text in it, whatever they hold."""
         head = "".join(f"<th{CELL}>{_safe(name)}</th>" for name in self.header)
         body = "".join(f"<tr>{''.join(f'<td{CELL}>{_safe(cell)}</td>' for cell in row)}</tr>" for row in self.rows)
         remarks = "".join(f"<p>{_safe(remark)}</p>" for remark in self.remarks)

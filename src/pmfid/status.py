@@ -45,15 +45,15 @@ ADVICE = {
         "an input was not finite, or far beyond all others: unless the counts answer, or it stays, the last one counts"
     ),
     Status.COUNT_JUMP: (
-        "the counts jumped as no motion does, or further than max_speed allows: left out; if nobody set the counter "
-        "anew, check the wiring and the counter's bits"
+        "the counts jumped as no motion does, or further than max_speed allows: left out; unless the counter was set "
+        "to another value, check the wiring and the counter's bits"
     ),
     Status.STANDSTILL: "no counts within standstill_time: the axis is taken to be at rest",
     Status.RESET: "a number left the range of the format: the estimator started again",
     Status.FALLBACK: ("the simulated motion does not follow the plant: this is the estimate of the simpler method"),
     Status.UNMODELLED: (
-        "the equation is off by more than the encoder's step explains: friction, load or delay that the model lacks, "
-        "or a parameter that changes; the error bars do not cover it"
+        "the equation is off by more than the encoder's step explains: unmodelled friction, load or delay, or a "
+        "parameter that changes; the error bars do not cover it"
     ),
     Status.FEEDBACK: (
         "the input follows what the equation leaves unexplained, as under position control through the encoder: biases "

@@ -56,12 +56,12 @@ class MethodChoice:
 
 
 def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: Best | None = None) -> MethodChoice:
-    """The best off-line method that a record carries; u, counts: (n,). best: the motion that fits, where it is known.
+    """The best off-line method that a record carries; u, counts: (n,). best: the motion that fits, if it is known.
 
-    The interval likelihood where the model explains every count, and what it may lack without showing stays within
-    the error bars, or within those of instrumental variables; else these, which ask less of the model, or where they
-    do not settle output error, bias-compensated, or plain least squares.
-    Raises NotIdentifiableError where none of them can identify every parameter.
+    The interval likelihood comes first, if the model explains every count. Hidden unmodelled effects must stay within
+    its error bars, or within the error bars of instrumental variables. Instrumental variables ask less of the model and
+    come second. If their iteration does not settle, output error, bias-compensated or plain least squares follow.
+    Raises NotIdentifiableError if no method can identify every parameter.
     """
     refused: list[str] = []
     sharp = None if configured.equation.without_simulation else _sharp(configured, u, counts, best, refused)
@@ -106,17 +106,17 @@ class _Sharp:
         return self.adequacy.adequate and not self.fit.status & Status.FALLBACK
 
     def better_than(self, other: Fit, cls: type[BatchEstimator]) -> str:
-        """Why it is to be believed before another estimate, by `cls`; empty where it is not.
+        """The reason to prefer this estimate to another one, by `cls`; empty if there is no reason.
 
-        It is where the other contradicts it, and where it is less uncertain, with what the model may lack without
-        showing it, in the geometric mean of the parameters.
+        A contradiction between the two is a reason. So is a smaller uncertainty in the geometric mean of the
+        parameters, hidden unmodelled effects included.
         """
         spread = self.adequacy.spread()
         if cls is not IV or contradicted(other, self.fit, spread):
             return f"{cls.method} contradicts it"
         total = np.hypot(self.fit.theta_std, spread)
         less = np.sum(np.log(total)) < np.sum(np.log(other.theta_std))
-        return f"{cls.method} knows less, whatever the model may lack" if less else ""
+        return f"{cls.method} knows less, whatever the unmodelled effects" if less else ""
 
     def make_choice(self, reason: str) -> MethodChoice:
         return MethodChoice(self.method, f"{self.method.method}: {reason}", self.fit, self.adequacy)
@@ -138,7 +138,7 @@ def _sharp(
     elif not found.adequate:
         doubt = f", and {found.says}"
     elif np.any(spread > fit.theta_std):
-        doubt = "; the error bars of interval leave out what the model may lack without showing it here"
+        doubt = "; the error bars of interval leave out unmodelled effects that this record does not show"
     return _Sharp(method, fit, found, doubt)
 
 

@@ -28,7 +28,7 @@ T = TypeVar("T")
 #: Time constant of the slow copy of the estimate that drives the model, in filter time constants: the instruments must
 #: not follow the noise of the samples that they are multiplied with.
 COPY_TIME_CONSTANTS = 17.0
-#: The kernel takes the copy on every so many samples.
+#: Samples from one update of the copy to the next in the kernel.
 FOLLOWED = constants_of(None)["PMF_FOLLOWED"]
 #: Mean square difference of model and measured velocity, as a part of the mean square, beyond which it is not trusted.
 MISMATCH_LIMIT = 0.2
@@ -38,7 +38,8 @@ BLOCK = {**HELD, **SPLIT, "output": VELOCITY}
 GROWING_WITH_SHAPES = 5
 #: Memory of that comparison, in filter time constants.
 CHECK_TIME_CONSTANTS = 30.0
-#: The same of the comparison that shows a model ahead of the plant; samples within so many are taken for one there.
+#: Memory of the comparison that shows a model ahead of the plant, and the span of samples that it takes for one; both
+#: in filter time constants.
 LAG_TIME_CONSTANTS, ALIKE_TIME_CONSTANTS = 1000.0, 2.0
 #: Mean square innovation, over what a white encoder error explains, beyond which the equation is called wrong on-line,
 #: and the stretches of samples that it is taken over, two at a time, in filter time constants.
@@ -48,8 +49,8 @@ MODEL_CHECK_TIME_CONSTANTS = 50.0
 
 @dataclass(frozen=True)
 class Direct(BCRLS):
-    """`BCRLS` beside an auxiliary model, which gives it the dead time that its equation is linearised at; no method by
-    itself."""
+    """`BCRLS` next to an auxiliary model, no method by itself. The auxiliary model gives the dead time at which the
+    equation of `BCRLS` is linearised."""
 
     method: ClassVar[str] = ""
 

@@ -38,10 +38,11 @@ SHORTEST, LONGEST = 1e-12, 1e12
 LEAST_PRODUCT = 1e-300
 #: The discretisation that is refined from pass to pass with the estimate.
 EXACT = "exact"
-#: After so many updates theta is moved by the innovation alone; without forgetting float64 never needs to.
+#: Updates from the accumulated right-hand side; later ones move theta by the innovation alone. float64 without
+#: forgetting never changes over.
 RESIDUAL_UPDATES = 256
-#: What a motion may do is learned for so many times the settling of the filters before it is taken strictly, and
-#: forgotten over so many times that; in samples in motion.
+#: Settling times of the filters over which motion limits are learned before they hold strictly, and over which they are
+#: forgotten. Only samples in motion count.
 LEARNING, LEARNED = 8, 128
 #: Samples from a suspicious one on that are left out: then the filters have forgotten most of what stands in its place.
 HELD_OUT = 8
@@ -68,7 +69,7 @@ class Estimator:
     precision: str = field(default="float64", kw_only=True)
 
     method: ClassVar[str] = ""
-    #: its kernel has columns of instruments beside the regressors
+    #: its kernel has columns of instruments in addition to the regressors
     instrumental: ClassVar[bool] = False
     #: it takes friction that depends on the speed from a simulated motion
     knows_shapes: ClassVar[bool] = False

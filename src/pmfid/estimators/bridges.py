@@ -1,8 +1,9 @@
-"""Gaps in a record, in which neither input nor motion is known: what stands there for a model.
+"""Gaps in a record, in which neither input nor motion is known, filled with a motion of the model.
 
-An input that is not a number marks a gap. Behind it the motion begins anew, with a speed that the counts there tell. So
-that simulation and filters go on, the gap gets the input that takes the simulated motion from where it was to where it
-is, and the counts of that motion: the equation holds exactly for them at every theta, and they say nothing.
+An input that is not a number marks a gap. The simulated motion restarts after the gap, with the speed of the counts
+there. Simulation and filters go on through the gap: its input takes the simulated motion from the last position before
+the gap to the first position after it. The counts of the gap are those of this motion. The equation holds exactly for
+them at every theta, so they carry no information.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ from pmfid.models.equation import (
 )
 from pmfid.types import Counts, Flags, Floats
 
-#: The speed behind a gap is read within so many filter time constants, or times in which the body forgets it.
+#: Span in which the speed after a gap is read: filter time constants, or time constants of the body's damping.
 READ = 3.0
-#: A part of a record has at least so many samples, and a filter time constant.
+#: Samples of the shortest part of a record; a part also lasts a filter time constant.
 FEWEST = 8
 #: Turns in which that speed, and the input that leads to it, are found.
 TURNS, CLOSE = 20, 1e-9
@@ -37,7 +38,7 @@ LITTLE = 1e-6
 
 @dataclass(frozen=True)
 class Body:
-    """An equation at theta (p,), sampled every dt [s] with an encoder's step [unit of y] behind filters of a pole
+    """An equation at theta (p,), sampled every dt [s]; step: of the encoder [unit of y]; cutoff: of the filters
     [rad/s]."""
 
     equation: Equation
@@ -59,12 +60,12 @@ class Body:
 
     @property
     def least(self) -> int:
-        """Samples of a part that tells its speed."""
+        """Samples of the shortest part whose speed can be read."""
         return max(FEWEST, int(1 / (self.cutoff * self.dt)))
 
     @property
     def reading(self) -> int:
-        """Samples in which the speed behind a gap is read."""
+        """Samples in which the speed after a gap is read."""
         return max(self.least, int(READ / (min(self.cutoff, max(self.decay, 0.1 * self.cutoff)) * self.dt)))
 
     @cached_property
@@ -74,8 +75,8 @@ class Body:
 
 
 def parts_of(u: Floats, least: int = 1) -> list[slice]:
-    """The parts of a record between gaps, where the input (n,) is a number; those of less than `least` samples tell no
-    speed, and are parts of the gap."""
+    """The parts of a record between gaps, in which the input (n,) is a number. A part with fewer than `least` samples
+    gives no speed and belongs to the gap."""
     known = np.flatnonzero(np.isfinite(u))
     if known.size == 0:
         return []
@@ -85,14 +86,14 @@ def parts_of(u: Floats, least: int = 1) -> list[slice]:
 
 
 def gaps_in(u: Floats) -> tuple[tuple[int, int], ...]:
-    """The gaps of a record: the first sample of each whose input (n,) is no number, and the first behind it."""
+    """The gaps of a record: the first sample of each whose input (n,) is no number, and the first one after it."""
     parts = parts_of(u)
     edges = [0, *(edge for part in parts for edge in (part.start, part.stop)), u.size]
     return tuple((a, b) for a, b in zip(edges[0::2], edges[1::2], strict=True) if b > a) if parts else ()
 
 
 def bridge_gaps(body: Body, u: Floats, counts: Counts) -> tuple[Floats, Counts, Flags]:
-    """A record u, counts: (n,) with its gaps bridged, and which samples are in none."""
+    """A record u, counts: (n,) with filled gaps, and flags (n,) of the samples outside gaps."""
     parts, there = parts_of(u, body.least), np.zeros(u.size, bool)
     for part in parts:
         there[part] = True
@@ -111,7 +112,7 @@ def bridge_gaps(body: Body, u: Floats, counts: Counts) -> tuple[Floats, Counts, 
 
 
 def read_start_speed(body: Body, u: Floats, counts: Counts) -> float:
-    """The speed [counts/s] with which the motion under u (n,) begins, as the counts (n,) tell it."""
+    """The speed [counts/s] at the start of the motion under u (n,), fitted to the counts (n,)."""
     near = min(u.size, body.reading)
     place, time = (counts[:near] - counts[0]).astype(np.float64), np.arange(near) * body.dt
     response = -np.expm1(-body.decay * time) / body.decay if body.decay * time[-1] > LITTLE else time

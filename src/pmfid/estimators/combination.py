@@ -1,12 +1,12 @@
-"""An estimate and what is known of its parameters beside it, put together: one map for every method.
+"""An estimate combined with prior information on its parameters: one map for every method.
 
 An equation sum theta_i w_i = gain u is homogeneous: with another gain the same motion has all forces theta in
-proportion. So an estimate a with any gain is one of all ratios, and a known force gives the gain. What is known, h = m
-with covariance S, or without error where it is given, is a measurement beside the estimate: h_k is b a_k for a force,
-a_k for what is none and b for the gain itself; b is the gain over that of the estimate, of which nothing else is known.
-The estimate's covariance C weighs it: generalised least squares, as a Kalman filter's update; exact where h is linear,
-Gauss-Newton steps where the gain is to be found. Errors da of the estimate and dm of what is known move the result by
-T da + U dm, so its covariance is T C T^T + U S U^T.
+proportion. So an estimate a with any gain determines all ratios, and a known force gives the gain. The prior
+information, h = m with covariance S, or without error for given values, is a measurement in addition to the estimate:
+h_k is b a_k for a force, a_k for any other parameter and b for the gain itself. b is the gain over the gain of the
+estimate; nothing else is known of b. The estimate's covariance C weighs the estimate: generalised least squares, as a
+Kalman filter's update. One step is exact for a linear h; an unknown gain takes Gauss-Newton steps. Errors da of the
+estimate and dm of the prior information move the result by T da + U dm, so its covariance is T C T^T + U S U^T.
 """
 
 from __future__ import annotations
@@ -49,8 +49,9 @@ class Combined:
 
 
 def combine(estimate: Floats, covariance: Floats, further: Floats, facts: Facts) -> Combined:
-    """Estimates (n, p) with covariances (n, p, p) beside the same facts; further (n, p): variances beside noise, which
-    weigh as well and are in no covariance of what is returned. NaN where an estimate tells nothing of the gain.
+    """Combine estimates (n, p) with covariances (n, p, p) and the same facts. further (n, p): variances in addition to
+    noise, which count in the weights and stay out of the returned covariance. NaN if an estimate does not determine the
+    gain.
     """
     total = covariance + further[..., None] * np.eye(estimate.shape[1])
     with np.errstate(all="ignore"):  # what comes of a parameter that is zero, or of nothing known, is NaN
@@ -111,11 +112,11 @@ def _start(estimate: Floats, total: Floats, facts: Facts) -> Floats:
         return np.ones(n)
     of_gain, index = facts.index == p, np.minimum(facts.index, p - 1)
     own, variance = estimate[:, index], np.einsum("nii->ni", total)[:, index]
-    told = np.where(of_gain, facts.value, facts.value / own)
+    gains = np.where(of_gain, facts.value, facts.value / own)
     unsure = np.where(of_gain, 0.0, variance / own**2) + (facts.std / facts.value) ** 2
     usable = of_gain | (facts.forces[index] & (facts.value != 0))
     best = np.argmin(np.where(usable & np.isfinite(unsure), unsure, np.inf), axis=1)
-    return np.asarray(np.take_along_axis(told, best[:, None], axis=1)[:, 0])
+    return np.asarray(np.take_along_axis(gains, best[:, None], axis=1)[:, 0])
 
 
 def _make_combined(estimate: Floats, covariance: Floats, a: Floats, b: Floats, last: _Linear, facts: Facts) -> Combined:

@@ -24,11 +24,11 @@ from pmfid.types import Floats
 #: Time constants of the filters that are tried [samples]: by more the encoder's error is averaged, by less what the
 #: motion says of the mass is kept. The first with an estimate gives the motion that all are judged along.
 TRIED = (10, 30, 3, 100, 300)
-#: A record has at least so many of them.
+#: Filter time constants of the shortest record.
 LEAST = 30
-#: What is remembered on-line has at least so many, and none is of more samples: with slower filters the recursion has
-#: forgotten what it knew before it may trust its instruments, and falls back for most of the time, on axes from
-#: 3e-5 kg m2 to 500 kg; with 30 samples it was the best of all on most.
+#: Filter time constants of the shortest memory on-line, and samples of the longest filter time constant. With slower
+#: filters the recursion forgets its information before it may trust its instruments, and falls back for most of the
+#: time, on axes from 3e-5 kg m2 to 500 kg; 30 samples were the best of all on most of these axes.
 REMEMBERED, SLOWEST = 3, 30
 
 
@@ -40,12 +40,13 @@ def choose_cutoff(
     counts: NDArray[np.int64],
     forgetting: float = 1.0,
 ) -> float:
-    """The pole [rad/s] of the filters behind which the record u, counts: (n,) says most on the parameters of one of the
-    models: one, or the same with an input that acts either way; forgetting < 1: for a recursion that remembers so much.
+    """The pole [rad/s] of the filters that keep most information on the parameters in the record u, counts: (n,).
 
-    Smallest determinant of the covariance of instrumental variables along one motion; of bias-compensated least squares
-    where nothing simulates the equation. It is flat: a factor of three from the best costs little. Where no pole gives
-    an estimate it is that of ten samples, and the estimator says what is wrong with the record.
+    models: one, or the same with an input that acts either way. forgetting < 1: for a recursion with that memory.
+    The pole has the smallest determinant of the covariance of instrumental variables along one motion, or of
+    bias-compensated least squares if nothing simulates the equation. The minimum is flat: a factor of three from the
+    best costs little. If no pole gives an estimate, the pole is 1 / (10 dt), and the estimator reports what is wrong
+    with the record.
     """
     most = counts.size / LEAST
     if forgetting < 1:

@@ -37,7 +37,7 @@ START_COUNTS = 3.0
 WHITE = math.sqrt(12.0)
 #: A larger part of the motion left unexplained is no fit.
 WORST_FIT = 0.5
-#: Of the longest lag so many times are as good as for ever.
+#: Time constants of the longest lag after which an input has no effect left.
 LAGGING = 16
 #: Least mass, as a part of that of the start: without any the motion has no equation.
 LEAST_MASS = 1e-3
@@ -53,8 +53,9 @@ class Difference:
 
     equation: its roles say what the simulation takes of theta; u, y: (n,), dt [s]; resolution; scale: (q,);
     pole: of the high-pass on the difference [rad/s], 0: none; parts: of a sample, in which shapes are simulated; zero:
-    where a spring is slack, None: at the first count; past: (m,) inputs before the first, None: not known; breaks: the
-    first samples of gaps in the record, and those behind them: there nothing is known, and the motion begins anew.
+    where a spring is slack, None: at the first count; past: (m,) inputs before the first, None: not known; breaks: for
+    each gap in the record its first sample and the first sample after it. Nothing is known in a gap, and the motion
+    restarts after it.
     """
 
     equation: Equation
@@ -94,7 +95,7 @@ class Difference:
         return x0 + np.r_[0.0, np.cumsum(velocity[:-1])][::split] * (self.dt / split), velocity
 
     def _simulate_parts(self, q: Floats, force: Floats | None) -> tuple[Floats, Floats]:
-        """The same; where nothing is known the position is that of the counts, and nothing moves."""
+        """`motion` of a record with gaps; in a gap the position is that of the counts, and the velocity is zero."""
         split = 1 if force is None else force.size // self.u.size
         position, velocity = self.y.copy(), np.zeros(split * self.u.size)
         first, others = self._parts
@@ -123,7 +124,7 @@ class Difference:
         return Restart(part, piece.y, self.resolution**2 / 12, piece.shown_speed, known, motion)
 
     def _piece(self, part: slice) -> Difference:
-        """A part of the record between its gaps; behind one nobody knows the inputs before."""
+        """A part of the record between its gaps; the inputs before a gap are unknown after it."""
         past = self.before if part.start == 0 else self.u[part][:1]
         return replace(self, u=self.u[part], y=self.y[part], zero=self.slack, past=past, breaks=())
 

@@ -1,4 +1,4 @@
-"""What may be known of parameters beside a record, checked: names, values, whether it gives the gain of the input."""
+"""Checks of prior information on parameters: names, values, and whether it determines the gain of the input."""
 
 from __future__ import annotations
 

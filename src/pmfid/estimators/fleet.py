@@ -56,9 +56,9 @@ class Fleet:
         """The next n samples of every axis, from its present state.
 
         u: (axes, n), or (n,) the same for all; counts: (axes, n). float32 or float64, int32 or int64 in any memory
-        order are read in place. every: keep each so many samples' estimate, and the last one; None: the last one alone,
-        whatever the number of samples. Raises UsageError where the arrays do not fit, the counts are no integers, or
-        the memory does not hold what shall be kept.
+        order are read in place. every: samples from one kept estimate to the next, the last one always being kept;
+        None: the last one alone, whatever the number of samples. Raises UsageError if the arrays do not fit, the counts
+        are no integers, or the memory does not hold the kept estimates.
         """
         return self._many.run(u, counts, every)
 

@@ -1,4 +1,4 @@
-"""What a free friction curve is fitted with: hats of the speed behind the filters, along the simulated motion."""
+"""The basis of a free friction curve: filtered hat functions of the speed along the simulated motion."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ Sides = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 
 @dataclass(frozen=True)
 class Remainder(Shape):
-    """What a curve has beside Coulomb and viscous friction, at even speeds from 0 on, mean of both directions."""
+    """The part of a curve beyond Coulomb and viscous friction, at even speeds from 0 on, mean of both directions."""
 
     values: tuple[float, ...]
     step: float
@@ -87,9 +87,9 @@ def make_basis(model: IV, theta: Floats, u: Floats, counts: Counts, nodes: int) 
         alone = _with_first(whole, [h[columns.used] for h in _hats(model, side, side * simulated, own)])
         friction = friction - np.column_stack(alone) @ known
         speeds.append(own)
-    beside = np.column_stack(hats)
-    regressors = np.column_stack([columns.phi[:, mass], beside])
-    instruments = np.column_stack([columns.zeta[:, mass], beside])
+    curve = np.column_stack(hats)
+    regressors = np.column_stack([columns.phi[:, mass], curve])
+    instruments = np.column_stack([columns.zeta[:, mass], curve])
     # what hats make of the model's own friction, and what the kernel does, which is exact for it
     return Basis(
         (speeds[0], speeds[1]), regressors, instruments, columns.z - friction, columns.used, model.settle_samples
@@ -136,7 +136,7 @@ def _nodes(speed: Floats, nodes: int, direction: str) -> Floats:
 
 
 def _hats(model: IV, side: float, speed: Floats, nodes: Floats) -> Iterator[Floats]:
-    """Behind the filters (n,), the hats of all nodes but the first, at speeds (n parts,), with its sign."""
+    """The filtered hats (n,) of all nodes but the first, at speeds (n parts,), with the sign of the direction."""
     for j in range(1, nodes.size):
         unit = np.zeros(nodes.size)
         unit[j] = 1.0
@@ -165,11 +165,11 @@ def with_curve(estimator: IV, mass: float, sides: Sides) -> tuple[IV, Floats]:
     friction, forward and backward."""
     lines = [np.asarray(np.polyfit(speed, force, 1)) for speed, force in sides]
     even = np.linspace(0.0, max(speed[-1] for speed, _ in sides), KNOTS)
-    beside = [
+    remainders = [
         np.interp(even, *side) - np.polyval(line, np.minimum(even, side[0][-1]))
         for side, line in zip(sides, lines, strict=True)
     ]
-    remainder = Remainder(tuple(np.mean(beside, axis=0).tolist()), float(even[1]))
+    remainder = Remainder(tuple(np.mean(remainders, axis=0).tolist()), float(even[1]))
     terms = (
         Term("output", 2, "mass", "kg"),
         Term("forward_output", 1, "viscous_friction_forward", "N s/m"),

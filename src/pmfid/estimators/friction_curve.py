@@ -29,15 +29,15 @@ from pmfid.models.axes import LINEAR, Units
 from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 from pmfid.types import Counts, Floats
 
-#: Nodes of each direction beside the one at rest.
+#: Nodes of each direction in addition to the one at rest.
 NODES = 10
 #: Turns in which the curve goes back into the simulation.
 TURNS = 3
 #: Weights of the bend that are tried, over the information of the samples.
 WEIGHTS = 10.0 ** np.arange(-8.0, 4.1, 0.5)
-#: Blocks of the record, which are left out in so many turns.
+#: Blocks of the record, and the turns in which they are left out.
 BLOCKS, FOLDS = 32, 8
-#: Error bars are those of a curve with so much of the smoothing, which may hide what the record can hardly show.
+#: Part of the smoothing in the curve of the error bars: the whole smoothing may hide what the record can hardly show.
 LESS = 0.01
 
 

@@ -50,7 +50,7 @@ ACCEPTED = 2e-3
 SMALL = 1e-2
 #: The first part of a record, in which the model's velocity forgets that its start was not known.
 START_PART = 0.05
-#: A record whose first counts are the same for so many samples may begin at rest.
+#: Samples with equal counts at the start of a record that may begin at rest.
 REST_SAMPLES = 5
 #: Relative step of the differences for the covariance.
 JACOBIAN_STEP = 1e-3
@@ -58,8 +58,8 @@ JACOBIAN_STEP = 1e-3
 TRIED = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0)
 #: Lags, likewise.
 TRIED_LAGS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
-#: Blocks that fade in and out hold the noise behind the filters apart from what lasts from so many times on that these
-#: take to settle.
+#: Settling times of the filters in the shortest block of the scores. Blocks that fade in and out separate the filtered
+#: noise from errors that last longer.
 LASTING = 4
 
 
@@ -107,9 +107,10 @@ class Instruments(ProcessSolver, Simulating):
     def estimate_covariance(
         self, columns: Columns, theta: NDArray[np.float64], u: NDArray[np.float64], counts: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Covariance (p, p) of theta (p,): what its scores scatter in blocks on every scale beyond that of the filters,
-        behind which the encoder's error cancels, and friction that the model lacks does not; or what the encoder does
-        along this motion, where that is more."""
+        """Covariance (p, p) of theta (p,): the scatter of its scores in blocks on every scale longer than the filters.
+
+        The filtered error of the encoder cancels over such blocks, unmodelled friction does not. If the encoder's
+        lattice does more along this motion, that variance counts."""
         gain = self._gain(columns, theta, u, counts)
         in_blocks = scatter(self._scores(columns, theta) @ gain.T, LASTING * self.settle_samples)
         along = lattice_scatter(self, theta, u, counts, lambda read: self.columns_at(theta, u, read), gain)
@@ -128,9 +129,9 @@ class Instruments(ProcessSolver, Simulating):
         size[[name in (DEAD_TIME, LAG) for name in self.names]] = self.dt
         for i, step in enumerate(JACOBIAN_STEP * size):
             moved = [theta + side * np.eye(theta.size)[i] for side in (step, -step)]
-            beside = [self.columns_at(at, u, counts, rests) for at in moved]
-            used = columns.used & beside[0].used & beside[1].used  # one that moves where the other rests uses others
-            error = [(side.z - side.phi @ at)[used[side.used]] for side, at in zip(beside, moved, strict=True)]
+            sides = [self.columns_at(at, u, counts, rests) for at in moved]
+            used = columns.used & sides[0].used & sides[1].used  # one that moves where the other rests uses others
+            error = [(side.z - side.phi @ at)[used[side.used]] for side, at in zip(sides, moved, strict=True)]
             jacobian[:, i] = columns.zeta[used[columns.used]].T @ (error[1] - error[0]) / (2 * step)
         return inverse_of(jacobian)
 
@@ -173,7 +174,8 @@ class Instruments(ProcessSolver, Simulating):
         return like(Instruments, self, model=self.model.at_lag(seconds))
 
     def mismatch(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> float:
-        """Mean square of the filtered velocity that the model at theta (p,) lacks, over that of the measured one."""
+        """Mean square error of the filtered velocity that the model has at theta (p,), over the mean square of the
+        measured one."""
         columns, used, _ = self._filter_record(theta, *check_arrays(u, counts), None)
         check = auxiliary_columns(self)[3]
         measured, modelled = columns[used, check], columns[used, check + 1]
@@ -272,8 +274,8 @@ def initial_vector(initial: Mapping[str, float], names: tuple[str, ...]) -> NDAr
 
 
 def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
-    """theta (p,) from the roles' values of the symmetric equation; a constant load that this one lacks becomes Coulomb
-    friction that differs with the direction. Frictions that came out negative start at zero."""
+    """theta (p,) from the roles' values of the symmetric equation. In an equation without offset a constant load
+    becomes Coulomb friction that differs with the direction. Negative frictions start at zero."""
     values = list(known)
     if equation.roles[OFFSET] is None:
         values[COULOMB_FORWARD] += values[OFFSET]

@@ -1,4 +1,4 @@
-"""What is known beside a record: values that are given, priors, and the gain of the input, found in their place."""
+"""Prior information: values that are given, priors, and the gain of the input that follows from them."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ PIECE = 200
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Posterior(Shown):
-    """An estimate with what was known beside it. names, units: of the q parameters, the gain of the input last where it
-    was to be found; theta: (q,); theta_cov: (q, q); model_spread: (q,) or None; notes: what contradicts what."""
+    """An estimate combined with prior information. names, units: of the q parameters, the gain of the input last if it
+    was unknown; theta: (q,); theta_cov: (q, q); model_spread: (q,) or None; notes: contradictions."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -62,7 +62,7 @@ class Posterior(Shown):
         return Parameters(self.names, self.units, self.theta, self.theta_std)
 
     def summary(self) -> Summary:
-        return self._parameters.summary("an estimate with what was known beside it", remarks_of((), self.notes))
+        return self._parameters.summary("an estimate with prior information", remarks_of((), self.notes))
 
     def columns(self) -> dict[str, object]:
         """A row for each parameter."""
@@ -74,11 +74,11 @@ class Posterior(Shown):
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of the parameters of an estimator, whatever its method, put together with what it estimates.
+    """Prior information on the parameters of an estimator of any method, combined with its estimates.
 
     given: values by name. prior: (mean, standard deviation) by name, Gaussian; a standard deviation of 0 is as given.
-    find_gain: the gain of the input is to be found: the estimator's `Drive` has any, of the right sign, and each
-    estimate with it tells that of the machine by what is known of a force; `input_gain` may have a prior then.
+    find_gain: the gain of the input is unknown. The estimator's `Drive` has any gain of the right sign, and a known
+    force determines the gain of the machine; `input_gain` may have a prior then.
     `of` is for a fit or the estimate of a step, `run` for the samples of a recursive method:
 
     >>> from pmfid import Drive, Encoder, RIV
@@ -139,10 +139,10 @@ class Known:
         return Facts(index, value, std, self._forces, self.find_gain)
 
     def of(self, found: Fit | Estimate | Posterior, model_spread: Floats | None = None) -> Posterior:
-        """An estimate with what is known. model_spread (p,): by how much what the model lacks may move it, as an error
-        of its own in every parameter; it weighs as the error bars do, and NaN is none.
+        """An estimate combined with prior information. model_spread (p,): how far unmodelled effects may move each
+        parameter, as an independent error; it weighs as the error bars do, and NaN is none.
 
-        Raises NotIdentifiableError where the error bars of the estimate, or the gain of the input, are not known.
+        Raises NotIdentifiableError if the error bars of the estimate, or the gain of the input, are not known.
         """
         theta, covariance = np.asarray(found.theta), np.asarray(found.theta_cov)
         further = np.zeros(theta.size) if model_spread is None else np.nan_to_num(model_spread) ** 2
@@ -152,22 +152,22 @@ class Known:
                 "longer, or leave given and prior out"
             )
         try:
-            told = combine(theta[None], covariance[None], further[None], self.facts)
+            combined = combine(theta[None], covariance[None], further[None], self.facts)
         except np.linalg.LinAlgError:
-            told = None
-        if told is None or not (np.all(np.isfinite(told.theta)) and np.all(np.isfinite(told.noise))):
+            combined = None
+        if combined is None or not (np.all(np.isfinite(combined.theta)) and np.all(np.isfinite(combined.noise))):
             raise NotIdentifiableError(
                 f"what is known ({', '.join(self._facts)}) and what the record says do not go together: check the "
                 "values, or leave one out"
             )
-        values, noise = self._scale_to_machine(told)
-        spread = None if model_spread is None else self._spread(told, model_spread, further)
-        notes = self._contradictions(told.apart[0], theta, covariance, further)
+        values, noise = self._scale_to_machine(combined)
+        spread = None if model_spread is None else self._spread(combined, model_spread, further)
+        notes = self._contradictions(combined.apart[0], theta, covariance, further)
         return Posterior(self.names, self.units, values[0], noise[0], spread, notes)
 
-    def _spread(self, told: Combined, model_spread: Floats, further: Floats) -> Floats:
-        """(q,) how far what moves each parameter by itself moves what was put together; NaN: not known."""
-        spread = np.sqrt(told.moves[0, : len(self.names)] ** 2 @ further) * np.abs(self._gain_scale)
+    def _spread(self, combined: Combined, model_spread: Floats, further: Floats) -> Floats:
+        """(q,) how far the model spread of each parameter moves the combined result; NaN: not known."""
+        spread = np.sqrt(combined.moves[0, : len(self.names)] ** 2 @ further) * np.abs(self._gain_scale)
         spread[: model_spread.size][np.isnan(model_spread)] = np.nan
         spread[[self.names.index(name) for name in self._given]] = 0.0
         return np.asarray(spread)
@@ -176,10 +176,10 @@ class Known:
     def _given(self) -> dict[str, float]:
         return {name: value for name, (value, std) in self._facts.items() if std == 0}
 
-    def _scale_to_machine(self, told: Combined) -> tuple[Floats, Floats]:
-        """theta (n, q) and covariances (n, q, q), with the gain of the machine; what is given stays as it is."""
+    def _scale_to_machine(self, combined: Combined) -> tuple[Floats, Floats]:
+        """theta (n, q) and covariances (n, q, q), with the gain of the machine; given values stay as they are."""
         q, scale = len(self.names), self._gain_scale
-        values, noise = told.theta[:, :q] * scale, told.noise[:, :q, :q] * np.outer(scale, scale)
+        values, noise = combined.theta[:, :q] * scale, combined.noise[:, :q, :q] * np.outer(scale, scale)
         for name, value in self._given.items():
             i = self.names.index(name)
             values[:, i], noise[:, i], noise[:, :, i] = value, 0.0, 0.0
@@ -187,7 +187,7 @@ class Known:
 
     @property
     def _gain_scale(self) -> Floats:
-        """(q,): the gain behind `combine` is one over that of the estimator."""
+        """(q,): the estimator's gain, by which the relative gain of `combine` is multiplied."""
         return np.concatenate(
             [np.ones(len(self.estimator.names)), [self.estimator.equation.input_gain] * self.find_gain]
         )
@@ -221,22 +221,22 @@ class Known:
         return there, Posterior(self.estimator.names, self.estimator.units, theta, covariance)
 
     def track(self, track: Track, last: Estimate) -> Track:
-        """A piece of a track with what is known; last: the estimate at its end, whose correlations are taken for those
-        of all of it. Where nothing is estimated yet theta is 0 and the error bars infinite, of what is given, too."""
+        """A piece of a track with prior information. last: the estimate at its end, whose correlations hold for all of
+        the piece. Before the first estimate theta is 0 and the error bars are infinite, also for given values."""
         std, (n, p) = track.theta_std, track.theta.shape
-        theta, bars = np.zeros((n, len(self.names))), np.full((n, len(self.names)), np.inf)
+        theta, errors = np.zeros((n, len(self.names))), np.full((n, len(self.names)), np.inf)
         own = np.asarray(last.theta_cov)
         known = np.all(np.isfinite(std), axis=1) & bool(np.all(np.isfinite(own)))
         size = np.sqrt(np.outer(np.diagonal(own), np.diagonal(own)))
         alike = np.divide(own, size, out=np.eye(p), where=(size > 0) & np.isfinite(size))
         covariance = alike * std[known, :, None] * std[known, None, :]
         with suppress(np.linalg.LinAlgError):  # of facts that contradict each other: nothing is known then
-            told = combine(track.theta[known], covariance, np.zeros((covariance.shape[0], p)), self.facts)
-            theta[known], noise = self._scale_to_machine(told)
-            bars[known] = np.sqrt(np.maximum(np.einsum("nii->ni", noise), 0.0))
-        unknown = ~np.all(np.isfinite(theta) & np.isfinite(bars), axis=1)
-        bars[unknown], theta[unknown] = np.inf, 0.0
-        return track.with_bars(self.names, self.units, theta, bars)
+            combined = combine(track.theta[known], covariance, np.zeros((covariance.shape[0], p)), self.facts)
+            theta[known], noise = self._scale_to_machine(combined)
+            errors[known] = np.sqrt(np.maximum(np.einsum("nii->ni", noise), 0.0))
+        unknown = ~np.all(np.isfinite(theta) & np.isfinite(errors), axis=1)
+        errors[unknown], theta[unknown] = np.inf, 0.0
+        return track.with_bars(self.names, self.units, theta, errors)
 
     def run(self, runner: RecursiveEstimator | Runner[RecursiveEstimator], u: ArrayLike, counts: ArrayLike) -> Track:
         """Many samples at once as `Runner.run` of an estimation that is under way, u, counts: (n,)."""
@@ -249,14 +249,14 @@ class Known:
 
 
 def choose_naming(estimator: Estimator, known: Known | None) -> Estimator | Known:
-    """Who has the names and units of what is told: the estimator, or what is known beside it."""
+    """The object with the names and units of the result: the prior information if there is any, or the estimator."""
     return estimator if known is None else known
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Seen(Shown):
-    """The estimate of a step with what is known, put together when it is looked at; theta 0 and infinite error bars
-    while nothing is estimated yet."""
+    """The estimate of a step combined with prior information at the first use. Before the first estimate theta is 0 and
+    the error bars are infinite."""
 
     known: Known
     estimate: Estimate
@@ -289,7 +289,7 @@ class Seen(Shown):
         return Parameters(self.known.names, self.known.units, self.theta, self.theta_std)
 
     def summary(self) -> Summary:
-        title = "the estimate of a sample, with what is known beside it"
+        title = "the estimate of a sample, with prior information"
         return self._parameters.summary(title, remarks_of(status_names(self.status)))
 
     def columns(self) -> dict[str, object]:

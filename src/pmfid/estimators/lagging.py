@@ -22,8 +22,8 @@ def with_lag(columns_at: Callable[[float], Columns], theta: Floats, dt: float) -
     """
     lag, others = max(float(theta[-1]), 0.0), theta[:-1]
     low, high = max(lag - STEP * dt, 0.0), lag + STEP * dt
-    before, here, behind = (columns_at(value) for value in (low, lag, high))
-    change = _error(before, others) - _error(behind, others)
+    below, here, above = (columns_at(value) for value in (low, lag, high))
+    change = _error(below, others) - _error(above, others)
     column = change / (high - low)
     phi, zeta = (np.column_stack([side, column]) for side in (here.phi, here.zeta))
     return replace(here, phi=phi, z=here.z + lag * column, zeta=zeta)

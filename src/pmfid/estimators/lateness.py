@@ -1,4 +1,4 @@
-"""How an input acts late: by a dead time, behind a first-order lag, or both; which of them the counts ask for."""
+"""The delay of an input: a dead time, a first-order lag, or both, as the counts ask for."""
 
 from __future__ import annotations
 

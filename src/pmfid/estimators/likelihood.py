@@ -63,10 +63,10 @@ def best_of(difference: Difference, least: Floats, status: int = 0) -> Best:
 
 def log_likelihood(best: Best, cutoff: float) -> float:
     """Of the counts, in natural units, under the error that explains them better: a noise within the counts, or
-    friction that the model lacks, which adds up in the position to a random walk. The latter's high-pass, at cutoff
-    [rad/s], has a determinant of 1, so that both are probabilities of the same counts."""
-    behind = replace(best.difference, pole=cutoff)
-    error = behind(best.q)
+    unmodelled friction, which adds up in the position to a random walk. The high-pass of the random walk, at cutoff
+    [rad/s], has a determinant of 1, so both likelihoods are probabilities of the same counts."""
+    high_passed = replace(best.difference, pole=cutoff)
+    error = high_passed(best.q)
     walking = -error.size / 2 * (math.log(2 * math.pi * float(np.mean(error**2))) + 1)
     if best.noise is None:
         return walking
@@ -91,7 +91,7 @@ def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
     find the same maximum.
     """
     best = climb(difference, q, None)
-    if best[2] <= GIVEN_AWAY * NOISE_FLOOR or difference.breaks:  # the starts behind gaps are those of least squares
+    if best[2] <= GIVEN_AWAY * NOISE_FLOOR or difference.breaks:  # the starts after gaps are those of least squares
         return best[1], best[2]
     costs = [best[0]]
     for start in (q, *_list_starts(difference, q)):

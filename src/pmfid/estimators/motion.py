@@ -12,8 +12,8 @@ from pmfid.kernel.shapes import shape_bytes
 from pmfid.models.equation import LATE, MASS, VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
 from pmfid.types import Floats
 
-#: Parts of a sample in which forces with a shape, and reversals behind a lag, are simulated where nobody looks closer,
-#: and at most.
+#: Parts of a sample in the simulation of forces with a shape and of reversals under a lagging input: by default, and
+#: at most.
 PARTS, MOST_PARTS = 4, 16
 #: Damping that the kernel gives a body in every step, so that it may divide by it.
 LITTLE_DAMPING = 1e-9
@@ -33,7 +33,7 @@ def mean_velocity(
     """(n,) of every interval at theta (p,), shape parameters included, under u (n,), held; velocity, position: at the
     start, the position as the equation counts it. parts: of a sample, of an equation with shapes or a lag; without them
     the motion is exact. before: inputs before the first (m,), of which a dead time or a lag knows; None: zero. on_top:
-    (n,) what acts at once beside the input, in its unit."""
+    (n,) what acts at once in addition to the input, in its unit."""
     return simulate_motion(equation, theta, dt, u, velocity, position, parts, before, on_top)[0]
 
 

@@ -47,11 +47,11 @@ from pmfid.models.equation import ESTIMATE
 from pmfid.transfer.solve import ProcessProblem, Solution
 from pmfid.types import Floats
 
-#: A mass of less than so many of the least that the fit may have is one that the fit would rather not have.
+#: Multiple of the smallest allowed mass, below which the fit would rather have no mass.
 AT_BOUND = 3.0
-#: The high-pass lets white noise grow by less than this: where more is left behind it, the counts are not explained.
+#: Factor by which the high-pass at most raises white noise: a larger residual after it does not explain the counts.
 HOPELESS = 2.5
-#: A difference so many times what the encoder explains is no matter of local minima.
+#: Multiple of the encoder's error beyond which a difference is no matter of local minima.
 FAR = 10.0
 #: Relative tolerance of that.
 ROUGHLY = 1e-3
@@ -101,7 +101,7 @@ class Following(Simulating, BatchEstimator):
     ) -> tuple[Difference, Floats, int]:
         """The difference as it is to be judged, its least squares q, and the status bits of the record.
 
-        The first pass is always behind the high-pass: the position itself has local minima where friction drifts.
+        The first pass always has the high-pass: the position itself has local minima if friction drifts.
         start: parameters (p,) to start from, None: those of `IV`.
         """
         u, counts = check_arrays(u, counts)
@@ -137,7 +137,7 @@ class Following(Simulating, BatchEstimator):
         moves, covariance = self._scatter_scores(difference, q)
         covariance = widen_covariance(covariance, lambda width: self._scatter_scores(difference, q, width)[1])
         if best.noise is not None:
-            # the motion that explains every count rests where the axis did: a controller parks it beside an edge
+            # the motion that explains every count rests where the axis did: a controller parks it next to an edge
             covariance = raise_variances(covariance, phase_scatter(difference, best.q, moves, None))
         return self.result(difference, q, self.with_drift(best, covariance), best.status)
 
@@ -149,13 +149,13 @@ class Following(Simulating, BatchEstimator):
         return moves, scatter(difference.sum_by_sample(moves * difference(q)[:, None]), difference.recovery)
 
     def with_drift(self, best: Best, covariance: Floats) -> Floats:
-        """A covariance (p, p) with variances of at least those behind the high-pass, where there is more in the
-        position than the encoder's error: what the model lacks adds up in it to a drift, of which one record under half
-        a count shows too little to tell its scatter by."""
+        """A covariance (p, p) with at least the variances that the high-pass gives, if the position shows more than the
+        encoder's error. Unmodelled effects add up in the position to a drift. One record under half a count shows too
+        little of this drift to measure its scatter."""
         if best.noise is None or best.clean:
             return covariance
-        behind = replace(best.difference, pole=self.cutoff)
-        return raise_variances(covariance, np.diagonal(self._scatter_scores(behind, best.q)[1]))
+        high_passed = replace(best.difference, pole=self.cutoff)
+        return raise_variances(covariance, np.diagonal(self._scatter_scores(high_passed, best.q)[1]))
 
     def own_sensitivity(
         self, difference: Difference, q: Floats, root: Floats | None = None, width: float = STEP
@@ -211,8 +211,8 @@ class Following(Simulating, BatchEstimator):
         return theta, columns.status
 
     def _prepare_difference(self, theta: Floats, u: Floats, y: Floats) -> tuple[Difference, Floats]:
-        """The difference behind the high-pass, and q to start from: theta (p,), at the first count. Where the input
-        (n,) is no number the record has a gap."""
+        """The high-passed difference, and q to start from: theta (p,), at the first count. An input u (n,) that is no
+        number is a gap."""
         breaks, u = gaps_in(u), hold_last_input(u)
         travel, dt = float(np.ptp(y)), self.dt
         force, mass = abs(self.equation.input_gain) * rms(u), abs(theta[self.equation.leading])
@@ -256,7 +256,7 @@ class Following(Simulating, BatchEstimator):
         if not (relative < WORST_FIT or rms(residual) <= difference.explained):
             raise NotIdentifiableError(
                 f"the simulated position does not follow the record, {relative:.0%} of the motion is left: check the "
-                "sign of input_gain, and for a load or friction that the model lacks; or use a recursive method"
+                "sign of input_gain, and for unmodelled load or friction; or use a recursive method"
             )
         scale = difference.scale[: len(self.names)]
         theta, cov = q[: scale.size] * scale, q_cov * np.outer(scale, scale)
@@ -276,13 +276,13 @@ class OE(ProcessSolver, Following):
     from the start x0, v0, which are fitted as well; mass > 0, frictions >= 0. Starts from `IV`, or where that does
     not settle from its start. theta_cov is for residuals correlated in time, on whatever scale (`scatter`), and for
     the error that the encoder makes along this very motion, wherever its lattice lies (`phase_scatter`). samples is n;
-    residual is y - x [unit of the resolution], relative_error its norm over that of y less its mean; both behind
-    the high-pass, where there is one.
+    residual is y - x [unit of the resolution], relative_error its norm over that of y less its mean; both after
+    the high-pass, if there is one.
 
     drift_cutoff: pole of a first-order high-pass on y - x [rad/s], 0 to 2/dt; 0: none; None: none where y - x is
-    within what the encoder explains (0.5 counts root mean square), and otherwise `cutoff`. Friction that the model
-    lacks adds up in the position to a random walk, and this high-pass whitens a random walk with white noise on
-    top. It costs information: on the cart with 128 increments and 20 rad/s the standard deviation of the mass
+    within what the encoder explains (0.5 counts root mean square), and otherwise `cutoff`. Unmodelled friction adds
+    up in the position to a random walk, and this high-pass whitens a random walk with white noise on top. The
+    high-pass costs information: on the cart with 128 increments and 20 rad/s the standard deviation of the mass
     becomes 2.4 times, that of the frictions 7 times as large. initial: parameters by name for `IV` to start from.
 
     window: for long predictions by a model whose friction is not quite the machine's: least squares of the position

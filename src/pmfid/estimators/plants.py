@@ -35,8 +35,8 @@ class PlantDefaults(ABC):
 
     regularization: information that is never forgotten, as a part of the largest seen. pivot: relative one of the
     information matrix from which on a first estimate is given. least_part: of the power of a column that must not
-    follow from the others. spike: an input so many times the largest of late is one unless the counts answer or it
-    stays. rests: a motion rests and reverses inside a sample, and what is known of a large one says little of a
+    follow from the others. spike: multiple of the largest recent input from which on an input is a spike, unless the
+    counts answer or it stays. rests: a motion rests and reverses inside a sample, and a large one says little of a
     small. extended: takes the coefficients of the pre-filter as further unknowns. fewer: what to ask less of where
     there are more unknowns than an estimator holds.
     """
@@ -142,7 +142,7 @@ class LinearProcess(PlantDefaults):
         return np.array([A[t.derivative] if own else 0.0 for t, own in zip(equation.unknown, outputs, strict=True)])
 
     def made_up_counts(self, equation: Equation, u: Floats, dt: float, cutoff: float, resolution: float) -> Counts:
-        """Of lags one behind the other; some hundred counts."""
+        """Counts of lags in series; some hundred of them."""
         y, states, part = [], [0.0] * equation.order, min(0.5, cutoff * dt / 2)
         for value in u.tolist():
             y.append(states[-1])

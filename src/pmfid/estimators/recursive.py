@@ -34,11 +34,11 @@ FORGETTING_SCHEMES = {
 SEPARATE = constants_of(None)["PMF_SEPARATE"]
 #: Information that is never forgotten under constant trace, as a part of the largest seen.
 TRACE_REGULARIZATION = 1e-6
-#: What is known from larger motions than those of late is forgotten so many times as fast.
+#: Factor by which information from larger motions than the recent ones is forgotten faster.
 HASTE = 8
-#: That is more than so many times what motions like those of the last memory give.
+#: Multiple of the information of the last memory's motions, above which information is taken for that of larger ones.
 OUTGROWN = 3
-#: The kernel looks at the size of the motion every so many samples.
+#: Samples from one look of the kernel at the size of the motion to the next.
 LOOK = constants_of(None)["PMF_LOOK"]
 #: The sliding window drops one of its 8 blocks at a time: it holds 7 to 8 of them.
 WINDOW_BLOCKS = 7.5
@@ -66,7 +66,7 @@ class RecursiveEstimator(Estimator):
     The configuration is frozen; equality and hash are of it alone. What changes with the samples is a `Runner`:
     `start()` makes as many as are needed. For a single one there is `runner`, the object's own: `step`, `run`, `reset`
     and the like are short for its. A copy, by `copy`, `pickle` or a process pool, has a runner of its own that goes on
-    from the same state; `dataclasses.replace` begins anew.
+    from the same state; `dataclasses.replace` starts without samples.
     """
 
     forgetting: float = field(default=1.0, kw_only=True)
@@ -167,7 +167,7 @@ class RecursiveEstimator(Estimator):
         return config
 
     def start(self, state: bytes | None = None) -> Runner[Self]:
-        """An estimation of its own, from the beginning or from a saved state, beside this object's and all others.
+        """An independent estimation, from the beginning or from a saved state.
 
         Raises UsageError for a state that is not of this configuration.
         """
@@ -207,7 +207,7 @@ class RecursiveEstimator(Estimator):
         self.runner.open_memory(keep, parameter)
 
     def rebase(self, counts: int) -> None:
-        """The counter was set anew: `Runner.rebase` of `runner`."""
+        """The counter was set to another value: `Runner.rebase` of `runner`."""
         self.runner.rebase(counts)
 
     def gap(self, counts: int) -> None:

@@ -1,7 +1,7 @@
-"""Motions that begin anew behind the gaps of a record, each with the start that fits it.
+"""Motions that restart after the gaps of a record, each with the start that fits it.
 
 The starts are no unknowns of the fit but functions of its parameters, as in variable projection (Golub and Pereyra
-1973): position and speed behind a gap are those of least squares over that part of the record, whatever else is tried.
+1973): position and speed after a gap are the least squares solution for that part of the record at any parameters.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 
 from pmfid.types import Floats
 
-#: Speeds behind a gap are looked for in so many turns, until a step is this part of what is known beforehand: within
-#: that the motion is linear.
+#: Turns of the search for the speed after a gap, and the part of its prior standard deviation at which a step ends the
+#: search: the motion is linear within that.
 TURNS, SMALL = 30, 1e-3
 #: A step that leads to no better motion is tried once more as this part of itself.
 SHORTER = 0.25
@@ -26,11 +26,11 @@ Motion = Callable[[Floats, float, Floats | None], tuple[Floats, Floats]]
 
 @dataclass
 class Restart:
-    """Part `part` of a record behind a gap: position y (n,) of its counts, of variance `white`; the speed that they
-    show, and the standard deviation to which they do [unit of y per s].
+    """Part `part` of a record after a gap: position y (n,) of its counts, of variance `white`; the speed of the counts
+    and its standard deviation [unit of y per s].
 
-    What is found once is where the next search begins: the speed, and how far the position moves with it (n,), about
-    its mean.
+    The next search begins at the last result: the speed, and the effect (n,) of the speed on the position, about its
+    mean.
     """
 
     part: slice
@@ -59,7 +59,7 @@ class Restart:
             if self._sum_squares(tried, self.speed + step, prior) < self._sum_squares(found, self.speed, prior):
                 self.speed, found, fresh = self.speed + step, tried, True
                 step = self._step(found.apart, prior)
-            elif fresh:  # behind a stop the position moves with the speed otherwise than where the effect was taken
+            elif fresh:  # after a stop the position moves with the speed otherwise than where the effect was taken
                 self.effect, fresh = self._effect_at(self.speed, parameters, force), False
                 step = self._step(found.apart, prior)
             else:

@@ -30,10 +30,10 @@ class RSRIVC(ProcessOnly, RecursiveEstimator):
 
     The process is simulated from the input alone with a slow copy of the estimate; the simulated output, filtered by
     1 / A(s) like the measured one, is the instrument. For white noise on the output no unbiased method has a smaller
-    variance. The filters follow the copy: those of the input are exact behind its hold, so that there is no error of
-    the discretisation, and they are computed anew once per filter time constant. A copy that would be unstable, or have
-    poles beyond 2 / dt, is not taken; the last one stays. Where the process rings for a good part of the record so far,
-    data go behind filters that settle sooner, and the instruments alone behind its own; the error bars are then too
+    variance. The filters follow the copy and are updated once per filter time constant. The filters of the input are
+    exact for its hold, so there is no error of discretisation. A copy that would be unstable, or have poles beyond
+    2 / dt, is not taken; the last one stays. If the process rings for a good part of the record so far, the data have
+    filters that settle sooner, and only the instruments have the filters of the process; the error bars are then too
     long rather than too short. Until the model is there and the estimate as good as that of `BCRLS`, that one is given
     (`Status.FALLBACK`). cutoff, order, prefilter_zeros: of `BCRLS`; the time of the copy goes with cutoff. Raises
     UsageError for another model than a `TransferFunction`, or one with initial conditions.

@@ -87,14 +87,14 @@ class Runner(Generic[E]):
         """Many axes at once, each from the present state, which itself does not change.
 
         u: (axes, n), or (n,) the same for all; counts: (axes, n). The result has the last estimate of each axis, or
-        every so many. Each axis has the bits of `run`. To go on with further samples use a `Fleet`.
+        one in `every` samples as well. Each axis has the bits of `run`. To go on with further samples use a `Fleet`.
         Raises UsageError like `Fleet.run`.
         """
         table = integer_counts(counts)
         return self.side_by_side(max(1, table.shape[0]) if table.ndim else 1).run(u, table, every)
 
     def side_by_side(self, axes: int, workers: int | None = None) -> SideBySide:
-        """So many axes from the present state; arguments and errors of `Fleet`, which keeps them."""
+        """Axes from the present state; arguments and errors of `Fleet`, which keeps them."""
         return SideBySide(self.kernel, self.precision, self.names, self.units, axes, workers)
 
     @property
@@ -116,24 +116,25 @@ class Runner(Generic[E]):
         self.kernel.open(keep, -1 if parameter is None else self.names.index(parameter))
 
     def rebase(self, counts: int) -> None:
-        """The counter was set anew, as in a homing: it would have read `counts` at the last sample.
+        """The counter was set to another value, as in a homing: it would have read `counts` at the last sample.
 
-        What was known stays. Without this call the jump is found, flagged, and the motion in its sample lost, where it
-        is larger than what the axis itself may do (`Encoder.guard`).
+        The estimate stays. Without this call a jump beyond the motion limits of the axis is found and flagged, and the
+        motion in its sample is lost (`Encoder.guard`).
         """
         self.kernel.rebase(counts)
 
     def gap(self, counts: int) -> None:
-        """Samples were lost, and the next one has these counts: filters and auxiliary model begin anew with its motion,
-        and what was gathered stays. A gap of a few samples is better stepped through, input and counts on the straight
-        lines between its neighbours, behind `doubt` where the input may have leapt in it. Raises TypeError for counts
-        that are no integer."""
+        """Samples were lost, and the next one has these counts. Filters and auxiliary model restart with its motion.
+        The information stays. A gap of a few samples is better stepped through, with input and counts on the straight
+        lines between its neighbours; call `doubt` before, if the input may have leapt in it. Raises TypeError for
+        counts that are no integer."""
         self.kernel.gap(counts)
 
     def doubt(self, samples: int) -> None:
-        """The next samples are guesses, as those of a gap in which the input switched: nothing is learnt from so many,
-        in slow motion some more, at most from as many as the filters take to settle, and the status says `SETTLING`.
-        Filters and auxiliary model go on. Raises UsageError for a number that is negative or no integer."""
+        """The next `samples` samples are guesses, as in a gap in which the input switched: nothing is learnt from them.
+        In slow motion some further samples are left out, at most as many as the filters take to settle. The status is
+        `SETTLING` then. Filters and auxiliary model go on. Raises UsageError for a number that is negative or no
+        integer."""
         if isinstance(samples, bool) or not isinstance(samples, Integral) or not samples >= 0:
             raise UsageError(f"samples must be a whole number from 0 on, got {samples!r}")
         self.kernel.doubt(min(int(samples), 2**31))

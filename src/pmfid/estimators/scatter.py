@@ -6,7 +6,7 @@ is as uncertain as that sum would scatter from record to record. Neighbouring sc
 slow is unexplained, friction above all, and noise of the counts on top of it hides that from a look at neighbours: so
 sums over blocks are looked at, on every scale, and the largest scatter counts.
 
-The blocks fade in and out. Behind a filter that differentiates, the noise of the counts cancels over a block but for
+The blocks fade in and out. After a filter that differentiates, the noise of the counts cancels over a block but for
 its two ends, and blocks with sharp ends would show nothing else.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from pmfid.types import Floats
 
-#: Blocks become longer as long as so many are left.
+#: Blocks of the longest scale, at least.
 FEWEST = 24
 TINY = 1e-300
 

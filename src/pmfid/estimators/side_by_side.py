@@ -36,8 +36,8 @@ SMALL = 20_000
 class SampleBlock:
     """The next samples of some axes, and room for what is kept of their estimates.
 
-    u, counts: (axes, n) as the kernel reads them; every: so many samples each are kept, 0: the last alone; samples:
-    (m,) numbers of those that are.
+    u, counts: (axes, n) as the kernel reads them; every: samples from one kept estimate to the next, 0: the last alone;
+    samples: (m,) numbers of the samples with kept estimates.
     """
 
     u: NDArray[np.floating]
@@ -92,7 +92,7 @@ def _room(axes: int, kept: int, p: int) -> Results:
 
 
 def kept_samples(samples: int, every: int | None) -> NDArray[np.int64]:
-    """Numbers of the samples whose estimates are kept: every so many, and the last."""
+    """Numbers of the samples whose estimates are kept: one in `every`, and the last."""
     last = np.arange(samples)[-1:]
     return last if every is None else np.union1d(np.arange(every - 1, samples, every), last)
 
@@ -104,13 +104,13 @@ def _make_readable(array: Numbers, readable: tuple[type[N], ...], other: type[N]
 
 
 def threads(workers: int | None) -> int:
-    """So many, None: as many as there are processors. Raises UsageError for what is no number of threads."""
+    """Number of threads; None: as many as there are processors. Raises UsageError for what is no number of threads."""
     remedy = "it is the number of threads; None: as many as there are processors"
     return _processors() if workers is None else whole_number("workers", workers, 1, remedy)
 
 
 class SideBySide:
-    """So many axes from the present state of a kernel, which itself does not change; names, units: of its parameters.
+    """Axes from the present state of a kernel, which itself does not change; names, units: of its parameters.
 
     axes, workers: see `Fleet`. Raises UsageError for other numbers, and for more axes than the memory holds.
     """

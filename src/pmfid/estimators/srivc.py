@@ -88,9 +88,9 @@ class ProcessOnly(Estimator):
 class SRIVC(ProcessSolver, ProcessOnly):
     """Simplified refined instrumental variables for continuous time (Young and Jakeman 1980; Young 2011, chapter 8).
 
-    sum zeta (z - phi^T theta) = 0, all signals behind 1/A(s) of the estimate, instruments zeta from the output that the
-    estimate simulates from the input; iterated from least squares with filters of the pole `cutoff`. Unstable
-    intermediate models are reflected; where the iteration does not settle, output error by Levenberg and Marquardt
+    sum zeta (z - phi^T theta) = 0, all signals filtered by 1/A(s) of the estimate, instruments zeta from the output
+    that the estimate simulates from the input; iterated from least squares with filters of the pole `cutoff`. Unstable
+    intermediate models are reflected; if the iteration does not settle, output error by Levenberg and Marquardt
     takes over, and further filters are tried. There is no error of discretisation. Initial conditions are always
     unknown and part of the fit. For white noise on the output it is efficient; for any noise that is not correlated
     with the input it is consistent. theta_cov holds for noise of any colour (`transfer/confidence.py`).

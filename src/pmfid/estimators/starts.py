@@ -18,7 +18,7 @@ Found = TypeVar("Found")
 
 #: Time constants of the filters over which the start of a free run is read.
 READ = 5.0
-#: Speeds to begin with are read over so many time constants.
+#: Filter time constants over which speeds to begin with are read.
 WITHIN = (1.0, READ)
 #: Passes of Gauss and Newton's method; a stop that comes and goes may keep it from settling.
 PASSES = 8

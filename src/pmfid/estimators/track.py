@@ -53,7 +53,7 @@ class Track(Shown):
         return Track(names, units, theta, factor, inflation, self.innovation, whole, self.status)
 
     def repeat_last(self, samples: int, status: Status) -> Track:
-        """So many samples of the last estimate, with a status bit."""
+        """The last estimate for further samples, with a status bit."""
         own = {name: np.repeat(getattr(self, name)[-1:], samples, axis=0) for name in _signals()}
         own["innovation"][:] = 0.0
         own["status"] |= np.uint32(status)

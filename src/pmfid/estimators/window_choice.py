@@ -17,8 +17,8 @@ from pmfid.types import Floats
 
 #: Parts of the record, each predicted from the others by a free run.
 FOLDS = 3
-#: A part is also run in so many pieces, each begun anew: one long run is a matter of chance, many short ones say little
-#: on drift. A piece is so many times longer than what its start is read from.
+#: Pieces in which a part is run as well, each with its own start: one long run is a matter of chance, many short ones
+#: say little on drift. WORTH: length of a piece over the span that its start is read from.
 PIECES, WORTH = (1, 2, 4, 8), 4
 #: The shortest window, in time constants of the filters and in samples: shorter ones say little but where they start.
 SHORTEST, FEWEST = 20.0, 40
@@ -45,10 +45,10 @@ class WindowChoice:
         best = {length: error for length, error in self.errors.items() if length != self.seconds}
         other = min(best, key=lambda length: best[length])
         named = "one window" if math.isinf(other) else f"windows of {other:.3g} s"
-        beside = f"by {best[other]:.3g} with {named}" if best[other] < math.inf else "other windows give no estimate"
+        others = f"by {best[other]:.3g} with {named}" if best[other] < math.inf else "other windows give no estimate"
         return (
-            f"{chosen}, chosen on this record: free runs over each third of it with what the others give, also begun "
-            f"anew within it, are off by {self.errors[self.seconds]:.3g}, {beside}"
+            f"{chosen}, chosen on this record: free runs over each third of it with what the others give, also "
+            f"restarted within it, are off by {self.errors[self.seconds]:.3g}, {others}"
         )
 
 
@@ -99,7 +99,7 @@ def _pieces(part: Difference, cutoff: float) -> list[int]:
 
 
 def _log_error(part: Difference, theta: Floats, cutoff: float, pieces: int) -> float:
-    """Logarithm of the root mean square error [counts] of runs over so many pieces of a part."""
+    """Logarithm of the root mean square error [counts] of runs over the pieces of a part."""
     edges = np.linspace(0, part.y.size, pieces + 1).round().astype(int).tolist()
     runs = [free_run(part.part(first, last), theta, cutoff) for first, last in pairwise(edges)]
     left = rms(np.concatenate(runs))

@@ -43,7 +43,7 @@ class Windows(Difference):
 
     @classmethod
     def cover_stretches(cls, difference: Difference, stretches: Sequence[tuple[int, int]], length: int) -> Windows:
-        """Windows of about so many samples that fill stretches of the record, from first to last - 1 each."""
+        """Windows of about `length` samples that fill stretches of the record, from first to last - 1 each."""
         edges = [edge for stretch in stretches for edge in _covering(*stretch, length)]
         own = {field.name: getattr(difference, field.name) for field in fields(Difference)} | {"pole": 0.0}
         pieces = tuple(Difference(**own).part(first, last) for first, last in edges)

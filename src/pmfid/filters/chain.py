@@ -47,10 +47,10 @@ def chain(network: Network, source: int, cutoff: float, order: int, dt: float, c
 def matched_input(
     network: Network, source: int, cutoff: float, order: int, dt: float, relative_degree: int
 ) -> list[int]:
-    """Nodes of the chain behind M_r(z) = 2^r B_r(z) / (r! (z+1)^r), for a held input of a plant of relative degree r.
+    """Nodes of the chain after M_r(z) = 2^r B_r(z) / (r! (z+1)^r), for a held input of a plant of relative degree r.
 
     B_r are the Euler-Frobenius polynomials (Astrom, Hagander and Sternby 1984): the zeros that sampling gives an
-    integrator chain behind a hold, where the trapezoidal rule has (z+1)^r. The zeros at -1 cancel in the coefficients;
+    integrator chain after a hold, in place of (z+1)^r of the trapezoidal rule. Zeros at -1 cancel in the coefficients;
     what is left of B_r are first-order stages. order >= derivative + relative_degree.
     """
     roots = [root for root in np.roots(euler_frobenius(relative_degree)).real if abs(root + 1) > 1e-6]
@@ -95,7 +95,7 @@ def hold_matched(network: Network, source: int, cutoff: float, order: int, dt: f
 
 
 def hold_exact(network: Network, source: int, cutoff: float, order: int, dt: float, j: int = 0) -> Taps:
-    """s^j F(s) behind a zero-order hold, exactly (paper section III-A): a sum of stages of pole exp(-cutoff dt)."""
+    """s^j F(s) after a zero-order hold, exactly (paper section III-A): a sum of stages of pole exp(-cutoff dt)."""
     pole = float(np.exp(-cutoff * dt))
     nodes = [network.stage(source, pole, 1 - pole, 0.0)]
     for _ in range(order - 1):

@@ -91,7 +91,7 @@ class ColumnBuilder:
         return taps
 
     def instruments(self) -> list[Taps]:
-        """Regressors, with the filtered input behind 1/f(s) in place of the noisy ones."""
+        """Regressors, with the filtered input after 1/f(s) in place of the noisy ones."""
         columns = self.regressors()
         for column, power in zip(self.equation.noisy, self.equation.instrument_powers, strict=True):
             columns[column] = self.prefilter_input(power)
@@ -171,7 +171,7 @@ class ColumnBuilder:
         return self.spec.discretization == "matched" and self.equation.relative_degree > 1
 
     def input_node(self) -> int:
-        """The held input of a process behind its dead time."""
+        """The held input of a process after its dead time."""
         node = LATE_INPUT
         for _ in range(self.equation.delay):
             node = self.network.delay(node)

@@ -65,7 +65,7 @@ def new_kernel(
 
 
 def network_values(stages: Stages, columns: Columns, parameters: int) -> dict[str, object]:
-    """The fields of `pmf_network_config_t`. Raises ValueError where the kernel has no room for so many."""
+    """The fields of `pmf_network_config_t`. Raises ValueError if the kernel has no room for the stages or columns."""
     sizes, taps = constants_of(None), [tap for column in columns for tap in column]
     names = ("PMF_MAX_STAGES", "PMF_MAX_TAPS", "PMF_MAX_COLUMNS", "PMF_MAX_PARAMETERS")
     room = [sizes[name] for name in names]

@@ -96,7 +96,7 @@ def long_memory(recursion: Structured) -> bool:
 
 
 def columns_of(config: Structured) -> int:
-    """Columns of the network, and behind them the model's of a linear process: regressors, target, instruments."""
+    """Number of columns: those of the network, then regressors, target and instruments of a linear process's model."""
     n, linear = int(config["network"]["n_columns"]), config["linear"]
     return int(linear["first_column"]) + 2 * int(config["instrument"]["n_parameters"]) + 1 if linear["enabled"] else n
 
@@ -163,7 +163,7 @@ FLEET_MAGIC, FLEET_VERSION = 0x46464D50, 1  # "PMFF"
 
 
 def save_fleet(kernel: ManyKernel, precision: str) -> bytes:
-    """The bytes of all axes of a `ManyKernel`, behind what says whose they are."""
+    """The bytes of all axes of a `ManyKernel`, after an envelope that identifies their configuration."""
     head = fleet_head(kernel, precision)
     states: bytes = kernel.states.tobytes()
     head["checksum"] = zlib.crc32(states, zlib.crc32(head.tobytes()[:-4]))

@@ -21,8 +21,8 @@ FIRST_NODE = _KERNEL["PMF_SIGNALS"]
 
 @dataclass(frozen=True)
 class ShapeTable:
-    """knots (k,) from `start` on in steps, of a speed or a place; beyond them the last one holds, or a periodic one
-    begins anew. of "square": the square of the speed, without knots. positive: as of the `Shape`."""
+    """knots (k,) from `start` on in steps, of a speed or a place; beyond them the last one holds, or a periodic table
+    repeats. of "square": the square of the speed, without knots. positive: as of the `Shape`."""
 
     of: Literal["speed", "square", "place"]
     knots: tuple[float, ...] = (0.0, 1.0)
@@ -40,8 +40,7 @@ def shape_values(
     shapes: Sequence[Acting], nodes: Sequence[int], measured: Sequence[int] | None = None
 ) -> dict[str, object]:
     """The fields of `pmf_shapes_config_t`; nodes: where the mean of each over an interval goes; measured: and where its
-    value at the place of the counts, 0: nowhere. Raises ValueError where
-    the kernel has no room for so many."""
+    value at the place of the counts, 0: nowhere. Raises ValueError if the kernel has no room for the tables."""
     rows, knots, sums = [], [0.0], [0.0]  # never none, for an array of C has one element or more
     for (table, resists), node, seen in zip(shapes, nodes, measured or [0] * len(nodes), strict=True):
         own = np.array(table.knots)

@@ -72,7 +72,7 @@ class KernelSizes:
 
 
 def source_folder() -> Path:
-    """Folder of the kernel's sources: beside the package, or in the checkout that it is installed from."""
+    """Folder of the kernel's sources: in the package, or in the checkout that it is installed from."""
     import pmfid
 
     places = [Path(__file__).parents[3] / "csrc", *(Path(path) / "csrc" for path in pmfid.__path__)]

@@ -30,7 +30,7 @@ class Model(Protocol):
 
     @property
     def symmetric(self) -> Model:
-        """The model that can be identified before the directions of motion are told apart."""
+        """The model with equal friction in both directions of motion, for the start of an identification."""
         ...
 
     @property
@@ -93,8 +93,8 @@ class Drive:
     the period of friction that changes along the travel [m].
     Parameters: mass [kg], viscous_friction [N s/m], coulomb_friction [N] [, offset [N]] [, stiffness [N/m]];
     directional: mass, viscous_friction_forward, viscous_friction_backward, coulomb_friction_forward,
-    coulomb_friction_backward [, stiffness]. With directional friction the offset cannot be told from the two Coulomb
-    frictions and must stay out. Behind them [, stribeck_friction [N]] [, quadratic_friction [N s2/m2]] [, gravity_sin,
+    coulomb_friction_backward [, stiffness]. Directional friction excludes an offset, which the two Coulomb frictions
+    already contain. Then follow [, stribeck_friction [N]] [, quadratic_friction [N s2/m2]] [, gravity_sin,
     gravity_cos [N]] [, cogging_sin, cogging_cos [N]] [, friction_sin, friction_cos [N]] [, dead_time [s]]
     [, stribeck_speed [m/s]]. Forces and friction of a place count it from the first sample on.
     dead_time: by which u acts late, or the counts are [s], any part of a sample; "estimate": a parameter, too, up to 20
@@ -137,7 +137,7 @@ class Drive:
             raise UsageError(f"friction must be one of {FRICTIONS}, got {self.friction!r}")
         if self.friction == "directional" and self.offset:
             raise UsageError(
-                "offset and directional friction cannot be told apart; leave the offset out: "
+                "offset and directional friction cannot be distinguished; leave the offset out: "
                 "it is half the difference of the two Coulomb frictions"
             )
         if isinstance(self.stribeck, str) and self.stribeck != ESTIMATE:

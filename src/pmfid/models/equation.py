@@ -153,7 +153,7 @@ class Equation:
         object.__setattr__(self, "further", tuple(dict.fromkeys((*lag, *self.further, *free))))
         places = [term.place for term in (*self.unknown, *self.known)]
         if len(set(places)) < len(places):
-            raise UsageError("a signal's derivative stands in two terms of the equation, which cannot be told apart")
+            raise UsageError("a signal's derivative stands in two terms of the equation, which cannot be distinguished")
 
     def _check_late(self) -> None:
         check_late(DEAD_TIME, self.dead_time)
@@ -189,12 +189,12 @@ class Equation:
 
     @property
     def searched(self) -> tuple[str, ...]:
-        """Unknowns, beside a lag, in which it is not linear."""
+        """Unknowns, other than a lag, in which the equation is not linear."""
         return tuple(name for name, _ in self.further if name != LAG or self.process)
 
     def role_values(self, theta: Sequence[float] | Floats | None) -> list[float]:
-        """What the simulated body takes for each role: of the parameters (p,), 0 for those that the equation lacks, and
-        the dead time also where it is known; None: that alone."""
+        """The value of each role in the simulated body: from the parameters (p,), and 0 for a role without a term. The
+        dead time is there also if it is known; theta None: the dead time alone."""
         known = [0.0 if index is None or theta is None else float(theta[index]) for index in self.roles]
         if self.dead_time != ESTIMATE:
             known[LATE] = self.dead_time
@@ -275,7 +275,7 @@ class Equation:
 
     @cached_property
     def shaped(self) -> tuple[Term, ...]:
-        """Terms with a shape, in the order of their roles behind those of the body."""
+        """Terms with a shape, in the order of their roles, which follow the roles of the body."""
         return tuple(term for term in self.unknown if term.shape is not None)
 
     @cached_property
@@ -343,11 +343,11 @@ class Equation:
             left = [f"{term.name} {term.reads}" for term in self.unknown if term.signal != "input"]
             late = DEAD_TIME if self.dead_time == ESTIMATE else f"{self.dead_time:.9g} s"
             driven = " + ".join(f"{term.coefficient:.9g} {term.reads}" for term in self.known)
-            behind = LAG if self.lag == ESTIMATE else f"{self.lag:.9g} s"
-            told = (f", u from {late} before" if self.dead_time else "") + (
-                f", u lagging by {behind}" if self.lag else ""
+            lag = LAG if self.lag == ESTIMATE else f"{self.lag:.9g} s"
+            delay = (f", u from {late} before" if self.dead_time else "") + (
+                f", u lagging by {lag}" if self.lag else ""
             )
-            return f"{' + '.join(left)} = {driven}{told}"
+            return f"{' + '.join(left)} = {driven}{delay}"
         # its output's highest derivative is the known term, and the input's side has factors -1
         highest = Term("process_output", self.order).reads
         left, right = (
@@ -365,7 +365,7 @@ class Equation:
         if self.roles[MASS] is None:
             return "it has no unknown second derivative of the output (a mass)"
         if known != {("input", 0)}:
-            return "it has known terms beside the input"
+            return "it has known terms in addition to the input"
         signals = {term.signal for term in self.unknown}
         if any(len(signals & {way, way.replace("for", "back")}) == 1 for way in ("forward", "forward_output")):
             return "it has friction in one direction only"

@@ -30,7 +30,7 @@ class TransferFunction:
 
     What follows is for the methods that simulate, `SRIVC`, `IV` and `OE`; integrators are for every method off-line.
     m = n: a part of the input goes straight through. A held input acts from its own sample on: y[k] sees u[k - delay].
-    integrators: so many poles, 0 to n, are known to be at 0; the denominator is s^integrators (s^(n-integrators) + ...)
+    integrators: number of poles known to be at 0, 0 to n; the denominator is s^integrators (s^(n-integrators) + ...)
     and has no coefficients below a{integrators}. Where the output starts, and how fast it drifts, is part of the fit;
     offset is then a constant force, that makes the output a ramp or a parabola.
     unstable: poles may be in the right half-plane, of a process that only its controller holds; give the reference of

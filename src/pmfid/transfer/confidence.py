@@ -17,8 +17,8 @@ from pmfid.types import Floats, Places
 
 #: Steps between the stretches on the line of all samples: more than what a noise usually remembers.
 APART = 100
-#: Degrees of freedom, at least: the power of the noise is known from so many independent samples only, and Student's t
-#: has a larger variance than a normal deviate.
+#: Degrees of freedom, at least: the effective number of samples bounds how well the power of the noise is known, and
+#: Student's t has a larger variance than a normal deviate.
 LEAST_FREE = 4.0
 
 

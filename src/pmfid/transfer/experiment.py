@@ -34,10 +34,10 @@ class Experiment(Shown):
     u, y: (N,) input and output at the same instants; y is NaN where a sample is missing, u where it is not known, which
     ends a stretch. dt: sample period [s], or t: (N,) instants [s], rising, with any spacing. hold: "zoh", the input
     keeps its value until the next instant, or "foh", it goes there in a straight line. gap: a step longer than this
-    [s] separates two stretches with unknown initial conditions; None: 1.75 median steps. reference: (N,) what a
-    controller was told, not correlated with the noise; in closed loop the source of the instruments. name: of the
-    record, for people.
-    Raises UsageError where the arrays do not fit each other, the time does not rise, or neither dt nor t is there.
+    [s] separates two stretches with unknown initial conditions; None: 1.75 median steps. reference: (N,) the set point
+    of a controller, not correlated with the noise; in closed loop the source of the instruments. name: of the record,
+    for people.
+    Raises UsageError if the arrays do not fit each other, the time does not rise, or neither dt nor t is there.
     """
 
     u: Floats

@@ -1,4 +1,4 @@
-"""Instrumental variables for a linear process behind filters that stay."""
+"""Instrumental variables for a linear process with filters that stay the same."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ def _get_feedthrough(problem: ProcessProblem, theta: Floats) -> float:
 
 
 def _missed_by_lines(problem: ProcessProblem, pole: float, data: ProcessPoint) -> Floats:
-    """(N, p) what straight lines between the samples of the input, in place of the input, lack in the regressors of an
-    output that is the input; without a part that goes straight through, none.
+    """(N, p) error of the regressors of an output that equals the input, if straight lines replace the input between
+    its samples; zero without direct feedthrough.
 
-    data: the problem behind the filters, whose regressors hold the input as it was."""
+    data: the filtered problem, whose regressors hold the exact input."""
     structure, missed = problem.structure, np.zeros(data.phi.shape)
     if structure.m < structure.n:
         return missed

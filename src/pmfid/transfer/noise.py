@@ -14,7 +14,7 @@ from pmfid.types import Floats, Places
 
 #: Orders that are tried: up to this, and no more than a part of the samples.
 MOST, PART = 40, 8
-#: What the fit took is put back in so many passes, while the power stays below so many times that of the residual.
+#: Passes that restore the part of the noise that the fit took, and the largest power, over the power of the residual.
 PASSES, LARGEST = 3, 3.0
 #: Part of the samples whose follower may be missing; lags that tell whether the noise is white.
 GAPS, SOON = 0.02, 11
@@ -38,7 +38,7 @@ class Noise:
         return np.asarray(np.r_[1.0, -self.coefficients])
 
     def effective(self, samples: int) -> float:
-        """So many samples of white noise would have correlations as uncertain as these have (Bartlett 1935)."""
+        """Number of samples of white noise whose correlations would be as uncertain as these (Bartlett 1935)."""
         spectrum = self._spectrum(EFFECTIVE)
         return samples * float(np.mean(spectrum) ** 2 / np.mean(spectrum**2))
 
@@ -84,7 +84,7 @@ def fit_noise(error: Floats, place: Places, taken: Floats | None = None) -> Nois
 
 
 def whiten_columns(noise: Noise, columns: Floats, place: Places) -> Floats:
-    """Columns (N, c) behind the whitening filter, missing samples as zeros: (N, c)."""
+    """Columns (N, c) after the whitening filter, missing samples as zeros: (N, c)."""
     laid = _place_on_line(columns, place, int(place[-1] - place[0]) + 1)
     result = laid.copy()
     for lag, value in enumerate(noise.coefficients, start=1):
@@ -95,10 +95,10 @@ def whiten_columns(noise: Noise, columns: Floats, place: Places) -> Floats:
 def _compute_fit_effect(noise: Noise, taken: Floats, place: Places, most: int) -> Floats:
     """(most + 1,) by how much less sum e[t] e[t+k] of a residual is expected than of its noise: with the projection
     1 - Q Q^T and the shift S the traces of 2 Q^T S R Q - Q^T S Q Q^T R Q."""
-    behind = noise.times(taken, place)
-    inside = taken.T @ behind
+    coloured = noise.times(taken, place)
+    inside = taken.T @ coloured
     size = int(place[-1] - place[0]) + 1
-    Q, RQ = _place_on_line(taken, place, size), _place_on_line(behind, place, size)
+    Q, RQ = _place_on_line(taken, place, size), _place_on_line(coloured, place, size)
     found = np.zeros(most + 1)
     for k in range(min(most + 1, size)):
         early, late = Q[: size - k], Q[k:]

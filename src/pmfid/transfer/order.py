@@ -21,11 +21,11 @@ from pmfid.transfer.whiteness import is_white
 #: A model is judged once a step would lower its sum of squares by less than this part.
 SETTLED = 1e-6
 PASSES = 10
-#: Poles, beside the most, of a model that the colour of the noise is taken from.
+#: Poles of the smaller one of two models that the colour of the noise is taken from; the other one has the most poles.
 MIDDLE = 3
-#: So many of those that did not settle, but look best, are given more passes.
+#: Best structures among those that did not settle, which are given more passes.
 RETRIED = 8
-#: So many structures are tried before none is recommended; why an estimate that is there is not.
+#: Structures that are tried before none is recommended; the reason to refuse an estimate.
 TRIED, UNSTABLE = 8, "the estimate is unstable"
 #: A model counts as follows the record no closer than this part of the output: two such models are equally good.
 EXACT = 1e-7
@@ -38,10 +38,10 @@ DELAYS = range(6)
 class OrderCandidate:
     """A structure and how it does.
 
-    n, m, delay [samples]; bic: Schwarz's criterion N log(error power) + p log(N) behind the whitening filter of the
+    n, m, delay [samples]; bic: Schwarz's criterion N log(error power) + p log(N) after the whitening filter of the
     noise, less is better; fit: percent of the output's standard deviation that the simulation explains; condition: of
     the scaled sensitivities, large where poles and zeros nearly cancel; settled: whether the iteration did; white:
-    whether what is left behind that filter is white noise; theta (p,); samples: N; refused: why an estimate of this
+    whether the filtered residual is white noise; theta (p,); samples: N; refused: why an estimate of this
     structure is not accepted, as far as that was tried.
     """
 
@@ -84,7 +84,7 @@ def search_structure(
     """All n in orders, m < n and delays, fitted to the same samples by refined instrumental variables.
 
     Noise that is not white would make any criterion take it for dynamics: so its colour is found first, from what the
-    largest and a middle order leave, and all structures are compared behind its whitening filter (`prewhitening.py`).
+    largest and a middle order leave, and all structures are compared after its whitening filter (`prewhitening.py`).
     cutoff: pole of the first filters [rad/s]. A structure is skipped where a model that contains it, with one zero less
     than poles and the same delay, leaves so much that its own sum of squares cannot win; done is called with the part
     that is finished. Raises UsageError without orders, delays or a usable record, and NotIdentifiableError where no
@@ -220,7 +220,7 @@ def _bic(problem: ProcessProblem, cost: float, samples: int, effective: float | 
 def _make_candidate(
     problem: ProcessProblem, white: ProcessProblem, colour: Noise | None, solution: Solution, delay: int
 ) -> OrderCandidate:
-    """white: the problem behind the filter, in which the solution is."""
+    """white: the filtered problem of the solution."""
     structure, point = problem.structure, solution.point
     coloured = colour is not None and white is problem
     theta = point.theta.copy()

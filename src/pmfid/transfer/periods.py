@@ -1,8 +1,9 @@
 """An input that repeats: what the residual does again in every period is an error of the model, the rest is noise.
 
 Over R periods noise averages out and what repeats does not: a sum of R times the same is R times as large, not sqrt(R).
-Bars that take it for noise are sqrt(R) too short. So both parts are taken apart phase by phase, in time: nothing leaks,
-the start may be a steady state or not (initial conditions are part of every fit), and samples may be missing.
+Standard errors that take a repeated error for noise are sqrt(R) too short. So both parts are separated phase by phase,
+in time: nothing leaks, the start may be a steady state or not (initial conditions are part of every fit), and samples
+may be missing.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ def repeats(error: Floats, known: Floats, stretches: Sequence[RecordStretch], ph
     errors of the parameters, known (N, p) their effects? Loud noise at one frequency makes those elsewhere.
 
     What repeats lies on the harmonics of the period and noise on all lines: each harmonic is compared with the lines
-    around it, behind the whitening filter of what differs between periods, and the chances of all are taken together
+    around it, after the whitening filter of what differs between periods, and the chances of all are taken together
     (Fisher 1932): so it does no harm if a narrow resonance of the noise is not quite whitened."""
     noise: Noise = fit_noise(split(error, phases)[1], place)
     columns = whiten_columns(noise, np.column_stack([error, known]), place)

@@ -1,4 +1,4 @@
-"""The same process with white noise: input and output behind the whitening filter of the noise.
+"""The same process with white noise: input and output after the whitening filter of the noise.
 
 The filter changes nothing between them: it goes through the process, and a filtered input is held, or a straight line,
 where the input was. What is compared of models there, sums of squares and criteria, holds for noise of any colour.
@@ -21,8 +21,8 @@ KEPT = 0.6
 
 
 def prewhiten_problem(problem: ProcessProblem, noise: Noise) -> ProcessProblem:
-    """The problem behind the filter, an offset of it by the sum of the filter's weights smaller; the same problem where
-    steps are uneven or so many samples are missing that too few have a whole past."""
+    """The filtered problem, whose offset is smaller by the sum of the filter's weights. The problem itself, if steps
+    are uneven or too few samples have a whole past."""
     weights = noise.whitener
     if weights.size == 1 or not all(stretch.grid.uniform for stretch in problem.stretches):
         return problem

@@ -102,7 +102,7 @@ class Process(Shown):
     @property
     def slope(self) -> tuple[str, float, float, str]:
         """What a constant input makes in the end, of the derivative that then is constant: s^k G(s) at 0 with k
-        integrators. Its name, value and standard deviation, and its unit beside those of output over input."""
+        integrators. Returns its name, value and standard deviation, and the factor of its unit to output over input."""
         k, slope = self.integrators, np.zeros(self.cov.shape[0])
         bottom = np.r_[self.a, 1.0][k]
         if k < self.a.size:

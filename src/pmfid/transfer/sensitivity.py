@@ -27,9 +27,9 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True)
 class Structure:
-    """n poles, m zeros, with or without a constant beside the input.
+    """n poles, m zeros, with or without a constant in addition to the input.
 
-    integrators: so many of the poles are at 0. unstable: poles may be in the right half-plane. dead_time: of the input,
+    integrators: number of poles at 0. unstable: poles may be in the right half-plane. dead_time: of the input,
     beyond what the stretches know of, in their unit of time; latest: None where it is known, else it is the last
     parameter, sought from dead_time on and up to this.
     """

@@ -27,7 +27,7 @@ ROUNDING = 1e-20
 EDGE = 0.9
 #: Part of a sensitivity that must not follow from the others.
 APART = 1e-7
-#: From so many unknown poles on there are local optima that a first one may be.
+#: Unknown poles from which on the first optimum may be a local one.
 SEVERAL = 3
 #: Another optimum is better if its sum of squares is lower by this part.
 LOWER = 1e-9
@@ -140,7 +140,7 @@ def _possible_step(problem: ProcessProblem, point: ProcessPoint, phi: Floats) ->
 
 
 def filter_problem(problem: ProcessProblem, pole: float) -> ProcessPoint:
-    """All signals behind 1/(s + pole)^n, pole in units of the problem (state variable filters)."""
+    """All signals filtered by 1/(s + pole)^n, pole in units of the problem (state variable filters)."""
     structure = problem.structure
     a = np.atleast_1d(np.poly(np.full(structure.free, -pole)))[:0:-1]
     late = [structure.dead_time] * (structure.latest is not None)
@@ -231,8 +231,8 @@ def small(point: ProcessPoint, step: Floats, settled: float = SETTLED) -> bool:
 
 
 def solve(problem: ProcessProblem) -> Solution:
-    """From least squares by refinement; where that does not settle, by descent, and from other filters. With so many
-    poles that one of them may end beside the resonance it belongs to, from all filters, for the best of them."""
+    """From least squares by refinement; if that does not settle, by descent, and from other filters. With SEVERAL poles
+    or more one of them may miss its resonance, so all filters are tried and the best solution counts."""
     best: Solution | None = None
     every = problem.structure.free >= SEVERAL and not problem.referenced
     for pole in STARTS:

@@ -40,9 +40,9 @@ class ShardedFleet:
     estimator alone would give.
 
     An axis is called by its handle, a number that `add` gives and that no other axis ever gets; its place in memory is
-    used again behind `remove`. folder: of the checkpoints, one fleet at a time; what the last whole one there holds is
-    taken up, and `restored` tells; None: no checkpoints. estimators: the configurations of the axes in the folder, and
-    others. shard: axes of a shard, where the folder does not say. workers: threads, None: as many as there are
+    used again after `remove`. folder: of the checkpoints, one fleet at a time; the fleet resumes from the last whole
+    checkpoint there, see `restored`; None: no checkpoints. estimators: the configurations of the axes in the folder,
+    and others. shard: axes of a shard, if the folder does not say. workers: threads, None: as many as there are
     processors. One thread at a time may use it. Raises UsageError for other numbers, for an estimator that is not
     recursive, a folder that cannot be used, and for axes in it whose configuration is not among the estimators.
     """
@@ -77,7 +77,7 @@ class ShardedFleet:
             vault.close()
             raise
         if found is not None:
-            self.restored, self._size = found.told, found.size or self._size
+            self.restored, self._size = found.restored, found.size or self._size
             self._shards, self._handles = found.shards, found.handles
 
     def __repr__(self) -> str:
@@ -107,7 +107,7 @@ class ShardedFleet:
     # --- axes come and go ---------------------------------------------------------------------------------------------
 
     def add(self, estimator: Estimator, axes: int = 1) -> NDArray[np.int64]:
-        """So many axes more, which begin in the present state of an estimator or `Runner`; their handles (axes,).
+        """Adds axes, which begin in the present state of an estimator or `Runner`; returns their handles (axes,).
         Raises UsageError for another number, an estimator that is not recursive, and more than the memory holds."""
         runner = runner_of(estimator)
         number = whole_number("axes", axes, 0, "it is how many are added")
@@ -131,7 +131,7 @@ class ShardedFleet:
         return self._groups.setdefault(identity_of(runner), ShardGroup(runner))
 
     def _places_for(self, group: ShardGroup, axes: int) -> NDArray[np.int64]:
-        """So many free places of a configuration, those first that have been in use, then new shards."""
+        """Free places of a configuration for new axes: places that have been in use first, then new shards."""
         found, left = [np.zeros(0, np.int64)], axes
         for shard in self._shards:
             if left and shard.group is group:
@@ -235,15 +235,15 @@ class ShardedFleet:
         """Writes the shards that have changed since the last checkpoint; their bytes. When it returns, the whole fleet
         is on disk as it is now; a kill before that leaves the last one.
 
-        mark: written beside it, of what JSON knows, as how far the samples have been read. sync: waits until the disk
-        has it, so that it outlives the power, too; False: it outlives the process alone, and what the power takes is
-        found by its checksum. Raises OSError where the disk does not take it, behind which the last one counts, and
-        UsageError without a folder, behind `close`, or for another mark.
+        mark: a JSON value stored with the checkpoint, as how far the samples have been read. sync: waits until the disk
+        has the checkpoint, so that it outlives a loss of power; False: it outlives the process alone, and its checksum
+        shows what a loss of power destroyed. Raises OSError if the disk does not take it, and the last one counts then.
+        Raises UsageError without a folder, after `close`, or for another mark.
         """
         if self._vault is None:
             raise UsageError("this fleet has no folder for checkpoints; give one as in ShardedFleet('state')")
         if self._closed:
-            raise UsageError("this fleet was closed, and its folder may be another's; open it anew with ShardedFleet")
+            raise UsageError("this fleet was closed, and its folder may be another's; open it again with ShardedFleet")
         try:
             json.dumps(mark)
         except (TypeError, ValueError, RecursionError) as error:

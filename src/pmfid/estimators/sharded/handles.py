@@ -1,5 +1,5 @@
-"""Numbers by which axes are called. A place is used again behind a removal, its number never: it holds how many axes
-the place has had before."""
+"""Numbers by which axes are called. A place is used again after a removal, a number never: the number holds how many
+axes the place has had before."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pmfid.errors import UsageError
 
 __all__ = ["LAST", "Handles"]
 
-#: Axes that a place has had before its last one; behind that it stays empty, for its number would come again.
+#: Axes that a place has had before its last one; after the last one the place stays empty, for its number would recur.
 LAST = 2**31 - 1
 _BITS, _PLACE = 32, 2**32 - 1
 
@@ -23,7 +23,7 @@ class Handles:
         self.taken = np.zeros(places, np.bool_)
 
     def grow(self, places: int) -> None:
-        """So many places more."""
+        """Adds places."""
         self.before = np.concatenate([self.before, np.zeros(places, np.uint32)])
         self.taken = np.concatenate([self.taken, np.zeros(places, np.bool_)])
 

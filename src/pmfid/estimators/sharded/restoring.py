@@ -22,8 +22,8 @@ __all__ = ["Restored", "restored_from"]
 
 @dataclass(frozen=True)
 class Restored:
-    """What a fleet began with. sequence: number of the checkpoint, 0: none; mark: what was written beside it; damaged:
-    files that were not whole and are set aside, each with its reason; lost: handles of axes that began anew for it."""
+    """What a fleet began with. sequence: number of the checkpoint, 0: none; mark: stored with it; damaged: files that
+    were not whole and are set aside, each with its reason; lost: handles of axes that were reset for that reason."""
 
     sequence: int
     mark: object
@@ -33,7 +33,7 @@ class Restored:
 
 @dataclass(frozen=True)
 class Taken:
-    """Shards as a checkpoint has them. broken: numbers of those that are not whole, which begin anew, and why."""
+    """Shards as a checkpoint has them. broken: numbers of the damaged ones, which are reset, and the reason."""
 
     listing: Listing
     shards: list[Shard]
@@ -44,27 +44,28 @@ class Taken:
 class Content:
     """All that a fleet has. size: places of a shard."""
 
-    told: Restored
+    restored: Restored
     size: int
     shards: list[Shard]
     handles: Handles
 
 
 def restored_from(vault: Vault, groups: Mapping[bytes, ShardGroup], each: Each) -> Content | None:
-    """The newest checkpoint of which all shards are whole; where none is, the newest one, and what is not whole of it
-    begins anew. None: there is no checkpoint. groups: the configurations by their identity. Raises UsageError for axes
-    of another one."""
-    told = list[Told]()
-    readable = _listings(vault, told.append)
+    """The newest checkpoint with whole shards only. If there is none, the newest checkpoint, with its damaged shards
+    reset. None: there is no checkpoint. groups: the configurations by their identity. Raises UsageError for axes of
+    another configuration."""
+    reports = list[Told]()
+    readable = _listings(vault, reports.append)
     for listing in readable:
         taken = _take_shards(listing, vault.folder, groups, each)
         for number, problem in taken.broken.items():
-            _say(place_of(vault.folder, number, listing.shards[number].side), problem, told.append)
+            _say(place_of(vault.folder, number, listing.shards[number].side), problem, reports.append)
         if not taken.broken:
-            return _content(taken, told)
+            return _content(taken, reports)
     if readable:
-        return _content(_take_shards(readable[0], vault.folder, groups, each), told)
-    return Content(Restored(0, None, _sentences(told), np.zeros(0, np.int64)), 0, [], Handles()) if told else None
+        return _content(_take_shards(readable[0], vault.folder, groups, each), reports)
+    lost = Restored(0, None, _sentences(reports), np.zeros(0, np.int64))
+    return Content(lost, 0, [], Handles()) if reports else None
 
 
 def _listings(vault: Vault, tell: Callable[[Told], None]) -> list[Listing]:
@@ -109,12 +110,12 @@ def _say(path: Path, problem: str, tell: Callable[[Told], None]) -> None:
         tell({"event": "checkpoint", "damaged": path.name, "problem": problem})
 
 
-def _content(taken: Taken, told: Sequence[Mapping[str, Any]]) -> Content:
+def _content(taken: Taken, reports: Sequence[Mapping[str, Any]]) -> Content:
     listing, places = taken.listing, np.flatnonzero(taken.listing.handles.taken)
     lost = places[np.isin(places // max(1, listing.size), list(taken.broken))]
-    restored = Restored(listing.sequence, listing.mark, _sentences(told), listing.handles.make_handles(lost))
+    restored = Restored(listing.sequence, listing.mark, _sentences(reports), listing.handles.make_handles(lost))
     return Content(restored, listing.size, taken.shards, listing.handles)
 
 
-def _sentences(told: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    return tuple(f"{one['damaged']}: {one['problem']}" for one in told)
+def _sentences(reports: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    return tuple(f"{one['damaged']}: {one['problem']}" for one in reports)

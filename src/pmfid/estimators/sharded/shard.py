@@ -63,7 +63,7 @@ def identity_of(runner: Runner[RecursiveEstimator]) -> bytes:
 
 @dataclass(eq=False)
 class Shard:
-    """Up to `size` axes. number: its own in the fleet; rows: so many have been in use; changed: since the last
+    """Up to `size` axes. number: its own in the fleet; rows: places that have been in use; changed: since the last
     checkpoint; side, sequence: the file that holds it in the last checkpoint, if there is one; synced: the disk is
     known to have that file."""
 

@@ -2,8 +2,8 @@
 
 Every shard has two files, its sides. A checkpoint writes the shards that have changed to the sides that the last one
 does not use, has them synced, and then puts a list of all sides in use into a `Vault`, which replaces the older of its
-two by a rename. Until that rename the last checkpoint is whole, behind it the new one. Files are mapped to be read, not
-to be written: a full disk is then an error and no signal, and no state that is half stepped reaches the disk.
+two by a rename. Until that rename the last checkpoint is whole, then the new one. Files are mapped to be read, not to
+be written: a full disk is then an error and no signal, and no state that is half stepped reaches the disk.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ __all__ = [
 POINTS = ("shard.half", "shard.written", "shard.synced", "shards.synced")
 #: No fleet has more places, and no shard: what a file says is not believed beyond that.
 MOST, MOST_OF_SHARD = 2**28, 2**20
-#: _SHARD: number of a shard and its rows, behind the identity of its configuration.
+#: _SHARD: number of a shard and its rows, after the identity of its configuration.
 _LENGTH, _SHARD = struct.Struct("<Q"), struct.Struct("<II")
 #: Bytes of a place in a list: axes before, whether there is one.
 _PLACE = 5
@@ -65,7 +65,7 @@ class Listed:
 
 @dataclass(frozen=True)
 class Listing:
-    """A checkpoint. size: places of a shard; mark: what whoever made it wrote beside it."""
+    """A checkpoint. size: places of a shard; mark: what whoever made it stored with it."""
 
     sequence: int
     size: int
