@@ -104,7 +104,7 @@ def _theta(problem: Problem, run: DesignedRun) -> Floats:
 def trial(problem: Problem, u: Floats, method: str, runs: int) -> Trial:
     """`runs` experiments on the nominal drive with stiction; run k has seed k. u: (intervals,)."""
     nominal = np.array([problem.nominal[name] for name in problem.names])
-    s = affine(problem).weighted(u)
+    s = affine(problem).weigh_sensitivities(u)
     predicted, unknown_start = (100 * np.sqrt(np.linalg.inv(F).diagonal()) for F in (s @ s.T, start_free(s)))
     covariance = encoder_covariance(known(problem), u) if method == "commission" else squares_covariance(problem, u)
     encoder = np.full(nominal.size, np.nan) if covariance is None else 100 * np.sqrt(covariance.diagonal()) / nominal

@@ -13,7 +13,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.exact import refine_estimate
 from pmfid.estimators.ls import LS
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.simulation.process import Plant, simulate_process
+from pmfid.simulation.process import SimulatedProcess, simulate_process
 from pmfid.simulation.signals import prbs
 from pmfid.types import Floats
 from studies.paper.truth import Study, Task, table
@@ -27,7 +27,7 @@ RANGE = 10.0
 GOAL = 1e-6
 
 
-def plant_at_random(n: int, relative_degree: int, fastest: float, seed: int) -> Plant:
+def plant_at_random(n: int, relative_degree: int, fastest: float, seed: int) -> SimulatedProcess:
     """A stable plant whose fastest pole times the period is `fastest`; half of the pole pairs are complex, zeros may
     lie in the right half-plane."""
     rng = np.random.default_rng(seed)
@@ -46,10 +46,12 @@ def plant_at_random(n: int, relative_degree: int, fastest: float, seed: int) -> 
     zeros = -fast * RANGE ** -rng.uniform(size=m) * rng.choice([-1.0, 1.0], m)
     b = np.atleast_1d(np.poly(zeros)) * fast**relative_degree
     a = np.poly(roots).real
-    return Plant(f"{n}, {relative_degree}", tuple(b), tuple(a), DT, max(1, round(0.5 / fastest)), SAMPLES, fast, ())
+    return SimulatedProcess(
+        f"{n}, {relative_degree}", tuple(b), tuple(a), DT, max(1, round(0.5 / fastest)), SAMPLES, fast, ()
+    )
 
 
-def record_of(plant: Plant, seed: int) -> tuple[Floats, Floats]:
+def record_of(plant: SimulatedProcess, seed: int) -> tuple[Floats, Floats]:
     """Random binary input and the output without noise, each (SAMPLES,)."""
     u = prbs(plant.samples, clock=plant.clock, amplitude=1.0, rng=np.random.default_rng(seed))
     return u, simulate_process(plant.b, plant.a, u, plant.dt)

@@ -15,7 +15,7 @@ from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.simulation.process import PLANTS, Plant, simulate_process
+from pmfid.simulation.process import PLANTS, SimulatedProcess, simulate_process
 from pmfid.transfer.written import polynomial
 from pmfid.types import Floats
 from studies.paper.truth import Study, Task, table
@@ -41,7 +41,7 @@ class NoisyRecord:
     noise_std: float
 
 
-def noisy_record(plant: Plant, noise: str, seed: int) -> NoisyRecord:
+def noisy_record(plant: SimulatedProcess, noise: str, seed: int) -> NoisyRecord:
     """The plant's input from a random place in its period on, and its output with noise of 1/SNR of its power.
 
     quantiser: rounds down to a step that has this variance, two or three levels in all, at a random
@@ -57,7 +57,7 @@ def noisy_record(plant: Plant, noise: str, seed: int) -> NoisyRecord:
     return NoisyRecord(u, quantize(y + rng.uniform(0, step), step), Encoder(step), std)
 
 
-def model_of(plant: Plant, noise: str = NOISES[0]) -> TransferFunction:
+def model_of(plant: SimulatedProcess, noise: str = NOISES[0]) -> TransferFunction:
     """With a constant where the zero of the encoder is not known."""
     return TransferFunction(len(plant.a) - 1, len(plant.b) - 1, offset=noise == "quantiser")
 
@@ -74,7 +74,7 @@ def work(name: str, noise: str, seed: int) -> dict[str, Floats]:
     return found | ({"bound": cramer_rao(plant, record)} if noise == "white" else {})
 
 
-def last_estimate(method: str, model: TransferFunction, plant: Plant, record: NoisyRecord) -> Floats:
+def last_estimate(method: str, model: TransferFunction, plant: SimulatedProcess, record: NoisyRecord) -> Floats:
     """(p,) of the plant at the end of a record; nan where there is none."""
     cls = ESTIMATORS[method]
     options: dict[str, Any] = {"prefilter_zeros": plant.zeros} if cls.instrumental else {}
@@ -91,7 +91,7 @@ def last_estimate(method: str, model: TransferFunction, plant: Plant, record: No
     return np.full(plant.theta.size, np.nan)
 
 
-def cramer_rao(plant: Plant, record: NoisyRecord) -> Floats:
+def cramer_rao(plant: SimulatedProcess, record: NoisyRecord) -> Floats:
     """Least variances (p,) of an unbiased estimate from rest with white noise (Ljung 1999, section 7.4)."""
     columns = []
     for j, size in enumerate(STEP * np.abs(plant.theta)):
@@ -104,7 +104,7 @@ def cramer_rao(plant: Plant, record: NoisyRecord) -> Floats:
     return np.asarray(np.diagonal(np.linalg.inv(fisher)) / scale**2 * record.noise_std**2)
 
 
-def _simulated(plant: Plant, theta: Floats, u: Floats) -> Floats:
+def _simulated(plant: SimulatedProcess, theta: Floats, u: Floats) -> Floats:
     n = len(plant.a) - 1
     return simulate_process(theta[n:][::-1], np.r_[1.0, theta[:n][::-1]], u, plant.dt)
 
@@ -134,7 +134,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     return lines + _checks(seeds, results)
 
 
-def _description(plant: Plant) -> str:
+def _description(plant: SimulatedProcess) -> str:
     top, bottom = polynomial(np.array(plant.b[::-1])), polynomial(np.array(plant.a[::-1]))
     return (
         f"G(s) = ({top}) / ({bottom}), T = {plant.dt:g} s, clock {plant.clock}, {plant.samples} samples, cutoff "
@@ -142,14 +142,14 @@ def _description(plant: Plant) -> str:
     )
 
 
-def errors(runs: list[dict[str, Floats]], method: str, plant: Plant) -> Floats:
+def errors(runs: list[dict[str, Floats]], method: str, plant: SimulatedProcess) -> Floats:
     """(runs, p) percent, of those with an answer."""
     found = np.array([run[method] for run in runs])
     found = found[np.all(np.isfinite(found), axis=1)]
     return np.asarray(100 * (found - plant.theta) / np.abs(plant.theta))
 
 
-def _row(method: str, runs: list[dict[str, Floats]], plant: Plant) -> list[str]:
+def _row(method: str, runs: list[dict[str, Floats]], plant: SimulatedProcess) -> list[str]:
     found = errors(runs, method, plant)
     if not found.size:
         return [f"`{method}`", *("–" for _ in plant.theta), "0"]
@@ -158,13 +158,13 @@ def _row(method: str, runs: list[dict[str, Floats]], plant: Plant) -> list[str]:
     return [f"`{method}`", *cells, str(len(found))]
 
 
-def efficiencies(runs: list[dict[str, Floats]], method: str, plant: Plant) -> Floats:
+def efficiencies(runs: list[dict[str, Floats]], method: str, plant: SimulatedProcess) -> Floats:
     """(p,) bound over mean square error about the truth."""
     bound = np.mean([run["bound"] for run in runs], axis=0) * (100 / plant.theta) ** 2
     return np.asarray(bound / np.mean(errors(runs, method, plant) ** 2, axis=0))
 
 
-def _efficiency(method: str, runs: list[dict[str, Floats]], plant: Plant) -> list[str]:
+def _efficiency(method: str, runs: list[dict[str, Floats]], plant: SimulatedProcess) -> list[str]:
     if not errors(runs, method, plant).size:
         return [f"`{method}`", *("–" for _ in plant.theta)]
     return [f"`{method}`", *(f"{value:.2g}" for value in efficiencies(runs, method, plant))]

@@ -10,7 +10,7 @@ import numpy as np
 from pmfid.encoder import Encoder
 from pmfid.estimators.srivc import SRIVC
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.simulation.process import PLANTS, Plant, simulate_process
+from pmfid.simulation.process import PLANTS, SimulatedProcess, simulate_process
 from pmfid.transfer.experiment import Experiment
 from pmfid.types import Floats
 from studies.paper.truth import Study, Task, table
@@ -42,7 +42,7 @@ def work(name: str, seed: int) -> dict[str, Floats]:
 
 
 def _record(
-    plant: Plant, samples: int, jitter: float, missing: float, std: float, rng: np.random.Generator
+    plant: SimulatedProcess, samples: int, jitter: float, missing: float, std: float, rng: np.random.Generator
 ) -> Experiment:
     """A part of the plant's input from a random place on; each instant is off by up to `jitter` periods."""
     u = np.roll(plant.u, rng.integers(plant.u.size))[:samples]
@@ -60,7 +60,7 @@ def _with_rows_lost(record: Experiment, rng: np.random.Generator) -> Experiment:
     return Experiment(record.u[kept], record.y[kept], t=record.times[kept])
 
 
-def _estimate(plant: Plant, records: list[Experiment]) -> Floats:
+def _estimate(plant: SimulatedProcess, records: list[Experiment]) -> Floats:
     model = TransferFunction(len(plant.a) - 1, len(plant.b) - 1)
     return SRIVC(model, Encoder(1.0), plant.dt, plant.cutoff).fit_experiments(records).theta
 
@@ -89,7 +89,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     return [*lines, f"Check, all at most {GOAL:g} times the error of the clean record: {verdict}; {worst:.2f}.", ""]
 
 
-def _rms(runs: list[Floats], plant: Plant) -> Floats:
+def _rms(runs: list[Floats], plant: SimulatedProcess) -> Floats:
     return np.asarray(np.sqrt(np.mean((100 * (np.array(runs) / plant.theta - 1)) ** 2, axis=0)))
 
 

@@ -138,7 +138,9 @@ def test_white_noise_sees_the_stops_too() -> None:
     creeping = standard_inputs(problem, names=("minimum_time",))["minimum_time"].u
     found = expected_covariance(problem, creeping)
     assert found is not None
-    linear = np.linalg.inv(start_free(affine(problem).weighted(creeping))) * np.outer(problem.scale, problem.scale)
+    linear = np.linalg.inv(start_free(affine(problem).weigh_sensitivities(creeping))) * np.outer(
+        problem.scale, problem.scale
+    )
     assert found[2, 2] > 9 * linear[2, 2]
 
 

@@ -78,9 +78,9 @@ def test_a_rest_keeps_position_sensitivities_and_drops_those_of_velocity() -> No
     case = problem(directions=(1,) * 10 + (0,) * 3 + (-1,) * 7)
     maps = affine(case)
     u = np.random.default_rng(0).uniform(0, 3, 20)
-    rest = maps.weighted(u)[:, 9:13]
+    rest = maps.weigh_sensitivities(u)[:, 9:13]
     assert np.ptp(rest, axis=1) == pytest.approx(0.0, abs=1e-9 * np.abs(rest).max())
-    assert np.abs(np.diff(maps.weighted(u)[:, 12:], axis=1)).min() > 0
+    assert np.abs(np.diff(maps.weigh_sensitivities(u)[:, 12:], axis=1)).min() > 0
 
 
 def test_prior_and_finer_samples_add_information() -> None:

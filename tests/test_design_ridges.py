@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmfid.design.trial.ridges import Allowed, along_ridges
+from pmfid.design.trial.ridges import Allowed, spread_along_ridges
 from studies.design_machines import MACHINES, commissioned
 
 LOWER, NO_PRIOR = np.zeros(2), np.zeros((2, 2))
@@ -22,7 +22,7 @@ def banana(q: np.ndarray) -> list[np.ndarray]:
 def test_a_bent_ridge_is_followed_to_its_ends() -> None:
     rng = np.random.default_rng(0)
     near = 1.0 + rng.standard_normal((4000, 2)) * [5e-3, 3e-4]
-    found = along_ridges(Allowed(banana, 0.5, LOWER, NO_PRIOR), near, np.ones(2), rng)
+    found = spread_along_ridges(Allowed(banana, 0.5, LOWER, NO_PRIOR), near, np.ones(2), rng)
     low, high = np.quantile(found[:, 0], [0.005, 0.995])
     assert low == pytest.approx(0.91, abs=0.03)
     assert high == pytest.approx(1.09, abs=0.03)
@@ -34,7 +34,7 @@ def test_what_was_known_before_ends_a_ridge() -> None:
     rng = np.random.default_rng(0)
     near = 1.0 + rng.standard_normal((4000, 2)) * [5e-3, 3e-4]
     known = Allowed(banana, 0.5, LOWER, np.diag([200.0, 0.0]))  # the first is known to 5e-3
-    assert np.std(along_ridges(known, near, np.ones(2), rng)[:, 0]) < 7e-3
+    assert np.std(spread_along_ridges(known, near, np.ones(2), rng)[:, 0]) < 7e-3
 
 
 def test_what_a_map_shows_as_it_is_stays_as_it_is() -> None:
@@ -44,7 +44,7 @@ def test_what_a_map_shows_as_it_is_stays_as_it_is() -> None:
         return [0.5 * np.cos(TURN) * (q[0] - 1.0) / 0.1 + 0.5 * np.sin(TURN) * (q[1] - 1.0) / 1e-3]
 
     inside = 1.0 + rng.uniform(-1, 1, (4000, 2)) * [0.08, 8e-4]
-    assert along_ridges(Allowed(box, 0.5, LOWER, NO_PRIOR), inside, np.ones(2), rng) is inside
+    assert spread_along_ridges(Allowed(box, 0.5, LOWER, NO_PRIOR), inside, np.ones(2), rng) is inside
 
 
 #: As D-optimal as the design of the 40 kg axis: after 0.6 s it creeps, and a machine with more friction stays where it

@@ -45,7 +45,7 @@ def test_known_parameters_stay_as_they_are() -> None:
 
 def test_information_is_that_of_the_sensitivities_with_an_unknown_start() -> None:
     found = calibrate(NOISY, [run({}), run({})])
-    claimed = 2 * start_free(affine(CASE).weighted(U)) / np.outer(CASE.scale, CASE.scale)
+    claimed = 2 * start_free(affine(CASE).weigh_sensitivities(U)) / np.outer(CASE.scale, CASE.scale)
     assert found.information == pytest.approx(claimed, rel=1e-3)
 
 

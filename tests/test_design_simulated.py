@@ -13,7 +13,7 @@ from pmfid.design.problem.result import Design
 from pmfid.design.search.evaluation import setting
 from pmfid.design.search.solver import solve
 from pmfid.design.search.standard import standard_inputs
-from pmfid.design.trial.appraisal import appraise, gathered, worth_of
+from pmfid.design.trial.appraisal import accumulate_value, appraise, worth_of
 from pmfid.design.trial.calibration import DesignedRun, calibrate
 from pmfid.design.trial.encoder_error import encoder_covariance, squares_covariance, start_free
 from pmfid.design.trial.simulated import both_ways, simulate, simulated_information
@@ -96,7 +96,7 @@ def test_directional_friction_is_not_checked_and_says_so() -> None:
 @pytest.mark.parametrize("criterion", ["trace", "D", "A", "E", "ME"])
 def test_what_is_gathered_ends_at_the_value(best: Design, criterion: str) -> None:
     rule = criterion_of(CASE, criterion)
-    t, value = gathered(CASE, rule, best.u)
+    t, value = accumulate_value(CASE, rule, best.u)
     assert t[[0, -1]] == pytest.approx([0.05, 2.0])
     assert value[-1] == pytest.approx(worth_of(setting(CASE, criterion), best.u).value)
     if criterion != "ME":
@@ -104,7 +104,7 @@ def test_what_is_gathered_ends_at_the_value(best: Design, criterion: str) -> Non
 
 
 def test_an_unknown_start_costs_information(best: Design) -> None:
-    s = affine(CASE).weighted(best.u)
+    s = affine(CASE).weigh_sensitivities(best.u)
     # as one more parameter with a sensitivity of 1, and a sample at the start
     wide = np.vstack([np.c_[np.zeros(3), s], np.ones(s.shape[1] + 1)])
     covariance = np.linalg.inv(wide @ wide.T)[:3, :3]
@@ -145,7 +145,7 @@ def test_the_encoder_predicts_the_scatter_of_least_squares_on_counts() -> None:
     assert covariance is not None
     observed = np.sqrt(np.mean(np.square(errors), axis=0))
     assert observed == pytest.approx(np.sqrt(covariance.diagonal()), rel=0.15)
-    white = np.sqrt(np.linalg.inv(start_free(affine(problem).weighted(u))).diagonal()) * problem.scale
+    white = np.sqrt(np.linalg.inv(start_free(affine(problem).weigh_sensitivities(u))).diagonal()) * problem.scale
     assert observed[2] > 1.4 * white[2], "a trapezoid through an encoder is worse than white noise says"
 
 

@@ -16,7 +16,7 @@ from pmfid.cli.main import main
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import OFF_LINE, RECURSIVE
 from pmfid.export.initializer import literal
-from pmfid.export.samples import recorded
+from pmfid.export.samples import record_run
 from pmfid.kernel.saved import configuration
 from pmfid.kernel.structures import structures
 from tests.conftest import EMPS, cart_run, needs_emps
@@ -493,10 +493,10 @@ def test_off_line_methods_and_full_folders_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_self_test_of_one_sample_is_one_and_of_none_is_not(tmp_path: Path) -> None:
-    assert len(recorded(make(pmfid.RLS), [1.0], [0]).u) == 1
+    assert len(record_run(make(pmfid.RLS), [1.0], [0]).u) == 1
     for u, counts in (([], []), ([np.nan], [0])):
         with pytest.raises(pmfid.UsageError, match="at least one; take another record"):
-            recorded(make(pmfid.RLS), u, counts)
+            record_run(make(pmfid.RLS), u, counts)
 
 
 def test_the_command_says_what_is_missing(tmp_path: Path) -> None:

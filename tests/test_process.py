@@ -14,7 +14,7 @@ from pmfid import IV, OE, SRIVC, Drive, Encoder, Experiment, NotIdentifiableErro
 from pmfid.cli.main import main
 from pmfid.estimators.srivc import check_experiments, make_problem
 from pmfid.judge.assess import Assessment, assess
-from pmfid.simulation.process import PLANTS, Plant, simulate_process
+from pmfid.simulation.process import PLANTS, SimulatedProcess, simulate_process
 from pmfid.transfer.order import search_structure
 from pmfid.transfer.process import Process
 from studies.second_order import write
@@ -24,12 +24,12 @@ CONFIG = Path(__file__).parents[1] / "examples" / "second_order.toml"
 SECOND, HARD = PLANTS["second-order"], PLANTS["rao-garnier"]
 
 
-def srivc(plant: Plant, **options: int) -> SRIVC:
+def srivc(plant: SimulatedProcess, **options: int) -> SRIVC:
     model = TransferFunction(len(plant.a) - 1, len(plant.b) - 1, **options)
     return SRIVC(model, ENCODER, plant.dt, plant.cutoff)
 
 
-def noisy(plant: Plant, seed: int, ratio: float = 0.1) -> np.ndarray:
+def noisy(plant: SimulatedProcess, seed: int, ratio: float = 0.1) -> np.ndarray:
     rng = np.random.default_rng(seed)
     return plant.y + ratio * np.std(plant.y) * rng.standard_normal(plant.samples)
 

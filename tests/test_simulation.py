@@ -270,7 +270,7 @@ def test_scenarios_tell_the_truth(name: str) -> None:
     assert np.ptp(error) < scenario.resolution
     again = simulate_drive(scenario.schedule, scenario.motion.u, scenario.dt)
     np.testing.assert_array_equal(again.x, scenario.motion.x)
-    masses = scenario.schedule.at(np.array([1.99, 2.99, 3.0, 4.0]), 0.01)[0]
+    masses = scenario.schedule.sample(np.array([1.99, 2.99, 3.0, 4.0]), 0.01)[0]
     expected = {"mass-step": [1.07, 1.07, 1.44, 1.44], "mass-ramp": [1.07, 1.25315, 1.255, 1.44]}
     change = SCENARIOS[name].change
     np.testing.assert_allclose(masses, expected.get(change, [1.07] * 4), rtol=1e-6)

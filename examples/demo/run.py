@@ -146,7 +146,7 @@ def _track(method: str, scenario: Scenario) -> Track:
 
 def _truth(scenario: Scenario) -> dict[str, Floats]:
     names = ("mass", "viscous_friction", "coulomb_friction")
-    return dict(zip(names, scenario.schedule.at(scenario.motion.t, scenario.dt)[:3], strict=True))
+    return dict(zip(names, scenario.schedule.sample(scenario.motion.t, scenario.dt)[:3], strict=True))
 
 
 def _row(n: int, method: str, t: Floats, truth: Mapping[str, Floats], track: Track) -> DemoRow:

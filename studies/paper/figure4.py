@@ -58,7 +58,7 @@ def draw(out: Path) -> list[Path]:
     """The paper's two panels, and all methods."""
     runs = {inc: scenario_of(inc, 0) for inc in INCREMENTS}
     motion = runs[INCREMENTS[0]].motion
-    truth = runs[INCREMENTS[0]].schedule.at(motion.t, CART_DT)[0]
+    truth = runs[INCREMENTS[0]].schedule.sample(motion.t, CART_DT)[0]
 
     def drawing(name: str, methods: tuple[str, ...], columns: int) -> Drawing:
         panels = {}

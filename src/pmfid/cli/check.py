@@ -22,12 +22,12 @@ EXIT_FOUND, EXIT_WRONG = 1, 3
 @click.pass_context
 def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: bool) -> None:
     """Say what is wrong with RECORD: a sign turned, columns exchanged, a velocity in place of a position, a counter
-    that wraps, ends or sticks, an input that is cut off, held or of another clock, a sample rate or a motion that tells
-    nothing; of the log of a machine that is right, what the model lacks. Each with its remedy, in the words of `pmfid
-    identify`.
+    that wraps, ends or sticks, an input that is cut off, held or of another clock, an unsuitable sample rate, too
+    little motion. A correct log is tested for unmodelled effects. Each finding comes with its remedy, in the words of
+    `pmfid identify`.
 
-    Exit code 0: nothing is found but notes, which cost nothing; 1: something that moves the estimate; 2: wrong usage or
-    unreadable input; 3: nothing can be identified from this record as it is read.
+    Exit code 0: notes at most; 1: a finding that moves the estimate; 2: wrong usage or unreadable input; 3: nothing can
+    be identified from this record as it is read.
     """
     with progress("check"):
         from pmfid.session.config import load_axis

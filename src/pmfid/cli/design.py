@@ -54,7 +54,7 @@ KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": 
     default=1,
     show_default=True,
     metavar="K",
-    help="Also a campaign of so many different motions, with the share of the runs that each deserves.",
+    help="Also a campaign of K different motions, with the best share of the runs for each.",
 )
 @OUT
 @JSON

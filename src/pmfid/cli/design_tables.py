@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def print_appraisal(appraisal: Appraisal, together: Campaign | None, out: Path | None) -> None:
-    """The design beside the standard inputs, its predicted standard deviations, and what to mind."""
+    """The design compared with the standard inputs, its predicted standard deviations, and its warnings."""
     from pmfid.report.design import campaign_table, campaign_words, criteria_table, price_words, proof, std_table
 
     unknown = ", ".join(name.replace("_", " ") for name in appraisal.design.problem.unknown)

@@ -28,7 +28,7 @@ def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> 
     if as_page:
         click.echo(plant_page() if plant else page(), nl=False)
         return
-    found = _found(" ".join(key), plant) if key else plant_entries() if plant else entries()
+    found = _find_entries(" ".join(key), plant) if key else plant_entries() if plant else entries()
     if as_json:
         from pmfid.cli.output import print_json
 
@@ -37,8 +37,8 @@ def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> 
         click.echo(explain_entries(found))
 
 
-def _found(word: str, plant: bool) -> list[ReferenceEntry]:
-    """plant: of PLANT.toml alone. Raises UsageError for what is nothing."""
+def _find_entries(word: str, plant: bool) -> list[ReferenceEntry]:
+    """The entries of a word; plant: of PLANT.toml alone. Raises UsageError for an unknown word."""
     from pmfid.service.reference import plant_entries, without_names
     from pmfid.session.reference import entries, find
 

@@ -93,8 +93,8 @@ def history(
     else:
         _print(found, out)
     if found.unknown.height == found.axes.height:
-        told = found.problems.filter(found.problems["code"] != "type")["text"]
-        reason = next(iter(told), "too little motion for every parameter")
+        problems = found.problems.filter(found.problems["code"] != "type")["text"]
+        reason = next(iter(problems), "too little motion for every parameter")
         raise NotIdentifiableError(f"no axis of {source} can be identified: {printable(reason)}")
 
 

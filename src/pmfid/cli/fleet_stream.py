@@ -56,10 +56,10 @@ def stream(
     """Watch the axes whose blocks come into the folder SOURCE, until interrupted: estimates, alarms, gaps.
 
     SOURCE holds Parquet files with the columns axis, its name, and block, the bytes of docs/wire.md; or files of such
-    blocks behind one another, .pmfb, which may grow. What comes twice is left out, what comes too early waits, what
-    comes too late is counted. A second call with the same folders goes on where the first one ended, however it ended.
+    blocks in sequence, .pmfb, which may grow. A repeated block is left out, an early block waits, a late block is
+    counted. A second call with the same folders continues from the end of the first one, however it ended.
 
-    Exit code 0: all done; 2: wrong usage, unreadable input, or another configuration than that of the checkpoint.
+    Exit code 0: all done; 2: wrong usage, unreadable input, or a configuration that differs from the checkpoint's.
     """
     from pmfid.fleet.spark.stream import Pacing, kind_of, stream_files
     from pmfid.fleet.stream.shard import Plan
@@ -67,7 +67,7 @@ def stream(
     from pmfid.service.groups import Pace
 
     kind_of(source)  # before anything takes long
-    prepared = _prepared(config)
+    prepared = _prepare(config)
     plan = Plan(prepared, Pace(window, every), shards)
     begin = None if state is None else States.from_folder(state, prepared.digest)
     stream_files(source, plan, checkpoint, out, Pacing(interval, files, once), begin, master)
@@ -80,7 +80,7 @@ def stream(
 @click.option("--out", type=FOLDER, required=True, metavar="FOLDER", help="[service] state of a PLANT.toml.")
 @MASTER
 def state(checkpoint: Path, config: Path, axes: tuple[str, ...], out: Path, master: str | None) -> None:
-    """Write the states of axes in CHECKPOINT, that of a `pmfid fleet stream`, as the checkpoint of a service.
+    """Write the states of axes in CHECKPOINT, written by `pmfid fleet stream`, as the checkpoint of a service.
 
     `pmfid serve` with [service] state = FOLDER goes on with them, and so does `pmfid fleet stream --state FOLDER`.
 
@@ -90,12 +90,12 @@ def state(checkpoint: Path, config: Path, axes: tuple[str, ...], out: Path, mast
     from pmfid.service.groups import Pace
 
     check_states(checkpoint)  # before anything takes long
-    prepared = _prepared(config)
+    prepared = _prepare(config)
     written = states_of(checkpoint, prepared.digest, master).write(out, prepared, Pace(), axes)
     click.echo(f"states of {written} axes: {out}")
 
 
-def _prepared(config: Path) -> Prepared:
+def _prepare(config: Path) -> Prepared:
     with progress("calibration") as tell:
         from pmfid.service.groups import prepare
 

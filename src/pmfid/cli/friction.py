@@ -33,9 +33,9 @@ def friction(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Find the friction of RECORD over the velocity as a curve, with the mass beside it.
+    """Find the friction of RECORD over the velocity as a curve, together with the mass.
 
-    What [model] says of friction is not used. Nothing is said of velocities that the record does not have.
+    The friction of [model] is not used. The curve covers the velocities of the record only.
 
     Exit code 0: a curve; 2: wrong usage or unreadable input; 3: the record does not show friction apart.
     """

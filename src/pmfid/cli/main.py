@@ -33,7 +33,7 @@ EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-class Group(click.Group):
+class CommandGroup(click.Group):
     """Turns every error that is meant for people into one line and an exit code."""
 
     def invoke(self, ctx: click.Context) -> object:
@@ -54,7 +54,7 @@ class Group(click.Group):
             ctx.exit(INTERRUPTED)
 
 
-@click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__)
 def main() -> None:
     """Mass and friction of a drive, or a transfer function, from input and a coarse encoder."""

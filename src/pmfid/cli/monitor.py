@@ -1,4 +1,4 @@
-"""The command `pmfid monitor`: watches a record or a pipe and says when a parameter changed."""
+"""The command `pmfid monitor`: watches a record or a pipe and reports changes of parameters."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ class _Teller:
             self.line(sentence(event))
 
     def line(self, text: str, machine: bool = False) -> None:
-        """A line at once; with --json only machine readable ones. A full disk behind it does not end the watch."""
+        """Prints a line at once; with --json only machine readable ones. A full disk does not end the watch."""
         if not text or (self._json and not machine):
             return
         try:
@@ -157,11 +157,11 @@ class _Teller:
 
     def end(self, run: MonitoredRun, sink: RowSink) -> None:
         """The totals; what was skipped also on standard error, where it is seen."""
-        from pmfid.cli.monitor_lines import skipped
+        from pmfid.cli.monitor_lines import list_skipped
 
         totals = run.totals()
         self({"event": "end", **totals, "rows_lost": sink.lost, "problem": run.problem})
-        if parts := skipped(totals):
+        if parts := list_skipped(totals):
             click.echo(f"skipped: {', '.join(parts)}", err=True)
 
 

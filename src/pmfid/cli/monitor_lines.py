@@ -33,7 +33,7 @@ def _alarm(event: Told) -> str:
     return f"{event['time']:.2f} s  ALARM  {name} {part} ({size}) since {event['changed_at']:.2f} s{others}"
 
 
-def _settled(event: Told) -> str:
+def _describe_reference(event: Told) -> str:
     values = (_value(name, found) for name, found in event["parameters"].items())
     return f"{event['time']:.2f} s  now {', '.join(values)}"
 
@@ -74,10 +74,10 @@ def _written_again(event: Told) -> str:
 
 def _end(event: Told) -> str:
     found = [f"{event['samples']} samples", f"{event['alarms']} alarm{'s' * (event['alarms'] != 1)}"]
-    return ", ".join(found + skipped(event))
+    return ", ".join(found + list_skipped(event))
 
 
-def skipped(event: Told) -> list[str]:
+def list_skipped(event: Told) -> list[str]:
     """What was no sample, from the totals."""
     parts = [
         f"{event[name]} {word}{'s' * (event[name] != 1)}"
@@ -96,7 +96,7 @@ def skipped(event: Told) -> list[str]:
 _SENTENCES = {
     "start": _start,
     "alarm": _alarm,
-    "settled": _settled,
+    "settled": _describe_reference,
     "state": _state,
     "bad line": _bad_line,
     "repeated line": _bad_line,

@@ -16,9 +16,11 @@ EVERY = 9.0
 CLEAR = "\r\x1b[K"
 
 
-class Work:
-    """A piece of work: a thread reports how far it is, because the work itself may be inside a library. rich would need
-    longer to load than the first report may take."""
+class ProgressReport:
+    """Reports the progress of long work from a thread, because the work itself may be inside a library.
+
+    rich would take longer to load than the first report may wait.
+    """
 
     def __init__(self, what: str) -> None:
         self.what, self.done = what, 0.0
@@ -30,7 +32,7 @@ class Work:
         self._thread.start()
 
     def __call__(self, done: float) -> None:
-        """done: part of the work, 0 to 1; what follows the whole of it is of unknown length."""
+        """done: part of the work, 0 to 1; after 1 the rest of the work has an unknown length."""
         self.done = done
 
     @property
@@ -48,24 +50,24 @@ class Work:
 
 
 @contextmanager
-def progress(what: str) -> Iterator[Work]:
-    """Gives what to call with the part of the work that is done, and reports the work until it ends.
+def progress(what: str) -> Iterator[ProgressReport]:
+    """Yields a report to call with the part of the work that is done; the report lasts until the work ends.
 
-    Nothing may be printed before it ends: the line stands on the terminal.
+    Nothing may be printed before the end: the line stands on the terminal.
     """
-    work = Work(what)
+    work = ProgressReport(what)
     try:
         yield work
     finally:
         work.end()
 
 
-def _write_lines(work: Work) -> None:
+def _write_lines(work: ProgressReport) -> None:
     while not work.over.wait(EVERY):
         print(work.line, file=sys.stderr, flush=True)
 
 
-def _redraw(work: Work) -> None:
+def _redraw(work: ProgressReport) -> None:
     if work.over.wait(PATIENCE):
         return
     while True:

@@ -9,18 +9,18 @@ from pmfid.cli.monitor_lines import sentence
 from pmfid.errors import printable
 from pmfid.service.outcome import Notice
 
-Told = dict[str, Any]
+Fields = dict[str, Any]
 
 
 def line(notice: Notice) -> str:
     """One line, or more at the start; with the axis in front."""
     what = notice.what
     own = _SENTENCES.get(str(what["event"]))
-    text = own(what) if own is not None else _monitored(what)
+    text = own(what) if own is not None else _describe_other(what)
     return printable(f"{notice.axis}  {text}" if notice.axis and text else text)
 
 
-def _monitored(what: Told) -> str:
+def _describe_other(what: Fields) -> str:
     try:
         return sentence(what)
     except KeyError:  # an event of a source or a sink that has no sentence of its own
@@ -28,7 +28,7 @@ def _monitored(what: Told) -> str:
         return f"{what['event']}: {rest}"
 
 
-def _serving(what: Told) -> str:
+def _serving(what: Fields) -> str:
     lines = [f"serving {what['name']}: {what['axes']} ax{'e' if what['axes'] != 1 else 'i'}s"]
     lines += [f"page: {what['page']}"] if "page" in what else []
     lines += [f"note: {note}" for note in what.get("notes", ())]
@@ -36,7 +36,7 @@ def _serving(what: Told) -> str:
     return "\n".join([*lines, kept])
 
 
-def _configuration(what: Told) -> str:
+def _configuration(what: Fields) -> str:
     if "problem" in what:
         return f"{what['config']}: {what['problem']}"
     if "digest" in what:  # for sinks that keep a history
@@ -45,7 +45,7 @@ def _configuration(what: Told) -> str:
     return "\n".join([f"{what['config']}: {ready}", *(f"note: {note}" for note in what["notes"])])
 
 
-def _calibration(what: Told) -> str:
+def _calibration(what: Fields) -> str:
     return f"{what['config']}: calibration {100 * what['part']:.0f} %"
 
 
@@ -53,53 +53,53 @@ def _axes(count: int) -> str:
     return "1 axis" if count == 1 else f"{count} axes"
 
 
-def _reload(what: Told) -> str:
+def _reload(what: Fields) -> str:
     changes = ", ".join(f"{_axes(what[key])} {key}" for key in ("added", "changed", "removed") if key in what)
     return "read again: " + "; ".join(part for part in (changes, what.get("problem", "")) if part)
 
 
-def _problem(what: Told) -> str:
+def _problem(what: Fields) -> str:
     name = what.get("source") or what.get("sink") or ""
     return f"{what['event']} {name}: {what.get('problem') or what.get('state', 'works')}".replace(" :", ":")
 
 
-def _alarm(what: Told) -> str:
+def _alarm(what: Fields) -> str:
     return f"ALARM  {what['problem']}" if "silent" in what else sentence(what)
 
 
-def _cleared(what: Told) -> str:
+def _describe_end(what: Fields) -> str:
     who = {"axis": "", "axes": f"{what['name']}, "}.get(what["silent"], f"{what['silent']} {what['name']}, ")
     return f"the alarm is over: {who}silent for {what['seconds']:g} s"
 
 
-def _epoch(what: Told) -> str:
+def _epoch(what: Fields) -> str:
     off = "" if what["jump"] is None else f", {what['jump']:+.6g} s from where it should be"
-    return f"the sender began anew (epoch {what['epoch']}){off}"
+    return f"the sender restarted (epoch {what['epoch']}){off}"
 
 
-def _period(what: Told) -> str:
+def _period(what: Fields) -> str:
     return str(what["problem"])
 
 
-def _clock(what: Told) -> str:
+def _clock(what: Fields) -> str:
     if "problem" in what:
         return str(what["problem"])
     return sentence({**what, "jump": what["jump"] if what["jump"] is not None else float("nan")})
 
 
-def _acknowledged(what: Told) -> str:
+def _describe_acknowledgement(what: Fields) -> str:
     if what["alarm"] is None:
         return str(what["problem"])
     return f"alarm {what['alarm']} acknowledged: {what['note']}"
 
 
-def _reference(what: Told) -> str:
+def _reference(what: Fields) -> str:
     if "problem" in what:
         return f"no new reference: {what['problem']}"
     return f"what it is after {what['samples']} samples is normal from now on"
 
 
-def _checkpoint(what: Told) -> str:
+def _checkpoint(what: Fields) -> str:
     if "damaged" in what:
         return f"a damaged checkpoint is set aside as {what['damaged']}: {what['problem']}"
     if "problem" in what:
@@ -107,15 +107,15 @@ def _checkpoint(what: Told) -> str:
     if "works" in what:
         return "checkpoints are written again"
     if "made" not in what:
-        return f"no checkpoint to go on from: {_axes(what['fresh'])} anew"
-    text = f"from the last checkpoint: {_axes(what['restored'])} as before, {what['fresh']} anew"
+        return f"no checkpoint: {_axes(what['fresh'])} without an earlier state"
+    text = f"from the last checkpoint: {_axes(what['restored'])} restored, {what['fresh']} without an earlier state"
     changed = what.get("changed", ())
     return text + (f", of these with a changed configuration: {', '.join(changed)}" if changed else "")
 
 
-_SENTENCES: dict[str, Callable[[Told], str]] = {
+_SENTENCES: dict[str, Callable[[Fields], str]] = {
     "alarm": _alarm,
-    "cleared": _cleared,
+    "cleared": _describe_end,
     "serving": _serving,
     "configuration": _configuration,
     "calibration": _calibration,
@@ -129,8 +129,8 @@ _SENTENCES: dict[str, Callable[[Told], str]] = {
     "late": _period,
     "paused": _period,
     "clock": _clock,
-    "acknowledged": _acknowledged,
+    "acknowledged": _describe_acknowledgement,
     "reference": _reference,
-    "anew": lambda what: "begins anew: its next samples are taken whatever their numbers",
+    "anew": lambda what: "restarts: its next samples are taken whatever their numbers",
     "ended": lambda what: "ended",
 }

@@ -17,7 +17,7 @@ from pmfid.errors import UsageError, did_you_mean
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="RUN.csv",
-    help="Where the record goes; the AXIS.toml that fits goes beside it, as RUN.toml.",
+    help="Where the record goes; its AXIS.toml is written to the same folder, as RUN.toml.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of everything random.")
 @click.option("--increments", type=click.IntRange(min=1), default=4096, show_default=True, help="Of the encoder.")

@@ -73,7 +73,7 @@ def print_comparison(comparison: Comparison, out: Path | None) -> None:
         # a number is never cut: what does not fit then runs over the edge
         Console(width=max(console.width, _width(table))).print(table)
         title = ""
-    for row in rows:  # beside the numbers there is no room for them in a narrow terminal
+    for row in rows:  # remarks do not fit into the table on a narrow terminal
         if row[-1]:
             console.print(printable(f"{row[0]}: {row[-1]}"), highlight=False, markup=False, soft_wrap=True)
     for name, reason in comparison.refused.items():
@@ -83,7 +83,7 @@ def print_comparison(comparison: Comparison, out: Path | None) -> None:
 
 
 def _blocks(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> list[list[int]]:
-    """Numbers of the columns that stand beside each other, the method in front, in `width` characters."""
+    """Groups of columns that fit into `width` characters, each with the method as its first column."""
     blocks = [[0]]
     for column in range(1, len(header)):
         longer = [*blocks[-1], column]

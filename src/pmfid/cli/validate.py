@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 @folder_option("Write validation.html and validation.json there.")
 @JSON
 def validate(records: tuple[Path, ...], config: Path, stored: Path, out: Path | None, as_json: bool) -> None:
-    """Simulate each RECORD from its input alone, with the parameters of RESULT.json, beside what was measured.
+    """Simulate each RECORD from its input alone, with the parameters of RESULT.json, and compare with its output.
 
     Its start is fitted to the first samples, over 5 time constants of the filters; nothing else of the output is used.
 
@@ -70,7 +70,7 @@ def _print(found: Validation, out: Path | None) -> None:
         table.add_section()
         for column in (3, 4):
             cells = {row[0]: row[column] for row in horizons if row[1] == every}
-            text = f"{names[column]}, anew every {every} s"
+            text = f"{names[column]}, restarted every {every} s"
             table.add_row(escape(text), *(cells.get(row[0], "–") for row in runs))
     console = Console()
     # a number is never cut: what does not fit then runs over the edge

@@ -2,7 +2,7 @@
 
 problem = Problem(Drive(2.0), {"mass": 1.5, ...}, ("mass",), horizon=2.0, intervals=40, limits=Limits(input=3.0), ...)
 design = solve(problem, certify=5.0)        # the input, its information, and how near the optimum it is
-appraise(design)                            # beside the standard inputs, with the error that an encoder makes
+appraise(design)                            # compared with the standard inputs, with the encoder's error
 sequential(problem, experiment, ...)        # design, run, estimate, and design again
 """
 

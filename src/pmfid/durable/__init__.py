@@ -1,1 +1,1 @@
-"""What is whole on disk or not there, whenever the process is killed or the power fails."""
+"""Files that are either whole or absent on disk, also after a kill or a power failure."""

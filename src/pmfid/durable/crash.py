@@ -1,4 +1,4 @@
-"""Named points at which a test kills the process as the power does: nothing is flushed, nothing is closed."""
+"""Named points at which a test kills the process like a power failure: nothing is flushed, nothing is closed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def arm(setting: str) -> None:
 
 
 def crash_point(name: str) -> None:
-    """Ends the process if it is time for it here; costs a call where none is named."""
+    """Kills the process if this point is armed and its number of passes is reached."""
     if _left and name in _left:
         _left[name] -= 1
         if _left[name] == 0:

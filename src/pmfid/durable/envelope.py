@@ -1,4 +1,4 @@
-"""Files that say of themselves whether they are whole.
+"""Files with a checksum that shows whether they are whole.
 
 Layout, little endian: magic, version, CRC-32 of all that follows, sequence number, length of the body in bytes, body.
 """
@@ -16,16 +16,16 @@ from typing import IO, Any
 
 from pmfid.durable.crash import crash_point
 
-__all__ = ["Chunk", "DamagedError", "Found", "Told", "mapped", "put", "read", "set_aside", "sync_folder"]
+__all__ = ["Chunk", "DamagedError", "Event", "WholeFile", "map_file", "put", "read", "set_aside", "sync_folder"]
 
 MAGIC, VERSION = b"PMFIDCKP", 1
 _HEAD, _REST = struct.Struct("<8sII"), struct.Struct("<QQ")
 #: Bytes before the body; a multiple of 8, so that float64 in a mapped body is aligned.
 _BEFORE = _HEAD.size + _REST.size
-#: No body is longer [bytes]: what a head says is not believed beyond that.
+#: Longest body [bytes]; a header with a longer one is refused.
 _LONGEST = 2**36
 
-Told = dict[str, Any]
+Event = dict[str, Any]
 #: Bytes without gaps, of which no copy is made.
 Chunk = bytes | memoryview
 
@@ -35,7 +35,7 @@ class DamagedError(Exception):
 
 
 @dataclass(frozen=True)
-class Found:
+class WholeFile:
     """A file that is whole: its sequence number and its body."""
 
     path: Path
@@ -59,22 +59,22 @@ def put(file: IO[bytes], sequence: int, chunks: Sequence[Chunk], half: str) -> N
         file.write(chunk)
 
 
-def read(path: Path) -> Found:
+def read(path: Path) -> WholeFile:
     """A file in memory. Raises OSError, and DamagedError for what is not whole."""
     with open(path, "rb") as file:
         head = file.read(_BEFORE)
         length = _length(head, os.fstat(file.fileno()).st_size)
-        return _checked(path, head, file.read(length))
+        return _check_body(path, head, file.read(length))
 
 
-def mapped(path: Path) -> Found:
-    """A file in place, its pages read when they are looked at; what is written to the body stays in this process. It
-    must not be cut while it is in use. Raises like `read`."""
+def map_file(path: Path) -> WholeFile:
+    """A file mapped into memory; changes of the body stay in this process. The file must not be cut while it is in
+    use. Raises like `read`."""
     with open(path, "rb") as file:
         head, size = file.read(_BEFORE), os.fstat(file.fileno()).st_size
         _length(head, size)
         pages = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_COPY)
-    return _checked(path, head, memoryview(pages)[_BEFORE:])
+    return _check_body(path, head, memoryview(pages)[_BEFORE:])
 
 
 def _length(head: bytes, size: int) -> int:
@@ -85,18 +85,18 @@ def _length(head: bytes, size: int) -> int:
     if magic != MAGIC or version != VERSION:
         raise DamagedError("it is no checkpoint of this version")
     if length != size - _BEFORE or length > _LONGEST:
-        raise DamagedError("it is cut short, or something stands behind its end")
+        raise DamagedError("it is cut short, or something follows its end")
     return length
 
 
-def _checked(path: Path, head: bytes, body: Chunk) -> Found:
+def _check_body(path: Path, head: bytes, body: Chunk) -> WholeFile:
     checksum = int(_HEAD.unpack_from(head)[2])
     if zlib.crc32(body, zlib.crc32(head[_HEAD.size :])) != checksum:
         raise DamagedError("its checksum is wrong")
-    return Found(path, int(_REST.unpack_from(head, _HEAD.size)[0]), body)
+    return WholeFile(path, int(_REST.unpack_from(head, _HEAD.size)[0]), body)
 
 
-def set_aside(path: Path, problem: str, tell: Callable[[Told], None]) -> None:
+def set_aside(path: Path, problem: str, tell: Callable[[Event], None]) -> None:
     """Renames what cannot be used, so that people can look at it and nothing overwrites it."""
     place = next(p for k in range(1, 10**6) if not (p := path.with_name(f"{path.name}.damaged-{k}")).exists())
     try:

@@ -1,4 +1,4 @@
-"""Files and folders that one process has alone, until it lets them go or ends, however it ends."""
+"""Locks of files and folders: one process holds a lock until it releases the lock or ends, however it ends."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pmfid.errors import UsageError
 
 __all__ = ["NAME", "hold", "lock"]
 
-#: Of the file in a folder by which it is taken.
+#: Name of the lock file in a folder.
 NAME = "lock"
 
 
 def lock(file: int) -> bool:
-    """Takes a file for this process until it closes it or ends; False where another one has it. Systems without such
-    locks always say True."""
+    """Locks a file for this process until the process closes the file or ends; False if another process has the lock.
+    Always True on systems without such locks."""
     try:
         import fcntl
     except ImportError:
@@ -28,8 +28,8 @@ def lock(file: int) -> bool:
 
 
 def hold(folder: Path, setting: str, other: str) -> IO[bytes]:
-    """Makes a folder and takes it, until the file that is given is closed. setting: that names the folder; other: who
-    else may have it. Raises UsageError where another one has it, and where it cannot be made, locked or written."""
+    """Makes a folder and locks it until the returned file is closed. setting: name of the folder's setting; other: the
+    possible other owner. Raises UsageError if another owner has it, and if it cannot be made, locked or written."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         held: IO[bytes] = open(folder / NAME, "ab")  # noqa: SIM115

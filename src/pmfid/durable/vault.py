@@ -1,7 +1,7 @@
-"""Checkpoints on disk: two generations, each whole or not there, none believed unread.
+"""Checkpoints on disk: two generations, each whole or absent. Every checkpoint is validated on load.
 
-A checkpoint is written beside the older of the two, synced, and takes its place by a rename, after which the folder is
-synced: whenever the power fails, one whole generation is there.
+A checkpoint is written to a new file, synced, and replaces the older of the two by a rename. Then the folder is synced.
+So one whole generation exists at any time, also after a power failure.
 """
 
 from __future__ import annotations
@@ -14,32 +14,34 @@ from pathlib import Path
 from typing import IO, ClassVar, TypeVar
 
 from pmfid.durable.crash import crash_point
-from pmfid.durable.envelope import Chunk, DamagedError, Found, Told, put, read, set_aside, sync_folder
+from pmfid.durable.envelope import Chunk, DamagedError, Event, WholeFile, put, read, set_aside, sync_folder
 from pmfid.durable.lock import hold
 
-__all__ = ["Vault"]
+__all__ = ["CheckpointFolder"]
 
 Content = TypeVar("Content")
 
 
 @dataclass
-class Vault:
-    """folder: where the checkpoints lie, made if it is not there. One owner at a time: raises UsageError where another
-    one has it, and where it cannot be made."""
+class CheckpointFolder:
+    """A folder with two generations of checkpoints; it is made if absent, and has one owner at a time.
+
+    Raises UsageError if another owner has the folder, and if it cannot be made.
+    """
 
     folder: Path
     sequence: int = 0
 
-    #: What errors say: which setting names the folder, and who else may have it.
+    #: Words of errors: the setting that names the folder, and the possible other owner.
     setting: ClassVar[str] = "folder"
     other: ClassVar[str] = "another process"
 
     def __post_init__(self) -> None:
         self._lock: IO[bytes] = hold(self.folder, self.setting, self.other)
 
-    def load(self, read: Callable[[bytes], Content], tell: Callable[[Told], None]) -> Content | None:
-        """What `read` makes of the newest checkpoint that is whole; None where there is none. What is damaged, or what
-        `read` refuses with ValueError, is renamed and told, and the older one is taken."""
+    def load(self, read: Callable[[bytes], Content], tell: Callable[[Event], None]) -> Content | None:
+        """Result of `read` for the newest whole checkpoint; None if there is none. A checkpoint that is damaged, or
+        that `read` refuses with ValueError, is renamed and reported, and the older one is taken."""
         for one in self.whole(tell):
             try:
                 return read(bytes(one.body))
@@ -47,8 +49,8 @@ class Vault:
                 set_aside(one.path, str(error), tell)
         return None
 
-    def whole(self, tell: Callable[[Told], None]) -> list[Found]:
-        """The checkpoints that are whole, the newest first; what is damaged is renamed and told."""
+    def whole(self, tell: Callable[[Event], None]) -> list[WholeFile]:
+        """The whole checkpoints, the newest first; damaged ones are renamed and reported."""
         found = []
         for path in self._places():
             try:

@@ -16,7 +16,7 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.alarm import ParameterAlarm
 from pmfid.export.initializer import initializer, literal
 from pmfid.export.names import check_names, remark
-from pmfid.export.samples import made_up_record, moving_part, recorded
+from pmfid.export.samples import made_up_record, moving_part, record_run
 from pmfid.kernel.saved import configuration, recursions_of, shape_of
 from pmfid.kernel.structures import (
     HEADERS,
@@ -120,11 +120,11 @@ def _context(
     shape = shape_of(config)
     types = structures(shape, precision)
     if record is None:
-        samples = recorded(estimator, *made_up_record(estimator))
+        samples = record_run(estimator, *made_up_record(estimator))
     else:
         u, counts = np.asarray(record[0], np.float64), np.asarray(record[1], np.int64)
         part = moving_part(u, counts)
-        samples = recorded(estimator, u[part], counts[part])
+        samples = record_run(estimator, u[part], counts[part])
     rows = zip(samples.u, samples.counts, samples.expected, strict=True)
     return {
         "version": pmfid.__version__,

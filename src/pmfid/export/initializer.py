@@ -26,9 +26,9 @@ def literal(number: SupportsInt) -> str:
 
 
 def initializer(structure: Structured, level: int = 0) -> str:
-    """A structure, or an array of them, as a braced initialiser; every field has its name beside it.
+    """A structure, or an array of structures, as a braced initialiser; a comment names each field.
 
-    By position and not by designators, so that C++17 reads it as well.
+    Fields are set by position and not by designators, so that C++17 reads the initialiser as well.
     """
     inner = INDENT * (level + 1)
     lines = [

@@ -26,7 +26,7 @@ PLAIN = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "Ω": "Ohm", "²": "2"
 
 
 def check_names(prefix: str, parameters: Sequence[str]) -> None:
-    """Raises UsageError where a prefix or the names of the parameters would not compile."""
+    """Raises UsageError if a prefix or the names of the parameters would not compile."""
     if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix) or prefix.startswith("pmf"):
         raise UsageError(
             "prefix must be lower-case letters, digits and _, begin with a letter, but not with pmf, as all names in "

@@ -46,7 +46,7 @@ def _input(samples: int) -> NDArray[np.float64]:
     return u
 
 
-def recorded(estimator: RecursiveEstimator, u: ArrayLike, counts: ArrayLike) -> Samples:
+def record_run(estimator: RecursiveEstimator, u: ArrayLike, counts: ArrayLike) -> Samples:
     """Runs the estimator from its start over u, counts: (n,); the estimator's own state stays as it is.
 
     Raises UsageError for a record that is empty or not finite.

@@ -55,7 +55,7 @@ UNIT_KEEP = 0.85
 MOST_COUNTS = 2.0**53
 #: Blocks that a simulated run must have.
 LEAST_BLOCKS = 200
-#: Blocks that a record of normal work must have: the scatter of fewer says nothing of its noise.
+#: Least blocks of a record of normal work: the scatter of fewer does not determine its noise.
 LEAST_RECORD_BLOCKS = 8
 #: Units of work in the record whose scatter gives thresholds: each quarter needs a scatter of its own.
 LEAST_UNITS = PARTS * LEAST_RECORD_BLOCKS
@@ -97,7 +97,7 @@ def _line(level: float, slope: float, rate: float, mtbf_hours: float) -> float:
 class Calibration:
     """theta: (p,) reference; scale: of normal work; chi_square: precision of that detector; tails: by detector; noise:
     (p,) standard deviation of normal work over that of the simulation; hours: simulated; record_hours: of the record
-    whose units the tails are made of, 0 where they are the simulation's; work: those units, None there."""
+    whose units the tails are made of, 0 if they are the simulation's; work: those units, None there."""
 
     theta: Floats
     scale: Scale
@@ -148,7 +148,7 @@ def calibrate(
 ) -> Calibration:
     """Simulates `hours` of normal work at theta (p,) under the input u (n,) of a record of it.
 
-    counts: (n,) of the record; None where it is not known to be normal: then the noise is the encoder's alone. Raises
+    counts: (n,) of the record; None if it is not known to be normal: then the noise is the encoder's alone. Raises
     UsageError for a record that is too short and NotIdentifiableError for one that does not move enough.
     """
     runs = replays(estimator, theta, u, hours, np.random.default_rng(seed), progress)
@@ -213,7 +213,7 @@ def _tails(detectors: dict[str, Detector], x: Floats, w: Floats, block_time: flo
 
 
 def _record_blocks(estimator: Estimator, theta: Floats, u: Floats, counts: Counts, left_out: int = UNUSABLE) -> Blocks:
-    """Of a record of normal work, once the model has its velocity; raises UsageError where hardly any are left."""
+    """Of a record of normal work, once the model has its velocity; raises UsageError if hardly any are left."""
     start = start_blocks(estimator, theta)
     blocks = scores(estimator, theta, u, counts, left_out)[start:]
     if len(blocks.score) < LEAST_RECORD_BLOCKS:
@@ -278,7 +278,7 @@ def _tail(maxima: Floats, hours: float, top: int) -> Tail:
 
 
 def noise_ratio(scale: Scale, blocks: Blocks) -> Floats:
-    """(p,) standard deviation of the blocks of a record over that of the scale; 1 where it could be chance."""
+    """(p,) standard deviation of the blocks of a record over that of the scale; 1 if it could be chance."""
     x, _ = scale.standardise(blocks)
     power = (x**2).mean(axis=0)
     error = (x**2).std(axis=0) / math.sqrt(len(x))

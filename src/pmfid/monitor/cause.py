@@ -17,7 +17,7 @@ FRICTION = "friction"
 RIDGE = 1e-6
 #: Blocks that a change may be spread over: the one it falls into, and the one whose filters remember that.
 TRANSITION = 2
-#: Information, in average blocks, that is left for the size where they are left out.
+#: Least information, in average blocks, that remains for the size when these blocks are left out.
 LEAST_INFORMATION = 2.0
 #: A cause is excluded if it leaves this much more of the estimate's deviation unexplained than another cause does
 #: [squared standard errors]: three standard errors.
@@ -76,11 +76,11 @@ def explain(
     is the generalised likelihood ratio of theta0 + size v (Willsky and Jones 1976), but for the noise. theta: (p,)
     reference; directions: each parameter but those that are known to stay, fixed, and theta itself for a loss of
     force, which looks as if all parameters had grown alike; latest: the last start that is possible, as the deviation
-    was noticed then; friction: (p,) theta without what is none, where all of it may grow alike.
+    was noticed then; friction: (p,) theta with 0 for parameters other than friction, if all friction may grow alike.
 
-    Blocks are those of a motion simulated with the reference: it reverses at other instants than the changed plant,
-    which the blocks take for a part of the change. The motion of the estimate reverses where the plant does. So causes
-    that the estimate excludes are left out, and it has its part in the size.
+    The blocks use a motion simulated with the reference. It reverses at other instants than the changed plant, which
+    looks like a part of the change. The motion of the estimate reverses with the plant. So causes that the estimate
+    excludes are left out, and the size combines blocks and estimate.
     """
     S, W, Z = (np.cumsum(part[::-1], axis=0)[::-1] for part in (blocks.score, blocks.cross, blocks.square))
     Z = Z + RIDGE * np.diag(np.diagonal(Z[0]))
@@ -160,9 +160,8 @@ def _start(gain: Floats) -> int:
 def _size(blocks: Blocks, scale: Scale, direction: Floats, start: int) -> tuple[float, float]:
     """The change along a direction (p,), and its standard deviation.
 
-    Blocks in which the change comes, and its filters settle, show less than all of it: they are left out where enough
-    remains. By how much the next ones would move the size, or the last one did, is what the moment of the change
-    leaves open.
+    Blocks in which the change occurs and the filters settle show only a part of the change. They are left out if enough
+    information remains. The uncertainty of the start is the change of the size by one more block, or one fewer.
     """
     by_block = scale.standardise(blocks)[1][:, direction != 0].mean(axis=1)  # of the parameters that it moves
     information = np.cumsum(by_block[::-1])[::-1]

@@ -50,7 +50,7 @@ class MonitorFleet:
 
     def run(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> FleetRows:
         """The next n samples of the axes `index` (k,), each at most once; u, counts: (k, n), u not finite: the sample
-        is lost, as in `Monitor.step`. Raises UsageError where an axis is not there or comes twice, or the arrays do not
+        is lost, as in `Monitor.step`. Raises UsageError if an axis is not there or comes twice, or the arrays do not
         fit."""
         places, inputs, read_counts = self._check_arrays(index, u, counts)
         rows = FleetRows.empty(len(inputs), inputs.shape[1], len(self.names))

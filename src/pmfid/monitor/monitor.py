@@ -1,4 +1,4 @@
-"""The monitor: estimates sample by sample, and says when a parameter changed."""
+"""The monitor: estimates sample by sample, and reports changes of parameters."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class Monitor(WatchedAxis, Shown):
 
     def run(self, u: ArrayLike, counts: ArrayLike) -> FleetRows:
         """Many samples at once, u, counts: (n,), with the bits of `step` in a loop: the rows of a fleet of one. Raises
-        UsageError where the arrays do not fit."""
+        UsageError if the arrays do not fit."""
         inputs, read_counts = check_arrays(u, counts)
         rows = FleetRows.empty(1, inputs.size, len(self.names))
         start = 0

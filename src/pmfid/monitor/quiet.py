@@ -46,9 +46,11 @@ class Quiet:
     def run(
         self, every: AxisStates, index: Places, sampled: Sampled, u: Floats, counts: Counts, rows: FleetRows
     ) -> Flags:
-        """A piece u, counts: (k, n), n >= 1, of k axes, the rows `index` (k,) of every. sampled: of these axes alone,
-        which goes on; what is watched of those that stay quiet goes on in its place. rows: to be filled, as if all
-        stayed quiet. Returns (k,) whether they do."""
+        """Runs a piece u, counts: (k, n), n >= 1, of k axes, the rows `index` (k,) of `every`.
+
+        sampled: of these axes alone, is updated. `every.watched` is updated for the axes that stay quiet. rows: filled
+        as if all stayed quiet. Returns (k,) whether each axis stayed quiet.
+        """
         samples, filled = sampled.samples.copy(), sampled.progress[:, 0].astype(np.int64)
         own = follow_many(sampled.whole, sampled.real, u, counts)
         self._estimates(sampled, u, own, rows)

@@ -45,8 +45,10 @@ def noisier(record: tuple[Floats, Floats], simulated: tuple[Floats, Floats], edg
 
 
 def piece_length(x: Floats) -> int:
-    """Units of a piece of x (n, p): the fewest whose sums have the variance, for each of them, that those of four times
-    as many have, but for chance: what goes together over a longer time is kept."""
+    """Number of units of a piece of x (n, p), so that pieces keep the correlation of neighbouring units.
+
+    It is the smallest number whose sums have, per unit and within chance, the variance of sums of four times as many.
+    """
     for length in PIECES[:-1]:
         n = len(x) // (4 * length)
         chance = 2 * math.sqrt(2 / max(n, 1))
@@ -69,8 +71,8 @@ def resample_units(
 ) -> tuple[Floats, Floats]:
     """Units (runs, n, p) of pieces of `length` of a record x, w: (n, p), from random places.
 
-    Mean and standard deviation of each run are off by as much as a record of that length may be off: they are those of
-    a record that is drawn for it in the same way.
+    Mean and standard deviation of each run come from a second record of the original length, drawn in the same way. So
+    their errors are those of such a record.
     """
     drawn = _rows(len(x), shape, length, rng)
     learned = _rows(len(x), (shape[0], len(x)), length, rng)

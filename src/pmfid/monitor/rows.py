@@ -40,7 +40,7 @@ class FleetRows:
         return FleetRows(theta, std, innovation, self.status[rows], self.state[rows], [])
 
     def take(self, part: FleetRows, rows: NDArray[np.int64], time: slice, kept: Flags | None = None) -> None:
-        """A part becomes that of these rows (k,), which rise, and of a time; kept: (k,) which of them, None: all."""
+        """Copies `part` into the rows `rows` (k,), which rise, and the samples `time`; kept: (k,) rows, None: all."""
         taken = np.ones(rows.size, np.bool_) if kept is None else kept
         whole = taken.all() and rows[-1] - rows[0] == rows.size - 1  # rows rise: they follow one another
         place, source = (slice(rows[0], rows[-1] + 1), slice(None)) if whole else (rows[taken], taken)

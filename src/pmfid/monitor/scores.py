@@ -90,8 +90,10 @@ def reference_kernel(estimator: Estimator, theta: Sequence[float]) -> tuple[Kern
 
 
 def start_blocks(estimator: Estimator, theta: Floats) -> int:
-    """Blocks that count for nothing after a start or a gap, while the model's velocity is not yet that of the plant: it
-    comes near with the plant's own time constant, mass over viscous friction."""
+    """Blocks that count for nothing after a start or a gap, until the model's velocity is the plant's velocity.
+
+    It converges with the plant's own time constant, mass over viscous friction.
+    """
     mass, viscous = estimator.equation.role_values(theta)[:2]
     time = START_TIME_CONSTANTS * mass / max(viscous, 1e-300)
     return 1 + min(MOST_START_BLOCKS, math.ceil(time / (block_samples(estimator) * estimator.dt)))
@@ -99,7 +101,7 @@ def start_blocks(estimator: Estimator, theta: Floats) -> int:
 
 @dataclass(frozen=True)
 class Scoring:
-    """What the kernel needs to know to make blocks. first: column of phi, z, zeta; parameters: p; size: samples of a
+    """Configuration of the kernel for blocks. first: column of phi, z, zeta; parameters: p; size: samples of a
     block; left_out: status of samples that count for nothing, UNUSABLE among it."""
 
     first: int

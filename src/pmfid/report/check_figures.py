@@ -83,7 +83,7 @@ def correlation_figure(balance: Balance) -> Figure:
             axes.margins(x=0)
             axes.locator_params(axis="x", nbins=6)
         own.set_xlabel("lag [s]")
-        cross.set_xlabel("lag behind the input [s]")
+        cross.set_xlabel("delay after the input [s]")
     return figure
 
 

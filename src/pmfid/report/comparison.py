@@ -12,7 +12,7 @@ from pmfid.report.html import Section, svg, write_report
 from pmfid.session.compare import Comparison
 from pmfid.session.result import ProcessResult
 
-#: Panels beside each other; more leave their numbers no room.
+#: Most panels in a row; the numbers of more would not fit.
 PANELS = 4
 #: A fit beyond this [percent] is shown by its size alone.
 HUGE = 1e5
@@ -59,8 +59,10 @@ def _fit(percent: float | None) -> str:
 
 
 def comparison_dots(comparison: Comparison) -> Figure:
-    """One panel for each parameter, PANELS in a row: estimates by method with bars of two standard deviations, and with
-    thin lines where what the model may lack is known."""
+    """One panel for each parameter, PANELS in a row: estimates by method with error bars of two standard deviations.
+
+    Thin lines show the model spread if it is known.
+    """
     first = next(iter(comparison.results.values()))
     methods = list(comparison.results)
     lines, columns = -(-len(first.names) // PANELS), min(PANELS, len(first.names))

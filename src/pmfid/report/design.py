@@ -10,7 +10,7 @@ import numpy as np
 from pmfid.design.problem.criteria import CRITERIA
 from pmfid.design.problem.result import Design
 from pmfid.design.search.campaign import Campaign
-from pmfid.design.trial.appraisal import Appraisal, gathered
+from pmfid.design.trial.appraisal import Appraisal, accumulate_value
 from pmfid.design.trial.encoder_error import is_counted
 from pmfid.design.trial.sequential import Commissioning
 from pmfid.report.design_figures import ellipse_figure, gathering_figure, motion_figure
@@ -30,7 +30,7 @@ __all__ = [
 
 Rows = tuple[list[str], list[list[str]]]
 
-#: Standard inputs that the figures show beside the design; the tables have all.
+#: Standard inputs in the figures, next to the design; the tables have all.
 SHOWN = ("trapezoid", "s_curve", "minimum_time", "prbs")
 
 
@@ -94,14 +94,14 @@ def _percent(std: float, nominal: float) -> str:
 def _sections(appraisal: Appraisal) -> list[Section]:
     design = appraisal.design
     motions = {name: columns for name, columns in motions_of(appraisal).items() if name in ("design", *SHOWN)}
-    curves = {name: gathered(design.problem, appraisal.rule, columns[0]) for name, columns in motions.items()}
+    curves = {name: accumulate_value(design.problem, appraisal.rule, columns[0]) for name, columns in motions.items()}
     problem = design.problem
     nominal = np.array([abs(problem.nominal[name]) or 1.0 for name in problem.unknown])
     ellipses = ellipse_figure(problem.unknown, nominal, {name: appraisal.worths[name].fisher for name in motions})
     sections = [
         Section("What it is worth", _summary(appraisal), criteria_table(appraisal)),
         Section("Predicted standard deviations", _STD_TEXT, std_table(appraisal)),
-        *_through_encoder(appraisal),
+        *_encoder_sections(appraisal),
         Section(
             "Input and motion",
             "Limits are dashed, the least speed is dotted.",
@@ -118,7 +118,7 @@ def _sections(appraisal: Appraisal) -> list[Section]:
     return sections
 
 
-def _through_encoder(appraisal: Appraisal) -> list[Section]:
+def _encoder_sections(appraisal: Appraisal) -> list[Section]:
     if not any(np.isfinite(std) for std in appraisal.worths["design"].std_encoder.values()):
         return []
     return [Section("The same through this encoder", _ENCODER_TEXT, std_table(appraisal, through_encoder=True))]

@@ -71,7 +71,7 @@ def plain_ticks(axis: Axis) -> None:
 
 
 def save_png(figure: Figure, path: Path, width: int = 1200) -> None:
-    """Write the figure as PNG, `width` pixels wide. Raises OSError where the file cannot be written."""
+    """Write the figure as PNG, `width` pixels wide. Raises OSError if the file cannot be written."""
     with figure_style():
         figure.savefig(path, format="png", dpi=width / figure.get_figwidth(), metadata={"Software": None})
 
@@ -108,7 +108,7 @@ def estimate_figure(t: ArrayLike, track: Track, nominal: Mapping[str, ArrayLike]
     """Estimate, +-2 standard deviations and nominal value of each physical parameter over time.
 
     t: (n,) [s]; nominal: value, or (n,) values, by parameter name. Shaded: poor excitation or compensation
-    held. Raises UsageError where t and the track differ in length.
+    held. Raises UsageError if t and the track differ in length.
     """
     values = {name: np.asarray(value, float) for name, value in (nominal or {}).items()}
     over_time = {f"nominal {name}": value for name, value in values.items() if value.ndim}
@@ -124,7 +124,7 @@ def estimate_figure(t: ArrayLike, track: Track, nominal: Mapping[str, ArrayLike]
 
 
 def _estimate_panel(axes: Axes, t: Floats, track: Track, name: str, nominal: Floats | None) -> None:
-    theta, band = _known(track, name), 2 * track.theta_std[:, track.names.index(name)]
+    theta, band = _mask_start(track, name), 2 * track.theta_std[:, track.names.index(name)]
     low, high = theta - band, theta + band
     i = np.union1d(decimation(low, MAX_POINTS // 2), decimation(high, MAX_POINTS // 2))
     shown = np.isfinite(band[i])
@@ -134,7 +134,7 @@ def _estimate_panel(axes: Axes, t: Floats, track: Track, name: str, nominal: Flo
         _line(axes, t, np.broadcast_to(nominal, t.shape), color=MAGENTA, ls="--", label="nominal")
     _shade(axes, stretches(t, track.flagged(DOUBTFUL)))
     axes.set_ylabel(_label(name, track.units[track.names.index(name)]))
-    _robust_limits(axes, [_settled(track, low), _settled(track, high)], nominal)
+    _robust_limits(axes, [_select_settled(track, low), _select_settled(track, high)], nominal)
 
 
 def _shade(axes: Axes, spans: list[tuple[float, float]]) -> None:
@@ -154,7 +154,7 @@ def comparison_figure(
     """One parameter by several methods on several records, with the truth: paper figure 4.
 
     t: (n,) [s]; tracks: title of the panel -> label of the curve -> track; truth: (n,), unit of the parameter.
-    Raises UsageError where a length differs from that of t.
+    Raises UsageError if a length differs from that of t.
     """
     named = {f"{title}, {name}": k.status for title, curves in tracks.items() for name, k in curves.items()}
     t, settled = _time(t, {"truth": truth, **named}), []
@@ -162,8 +162,8 @@ def comparison_figure(
         figure, panels = _panels(len(tracks), 1.9, sharey=True)
         for (title, curves), axes in zip(tracks.items(), panels, strict=True):
             for colour, (label, track) in zip(cycle(COLOURS), curves.items(), strict=False):
-                _line(axes, t, _known(track, parameter), color=colour, label=label)
-                settled.append(_settled(track, track[parameter]))
+                _line(axes, t, _mask_start(track, parameter), color=colour, label=label)
+                settled.append(_select_settled(track, track[parameter]))
             _line(axes, t, np.asarray(truth, float), color=MAGENTA, ls="--", label="truth")
             axes.set_title(title)
             axes.set_ylabel(_label(parameter, track.units[track.names.index(parameter)]))
@@ -181,7 +181,7 @@ def signals_figure(
     input_unit: str = "unit of u",
     velocity_unit: str = "m/s",
 ) -> Figure:
-    """Input and velocity over time, each (n,). Raises UsageError where the lengths differ."""
+    """Input and velocity over time, each (n,). Raises UsageError if the lengths differ."""
     t = _time(t, {"u": u, "velocity": velocity})
     with figure_style():
         figure, panels = _panels(2, 1.7)
@@ -196,7 +196,7 @@ def signals_figure(
 def status_figure(t: ArrayLike, status: ArrayLike) -> Figure:
     """When each status bit was set: one row per bit that occurs. t: (n,) [s]; status: (n,) `Status` bits.
 
-    Raises UsageError where the lengths differ.
+    Raises UsageError if the lengths differ.
     """
     t, bits = _time(t, {"status": status}), np.asarray(status)
     occurring = [bit for bit in Status if np.any(bits & bit)]
@@ -215,7 +215,7 @@ def status_figure(t: ArrayLike, status: ArrayLike) -> Figure:
 
 
 def residual_figure(t: ArrayLike, residual: ArrayLike, *, unit: str = "N") -> Figure:
-    """Residual (n,) over time t (n,) [s], and its histogram. Raises UsageError where the lengths differ."""
+    """Residual (n,) over time t (n,) [s], and its histogram. Raises UsageError if the lengths differ."""
     t, e = _time(t, {"residual": residual}), np.asarray(residual, float)
     with figure_style():
         figure = Figure(figsize=(WIDTH, 2.6), layout="constrained")
@@ -257,12 +257,12 @@ def _line(axes: Axes, t: Floats, y: Floats, **style: Any) -> None:
     axes.plot(t[i], y[i], **style)
 
 
-def _known(track: Track, name: str) -> Floats:
-    """The track of one parameter, NaN where there is no estimate yet."""
+def _mask_start(track: Track, name: str) -> Floats:
+    """The track of one parameter, NaN if there is no estimate yet."""
     return np.where(track.flagged(Status.STARTING), np.nan, track[name])
 
 
-def _settled(track: Track, y: Floats) -> Floats:
+def _select_settled(track: Track, y: Floats) -> Floats:
     """The finite values of y (n,) after the start-up: the first tenth is left out if something remains."""
     usable = np.isfinite(y) & ~track.flagged(NO_ESTIMATE)
     late = usable & (np.arange(y.size) >= y.size // 10)

@@ -11,7 +11,7 @@ from pathlib import Path
 def replace_file(path: Path, data: bytes) -> None:
     """Writes `data` in place of what was at the path; a link is replaced, not followed; a device is written to.
 
-    Raises OSError where that cannot be: then the file is what it was.
+    Raises OSError if that cannot be: then the file is what it was.
     """
     if path.exists() and not path.is_file():
         path.write_bytes(data)

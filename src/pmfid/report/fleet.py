@@ -18,7 +18,7 @@ from pmfid.report.html import Cell, Section, Table, svg, write_report
 if TYPE_CHECKING:
     import polars as pl
 
-#: Axes and problems in the tables; all are in the files beside the report.
+#: Most axes and problems in the tables; the files of the same folder have all.
 SHOWN, PROBLEMS, OTHERS = 60, 40, 20
 
 
@@ -27,7 +27,7 @@ def write_fleet(out: Path, found: History, name: str) -> None:
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "fleet.json", found.to_json())
     sections = [_attention(found), _unknown(found), _trends(found), _wandering(found), _spread(found), _map(found)]
-    sections += [_unused(found), _how(found)]
+    sections += [_list_unused(found), _how(found)]
     write_report(out / "fleet.html", f"{name}: {found.title}", [one for one in sections if one is not None])
 
 
@@ -62,10 +62,10 @@ def _besides(found: History) -> str:
     files = found.problems.filter((found.problems["code"] == "unreadable") & (found.problems["file"] != ""))
     text = f"\n\n{_many(unknown, 'axis has', 'axes have')} no estimate, listed below." if unknown else ""
     text += f"\n\n{_many(files['file'].n_unique(), 'file', 'files')} could not be read." if files.height else ""
-    for part, told in (
+    for part, reason in (
         found.problems.filter(found.problems["code"] == "several_sorts").select("file", "text").iter_rows()
     ):
-        text += f"\n\n{part[:1].upper() + part[1:]}: {told}."
+        text += f"\n\n{part[:1].upper() + part[1:]}: {reason}."
     return text + (f"\n\n{_many(wander, 'axis wanders', 'axes wander')}, which needs no action." if wander else "")
 
 
@@ -78,13 +78,13 @@ def _kind(found: History, kind: str) -> pl.DataFrame:
 
 
 def _unknown(found: History) -> Section | None:
-    """The axes of which nothing is known, with what their records say."""
+    """The axes without an estimate, with the findings of their records."""
     import polars as pl
 
     if not found.unknown.height:
         return None
-    told = dict(found.periods.group_by("axis").agg(pl.col("findings").str.join(" ")).iter_rows())
-    rows: list[list[Cell]] = [[axis, _words(told.get(axis, ""))] for axis in found.unknown["axis"].head(OTHERS)]
+    findings = dict(found.periods.group_by("axis").agg(pl.col("findings").str.join(" ")).iter_rows())
+    rows: list[list[Cell]] = [[axis, _words(findings.get(axis, ""))] for axis in found.unknown["axis"].head(OTHERS)]
     text = (
         "Of these it is not known whether anything is the matter: they stand still, their counts or their input do not "
         "reach the log, or their records are too short or damaged."
@@ -139,7 +139,7 @@ def _trends(found: History) -> Section | None:
 
 
 def _slope(slope: float, std: float) -> str:
-    """To the digits that the bar leaves, two at most behind the point."""
+    """A slope in %, with the digits that its standard error leaves: two at most after the point."""
     digits = min(2, max(0, 1 - math.floor(math.log10(max(100 * std, 1e-9))))) if math.isfinite(std) else 2
     return f"{100 * slope:+.{digits}f} ± {max(100 * std, 0.01):.2g}" if math.isfinite(slope) else ""
 
@@ -173,7 +173,7 @@ def _map(found: History) -> Section | None:
     return Section("Map of findings", text, svg=svg(map_figure(found)))
 
 
-def _unused(found: History) -> Section | None:
+def _list_unused(found: History) -> Section | None:
     rows: list[list[Cell]] = [
         [row["axis"] or row["file"], row["code"], row["times"], _from(row["from"]), row["text"]]
         for row in found.problems.head(PROBLEMS).iter_rows(named=True)
@@ -197,9 +197,9 @@ def _how(found: History) -> Section:
     )
     text = (
         f"{found.samples} samples in estimates of {found.segment:.3g} s each, put together by period ({found.period}). "
-        "An axis is named where its change, drift or distance goes beyond the tolerance by more than chance makes of "
-        "so many axes, parameters and moments; in a fleet where nothing is the matter less than one axis is. "
-        "Error bars hold what the estimates of one axis scatter; they do not hold what the model lacks."
+        "An axis is named if its change, drift or distance exceeds the tolerance by more than chance can, given the "
+        "number of axes, parameters and times. In a healthy fleet less than one axis is named on average. "
+        "Error bars hold the scatter of the estimates of one axis; they do not hold unmodelled effects."
     )
     return Section("The fleet, and how this was made", text, middle)
 

@@ -35,7 +35,7 @@ NAMES, SHOWN, ROWS, COLUMNS = 6, 2.0, 50, 400
 TRENDS, LONGEST, QUIET = 6, 24, 10
 #: Kinds of verdicts with a course over time, and the least height of a panel of it [%].
 MOVING, LEAST_HEIGHT = ("changed", "drifts"), 2.0
-#: Days of a history from which on its times are told by the date alone.
+#: Days of a history from which its times are labelled by the date alone.
 DATES = 2.0
 
 
@@ -67,16 +67,17 @@ def _panel(panel: Axes, found: History, name: str) -> None:
         which = kinds == kind
         panel.plot(x[which], y[which], MARKERS[kind], color=colour, ms=4)
     most = np.where(kinds == "differs", np.abs(x), np.abs(y))
-    for k in _apart(x, y, [int(k) for k in np.argsort(-most, kind="stable") if not quiet[k] and most[k] > SHOWN]):
+    notable = [int(k) for k in np.argsort(-most, kind="stable") if not quiet[k] and most[k] > SHOWN]
+    for k in _choose_labels(x, y, notable):
         panel.annotate(label_of(axes["axis"][k]), (x[k], y[k]), (4, 3), textcoords="offset points", fontsize=7)
     panel.margins(x=0.15)
-    _at_least(panel)
+    _set_least_height(panel)
     panel.set_title(name.replace("_", " "))
     panel.set_xlabel("from the median in %")
 
 
-def _apart(x: Floats, y: Floats, places: Sequence[int]) -> list[int]:
-    """The first NAMES places whose names do not stand in each other's way."""
+def _choose_labels(x: Floats, y: Floats, places: Sequence[int]) -> list[int]:
+    """The first NAMES places whose names do not overlap."""
     width, height = max(float(np.ptp(x)), 1e-9), max(float(np.ptp(y)), 1e-9)
     found: list[int] = []
     for k in places:
@@ -85,8 +86,8 @@ def _apart(x: Floats, y: Floats, places: Sequence[int]) -> list[int]:
     return found[:NAMES]
 
 
-def _at_least(panel: Axes) -> None:
-    """Chance is not blown up to the height of the panel."""
+def _set_least_height(panel: Axes) -> None:
+    """Extends the range of a panel to LEAST_HEIGHT, so that scatter does not fill the panel."""
     low, high = panel.get_ylim()
     missing = max(0.0, LEAST_HEIGHT - (high - low)) / 2
     panel.set_ylim(low - missing, high + missing)
@@ -110,7 +111,8 @@ def ticks_of(times: Floats) -> list[str]:
 
 
 def trend_figure(found: History) -> Figure:
-    """A panel for each of the first axes that move: every parameter by period, relative to its first, with bars."""
+    """A panel for each of the first axes that move: every parameter by period, relative to its first value, with 95 %
+    intervals."""
     import polars as pl
 
     named = moving(found)["axis"].to_list()
@@ -124,10 +126,10 @@ def trend_figure(found: History) -> Figure:
                 middle, theta, std = (own[key].to_numpy() for key in ("period", name, f"{name}_std"))
                 if theta.size and theta[0]:
                     scale = 100 / theta[0]
-                    bars = 1.96 * abs(scale) * std
-                    panel.errorbar(middle, scale * theta, bars, color=colour, ls=line, marker=marker, lw=1, ms=3)
+                    half = 1.96 * abs(scale) * std
+                    panel.errorbar(middle, scale * theta, half, color=colour, ls=line, marker=marker, lw=1, ms=3)
             panel.set_title(label_of(axis))
-            _at_least(panel)
+            _set_least_height(panel)
             ticks = np.unique(own["period"].to_numpy()[[0, -1]]) if own.height else np.empty(0)
             panel.set_xticks(ticks, ticks_of(ticks))
         for panel in panels[len(named) :]:
@@ -156,9 +158,9 @@ def map_figure(found: History) -> Figure:
     edges = times[:: -(-times.size // COLUMNS)]
     grid = np.full((len(order), edges.size), len(MAP) - 1)
     levels = {name: level for level, name in enumerate(MAP)}
-    for axis, period, quality, told in shown.select("axis", "period", "quality", "findings").iter_rows():
+    for axis, period, quality, findings in shown.select("axis", "period", "quality", "findings").iter_rows():
         column = max(0, int(np.searchsorted(edges, period, "right")) - 1) if period == period else 0
-        level = levels["change" if "changed" in told.split() else "no estimate" if quality == "none" else quality]
+        level = levels["change" if "changed" in findings.split() else "no estimate" if quality == "none" else quality]
         grid[place[axis], column] = min(level, grid[place[axis], column])
     with figure_style():
         figure = Figure(figsize=(WIDTH, 1.2 + 0.14 * max(8, len(order))), layout="constrained")
@@ -180,8 +182,8 @@ def _order(found: History) -> list[str]:
     doubts = dict(periods.iter_rows())
     rows = enumerate(found.axes.select("axis", "kind").iter_rows())
     ranked = sorted((kind == "", -doubts.get(axis, 0) if kind == "" else 0, k, axis) for k, (axis, kind) in rows)
-    told = sum(not quiet or doubts < 0 for quiet, doubts, *_ in ranked)
-    return [axis for *_, axis in ranked][: min(ROWS, told + QUIET)]
+    notable = sum(not quiet or doubts < 0 for quiet, doubts, *_ in ranked)
+    return [axis for *_, axis in ranked][: min(ROWS, notable + QUIET)]
 
 
 def _labels(axes: Axes, found: History, order: list[str], edges: np.ndarray) -> None:

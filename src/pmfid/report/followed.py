@@ -12,7 +12,7 @@ def followed_figure(
     t: Floats, signals: tuple[Floats, Floats], output: str, error: Floats, left: str, shaded: float = 0.0
 ) -> Figure:
     """Measured and simulated output (n,) over time t (n,) [s], below them an error (n,); output, left: labels of both.
-    shaded: the first so many seconds, what a start was fitted to."""
+    shaded: time [s] of the first samples, which the start was fitted to."""
     with figure_style():
         figure = Figure(figsize=(WIDTH, 4.4), layout="constrained")
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))

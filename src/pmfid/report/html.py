@@ -1,4 +1,4 @@
-"""The report: one HTML file that needs nothing beside it."""
+"""The report: one HTML file that needs no other file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Section:
     heading, text: plain text, an empty line in the text starts a new paragraph; table: (header, rows), numbers
     are shown with 4 digits, text as it is; svg: an <svg> element as from `svg`, embedded as it is; first: it stands
     above text and table, not below them; code: lines of a file, as they are.
-    Raises UsageError where a row of the table has not as many cells as the header.
+    Raises UsageError if a row of the table has not as many cells as the header.
     """
 
     heading: str
@@ -65,7 +65,7 @@ def svg(figure: Figure) -> str:
 def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:
     """Write the sections to one HTML file in UTF-8; the same sections give the same bytes.
 
-    It has no scripts, links or dates. Raises OSError where the file cannot be written.
+    It has no scripts, links or dates. Raises OSError if the file cannot be written.
     """
     source = files("pmfid.report").joinpath("templates", "report.html.j2").read_text("utf-8")
     environment = jinja2.Environment(

@@ -16,7 +16,7 @@ SHOWN_ALARMS = 200
 
 
 def write_monitored(path: Path, name: str, setup: Setup, run: MonitoredRun, history: RunHistory) -> None:
-    """Writes one self-contained HTML file on a run. Raises OSError where it cannot be written."""
+    """Writes one self-contained HTML file on a run. Raises OSError if it cannot be written."""
     sections = [_verdict(setup, run)]
     if len(history.rows) > 1:
         sections.append(
@@ -108,7 +108,7 @@ def _run_text(history: RunHistory, setup: Setup) -> str:
     return text + (f" One row of {history.stride} is shown." if history.stride > 1 else "")
 
 
-def _made(calibration: Calibration) -> str:
+def _describe_hours(calibration: Calibration) -> str:
     hours = calibration.record_hours
     return f"drawn from the {hours:.2g} h of the reference record" if hours else "simulated"
 
@@ -125,9 +125,9 @@ def _calibration(setup: Setup) -> Section:
     text = (
         f"In use: {watch.detector}, mean time between false alarms {watch.mtbf_hours:g} h for a machine exactly at its "
         f"reference; deviations within {100 * watch.tolerance:g} % are no alarm, so false ones are rarer still. "
-        f"{calibration.hours:.3g} h of normal work were {_made(calibration)}; points: the largest values of the "
-        "statistic there, lines: what the thresholds are read from. Noise of the reference record over that of the "
-        f"simulation, by parameter: {noise}."
+        f"{calibration.hours:.3g} h of normal work were {_describe_hours(calibration)}; points: the largest values of "
+        "the statistic there, lines: fits that give the thresholds. Noise of the reference record over the noise of "
+        f"the simulation, by parameter: {noise}."
     )
     figure = calibration_figure(calibration.tails, watch.detector, watch.mtbf_hours)
     return Section("Thresholds", text, (head, rows), svg(figure))

@@ -1,4 +1,4 @@
-"""Figures of a monitored run: everything over one time axis, and the false alarm rates behind the thresholds."""
+"""Figures of a monitored run: all signals over one time axis, and the false alarm rates that give the thresholds."""
 
 from __future__ import annotations
 
@@ -83,7 +83,8 @@ def run_figure(data: RunData) -> Figure:
             _line(axes, data.t, values, lw=0.8, color=COLOURS[0])
             axes.set_ylabel(_label(name, unit))
             _show_accepted(axes, values, data.status)
-        spread = 1.5 * np.percentile(np.abs(data.innovation[_trusted(data)]), 99.9) if np.any(_trusted(data)) else 0.0
+        trusted = np.abs(data.innovation[_select_trusted(data)])
+        spread = 1.5 * np.percentile(trusted, 99.9) if trusted.size else 0.0
         if spread > 0:
             panels[-1].set_ylim(-spread, spread)
         for axes in panels:
@@ -105,18 +106,21 @@ def _estimate_panel(axes: Axes, data: RunData, i: int) -> None:
     axes.fill_between(data.t[rows], low[rows], high[rows], where=np.isfinite(band[rows]), **style)
     axes.axhline(data.nominal[i], color=MAGENTA, ls="--", lw=1.2, label="nominal")
     axes.set_ylabel(_label(data.names[i], data.units[i]).replace(" friction", "\nfriction"))
-    _limits(axes, theta[_trusted(data)], float(data.nominal[i]))
+    _limits(axes, theta[_select_trusted(data)], float(data.nominal[i]))
 
 
-def _trusted(data: RunData) -> Flags:
-    """Where the estimate is neither starting nor swinging after an alarm."""
+def _select_trusted(data: RunData) -> Flags:
+    """(n,) samples at which the estimate is neither starting nor settling after an alarm."""
     doubtful = Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION
     return np.asarray(((data.status & doubtful) == 0) & (data.state != SUSPICIOUS))
 
 
 def _show_accepted(axes: Axes, values: Floats, status: NDArray[np.uint32]) -> None:
-    """A sample that was left out, as at a jump of the counts, has no say in the range, nor have its neighbours, whose
-    difference quotients reach over it: all others would be flat."""
+    """Sets the range of the axis without samples that were left out, as at a jump of the counts.
+
+    Their neighbours do not count either, because their difference quotients use such a sample. With them all other
+    samples would look flat.
+    """
     left_out = np.pad((status & LEFT_OUT) != 0, 1)
     shown = values[~(left_out[:-2] | left_out[1:-1] | left_out[2:]) & np.isfinite(values)]
     if 0 < shown.size < values.size:

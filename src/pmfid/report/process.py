@@ -106,10 +106,10 @@ def bode_of(process: Process, dt: float) -> Figure:
     with figure_style():
         figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
         upper = figure.add_subplot(2, 1, 1)
-        _banded(upper, w, size, 2 * 20 / np.log(10) * magnitude)
+        _draw_band(upper, w, size, 2 * 20 / np.log(10) * magnitude)
         upper.set_ylabel("magnitude [dB]")
         lower = figure.add_subplot(2, 1, 2, sharex=upper)
-        _banded(lower, w, np.degrees(angle), 2 * np.degrees(phase))
+        _draw_band(lower, w, np.degrees(angle), 2 * np.degrees(phase))
         lower.set_ylabel("phase [degrees]")
         lower.set_xlabel("frequency [rad/s]")
         upper.set_xscale("log")
@@ -127,7 +127,7 @@ def step_figure(process: Process) -> Figure:
     with figure_style():
         figure = Figure(figsize=(WIDTH, 2.6), layout="constrained")
         axes = figure.add_subplot()
-        _banded(axes, t, y, 2 * std)
+        _draw_band(axes, t, y, 2 * std)
         axes.set_xlabel("time [s]")
         axes.set_ylabel("response to a unit step")
     return figure
@@ -159,7 +159,7 @@ def correlation_figure(result: ProcessResult) -> Figure:
     return figure
 
 
-def _banded(axes: Axes, x: np.ndarray, y: np.ndarray, half: np.ndarray) -> None:
+def _draw_band(axes: Axes, x: np.ndarray, y: np.ndarray, half: np.ndarray) -> None:
     axes.fill_between(x, y - half, y + half, color=COLOURS[0], alpha=0.25, linewidth=0)
     axes.plot(x, y, color=COLOURS[0])
 
@@ -203,7 +203,7 @@ def search_figure(search: Search) -> Figure:
         axes.set_yscale("symlog", linthresh=10)
         plain_ticks(axes.yaxis)
         axes.margins(y=0.25)
-        axes.set_xlabel("parameters; beside the point: n, m, delay of the best such structure")
+        axes.set_xlabel("parameters; above the point: n, m, delay of the best such structure")
         axes.set_ylabel("criterion above the best")
     return figure
 
@@ -214,10 +214,10 @@ def write_search(out: Path, search: Search, name: str) -> None:
     write_json(out / "order.json", search_json(search))
     text = (
         f"{search.samples} samples, {len(search.candidates)} structures fitted, {search.skipped} cannot be better. "
-        "Criterion: Schwarz (1978), behind the whitening filter of the noise, above that of the best; less is better, "
-        "and less than about 10 apart is not sure. Refused: identify has no estimate, or one with a pole that nothing "
-        "tells. "
-        "Condition: of the scaled sensitivities; large where poles and zeros nearly cancel."
+        "Criterion: Schwarz (1978), after the whitening filter of the noise, as the distance from the best structure. "
+        "Less is better; a difference below about 10 is not significant. Refused: identify has no estimate, or an "
+        "estimate with a pole that the record does not determine. "
+        "Condition: of the scaled sensitivities; large if poles and zeros nearly cancel."
     )
     text = "\n\n".join([text, *(f"Note: {note}." for note in search_notes(search))])
     table = (search_header(), search_rows(search))

@@ -76,11 +76,11 @@ def model_rows(found: TermSearch) -> Rows:
 
 
 def _value(model: Nested, roles: tuple[int, ...]) -> str:
-    """A parameter with its error bar; of one that differs by direction both."""
+    """A parameter with its standard error; for a directional parameter both values."""
     equation: Equation = model.trial.model.equation
     indices = dict.fromkeys(index for index in (equation.roles[role] for role in roles) if index is not None)
-    bars = None if model.fit is None else model.fit.theta_std
-    return ", ".join(f"{model.trial.theta[i]:.4g}" + ("" if bars is None else f" ± {bars[i]:.2g}") for i in indices)
+    std = None if model.fit is None else model.fit.theta_std
+    return ", ".join(f"{model.trial.theta[i]:.4g}" + ("" if std is None else f" ± {std[i]:.2g}") for i in indices)
 
 
 def term_rows(found: TermSearch) -> Rows:
@@ -89,7 +89,7 @@ def term_rows(found: TermSearch) -> Rows:
     return header, [
         [
             one.setting,
-            ", ".join(_sized(*value) for value in one.values) or "–",
+            ", ".join(_format_value(*value) for value in one.values) or "–",
             "yes" if one.kept else "no",
             _number(one.with_it),
             _number(one.without),
@@ -99,8 +99,8 @@ def term_rows(found: TermSearch) -> Rows:
     ]
 
 
-def _sized(name: str, value: float, bar: float, unit: str) -> str:
-    return f"{name} {value:.4g}" + (f" ± {bar:.2g}" if math.isfinite(bar) else "") + f" {unit}"
+def _format_value(name: str, value: float, std: float, unit: str) -> str:
+    return f"{name} {value:.4g}" + (f" ± {std:.2g}" if math.isfinite(std) else "") + f" {unit}"
 
 
 def step_rows(found: TermSearch) -> Rows:

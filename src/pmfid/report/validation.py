@@ -28,8 +28,8 @@ def write_validation(out: Path, found: Validation) -> None:
         Section("Free run", _text(found), run_rows(found)),
     ]
     if any(run.horizons for run in found.runs):
-        text = "The run begins anew every so many seconds, each time with a start fitted to its first samples."
-        sections.append(Section("Begun anew", text, horizon_rows(found), svg(horizon_figure(found))))
+        text = "The simulation restarts at the interval given, each time with a start fitted to its first samples."
+        sections.append(Section("Restarted", text, horizon_rows(found), svg(horizon_figure(found))))
     sections += [
         Section(f"Measured and simulated: {run.name}", svg=svg(run_figure(run, found.unit)))
         for run in found.runs[:MOST_FIGURES]
@@ -93,7 +93,7 @@ def run_figure(run: FreeRun, unit: str) -> Figure:
 
 
 def horizon_figure(found: Validation) -> Figure:
-    """Errors over the time after which a run begins anew; of the whole record at its right end."""
+    """Errors over the interval of restarts; the last point is the error without a restart."""
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
         axes = figure.subplots()
@@ -110,7 +110,7 @@ def horizon_figure(found: Validation) -> Figure:
         for axis in (axes.xaxis, axes.yaxis):
             plain_ticks(axis)
         axes.set_xticks(sorted({part.seconds for run in found.runs for part in run.horizons}))
-        axes.set_xlabel("begun anew every [s]; last point: never (dotted: standstill; dashed: encoder alone)")
+        axes.set_xlabel("restarted every [s]; last point: never (dotted: standstill; dashed: encoder alone)")
         axes.set_ylabel(_with_unit("root mean square error", found.unit))
         axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=4, borderaxespad=0.2)
     return figure

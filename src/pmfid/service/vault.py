@@ -9,7 +9,7 @@ from pmfid.durable import vault
 __all__ = ["Vault"]
 
 
-class Vault(vault.Vault):
+class Vault(vault.CheckpointFolder):
     """The folder `[service] state`; one service at a time."""
 
     setting: ClassVar[str] = "[service] state"

@@ -22,7 +22,7 @@ def check_whole(name: str, value: int, low: int, high: float, remedy: str) -> No
         raise ValueError(f"{name} must be a whole number {bound}, got {value}; {remedy}")
 
 
-def as_signal(name: str, values: ArrayLike) -> Floats:
+def check_signal(name: str, values: ArrayLike) -> Floats:
     """Return a float64 copy (n,) of `values`; raise ValueError unless 1-D, finite and n >= 1."""
     signal = np.array(values, dtype=np.float64, order="C")
     if np.ndim(values) != 1 or signal.size == 0:

@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.simulation._plant import simulate_position_control
-from pmfid.simulation.checks import as_signal, check_number, sample_times
-from pmfid.simulation.drive import Drive, Motion, as_motion, as_schedule
-from pmfid.simulation.encoder import NO_FAULTS, Faults, wrapped
+from pmfid.simulation.checks import check_number, check_signal, sample_times
+from pmfid.simulation.drive import Drive, Motion, make_motion, make_schedule
+from pmfid.simulation.encoder import NO_FAULTS, Faults, wrap_counts
 from pmfid.types import Counts
 
 
@@ -40,9 +40,9 @@ def position_control(
     check_number("u_max", u_max, above=0.0, remedy="give the largest input in V")
     check_number("resolution", resolution, above=0.0, remedy="give the travel per count in m")
     check_number("phase", phase, remedy="give the start position on the encoder lattice in m")
-    target = as_signal("reference", reference)
-    columns = as_schedule(parameters).at(sample_times(target.size, dt), dt)
+    target = check_signal("reference", reference)
+    columns = make_schedule(parameters).sample(sample_times(target.size, dt), dt)
     x, v, direction, moving, u, counts = simulate_position_control(
-        target, dt, *columns, 0.0, 0.0, kp, kd, u_max, resolution, phase, *faults.drawn(target.size)
+        target, dt, *columns, 0.0, 0.0, kp, kd, u_max, resolution, phase, *faults.draw(target.size)
     )
-    return as_motion(dt, u, x, v, direction, moving), wrapped(counts, bits)
+    return make_motion(dt, u, x, v, direction, moving), wrap_counts(counts, bits)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.simulation._plant import simulate_open_loop
-from pmfid.simulation.checks import as_signal, check_number, sample_times
+from pmfid.simulation.checks import check_number, check_signal, sample_times
 from pmfid.simulation.encoder import quantize as quantize  # the way to it before it had a file of its own
 from pmfid.types import Floats
 
@@ -71,7 +71,7 @@ class Schedule:
             if not 0.0 <= ramp <= end - begin:
                 raise ValueError(f"ramp must be >= 0 and end before the next change, got {ramp}; give a time in s")
 
-    def at(self, t: ArrayLike, dt: float) -> Columns:
+    def sample(self, t: ArrayLike, dt: float) -> Columns:
         """Return mass, viscous and Coulomb friction, input gain and offset at the instants `t`, each (n,)."""
         # k*dt may fall a rounding error short of the time meant.
         times = np.array([time for time, _ in self.changes]) - 1e-6 * dt
@@ -93,7 +93,7 @@ def _row(p: DriveParameters) -> tuple[float, ...]:
 Drive = DriveParameters | Schedule | Sequence[tuple[float, DriveParameters]]
 
 
-def as_schedule(parameters: Drive) -> Schedule:
+def make_schedule(parameters: Drive) -> Schedule:
     """Return `parameters` as a Schedule; constant parameters hold from time 0 on."""
     if isinstance(parameters, Schedule):
         return parameters
@@ -117,7 +117,7 @@ class Motion:
     moving: Floats
 
 
-def as_motion(dt: float, u: Floats, x: Floats, v: Floats, direction: Floats, moving: Floats) -> Motion:
+def make_motion(dt: float, u: Floats, x: Floats, v: Floats, direction: Floats, moving: Floats) -> Motion:
     """Return the plant's result, x and v (n + 1,), as a Motion (n,); raise ValueError if it overflowed."""
     if not (np.isfinite(x).all() and np.isfinite(v).all()):
         raise ValueError("the motion leaves the range of floating point; check the units of parameters and input")
@@ -138,6 +138,6 @@ def simulate_drive(parameters: Drive, u: ArrayLike, dt: float, x0: float = 0.0, 
     check_number("dt", dt, above=0.0, remedy="give the sample period in seconds")
     check_number("x0", x0, remedy="give the start position in m")
     check_number("v0", v0, remedy="give the start velocity in m/s")
-    signal = as_signal("u", u)
-    columns = as_schedule(parameters).at(sample_times(signal.size, dt), dt)
-    return as_motion(dt, signal, *simulate_open_loop(signal, dt, *columns, x0, v0))
+    signal = check_signal("u", u)
+    columns = make_schedule(parameters).sample(sample_times(signal.size, dt), dt)
+    return make_motion(dt, signal, *simulate_open_loop(signal, dt, *columns, x0, v0))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.simulation._plant import read_encoder
-from pmfid.simulation.checks import as_signal, check_number, check_whole
+from pmfid.simulation.checks import check_number, check_signal, check_whole
 from pmfid.types import Counts, Floats
 
 # Up to 2**53 every whole number is a double of its own; a larger count would be made up.
@@ -15,12 +15,12 @@ COUNT_LIMIT = 2**53
 
 @dataclass(frozen=True)
 class Faults:
-    """What an encoder does wrong; the default is nothing. The same seed gives the same faults.
+    """Faults of an encoder; none by default. The same seed gives the same faults.
 
     missed: probability in [0, 1) that an edge is not counted, so that the count stays wrong from then on.
     jitter: standard deviation [counts] >= 0 by which the edges lie elsewhere at each sample (noise of the receiver).
-    line_error: by how much each line of the disc lies beside its place at most [counts], in [0, 0.5), uniform and
-    the same on every turn of `lines` >= 1 counts. Edges inside one sample are those of its net travel.
+    line_error: largest displacement of a line of the disc [counts], in [0, 0.5). Displacements are uniform, and the
+    same on every turn of `lines` >= 1 counts. Edges inside one sample follow from its net travel.
     Raises ValueError for a value outside its range.
     """
 
@@ -42,7 +42,7 @@ class Faults:
         check_whole("lines", self.lines, 1, 2**24, "give the counts per turn of the disc")
         check_whole("seed", self.seed, 0, np.inf, "any whole number from 0 on will do")
 
-    def drawn(self, samples: int) -> tuple[Floats, Floats, float, int]:
+    def draw(self, samples: int) -> tuple[Floats, Floats, float, int]:
         """Places of the lines (lines,), shift of each sample (samples,) or (0,) [counts], missed, seed: for C."""
         rng = np.random.default_rng(self.seed)
         seed = int(rng.integers(2**63))
@@ -54,7 +54,7 @@ class Faults:
 NO_FAULTS = Faults()
 
 
-def wrapped(counts: Counts, bits: int | None) -> Counts:
+def wrap_counts(counts: Counts, bits: int | None) -> Counts:
     """Counts modulo 2**bits, as a register without sign holds them; None: as they are."""
     if bits is None:
         return counts
@@ -80,6 +80,6 @@ def quantize(
             f"x must be finite and within 2**53 counts of {resolution} m; check the units of x and resolution"
         )
     if faults == NO_FAULTS:
-        return wrapped(np.asarray(level, dtype=np.int64), bits)
-    signal = as_signal("x", x)
-    return wrapped(read_encoder(signal, resolution, phase, *faults.drawn(signal.size)), bits)
+        return wrap_counts(np.asarray(level, dtype=np.int64), bits)
+    signal = check_signal("x", x)
+    return wrap_counts(read_encoder(signal, resolution, phase, *faults.draw(signal.size)), bits)

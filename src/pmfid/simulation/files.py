@@ -57,7 +57,7 @@ def write_csv(scenario: Scenario, path: str | Path, truth: bool = False) -> None
     columns = [motion.t, motion.u, scenario.counts]
     if truth:
         names += ["x", "v", "mass", "viscous_friction", "coulomb_friction", "input_gain", "offset"]
-        columns += [motion.x, motion.v, *scenario.schedule.at(motion.t, scenario.dt)]
+        columns += [motion.x, motion.v, *scenario.schedule.sample(motion.t, scenario.dt)]
     with open(path, "w", encoding="ascii", newline="\n") as file:
         file.write(",".join(names) + "\n")
         for row in zip(*(np.asarray(column).tolist() for column in columns), strict=True):

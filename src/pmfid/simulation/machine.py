@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.simulation._machine import simulate
-from pmfid.simulation.checks import as_signal, check_number, check_whole
+from pmfid.simulation.checks import check_number, check_signal, check_whole
 from pmfid.simulation.drive import DriveParameters
 from pmfid.types import Counts, Floats
 
@@ -20,16 +20,16 @@ _BODY = ("mass", "viscous", "coulomb", "gain", "offset", "stribeck", "stribeck_s
 
 @dataclass(frozen=True)
 class Machine:
-    """A drive and what the model m x'' + d x' + F_c sign(x') [+ offset] = input_gain u lacks; SI units.
+    """A drive with effects beyond the model m x'' + d x' + F_c sign(x') [+ offset] = input_gain u; SI units.
 
-    drive: what the model has. stribeck: friction [N] at rest beyond Coulomb's, which falls with
+    drive: parameters of the model. stribeck: friction [N] at rest beyond Coulomb's, which falls with
     exp(-(v / stribeck_speed)^2), stribeck_speed [m/s] > 0; quadratic: [N s^2/m^2], v |v|; asymmetry: friction is
     1 + asymmetry times as large forward and 1 - asymmetry backward, within (-1, 1); stiffness: of a spring at rest at
     x = 0 [N/m]; gravity: [N], times sin(x + gravity_angle), of a rotary axis; cogging: [N], times sin(2 pi x /
     cogging_pitch + cogging_phase); uneven: friction beyond Coulomb's [N], times sin(2 pi x / uneven_period), and no
     larger than that; dead_time: of the input [s] >= 0, any part of a sample; lag: time constant of a first-order lag of
-    the input [s] >= 0, behind which its mean counts over each step of the integration; force_noise: standard deviation
-    [N] >= 0 of a force that is drawn anew every sample. A rotary axis: rad, kg m2, N m.
+    the input [s] >= 0, whose output is averaged over each step of the integration; force_noise: standard deviation
+    [N] >= 0 of a random force, independent in each sample. A rotary axis: rad, kg m2, N m.
 
     Raises ValueError for a value out of range.
     """
@@ -93,7 +93,7 @@ def drive_machine(
     rng: draws the force noise; steps: of the integration in each sample. Starts at rest at x = 0. Raises ValueError for
     wrong arguments.
     """
-    return _run(machine, as_signal("u", u), dt, resolution, phase, rng, steps, kp=0.0, kd=0.0, u_max=0.0)
+    return _run(machine, check_signal("u", u), dt, resolution, phase, rng, steps, kp=0.0, kd=0.0, u_max=0.0)
 
 
 def control_machine(
@@ -113,7 +113,7 @@ def control_machine(
     check_number("kp", kp, above=0.0, remedy="give the gain in V/m")
     check_number("kd", kd, above=-1e-300, remedy="give the gain in V s/m, 0 for none")
     check_number("u_max", u_max, above=0.0, remedy="give the largest input in V")
-    target = as_signal("reference", reference)
+    target = check_signal("reference", reference)
     return _run(machine, target, dt, resolution, phase, rng, steps, kp=kp, kd=kd, u_max=u_max)
 
 

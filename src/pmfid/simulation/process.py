@@ -14,7 +14,7 @@ from pmfid.types import Floats
 
 
 @dataclass(frozen=True)
-class Plant:
+class SimulatedProcess:
     """b_m s^m + ... + b_0 over s^n + a_{n-1} s^{n-1} + ... + a_0, and how it is excited.
 
     b, a: in descending powers, a with its leading 1; dt [s]; stages, clock: of a maximum length sequence of +-1;
@@ -51,9 +51,9 @@ class Plant:
 PLANTS = {
     plant.name: plant
     for plant in (
-        Plant("second-order", (3.0,), (1.0, 4.0, 3.0), 0.05, 3, 3069, 5.0, (-1.0, -3.0)),
-        Plant("non-minimum-phase", (1.0, -1.0), (1.0, 2.0, 1.0), 0.1, 4, 5000, 2.0, (-0.5, -1.5)),
-        Plant(
+        SimulatedProcess("second-order", (3.0,), (1.0, 4.0, 3.0), 0.05, 3, 3069, 5.0, (-1.0, -3.0)),
+        SimulatedProcess("non-minimum-phase", (1.0, -1.0), (1.0, 2.0, 1.0), 0.1, 4, 5000, 2.0, (-0.5, -1.5)),
+        SimulatedProcess(
             "rao-garnier",
             (-6400.0, 1600.0),
             (1.0, 5.0, 408.0, 416.0, 1600.0),

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.simulation.checks import as_signal, check_number, check_whole, sample_times
+from pmfid.simulation.checks import check_number, check_signal, check_whole, sample_times
 from pmfid.types import Floats
 
 _MAX_STAGES = 24
@@ -59,7 +59,7 @@ def multisine(samples: int, dt: float, frequencies: ArrayLike, amplitude: float,
     _check_samples(samples)
     check_number("dt", dt, above=0.0, remedy="give the sample period in seconds")
     _check_amplitude(amplitude)
-    tones = as_signal("frequencies", frequencies)
+    tones = check_signal("frequencies", frequencies)
     bad = tones[(tones <= 0.0) | (tones >= 0.5 / dt)]
     if bad.size:
         raise ValueError(

@@ -6,7 +6,7 @@
 
 An estimator over whole records has `fit(u, counts)`; one that runs sample by sample has `step`, `run` and the rest of
 `RecursiveEstimator`. The least work is a frozen dataclass below `BatchEstimator` or `RecursiveEstimator`, which brings
-configuration, columns, copies and saved states along. Beside a test of the whole, the checks run one by one:
+configuration, columns, copies and saved states along. The checks also run one by one:
 
     import pytest
     from pmfid.testing import checks_of

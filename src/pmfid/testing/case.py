@@ -19,10 +19,10 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import change_arguments, configuration_of
 from pmfid.estimators.results import Fit
 from pmfid.estimators.track import Track
-from pmfid.testing.plants import Plant, given, plant_for
+from pmfid.testing.plants import ContractRecord, plant_for, wrap_record
 from pmfid.types import Counts, Floats
 
-#: Counts in a sample, by the order of size: so many that the encoder does not matter, and so few that it does.
+#: Counts in a sample, by the order of size: with FINE the encoder does not matter, with COARSE it does.
 FINE, COARSE = 5000.0, 5.0
 #: Samples of a part that every method has enough of.
 SHORT = 1000
@@ -32,17 +32,17 @@ T = TypeVar("T")
 
 
 class Again(Protocol):
-    """A way to get the same object once more."""
+    """A way to copy an object."""
 
     def __call__(self, one: T, /) -> T: ...
 
 
-def _sent(one: T) -> T:
+def _repickle(one: T) -> T:
     again: T = pickle.loads(pickle.dumps(one))
     return again
 
 
-COPIES: Mapping[str, Again] = {"copy.copy": copy.copy, "copy.deepcopy": copy.deepcopy, "pickle": _sent}
+COPIES: Mapping[str, Again] = {"copy.copy": copy.copy, "copy.deepcopy": copy.deepcopy, "pickle": _repickle}
 
 
 class ContractError(PmfidError, AssertionError):
@@ -83,12 +83,12 @@ class Case:
         return change_arguments(self.estimator, {"initial": None} if foreign else {})
 
     @cached_property
-    def fine(self) -> Plant:
-        """A record that shows everything."""
-        return plant_for(self.configured, FINE, 1) if self.record is None else given(*check_arrays(*self.record))
+    def fine(self) -> ContractRecord:
+        """A record that determines all parameters."""
+        return plant_for(self.configured, FINE, 1) if self.record is None else wrap_record(*check_arrays(*self.record))
 
     @cached_property
-    def coarse(self) -> Plant:
+    def coarse(self) -> ContractRecord:
         """One with few counts in a sample; of another plant, in the encoder's view slower."""
         return plant_for(self.configured, COARSE, 2) if self.record is None else self.fine
 
@@ -122,8 +122,8 @@ class Case:
         """(p,) on the fine record."""
         return last(self.result.theta)
 
-    def on_line(self) -> OnLine:
-        """The estimator at its start, to run. Raises UsageError where it does not."""
+    def start_estimator(self) -> OnLine:
+        """The estimator at its start, to run. Raises UsageError if it does not run sample by sample."""
         fresh = replace(self.configured)
         if not isinstance(fresh, OnLine):
             raise UsageError(f"{name_of(fresh)} does not run sample by sample")

@@ -108,15 +108,15 @@ def more_data_make_shorter_error_bars(case: Case) -> None:
 def mirrored(case: Case) -> None:
     """Input and counts with the other sign: forward and backward change places, loads their sign."""
     result = result_of(case.configured, -case.fine.u, -case.fine.counts)
-    _require_near(last(result.theta), _turned(case.configured, case.theta), case.theta, MIRRORED)
+    _require_near(last(result.theta), _mirror_theta(case.configured, case.theta), case.theta, MIRRORED)
 
 
 def scales_with_the_units(case: Case) -> None:
     """Position in a thousandth of its unit, forces as well: what does not depend on it stays, the rest goes with it."""
     configured, factors = case.configured, _factors(case.configured)
     changes: dict[str, object] = {
-        "encoder": _in_thousandths(configured.encoder),
-        "model": _in_thousandths_of_force(configured.model),
+        "encoder": _scale_encoder(configured.encoder),
+        "model": _scale_forces(configured.model),
     }
     noise: float | None = getattr(configured, "noise_std", None)
     if noise is not None:
@@ -130,7 +130,7 @@ def _require_near(found: Floats, expected: Floats, scale: Floats, part: float) -
     require(bool(np.all(np.abs(found - expected) < part * size)), f"it is {found}, not {expected}")
 
 
-def _turned(estimator: Estimator, theta: Floats) -> Floats:
+def _mirror_theta(estimator: Estimator, theta: Floats) -> Floats:
     turned, roles = theta.copy(), estimator.equation.roles
     for one, other in ((VISCOUS_FORWARD, VISCOUS_BACKWARD), (COULOMB_FORWARD, COULOMB_BACKWARD)):
         here, there = roles[one], roles[other]
@@ -150,12 +150,12 @@ def _each(estimator: Estimator, factor: Callable[[Term], float]) -> Floats:
     return np.array(factors + [1.0] * (len(estimator.names) - len(factors)))
 
 
-def _in_thousandths(encoder: Encoder) -> Encoder:
+def _scale_encoder(encoder: Encoder) -> Encoder:
     speed = None if encoder.max_speed is None else THOUSAND * encoder.max_speed
     return replace(encoder, resolution=THOUSAND * encoder.resolution, max_speed=speed)
 
 
-def _in_thousandths_of_force(model: object) -> object:
+def _scale_forces(model: object) -> object:
     if isinstance(model, TransferFunction):  # its gains take it up
         return model
     if isinstance(model, Drive):

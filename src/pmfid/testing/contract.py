@@ -15,11 +15,11 @@ from pmfid.testing.case import Case, ContractError, OffLine, OnLine, name_of
 Check = Callable[[Case], None]
 
 
-def _named(*checks: Check) -> dict[str, Check]:
+def _list_checks(*checks: Check) -> dict[str, Check]:
     return {check.__name__: check for check in checks}
 
 
-COMMON = _named(
+COMMON = _list_checks(
     common.configuration_is_a_value,
     common.wrong_arguments_are_refused,
     common.wrong_arrays_are_refused,
@@ -30,8 +30,8 @@ COMMON = _named(
     common.mirrored,
     common.scales_with_the_units,
 )
-OFF_LINE = _named(off_line.copies_fit_alike, off_line.rest_is_not_identifiable, off_line.covariance_is_one)
-ON_LINE = _named(
+OFF_LINE = _list_checks(off_line.copies_fit_alike, off_line.rest_is_not_identifiable, off_line.covariance_is_one)
+ON_LINE = _list_checks(
     on_line.copies_go_on_alone,
     on_line.equality_is_of_the_configuration,
     on_line.parts_are_the_whole,

@@ -27,7 +27,7 @@ def copies_go_on_alone(case: Case) -> None:
     """After some samples: the copy goes on with the same bits, and the original does not move meanwhile."""
     u, counts = _later(case)
     for name, again in COPIES.items():
-        estimator = _begun(case)
+        estimator = _run_some(case)
         before, other = estimator.get_state(), again(estimator)
         moved = _bits(other, u, counts)
         require(estimator.get_state() == before, f"the original moves with its {name}")
@@ -36,7 +36,7 @@ def copies_go_on_alone(case: Case) -> None:
 
 def equality_is_of_the_configuration(case: Case) -> None:
     """Not of the samples, so that a running estimator can be a key."""
-    begun: object = _begun(case)
+    begun: object = _run_some(case)
     require(begun == case.configured, "samples make it another configuration")
     require(hash(begun) == hash(case.configured), "samples change the hash")
 
@@ -44,25 +44,25 @@ def equality_is_of_the_configuration(case: Case) -> None:
 def parts_are_the_whole(case: Case) -> None:
     """A run in parts, the second of it by steps and from a saved state, has the bits of the whole run."""
     u, counts = _later(case)
-    whole = case.on_line().run(case.fine.u[: BEFORE + AFTER], case.fine.counts[: BEFORE + AFTER])
-    resumed = case.on_line()
-    resumed.set_state(_begun(case).get_state())
+    whole = case.start_estimator().run(case.fine.u[: BEFORE + AFTER], case.fine.counts[: BEFORE + AFTER])
+    resumed = case.start_estimator()
+    resumed.set_state(_run_some(case).get_state())
     stepped = [resumed.step(float(value), int(count)).theta for value, count in zip(u, counts, strict=True)]
     require(np.array_equal(np.array(stepped), whole.theta[BEFORE:]), "step from a saved state has other bits than run")
     require(np.array_equal(resumed.estimate.theta, stepped[-1]), "estimate is not the one of the last step")
 
 
 def reset_is_a_start(case: Case) -> None:
-    estimator = _begun(case)
+    estimator = _run_some(case)
     estimator.reset()
-    require(estimator.get_state() == case.on_line().get_state(), "reset leaves something of the samples")
+    require(estimator.get_state() == case.start_estimator().get_state(), "reset leaves something of the samples")
 
 
 def a_foreign_state_is_refused(case: Case) -> None:
     """With a UsageError, and without a trace: one of another configuration, a damaged one, and no state at all."""
-    estimator = _begun(case)
+    estimator = _run_some(case)
     before = estimator.get_state()
-    other = Case(replace(case.configured, dt=OTHER_DT * case.configured.dt)).on_line()
+    other = Case(replace(case.configured, dt=OTHER_DT * case.configured.dt)).start_estimator()
     damaged = before[:-1] + bytes([before[-1] ^ 1])
     for what, state in (("of another dt", other.get_state()), ("that is damaged", damaged), ("of no bytes", b"")):
         require_refusal(UsageError, f"a state {what}", partial(estimator.set_state, state))
@@ -70,23 +70,23 @@ def a_foreign_state_is_refused(case: Case) -> None:
 
 
 def counts_are_integers(case: Case) -> None:
-    require_refusal(TypeError, "a count of 7.9", lambda: case.on_line().step(1.0, 7.9))  # type: ignore[arg-type]
+    require_refusal(TypeError, "a count of 7.9", lambda: case.start_estimator().step(1.0, 7.9))  # type: ignore[arg-type]
 
 
 def rest_says_poor_excitation(case: Case) -> None:
     """No input and no motion: finite numbers, and the status says that nothing is learned."""
     n = 2 * case.fine.u.size // 3
-    track = case.on_line().run(np.zeros(n), np.zeros(n, np.int64))
+    track = case.start_estimator().run(np.zeros(n), np.zeros(n, np.int64))
     require(bool(np.all(np.isfinite(track.theta))), "theta is not finite at rest")
-    told = track.flagged(Status.POOR_EXCITATION) | track.flagged(Status.STARTING)
-    require(bool(np.all(told[-n // 2 :])), "the status says neither poor excitation nor starting")
+    flagged = track.flagged(Status.POOR_EXCITATION) | track.flagged(Status.STARTING)
+    require(bool(np.all(flagged[-n // 2 :])), "the status says neither poor excitation nor starting")
 
 
 def anything_leaves_numbers(case: Case) -> None:
     """Inputs of any size, also none, and counts that jump: theta stays finite, and no error bar is NaN."""
     rng = np.random.default_rng(9)
     u = rng.choice(HOSTILE, HOSTILE_SAMPLES)
-    track = case.on_line().run(u, rng.integers(-(2**31), 2**31, HOSTILE_SAMPLES))
+    track = case.start_estimator().run(u, rng.integers(-(2**31), 2**31, HOSTILE_SAMPLES))
     require(bool(np.all(np.isfinite(track.theta))), "theta is not finite")
     require(not np.any(np.isnan(track.theta_std)), "theta_std is NaN")
 
@@ -102,7 +102,7 @@ def precisions_agree(case: Case) -> None:
 
 def the_kernels_own(case: Case) -> None:
     """Of what stands on the kernel: the public class of an estimate, runners that share nothing, axes side by side."""
-    estimator = _begun(case)
+    estimator = _run_some(case)
     if not isinstance(estimator, RecursiveEstimator):
         return
     require(isinstance(estimator.estimate, Estimate), "the estimate is no pmfid.Estimate")
@@ -114,9 +114,9 @@ def the_kernels_own(case: Case) -> None:
     require(_bits(estimator, u, counts) == moved, "a runner has other bits")
 
 
-def _begun(case: Case) -> OnLine:
-    """The estimator after some samples."""
-    estimator = case.on_line()
+def _run_some(case: Case) -> OnLine:
+    """The estimator after BEFORE samples."""
+    estimator = case.start_estimator()
     estimator.run(case.fine.u[:BEFORE], case.fine.counts[:BEFORE])
     return estimator
 

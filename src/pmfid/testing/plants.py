@@ -48,30 +48,30 @@ RANGE = 100.0
 
 
 @dataclass(frozen=True)
-class Plant:
-    """A record and what it comes from. u, counts: (n,); theta: (p,), None where it is not known."""
+class ContractRecord:
+    """A record and its parameters. u, counts: (n,); theta: (p,), None if it is not known."""
 
     u: Floats
     counts: Counts
     theta: Floats | None
 
 
-def given(u: Floats, counts: Counts) -> Plant:
-    """Somebody's record."""
-    return Plant(_fixed(u), _fixed(counts), None)
+def wrap_record(u: Floats, counts: Counts) -> ContractRecord:
+    """A record of the user."""
+    return ContractRecord(_freeze(u), _freeze(counts), None)
 
 
-def plant_for(estimator: Estimator, per_sample: float, seed: int) -> Plant:
+def plant_for(estimator: Estimator, per_sample: float, seed: int) -> ContractRecord:
     """A record of the estimator's model; per_sample: counts that a drive moves in a sample, by the order of size.
 
-    Raises UsageError where nothing simulates the equation.
+    Raises UsageError if nothing simulates the equation.
     """
     seen = min(per_sample, _most(estimator.encoder, estimator.dt))
-    return _plant(Setting(estimator.model, estimator.encoder, estimator.dt, estimator.cutoff, seen), seed)
+    return _plant(RecordSetting(estimator.model, estimator.encoder, estimator.dt, estimator.cutoff, seen), seed)
 
 
 @lru_cache
-def _plant(setting: Setting, seed: int) -> Plant:
+def _plant(setting: RecordSetting, seed: int) -> ContractRecord:
     model, rng = setting.model, np.random.default_rng(seed)
     if isinstance(model, TransferFunction):
         return _process(setting, model, rng)
@@ -83,8 +83,8 @@ def _plant(setting: Setting, seed: int) -> Plant:
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What a record depends on; per_sample: counts."""
+class RecordSetting:
+    """Data from which a record is made; per_sample: counts."""
 
     model: Model
     encoder: Encoder
@@ -99,27 +99,27 @@ def _most(encoder: Encoder, dt: float) -> float:
     return min(speed, 2.0 ** (encoder.bits - 4))
 
 
-def _fixed(array: NDArray[T]) -> NDArray[T]:
+def _freeze(array: NDArray[T]) -> NDArray[T]:
     """A copy that nobody can write to: several cases share it."""
     copy = array.copy()
     copy.setflags(write=False)
     return copy
 
 
-def _input(setting: Setting, hold: float, rng: np.random.Generator) -> Floats:
+def _input(setting: RecordSetting, hold: float, rng: np.random.Generator) -> Floats:
     """Random steps of four sizes, each for `hold` time constants of the filters."""
     samples = max(1, round(hold / (setting.cutoff * setting.dt)))
     changes = max(CHANGES, -(-SAMPLES // samples))
     return rng.choice([-1.0, -0.6, 0.6, 1.0], changes).repeat(samples)
 
 
-def _drive(setting: Setting, rng: np.random.Generator) -> Plant:
+def _drive(setting: RecordSetting, rng: np.random.Generator) -> ContractRecord:
     from pmfid import _kernel64
 
     equation, cutoff = setting.model.equation, setting.cutoff
     resolution, dt, force = setting.encoder.resolution, setting.dt, abs(equation.input_gain)
     u = _input(setting, DRIVE_HOLD, rng)
-    viscous = force * dt / (setting.per_sample * resolution)  # the steady speed is that of so many counts in a sample
+    viscous = force * dt / (setting.per_sample * resolution)  # at the steady speed: per_sample counts in a sample
     mass = viscous * DRIVE_TIME / cutoff
     roles = np.zeros(len(equation.roles))
     roles[MASS], roles[OFFSET] = mass, LOAD * force
@@ -138,10 +138,10 @@ def _drive(setting: Setting, rng: np.random.Generator) -> Plant:
     for index, value in zip(equation.roles, roles, strict=True):
         if index is not None:
             theta[index] = value
-    return Plant(_fixed(u), _fixed(quantize(y, resolution)), theta)
+    return ContractRecord(_freeze(u), _freeze(quantize(y, resolution)), theta)
 
 
-def _process(setting: Setting, model: TransferFunction, rng: np.random.Generator) -> Plant:
+def _process(setting: RecordSetting, model: TransferFunction, rng: np.random.Generator) -> ContractRecord:
     u = _input(setting, PROCESS_HOLD, rng)
     denominator = _denominator(model, setting.cutoff)
     numerator = np.atleast_1d(np.poly(ZEROS * setting.cutoff * np.arange(1, model.m + 1)))
@@ -153,7 +153,7 @@ def _process(setting: Setting, model: TransferFunction, rng: np.random.Generator
     values[DEAD_TIME] = late
     names = (*model.equation.names, *dict(model.equation.further))
     theta = np.array([values.get(name, 0.0) for name in names])
-    return Plant(_fixed(u), _fixed(quantize(scale * y, setting.encoder.resolution)), theta)
+    return ContractRecord(_freeze(u), _freeze(quantize(scale * y, setting.encoder.resolution)), theta)
 
 
 def _denominator(model: TransferFunction, cutoff: float) -> Floats:

@@ -73,7 +73,7 @@ def check_positive(name: str, value: float | None) -> None:
 
 
 #: Of a drive, what no design takes.
-NOT_YET = {"spring": "a load on a spring", "dead_time": "an input that acts late", "lag": "an input behind a lag"}
+NOT_YET = {"spring": "a load on a spring", "dead_time": "an input that acts late", "lag": "an input with a lag"}
 
 
 def check_drive(drive: Drive) -> None:

@@ -39,7 +39,7 @@ class Criterion:
     combination: Floats | None = None
 
     def log_value(self, F: Floats) -> Floats:
-        """Logarithm of the value; F: (..., p, p), returns (...); -inf where F is singular."""
+        """Logarithm of the value; F: (..., p, p), returns (...); -inf if F is singular."""
         with np.errstate(divide="ignore", invalid="ignore"):
             value = np.log(_value(self.name, _schur(F, self.size), self.combination))
         return np.where(np.isnan(value), -np.inf, value)
@@ -107,7 +107,7 @@ def _value(name: str, S: Floats, combination: Floats | None) -> Floats:
         sign, log = np.linalg.slogdet(S)
         return np.asarray(np.where(sign > 0, np.exp(log / p), 0.0))
     if name == "c":
-        return _along(S, np.ones(p) if combination is None else combination)
+        return _evaluate_along(S, np.ones(p) if combination is None else combination)
     eigenvalues = np.maximum(np.linalg.eigvalsh(S), 0.0)
     if name == "A":
         return np.asarray(p / (1.0 / eigenvalues).sum(axis=-1))
@@ -116,14 +116,14 @@ def _value(name: str, S: Floats, combination: Floats | None) -> Floats:
     return np.asarray(eigenvalues[..., 0] / eigenvalues[..., -1])
 
 
-def _along(S: Floats, combination: Floats) -> Floats:
+def _evaluate_along(S: Floats, combination: Floats) -> Floats:
     eigenvalues, vectors = np.linalg.eigh(S)
     part = np.einsum("...ij,i->...j", vectors, combination)
     return np.asarray(1.0 / (part**2 / np.maximum(eigenvalues, 0.0)).sum(axis=-1))
 
 
 def _slope(name: str, S: Floats, combination: Floats | None) -> Floats:
-    """d log value / d S. Raises LinAlgError where S is singular, and with `trace` where it is nothing."""
+    """d log value / d S. Raises LinAlgError if S is singular, and with `trace` where it is nothing."""
     p = len(S)
     if name == "trace" and np.trace(S) > TINY:
         return np.asarray(np.eye(p) / np.trace(S))

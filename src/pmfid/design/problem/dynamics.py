@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from pmfid.models.drive import Drive
 from pmfid.types import Floats
 
-__all__ = ["Regime", "Step", "discretise", "drive_regime"]
+__all__ = ["Regime", "StateStep", "discretise", "drive_regime"]
 
 #: State of a drive.
 POSITION, VELOCITY = 0, 1
@@ -37,7 +37,7 @@ class Regime:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class StateStep:
     """One step of the state and its sensitivities, X = (x, dx/dp_1, ..., dx/dp_p): X+ = A X + b u + g.
 
     A: (n(p+1), n(p+1)); b, g: (n(p+1),). Exact for an input that is held.
@@ -85,7 +85,7 @@ def _rest(size: int) -> Regime:
     return Regime(np.zeros((2, 2)), none, none, np.array([1.0, 0.0]), np.zeros((size, 2, 2)), many, many, hold)
 
 
-def discretise(regime: Regime, dt: float) -> Step:
+def discretise(regime: Regime, dt: float) -> StateStep:
     """The step over dt [s] of the state and its sensitivities, by one matrix exponential (Van Loan 1978)."""
     p, n = regime.b_slope.shape
     size = n * (p + 1)
@@ -98,4 +98,4 @@ def discretise(regime: Regime, dt: float) -> Step:
         if i:
             M[rows, :n] = regime.A_slope[i - 1]
     E = expm(M * dt)
-    return Step(E[:size, :size], E[:size, size], E[:size, size + 1])
+    return StateStep(E[:size, :size], E[:size, size], E[:size, size + 1])

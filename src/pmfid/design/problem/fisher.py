@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.design.problem.dynamics import Regime, Step, discretise, drive_regime
+from pmfid.design.problem.dynamics import Regime, StateStep, discretise, drive_regime
 from pmfid.design.problem.problem import Problem
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.types import Floats
@@ -36,13 +36,13 @@ class Affine:
     prior: Floats
     scale: Floats
 
-    def weighted(self, u: ArrayLike) -> Floats:
+    def weigh_sensitivities(self, u: ArrayLike) -> Floats:
         """Sensitivities over deviation, (p, N)."""
         return np.asarray(self.matrix @ np.asarray(u) + self.offset).reshape(len(self.scale), -1)
 
     def information(self, u: ArrayLike) -> Floats:
         """Information on the scaled parameters, (p, p), prior included."""
-        s = self.weighted(u)
+        s = self.weigh_sensitivities(u)
         return np.asarray(s @ s.T + self.prior)
 
 
@@ -75,7 +75,7 @@ def affine(problem: Problem, parameters: Mapping[str, float] | None = None) -> A
 
 def _steps(
     problem: Problem, parameters: Mapping[str, float], names: tuple[str, ...], parts: int
-) -> list[tuple[Regime, Step]]:
+) -> list[tuple[Regime, StateStep]]:
     """Regime of each interval, and its step over a part of the interval."""
     regimes = {d: drive_regime(problem.drive, parameters, names, d) for d in set(problem.sense)}
     known = {d: (regime, discretise(regime, problem.dt / parts)) for d, regime in regimes.items()}
@@ -85,9 +85,9 @@ def _steps(
 def motion(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | None = None) -> tuple[Floats, Floats]:
     """Position [m] and velocity [m/s] at the nodes, each (intervals + 1,), if the directions are as the problem says.
 
-    parameters: other values than the nominal ones, {name: value}. Raises UsageError where u has another length.
+    parameters: other values than the nominal ones, {name: value}. Raises UsageError if u has another length.
     """
-    values = _checked(problem, u)
+    values = _check_input(problem, u)
     state = [np.array(problem.start, float)]
     for (_, step), value in zip(_steps(problem, {**problem.nominal, **(parameters or {})}, (), 1), values, strict=True):
         state.append(step.A @ state[-1] + step.b * value + step.g)
@@ -98,16 +98,18 @@ def motion(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | Non
 def sensitivities(problem: Problem, u: ArrayLike) -> Floats:
     """d position / d parameter at the samples, (intervals * samples_per_interval, p), parameters in their own units."""
     maps = affine(problem)
-    return np.asarray((maps.weighted(_checked(problem, u)) / problem.scale[:, None]).T * np.sqrt(problem.variance))
+    return np.asarray(
+        (maps.weigh_sensitivities(_check_input(problem, u)) / problem.scale[:, None]).T * np.sqrt(problem.variance)
+    )
 
 
 def information(problem: Problem, u: ArrayLike) -> Floats:
     """Fisher information on unknown and nuisance parameters in their own units, prior included: (p, p), paper eq. 4."""
     maps = affine(problem)
-    return maps.information(_checked(problem, u)) / np.outer(maps.scale, maps.scale)
+    return maps.information(_check_input(problem, u)) / np.outer(maps.scale, maps.scale)
 
 
-def _checked(problem: Problem, u: ArrayLike) -> Floats:
+def _check_input(problem: Problem, u: ArrayLike) -> Floats:
     values = np.asarray(u, float)
     if values.shape != (problem.intervals,) or not np.isfinite(values).all():
         raise UsageError(f"u must hold {problem.intervals} finite values, one per interval, got shape {values.shape}")
@@ -127,18 +129,18 @@ def check_identifiable(problem: Problem, maps: Affine) -> None:
     if values[0] < 1e-10:
         alike = [name for name, part in zip(problem.names, vectors[:, 0], strict=True) if abs(part) > 1e-3]
         raise NotIdentifiableError(f"no input tells {' from '.join(alike)} in this motion; {_REMEDY}")
-    told = _rank_of_a_run(maps)
-    if told < p:
+    rank = _rank_of_a_run(maps)
+    if rank < p:
         raise NotIdentifiableError(
-            f"one run of this motion has {maps.matrix.shape[0] // p} samples and tells {told} numbers, too few for "
-            f"{', '.join(problem.names)}; take more intervals or samples_per_interval, take {p - told} of them out of "
+            f"one run of this motion has {maps.matrix.shape[0] // p} samples and tells {rank} numbers, too few for "
+            f"{', '.join(problem.names)}; take more intervals or samples_per_interval, take {p - rank} of them out of "
             "unknown, or give prior information"
         )
 
 
 def _rank_of_a_run(maps: Affine) -> int:
-    """How many combinations of the parameters one run tells, with the prior: all inputs together may tell more."""
-    run = maps.weighted(np.random.default_rng(0).standard_normal(maps.matrix.shape[1]))
+    """Number of parameter combinations that one run determines with the prior; several inputs may determine more."""
+    run = maps.weigh_sensitivities(np.random.default_rng(0).standard_normal(maps.matrix.shape[1]))
     both = np.hstack([run / max(float(np.abs(run).max()), 1e-300), maps.prior / max(np.abs(maps.prior).max(), 1e-300)])
     size = np.linalg.norm(both, axis=1)
     return int(np.linalg.matrix_rank(both / np.where(size > 0, size, 1.0)[:, None], tol=1e-10))

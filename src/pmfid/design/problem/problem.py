@@ -49,14 +49,14 @@ class InfeasibleError(PmfidError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What the machine bears; None where there is no limit. A single number b stands for (-b, b).
+    """What the machine bears; None if there is no limit. A single number b stands for (-b, b).
 
     input [V, or what u is in], input_rate [1/s of it]: |u[k] - u[k-1]| / dt, with u[-1] = 0; position [m],
     velocity [m/s], acceleration [m/s^2]: at every instant; jerk [m/s^3]: change of the mean acceleration from one
     interval to the next, over dt; energy: integral of u^2 dt [V^2 s]; rms: root of the mean square of u [V].
     min_speed: at the nodes between standstills the speed is at least this [m/s], >= 0; at 0 the optimum may park at
     standstill, where the linear sensitivities are wrong.
-    Raises UsageError where a limit is not finite, empty or of the wrong sign.
+    Raises UsageError if a limit is not finite, empty or of the wrong sign.
     """
 
     input: float | tuple[float, float] | None = None
@@ -170,5 +170,5 @@ class Problem:
 
     @property
     def scale(self) -> Floats:
-        """(p,) nominal values, or ones where the criteria are not scaled."""
+        """(p,) nominal values, or ones if the criteria are not scaled."""
         return np.array([abs(self.nominal[name]) if self.scaled else 1.0 for name in self.names])

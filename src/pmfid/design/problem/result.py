@@ -39,12 +39,12 @@ class Design(Shown):
 
     @property
     def gap(self) -> float | None:
-        """Proved bound over value, minus 1; None where no bound is proved."""
+        """Proved bound over value, minus 1; None if no bound is proved."""
         return None if self.bound is None else max(0.0, self.bound / self.value - 1.0)
 
     @property
     def predicted_std(self) -> dict[str, float]:
-        """Standard deviation of each unknown parameter after one run, Cramér-Rao; inf where it has no information."""
+        """Standard deviation of each unknown parameter after one run, Cramér-Rao; inf if it has no information."""
         from numpy.linalg import LinAlgError, inv
 
         names = self.problem.unknown
@@ -55,7 +55,7 @@ class Design(Shown):
         return {name: math.sqrt(v) if v > 0 else math.inf for name, v in zip(names, variance, strict=True)}
 
     def summary(self) -> Summary:
-        """The error bars that one run is worth."""
+        """The predicted standard deviations after one run."""
         proved = "no bound proved" if self.gap is None else f"at most {100 * self.gap:.3g} % below the optimum"
         title = f"design by {self.criterion}: {self.u.size} intervals over {self.t[-1]:g} s, {proved}; after one run:"
         nominal = self.problem.nominal

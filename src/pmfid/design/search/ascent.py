@@ -75,7 +75,7 @@ class Climber:
 
     def ascend(self, u: Floats, tolerance: float = TOLERANCE, steps: int = 60) -> tuple[float, Floats]:
         """(log value, input) where no vertex promises a relative gain of more than the tolerance."""
-        s = [maps.weighted(u) for maps in self.maps]
+        s = [maps.weigh_sensitivities(u) for maps in self.maps]
         value = float(self._blend(np.array([self.criterion.log_value(F) for F in self._informations(s)])))
         ahead, drift, change = 0.0, 0, s
         for _ in range(steps):
@@ -85,7 +85,7 @@ class Climber:
             gain = float(slope @ (vertex - u))
             if not ahead and gain < tolerance:
                 break
-            change = [maps.weighted(vertex) - here for maps, here in zip(self.maps, s, strict=True)]
+            change = [maps.weigh_sensitivities(vertex) - here for maps, here in zip(self.maps, s, strict=True)]
             part, new = self._line(s, change)
             if new > value + SAME * bool(ahead):
                 u, value = u + part * (vertex - u), new
@@ -107,7 +107,9 @@ class Climber:
             return np.asarray(values[0])
         if not self.worst:
             return np.asarray(values.mean(axis=0))
-        return np.asarray(values.min(axis=0) - np.log(np.exp(-SHARPNESS * _above(values)).mean(axis=0)) / SHARPNESS)
+        return np.asarray(
+            values.min(axis=0) - np.log(np.exp(-SHARPNESS * _subtract_least(values)).mean(axis=0)) / SHARPNESS
+        )
 
     def _slope(self, s: list[Floats]) -> Floats:
         """Gradient of the log value to the input, from the weighted sensitivities (p, N) of each case."""
@@ -115,7 +117,7 @@ class Climber:
         weights = np.ones(1)
         if len(s) > 1:
             values = np.array([self.criterion.log_value(F) for F in informations])
-            weights = np.exp(-SHARPNESS * _above(values)) if self.worst else np.ones(len(s))
+            weights = np.exp(-SHARPNESS * _subtract_least(values)) if self.worst else np.ones(len(s))
             weights /= weights.sum()
         slope = np.zeros(self.oracle.shape.inputs)
         for maps, here, F, weight in zip(self.maps, s, informations, weights, strict=True):
@@ -145,7 +147,7 @@ class Climber:
     def _neighbour(self, value: float, u: Floats, shift: int) -> tuple[float, Floats] | None:
         """A better local optimum that the shifted input leads to, or None."""
         moved = np.clip(np.arange(len(u)) - shift, 0, len(u) - 1)
-        vertex = self.oracle.maximise(self._slope([maps.weighted(u[moved]) for maps in self.maps]))
+        vertex = self.oracle.maximise(self._slope([maps.weigh_sensitivities(u[moved]) for maps in self.maps]))
         if np.allclose(vertex, u, rtol=0.0, atol=1e-6 * np.abs(u).max()):
             return None
         other, u = self.ascend(vertex)
@@ -164,7 +166,7 @@ class Climber:
         return None
 
 
-def _above(values: Floats) -> Floats:
+def _subtract_least(values: Floats) -> Floats:
     """Log values over the least of all cases, (cases, ...); also where some are -inf, as at rest."""
     least = values.min(axis=0)
     return np.asarray(np.subtract(values, least, out=np.zeros(values.shape), where=values != least))

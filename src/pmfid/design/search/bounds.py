@@ -19,7 +19,7 @@ from scipy.linalg import null_space
 from pmfid.design.problem.criteria import Criterion
 from pmfid.design.problem.fisher import Affine, affine
 from pmfid.design.problem.problem import Problem
-from pmfid.design.search.frame import Box, Frame, frame
+from pmfid.design.search.frame import Box, WeightFrame, frame
 from pmfid.design.search.mixture import best_mixture, proportions, share
 from pmfid.design.search.nearest import EQUAL, input_set
 from pmfid.design.search.oracle import EmptyError, Oracle
@@ -41,7 +41,7 @@ class _Node:
     """A part of the inputs: rows (normal, lower, upper) cut it out; bound: in units of the incumbent's value."""
 
     rows: list[tuple[Floats, float, float]]
-    frame: Frame
+    frame: WeightFrame
     box: Box
     bound: float = np.inf
     z: Floats = field(default_factory=lambda: np.zeros(0))
@@ -59,11 +59,11 @@ def upper_bound(
     """
     if not rule.concave:
         return None
-    search = _Search(problem, rule, u, gap, time.thread_time() + seconds)
+    search = _BoundSearch(problem, rule, u, gap, time.thread_time() + seconds)
     return search.run() * search.value
 
 
-class _Search:
+class _BoundSearch:
     def __init__(self, problem: Problem, rule: Criterion, u: Floats, gap: float, until: float) -> None:
         self.maps: Affine = affine(problem)
         self.rule, self.u, self.until = rule, u, until
@@ -95,18 +95,18 @@ class _Search:
 
     def _root(self) -> _Node:
         weight = share(self.rule, _support(self.maps, self.rule, self.oracle, self.u)) / self.value
-        node = self._framed([], weight, [self.u])
+        node = self._make_node([], weight, [self.u])
         self._close(node)
         return node
 
-    def _framed(self, rows: list[tuple[Floats, float, float]], weight: Floats, seen: list[Floats]) -> _Node:
+    def _make_node(self, rows: list[tuple[Floats, float, float]], weight: Floats, seen: list[Floats]) -> _Node:
         """The part that the rows cut out, in the frame of a weight, with all ranges measured."""
         self._enter(rows)
         where = frame(self.maps, weight, self.directions, self.u)
         size = len(where.offset)
         box = Box(np.full(size, -np.inf), np.full(size, np.inf))
         for j in range(size):
-            seen += box.measure(j, self.oracle.relaxed, where)
+            seen += box.measure(j, self.oracle.maximise_relaxed, where)
         node = _Node(rows, where, box, seen=seen[-REMEMBERED:])
         self._bound(node)
         return node
@@ -118,7 +118,7 @@ class _Search:
 
     def _bound(self, node: _Node) -> None:
         where, box = node.frame, node.box
-        vertex = self.oracle.relaxed(where.matrix.T @ box.slope)
+        vertex = self.oracle.maximise_relaxed(where.matrix.T @ box.slope)
         node.z = where.matrix @ vertex + where.offset
         node.bound = min(node.bound, box.chords(node.z) + where.constant + SLACK_OF_BOUND)
         node.seen.append(vertex)
@@ -155,7 +155,7 @@ class _Search:
         least = self.target - where.constant + float(box.lower @ box.upper - slope @ where.offset)
         row = self.oracle.restrict(where.matrix.T @ slope, least - SLACK_OF_BOUND, np.inf)
         for j in order[:much]:
-            node.seen += box.measure(j, self.oracle.relaxed, where)
+            node.seen += box.measure(j, self.oracle.maximise_relaxed, where)
         self.oracle.release(row)
         del node.seen[:-REMEMBERED]
 
@@ -172,7 +172,7 @@ class _Search:
         node.apart = (node.seen[first], node.seen[second])
         mean = np.tensordot(weights, informations, 1)
         if self.rule.value(mean) / self.value < truth - LEAST_GAIN:
-            other = self._framed(node.rows, share(self.rule, mean) / self.value, list(node.seen))
+            other = self._make_node(node.rows, share(self.rule, mean) / self.value, list(node.seen))
             self._narrow(other)
             if other.bound < node.bound:
                 node.frame, node.box, node.z, node.bound = other.frame, other.box, other.z, other.bound
@@ -184,7 +184,7 @@ class _Search:
         middle = (box.lower[j] + box.upper[j]) / 2.0
         if node.apart and gaps.sum() < (node.bound - 1.0) / 2.0:
             # the chords are tight: only motions on different sides keep the mixture above the target
-            j, middle = _between(where, box, *node.apart)
+            j, middle = _find_split(where, box, *node.apart)
         halves: list[_Node] = []
         for side in (box.copy(), box.copy()):
             (side.upper if not halves else side.lower)[j] = middle
@@ -197,7 +197,7 @@ class _Search:
 SLACK_OF_BOUND = 1e-6
 
 
-def _between(where: Frame, box: Box, one: Floats, other: Floats) -> tuple[int, float]:
+def _find_split(where: WeightFrame, box: Box, one: Floats, other: Floats) -> tuple[int, float]:
     """The coordinate in which two inputs differ most, and the value half way, well inside the box."""
     a, b = where.matrix @ one + where.offset, where.matrix @ other + where.offset
     j = int(np.argmax(np.abs(a - b)))

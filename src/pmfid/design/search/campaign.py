@@ -63,7 +63,7 @@ def campaign(
 ) -> Campaign:
     """At most `motions` motions that together tell the most per run; prior information counts once per run.
 
-    Raises as `solve`; UsageError where the criterion is ME, which is not concave, or motions < 1.
+    Raises as `solve`; UsageError if the criterion is ME, which is not concave, or motions < 1.
     """
     began = time.perf_counter()
     rule = criterion_of(problem, criterion, combination)
@@ -97,7 +97,10 @@ def _fewest(maps: Affine, rule: Criterion, inputs: list[Floats], motions: int) -
 
 
 def _joint(maps: Affine, rule: Criterion, oracle: Oracle, inputs: list[Floats]) -> tuple[list[Floats], Floats]:
-    """Motions improved in turn, each beside the others, and their weights, until nothing changes."""
+    """Improves the motions in turn, each with the information of all others, until the value is constant.
+
+    Returns the motions and their weights.
+    """
     inputs, last = list(inputs), -np.inf
     while True:
         weights = proportions(rule, np.array([maps.information(u) for u in inputs]))
@@ -109,8 +112,8 @@ def _joint(maps: Affine, rule: Criterion, oracle: Oracle, inputs: list[Floats]) 
         last = value
         for i in range(len(inputs)):
             rest = _mean(maps, inputs, weights) - weights[i] * maps.information(inputs[i])
-            beside = replace(maps, prior=maps.prior + rest / weights[i])
-            inputs[i] = Climber((beside,), rule, oracle).ascend(inputs[i], tolerance=1e-7, steps=100)[1]
+            completed = replace(maps, prior=maps.prior + rest / weights[i])
+            inputs[i] = Climber((completed,), rule, oracle).ascend(inputs[i], tolerance=1e-7, steps=100)[1]
 
 
 def _mean(maps: Affine, inputs: list[Floats], weights: Floats) -> Floats:

@@ -42,7 +42,7 @@ def relaxations(problem: Problem) -> tuple[Relaxation, ...]:
     for name in UNITS:
         amounts = _least_widening(problem, shape, (name,))
         if amounts is not None and amounts[0] > LEAST:
-            found.append(_relaxed(problem, name, amounts[0]))
+            found.append(_make_relaxation(problem, name, amounts[0]))
     found = [way for way in found if way.needed >= 0]
     return tuple(sorted(found, key=lambda way: abs(way.needed - way.value) / max(abs(way.value), 1e-9)))
 
@@ -53,11 +53,13 @@ def _together(problem: Problem) -> tuple[Relaxation, ...]:
     amounts = _least_widening(problem, polytope(problem), names)
     if amounts is None:
         return ()
-    return tuple(_relaxed(problem, name, amount) for name, amount in zip(names, amounts, strict=True) if amount > LEAST)
+    return tuple(
+        _make_relaxation(problem, name, amount) for name, amount in zip(names, amounts, strict=True) if amount > LEAST
+    )
 
 
 def minimum_time(problem: Problem, longest: float = 64.0) -> float | None:
-    """Shortest feasible horizon [s] with as many intervals, to 0.1 %; None where `longest` times it is not enough."""
+    """Shortest feasible horizon [s] with as many intervals, to 0.1 %; None if `longest` times it is not enough."""
     low, high = problem.horizon, problem.horizon
     while not _feasible(replace(problem, horizon=high)):
         low, high = high, 2.0 * high
@@ -79,7 +81,7 @@ def _feasible(problem: Problem) -> bool:
 
 
 def _least_widening(problem: Problem, shape: Polytope, names: tuple[str, ...]) -> list[float] | None:
-    """Least amounts by which the bounds of some limits must move apart, or None where that does not help.
+    """Least amounts by which the bounds of some limits must move apart, or None if that does not help.
 
     a' z + r >= lower, a' z - r <= upper, with one r for each limit.
     """
@@ -100,7 +102,7 @@ def _least_widening(problem: Problem, shape: Polytope, names: tuple[str, ...]) -
         np.full(columns + len(names), np.inf),
     )
     for i, name in enumerate(names):
-        highs.changeColCost(columns + i, 1.0 / max(abs(_relaxed(problem, name, 0.0).value), 1e-2))
+        highs.changeColCost(columns + i, 1.0 / max(abs(_make_relaxation(problem, name, 0.0).value), 1e-2))
     highs.setOptionValue("presolve", "on")
     highs.run()
     if highs.getModelStatus() != highspy.HighsModelStatus.kOptimal:
@@ -108,7 +110,7 @@ def _least_widening(problem: Problem, shape: Polytope, names: tuple[str, ...]) -
     return [float(r) for r in highs.getSolution().col_value[columns:]]
 
 
-def _relaxed(problem: Problem, name: str, amount: float) -> Relaxation:
+def _make_relaxation(problem: Problem, name: str, amount: float) -> Relaxation:
     if name.startswith("end "):
         state = name == "end velocity"
         # which way the end would have to move is not unique: its tolerance is

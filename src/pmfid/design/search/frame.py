@@ -10,14 +10,14 @@ import numpy as np
 from pmfid.design.problem.fisher import Affine
 from pmfid.types import Floats
 
-__all__ = ["Box", "Frame", "frame"]
+__all__ = ["Box", "WeightFrame", "frame"]
 
 #: Added to every range: the linear solver works to 1e-7.
 SLACK = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class WeightFrame:
     """trace(weight F(u)) = |matrix u + offset|^2 + constant for all inputs u that meet the equations of the limits.
 
     weight: (p, p), positive semidefinite; matrix: (r, K), offset: (r,), largest coordinates first.
@@ -52,7 +52,7 @@ class Box:
     def copy(self) -> Box:
         return Box(self.lower.copy(), self.upper.copy())
 
-    def measure(self, j: int, extreme: Callable[[Floats], Floats], where: Frame) -> list[Floats]:
+    def measure(self, j: int, extreme: Callable[[Floats], Floats], where: WeightFrame) -> list[Floats]:
         """Narrows range j to what the inputs allow, and returns the two inputs at its ends."""
         row, offset = where.matrix[j], where.offset[j]
         ends = [extreme(row), extreme(-row)]
@@ -61,15 +61,15 @@ class Box:
         return ends
 
 
-def frame(maps: Affine, weight: Floats, directions: Floats, u: Floats) -> Frame:
+def frame(maps: Affine, weight: Floats, directions: Floats, u: Floats) -> WeightFrame:
     """The frame of a weight; directions (K, q): those in which the equations let the input u move."""
     p = len(maps.scale)
     eigenvalues, vectors = np.linalg.eigh(weight)
     root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))) @ vectors.T
     M = (root @ maps.matrix.reshape(p, -1)).reshape(maps.matrix.shape)
-    here = (root @ maps.weighted(u)).ravel()
+    here = (root @ maps.weigh_sensitivities(u)).ravel()
     basis = np.linalg.svd(M @ directions, full_matrices=False)[0].T
     z = basis @ here
     constant = float(here @ here - z @ z + np.sum(weight * maps.prior))
     matrix = basis @ M
-    return Frame(weight, matrix, z - matrix @ u, constant)
+    return WeightFrame(weight, matrix, z - matrix @ u, constant)

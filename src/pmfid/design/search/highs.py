@@ -40,7 +40,7 @@ def model(matrix: csc_matrix, lower: Floats, upper: Floats, low: Floats, high: F
 def least_norm(G: Floats, h: Floats) -> Floats:
     """d (n,) of least norm with G d >= h, (m, n) and (m,), by the quadratic solver of HiGHS, to 1e-6.
 
-    Raises InfeasibleError where there is none.
+    Raises InfeasibleError if there is none.
     """
     n = G.shape[1]
     highs = model(csc_matrix(G), h, np.full(len(h), np.inf), np.full(n, -np.inf), np.full(n, np.inf))

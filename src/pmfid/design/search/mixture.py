@@ -75,11 +75,11 @@ def best_mixture(
 
 def _largest_share(maps: Affine, weight: Floats, oracle: Oracle, rng: np.random.Generator) -> Floats:
     """Input with the largest trace(weight F(u)) that a few local searches find: full steps climb a convex function."""
-    climber = Climber((_turned(maps, weight),), Criterion("trace", len(maps.scale)), oracle)
+    climber = Climber((_rotate_maps(maps, weight),), Criterion("trace", len(maps.scale)), oracle)
     return max((climber.start(rng) for _ in range(SEARCHES)), key=lambda found: found[0])[1]
 
 
-def _turned(maps: Affine, weight: Floats) -> Affine:
+def _rotate_maps(maps: Affine, weight: Floats) -> Affine:
     """The maps after which the plain trace is trace(weight F)."""
     eigenvalues, vectors = np.linalg.eigh(weight)
     root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))) @ vectors.T

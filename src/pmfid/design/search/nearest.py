@@ -59,7 +59,7 @@ def input_set(rows: Polytope) -> InputSet:
 
 
 def violation(inputs: InputSet, u: Floats) -> float:
-    """By how much u (K,) leaves the limits, relative to the size of each row; 0 where it meets all."""
+    """By how much u (K,) leaves the limits, relative to the size of each row; 0 if it meets all."""
     value = inputs.matrix @ u
     size = np.abs(inputs.matrix).sum(axis=1) * max(1.0, float(np.abs(u).max()))
     excess = np.maximum(inputs.lower - value, value - inputs.upper) / np.maximum(size, 1e-300)
@@ -71,7 +71,7 @@ def nearest(inputs: InputSet, wish: Floats) -> Floats:
 
     A least distance problem (Lawson and Hanson 1974, chapter 23). Where the nearest takes more energy than allowed: the
     first input that does not, on the way to the one of least energy.
-    Raises InfeasibleError where no input meets the limits.
+    Raises InfeasibleError if no input meets the limits.
     """
     u = _nearest(inputs, wish)
     if np.linalg.norm(u) <= inputs.rows.radius:
@@ -103,7 +103,7 @@ def _least_distance(G: Floats, h: Floats) -> Floats:
     size = float(h.max(initial=0.0))
     if size <= 0.0:
         return np.zeros(G.shape[1])
-    # in units of the largest shortfall: "no such d" shows as a residual of 0 beside 1 / (1 + |d|^2)
+    # in units of the largest shortfall: if no such d exists, the residual is 0 and not 1 / (1 + |d|^2)
     return size * _least_distance_of_one(G, h / size)
 
 

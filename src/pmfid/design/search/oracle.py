@@ -62,7 +62,7 @@ class Oracle:
             self._highs.setBasis(self._basis)
 
     def maximise(self, objective: Floats) -> Floats:
-        """An input (K,) that maximises objective' u. Raises SolverError where HiGHS finds no optimum."""
+        """An input (K,) that maximises objective' u. Raises SolverError if HiGHS finds no optimum."""
         u = self._vertex(objective)
         for _ in range(MAX_CUTS):
             if not u @ u > self.shape.radius**2 * (1 + ENERGY_TOLERANCE):
@@ -71,8 +71,8 @@ class Oracle:
             u = self._vertex(objective)
         return self._retreat(u)
 
-    def relaxed(self, objective: Floats) -> Floats:
-        """Like `maximise`, but of the energy limit only the tangents met so far count: the value is not too small."""
+    def maximise_relaxed(self, objective: Floats) -> Floats:
+        """Maximises with only the known tangents of the energy limit: the value is an upper bound of `maximise`."""
         return self._vertex(objective)
 
     def restrict(self, normal: Floats, lower: float, upper: float) -> int:
@@ -90,7 +90,7 @@ class Oracle:
         self._cost(-objective / size)
         status = self._run()
         if status not in (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kInfeasible):
-            status = self._again()
+            status = self._solve_again()
         if status == highspy.HighsModelStatus.kInfeasible:
             raise EmptyError("no input meets all limits")
         if status in (highspy.HighsModelStatus.kUnbounded, highspy.HighsModelStatus.kUnboundedOrInfeasible):
@@ -110,8 +110,8 @@ class Oracle:
         self._highs.run()
         return self._highs.getModelStatus()
 
-    def _again(self) -> highspy.HighsModelStatus:
-        """Once more, from nothing and with presolve."""
+    def _solve_again(self) -> highspy.HighsModelStatus:
+        """Solves once more, from nothing and with presolve."""
         self._highs.clearSolver()
         self._highs.setOptionValue("presolve", "on")
         status = self._run()
@@ -142,7 +142,7 @@ class Oracle:
 
 def _load(shape: Polytope) -> highspy.Highs:
     """A HiGHS model; rows of one term become bounds of their column."""
-    rows, lower, upper = _summed(shape)
+    rows, lower, upper = _sum_rows(shape)
     terms = np.diff(rows.indptr)
     low, high = np.full(rows.shape[1], -np.inf), np.full(rows.shape[1], np.inf)
     low[: shape.inputs], high[: shape.inputs] = -shape.radius, shape.radius
@@ -153,8 +153,8 @@ def _load(shape: Polytope) -> highspy.Highs:
     return model(rows[terms > 1].tocsc(), lower[terms > 1], upper[terms > 1], low, high)
 
 
-def _summed(shape: Polytope) -> tuple[csr_matrix, Floats, Floats]:
-    """The rows; where only the last nominal position is limited, one sum of steps stands for all positions."""
+def _sum_rows(shape: Polytope) -> tuple[csr_matrix, Floats, Floats]:
+    """The rows; if only the last nominal position is limited, one sum of steps replaces all positions."""
     K, rows = shape.inputs, shape.matrix.tocsr()
     chain = np.flatnonzero([name == "motion" for name in shape.names])[: 2 * K : 2]
     inner = np.arange(K, 3 * K - 2, 2)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from pmfid.design.problem.dynamics import VELOCITY, Regime, Step, discretise, drive_regime
+from pmfid.design.problem.dynamics import VELOCITY, Regime, StateStep, discretise, drive_regime
 from pmfid.design.problem.problem import Problem
 from pmfid.types import Floats
 
@@ -134,7 +134,7 @@ def _hold_rows(rows: _Rows, values: dict[str, float]) -> None:
             rows.add("hold", {k: gain}, load - HOLD * min(friction), load + HOLD * min(friction))
 
 
-def _motion_rows(rows: _Rows, case: int, steps: list[Step]) -> None:
+def _motion_rows(rows: _Rows, case: int, steps: list[StateStep]) -> None:
     for k, step in enumerate(steps):
         for i in range(2):
             terms: Terms = {rows.column(case, k + 1, i): 1.0}

@@ -54,7 +54,7 @@ def solve(
     ready = setting(problem, criterion, combination)
     check_identifiable(problem, ready.maps[0])
     results = _all_starts(ready, np.random.SeedSequence(seed).spawn(starts), workers, progress)
-    design = ready.design(_refined(ready, max(results, key=lambda found: found[0])[1]))
+    design = ready.design(_refine(ready, max(results, key=lambda found: found[0])[1]))
     if not design.value > 0:
         raise NotIdentifiableError(
             f"no input within the limits tells {', '.join(problem.names)} in one run; give the motion more time or "
@@ -106,5 +106,5 @@ def _climber(ready: Setting) -> Climber:
     return Climber(ready.maps, ready.rule, oracle, ready.problem.average == "worst")
 
 
-def _refined(ready: Setting, u: Floats) -> Floats:
+def _refine(ready: Setting, u: Floats) -> Floats:
     return _climber(ready).ascend(u, tolerance=1e-8, steps=300)[1]

@@ -46,7 +46,7 @@ def standard_inputs(problem: Problem, seed: int = 0, names: tuple[str, ...] = ()
 
     names: only these; seed: of the PRBS. "minimum_time" reaches the end of each leg as early as the limits let it, and
     goes on at the least speed. A profile that the limits do not allow is replaced by the nearest input, in
-    the sum of squares. Raises InfeasibleError where no input meets the limits.
+    the sum of squares. Raises InfeasibleError if no input meets the limits.
     """
     maker = _Maker(problem, input_set(polytope(problem)), seed)
     found = {}
@@ -119,17 +119,17 @@ def _target(maker: _Maker, leg: Leg, share: float) -> float:
 
 
 def _peak(maker: _Maker, wish: Floats, leg: Leg, rise: float | None, target: float) -> float:
-    """Peak velocity [m/s] with which the leg ends at the target [m]; 0 where it cannot."""
+    """Peak velocity [m/s] with which the leg ends at the target [m]; 0 if it cannot."""
 
-    def beyond(peak: float) -> float:
+    def find_excess(peak: float) -> float:
         trial = wish.copy()
         trial[leg.first : leg.last + 1] = velocity_wish(maker.problem, leg, rise, peak)
         return leg.direction * (maker.position_at(leg.last, trial) - target)
 
     high = 1.0
-    while beyond(high) < 0 and high < FASTEST:
+    while find_excess(high) < 0 and high < FASTEST:
         high *= 4
-    return float(brentq(beyond, 0.0, high, xtol=1e-15)) if beyond(0.0) < 0 < beyond(high) else 0.0
+    return float(brentq(find_excess, 0.0, high, xtol=1e-15)) if find_excess(0.0) < 0 < find_excess(high) else 0.0
 
 
 def _signal(maker: _Maker, name: str) -> tuple[Floats, bool]:
@@ -148,16 +148,16 @@ def _range(maker: _Maker) -> tuple[float, float]:
 
 
 def _least_energy(maker: _Maker) -> tuple[Floats, bool]:
-    return _checked(maker, nearest(maker.inputs, np.zeros(maker.problem.intervals))), False
+    return _check_limits(maker, nearest(maker.inputs, np.zeros(maker.problem.intervals))), False
 
 
 def _least_time(maker: _Maker) -> tuple[Floats, bool]:
     """As far ahead as possible at every node: largest sum of the way gone."""
     ahead = np.array(maker.problem.sense, float) @ maker.inputs.position
-    return _checked(maker, Oracle(maker.inputs.rows).maximise(ahead)), False
+    return _check_limits(maker, Oracle(maker.inputs.rows).maximise(ahead)), False
 
 
-def _checked(maker: _Maker, u: Floats) -> Floats:
+def _check_limits(maker: _Maker, u: Floats) -> Floats:
     if not violation(maker.inputs, u) < 1e-5:
         raise InfeasibleError("no input meets all limits; relax one of them")
     return u

@@ -1,4 +1,4 @@
-"""What an input is worth: beside the standard inputs, over time, and with true stiction."""
+"""The worth of an input: compared with the standard inputs, over time, and with true stiction."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from pmfid.design.trial.simulated import simulated_information
 from pmfid.shown import Shown, Summary, plain_dict
 from pmfid.types import Floats
 
-__all__ = ["Appraisal", "Worth", "appraise", "gathered", "worth_of"]
+__all__ = ["Appraisal", "Worth", "accumulate_value", "appraise", "worth_of"]
 
-#: Below this part of the claimed information the design is not what it says.
+#: Part of the claimed information below which a design is warned of.
 SURVIVES = 0.95
 
 
@@ -35,11 +35,11 @@ class Worth:
     fisher: (p, p) on the unknown parameters, in their own units, prior included; value: of the criterion, over the
     scenarios where the problem has an average.
     surviving: part of the claimed information that is there with true stiction, the least for parameters that are a
-    little larger, smaller or both; None where that cannot be simulated.
-    predicted_std: of each unknown parameter after one run; inf where the run and the prior leave it open.
+    little larger, smaller or both; None if that cannot be simulated.
+    predicted_std: of each unknown parameter after one run; inf if the run and the prior leave it open.
     std_encoder: that of `pmfid commission` from the encoder's counts, start position unknown (`encoder_covariance`);
     inf as above and where the noise is not that of an encoder. covariance: (p, p) of the estimate after one run over
-    unknown + nuisance, in their units, by which inputs are chosen; None where it is open.
+    unknown + nuisance, in their units, by which inputs are chosen; None if it is open.
     """
 
     fisher: Floats
@@ -52,9 +52,9 @@ class Worth:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Appraisal(Shown):
-    """A design beside the standard inputs; worths: by name, that of the design itself as "design".
+    """A design compared with the standard inputs; worths: by name, "design" for the design itself.
 
-    price: part of the nominal information that robustness costs, None where the design is not robust.
+    price: part of the nominal information that robustness costs, None if the design is not robust.
     """
 
     design: Design
@@ -66,7 +66,7 @@ class Appraisal(Shown):
 
     @property
     def gain(self) -> dict[str, float]:
-        """Value of the design over that of each standard input; inf where that is 0."""
+        """Value of the design over that of each standard input; inf if that is 0."""
         own = self.worths["design"].value
         values = {name: self.worths[name].value for name in self.standard}
         return {name: own / value if value > 0 else math.inf for name, value in values.items()}
@@ -99,7 +99,7 @@ class Appraisal(Shown):
         }
 
     def summary(self) -> Summary:
-        """The error bars of each input; in words, of the design and of what is to be run."""
+        """Predicted standard deviations of each input; the lines are of the design and of the recommended input."""
         unknown = self.design.problem.unknown
         rows = [(name, *(f"{worth.predicted_std[own]:.2g}" for own in unknown)) for name, worth in self.worths.items()]
         title = f"{self.design.criterion}, standard deviations after one run; to be run: {self.recommended}"
@@ -121,7 +121,7 @@ class Appraisal(Shown):
 
 
 def appraise(design: Design, combination: Mapping[str, float] | None = None, seed: int = 0) -> Appraisal:
-    """The design beside the standard inputs; combination: for criterion "c"; seed: of the PRBS among them."""
+    """Compares the design with the standard inputs; combination: for criterion "c"; seed: of the PRBS."""
     problem = design.problem
     ready = setting(problem, design.criterion, combination)
     standard = standard_inputs(problem, seed)
@@ -153,10 +153,10 @@ def _on_unknown(problem: Problem, F: Floats) -> Floats:
     return np.asarray(eliminate(F, size)[0] / np.outer(problem.scale[:size], problem.scale[:size]))
 
 
-def gathered(problem: Problem, criterion: Criterion, u: ArrayLike) -> tuple[Floats, Floats]:
+def accumulate_value(problem: Problem, criterion: Criterion, u: ArrayLike) -> tuple[Floats, Floats]:
     """Sample instants (N,) [s] and the value of the criterion for the samples up to each (N,), prior included."""
     maps = affine(problem)
-    s = maps.weighted(u)
+    s = maps.weigh_sensitivities(u)
     F = maps.prior + np.cumsum(np.einsum("in,jn->nij", s, s), axis=0)
     t = np.arange(1, s.shape[1] + 1) * (problem.horizon / s.shape[1])
     values = [criterion.value(each) if np.linalg.matrix_rank(each) == len(each) else 0.0 for each in F]
@@ -179,9 +179,9 @@ def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Fl
 def _stds(problem: Problem, fisher: Floats) -> dict[str, float]:
     scale = problem.scale[: len(problem.unknown)]
     values, vectors = np.linalg.eigh(fisher * np.outer(scale, scale))
-    told = values > 1e-12 * max(values[-1], 0.0)
-    variance = (vectors[:, told] ** 2 / values[told]).sum(axis=1)
-    variance[np.any(vectors[:, ~told] ** 2 > 0, axis=1)] = math.inf
+    known = values > 1e-12 * max(values[-1], 0.0)
+    variance = (vectors[:, known] ** 2 / values[known]).sum(axis=1)
+    variance[np.any(vectors[:, ~known] ** 2 > 0, axis=1)] = math.inf
     return {name: float(std) for name, std in zip(problem.unknown, scale * np.sqrt(variance), strict=True)}
 
 

@@ -52,14 +52,14 @@ class DesignedRun:
 
 @dataclass(frozen=True, eq=False)
 class RunsEstimate:
-    """What the runs say.
+    """The estimate from all runs.
 
     parameters: {name: value}, known ones included. information: (p, p) over unknown + nuisance, in their units, prior
     included: the inverse of their covariance. interval: {name: (lowest, highest)} that holds 95 %, for each of these.
-    inflation: for normal noise the variance of the residual over the noise's, times the samples for which it is
-    correlated; the runs' information is divided by it where it is more than 1. For counts 1.
-    unexplained: by how much the best motion misses a count, in counts; more than 0 is an error of the model, by twice
-    which all counts were taken to be wider.
+    inflation: for normal noise the variance of the residual over the variance of the noise, times the number of samples
+    that correlate; the information of the runs is divided by an inflation above 1. 1 for counts.
+    unexplained: largest distance of the best motion from a count, in counts. More than 0 is an error of the model, and
+    all counts were widened by twice this distance.
     """
 
     parameters: Mapping[str, float]
@@ -83,7 +83,7 @@ class RunsEstimate:
 def calibrate(problem: Problem, runs: Sequence[DesignedRun]) -> RunsEstimate:
     """Unknown and nuisance parameters of a problem from its runs, its prior centred on its nominal values.
 
-    Raises UsageError without a run, NotIdentifiableError where the runs leave a parameter open or the simulated
+    Raises UsageError without a run, NotIdentifiableError if the runs leave a parameter open or the simulated
     position does not follow.
     """
     if not runs:
@@ -94,30 +94,30 @@ def calibrate(problem: Problem, runs: Sequence[DesignedRun]) -> RunsEstimate:
     )
     J = objective.jacobian(found.x)
     _check(problem, objective, found.x, J)
-    by = _by_counts if is_counted(problem) else _by_squares
+    by = _estimate_by_counts if is_counted(problem) else _estimate_by_squares
     return by(problem, objective, found.x, J)
 
 
-def _by_squares(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> RunsEstimate:
+def _estimate_by_squares(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> RunsEstimate:
     inflation = objective.inflation(q)
     information = (J.T @ J - objective.prior) / max(1.0, inflation) + objective.prior
     apart = NORMAL * np.sqrt(np.linalg.inv(information).diagonal())
     interval = np.column_stack([q - apart, q + apart]) * objective.scale[:, None]
     scale = np.outer(objective.scale, objective.scale)
-    return RunsEstimate(objective.parameters(q), information / scale, _named(problem, interval), inflation)
+    return RunsEstimate(objective.parameters(q), information / scale, _name_intervals(problem, interval), inflation)
 
 
-def _by_counts(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> RunsEstimate:
+def _estimate_by_counts(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> RunsEstimate:
     found = what_is_open(
         objective.counts, q, np.asarray(np.linalg.inv(J.T @ J), float), objective.lower, objective.root
     )
     information = np.linalg.inv(found.covariance * np.outer(objective.scale, objective.scale))
     interval = found.interval * objective.scale[:, None]
     parameters = objective.parameters(found.mean)
-    return RunsEstimate(parameters, information, _named(problem, interval), unexplained=found.unexplained)
+    return RunsEstimate(parameters, information, _name_intervals(problem, interval), unexplained=found.unexplained)
 
 
-def _named(problem: Problem, interval: Floats) -> dict[str, tuple[float, float]]:
+def _name_intervals(problem: Problem, interval: Floats) -> dict[str, tuple[float, float]]:
     return {name: (float(low), float(high)) for name, (low, high) in zip(problem.names, interval, strict=True)}
 
 
@@ -141,17 +141,17 @@ class _Objective:
 
     def positions(self, parameters: Mapping[str, float]) -> list[Floats]:
         drive = drive_of(self.problem, parameters)
-        return [centred(simulate_drive(drive, run.u, run.dt, 0.0, self.problem.start[1]).x) for run in self.runs]
+        return [centre(simulate_drive(drive, run.u, run.dt, 0.0, self.problem.start[1]).x) for run in self.runs]
 
     def data(self, q: Floats) -> Floats:
         pairs = zip(self.positions(self.parameters(q)), self.runs, strict=True)
-        return np.asarray(np.concatenate([x - centred(run.y) for x, run in pairs]) / np.sqrt(self.problem.variance))
+        return np.asarray(np.concatenate([x - centre(run.y) for x, run in pairs]) / np.sqrt(self.problem.variance))
 
     def counts(self, q: Floats) -> list[Floats]:
         """For each run the simulated less the measured position, in counts."""
         size = float(self.problem.resolution or 1.0)
         pairs = zip(self.positions(self.parameters(q)), self.runs, strict=True)
-        return [(x - centred(run.y)) / size for x, run in pairs]
+        return [(x - centre(run.y)) / size for x, run in pairs]
 
     def __call__(self, q: Floats) -> Floats:
         return np.asarray(np.r_[self.data(q), self.root @ (q - self.start)])
@@ -184,14 +184,14 @@ def correlation_time(residuals: Sequence[Floats]) -> float:
     return total
 
 
-def centred(y: Floats) -> Floats:
+def centre(y: Floats) -> Floats:
     """y (n,) less its mean."""
     return np.asarray(y - np.mean(y))
 
 
 def _check(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> None:
     motion = float(
-        np.linalg.norm(np.concatenate([centred(run.y) for run in objective.runs]) / np.sqrt(problem.variance))
+        np.linalg.norm(np.concatenate([centre(run.y) for run in objective.runs]) / np.sqrt(problem.variance))
     )
     left = float(np.linalg.norm(objective.data(q)))
     if left > WORST_FIT * motion:

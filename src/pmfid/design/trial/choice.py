@@ -82,7 +82,7 @@ def best_input(problem: Problem, rule: Criterion, covariances: Mapping[str, Floa
 
 
 def stds(problem: Problem, covariance: Floats | None) -> dict[str, float]:
-    """{unknown parameter: standard deviation}, inf where there is no covariance."""
+    """{unknown parameter: standard deviation}, inf if there is no covariance."""
     if covariance is None:
         return dict.fromkeys(problem.unknown, math.inf)
     return {name: math.sqrt(value) for name, value in zip(problem.unknown, covariance.diagonal(), strict=False)}

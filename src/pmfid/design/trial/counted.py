@@ -14,7 +14,7 @@ import numpy as np
 
 from pmfid.design.trial.encoder_error import log_of_room
 from pmfid.design.trial.least_range import Distances, middle_of, widest
-from pmfid.design.trial.ridges import Allowed, along_ridges
+from pmfid.design.trial.ridges import Allowed, spread_along_ridges
 from pmfid.design.trial.walkers import inside, walk
 from pmfid.types import Floats
 
@@ -25,7 +25,7 @@ HALF, MISSING = 0.5, 2.0
 #: Room that the right model leaves at least, in counts times samples: less in one run of a hundred.
 LEAST_ROOM = 0.25
 WALKERS = 48
-#: Of so many walkers one is checked.
+#: One in CHECKED walkers is checked.
 CHECKED = 4
 #: Counts that the map may be wrong by.
 LOST = 0.05
@@ -40,7 +40,7 @@ class Open:
     """The parameters that are left: mean (p,), covariance (p, p), interval (p, 2) with 95 % of each.
 
     unexplained: by how much the best motion misses a count, or the typical one of the set its widened counts, in
-    counts; 0 where all are explained.
+    counts; 0 if all are explained.
     """
 
     mean: Floats
@@ -69,7 +69,7 @@ def what_is_open(
     rng = np.random.default_rng(seed)
     samples = middle + 0.1 * rng.standard_normal((WALKERS, len(start))) @ steps.T
     for spread, counted in ROUNDS:
-        quadratic = _Quadratic.around(distances, middle, steps, lower)
+        quadratic = _Quadratic.fit_around(distances, middle, steps, lower)
         # at a bound the map is not around the middle itself, and may just lose it
         wide = max(half, widest(quadratic(middle)) / 2.0 + least_room)
 
@@ -87,21 +87,21 @@ def what_is_open(
     true = float(np.median([widest(distances(q)) for q in samples[::CHECKED]])) / 2.0
     if true - wide > LOST:
         unexplained = max(unexplained, true - wide)
-    flat = along_ridges(Allowed(distances, half, lower, root), flat, middle, rng)
+    flat = spread_along_ridges(Allowed(distances, half, lower, root), flat, middle, rng)
     return Open(flat.mean(axis=0), np.atleast_2d(np.cov(flat.T)), np.quantile(flat, WITHIN, axis=0).T, unexplained)
 
 
 @dataclass(frozen=True, eq=False)
 class _Quadratic:
-    """Distances as quadratics of z = (q - centre) / steps: what a hundred thousand motions cost too much for."""
+    """Distances as quadratics of z = (q - centre) / steps; a hundred thousand motions would cost too much."""
 
     centre: Floats
     inverse: Floats
     runs: list[tuple[Floats, Floats]]
 
     @classmethod
-    def around(cls, distances: Distances, q: Floats, steps: Floats, lower: Floats) -> _Quadratic:
-        """Through the motions at q, at q +- each column of steps (p, p), and at two of them together."""
+    def fit_around(cls, distances: Distances, q: Floats, steps: Floats, lower: Floats) -> _Quadratic:
+        """Fits the motions at q, at q +- each column of steps (p, p), and at the sums of two columns."""
         p = len(q)
         centre = np.maximum(q, lower + 2.0 * np.abs(steps).max(axis=1))
         at = [distances(centre)]

@@ -17,8 +17,8 @@ __all__ = ["encoder_covariance", "expected_covariance", "is_counted", "log_of_ro
 
 #: Start phases on the lattice of the encoder, evenly spread, for least squares.
 PHASES = 128
-#: Machines that are drawn around the nominal one, the part by which they are wrong (a deviation), and what is known of
-#: one at rest.
+#: Number of machines drawn around the nominal one, the standard deviation of their parameters as a part of the nominal
+#: values, and the deviation that bounds the parameters of a machine at rest.
 MACHINES, WRONG, FAR = 32, 0.06, 1.0
 #: Deviations by which a parameter is wrong at most; machines with all of them that wrong are looked at as well.
 FURTHEST = 2.0
@@ -35,13 +35,13 @@ def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     another start phase: what their counts leave open is as in `counted`, with sensitivities of the simulated motion. A
     motion that is the best for the nominal values may come to rest on another machine, and tell a hundredth: so the
     corners of what is not known are among the machines.
-    None where the noise is not that of an encoder, or where the run and the prior leave a parameter open.
+    None if the noise is not that of an encoder, or if the run and the prior leave a parameter open.
     """
     ready = _ready(problem, u)
     if ready is None:
         return None
     prior, size = ready[1], len(problem.names)
-    known, machines = _known(prior), _machines(problem, prior)
+    known, machines = _bound_prior(prior), _machines(problem, prior)
     errors, moves, roots = [], [], []
     for number, parameters in enumerate(machines):
         x, s = _motion_in_counts(problem, u, parameters)
@@ -62,8 +62,8 @@ def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     return np.asarray(apart.T @ apart / len(apart) * np.outer(problem.scale, problem.scale))
 
 
-def _known(prior: Floats) -> Floats:
-    """The prior (p, p) of the scaled parameters, and what bounds a machine that rests and tells nothing."""
+def _bound_prior(prior: Floats) -> Floats:
+    """The prior (p, p) of the scaled parameters, plus a weak bound for a machine that rests."""
     return np.asarray(prior + np.eye(len(prior)) / FAR**2)
 
 
@@ -95,12 +95,12 @@ def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     """The covariance (p, p) that `calibrate` will have: `encoder_covariance`, or of white noise, the start unknown.
 
     The latter is the mean over the same machines; of the nominal one alone, without stiction, if friction is
-    directional. None where the run and the prior leave a parameter open.
+    directional. None if the run and the prior leave a parameter open.
     """
     if is_counted(problem):
         return encoder_covariance(problem, u)
     maps = affine(problem)
-    F, scale = start_free(maps.weighted(u)) + maps.prior, np.outer(problem.scale, problem.scale)
+    F, scale = start_free(maps.weigh_sensitivities(u)) + maps.prior, np.outer(problem.scale, problem.scale)
     if np.linalg.cond(F) > WORST:
         return None
     if problem.drive.friction == "symmetric":
@@ -112,11 +112,11 @@ def _white_covariance(problem: Problem, u: ArrayLike, prior: Floats) -> Floats:
     """(p, p) of the scaled parameters, for white noise on simulated machines; prior (p, p)."""
     weight = float(problem.resolution or 1.0) ** 2 / problem.variance
     slopes = (_motion_in_counts(problem, u, each)[1] for each in _machines(problem, prior))
-    return np.asarray(np.mean([np.linalg.inv(weight * s @ s.T + _known(prior)) for s in slopes], axis=0))
+    return np.asarray(np.mean([np.linalg.inv(weight * s @ s.T + _bound_prior(prior)) for s in slopes], axis=0))
 
 
 def log_of_room(distance: Floats, half: float) -> Floats:
-    """Logarithm of how far a motion may be moved with each sample within its count, -inf where it may not be there.
+    """Logarithm of how far a motion may be moved with each sample within its count, -inf if it may not be there.
 
     distance (..., N): of the motion from the middles of the counts, in counts; half: width of a count over 2. The
     likelihood of a motion whose start on the lattice is not known.
@@ -145,11 +145,11 @@ def squares_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
 
 
 def _ready(problem: Problem, u: ArrayLike) -> tuple[Floats, Floats, Floats] | None:
-    """Centred sensitivities (p, N + 1), prior and information (p, p), scaled; None where there is no answer."""
+    """Centred sensitivities (p, N + 1), prior and information (p, p), scaled; None if there is no answer."""
     if not is_counted(problem):
         return None
     maps = affine(problem)
-    s = centred_sensitivities(maps.weighted(u))
+    s = centred_sensitivities(maps.weigh_sensitivities(u))
     F = s @ s.T + maps.prior
     return None if np.linalg.cond(F) > WORST else (s, maps.prior, F)
 

@@ -26,7 +26,7 @@ Experiment = Callable[[Design], DesignedRun]
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """run: an experiment; known: what all runs so far say after it; design: what the run was made for, None where that
+    """run: an experiment; known: what all runs so far say after it; design: what the run was made for, None if that
     is not recorded."""
 
     run: DesignedRun
@@ -37,7 +37,7 @@ class Round:
 @dataclass(frozen=True, eq=False)
 class Commissioning:
     """Rounds so far, the standard deviations {unknown parameter: its unit} that are wanted, and the choice of the next
-    input, None where it is not needed or was not asked for."""
+    input, None if it is not needed or was not asked for."""
 
     problem: Problem
     wanted: Mapping[str, float]
@@ -66,7 +66,7 @@ class Commissioning:
     def reached(self) -> bool:
         """Whether every wanted standard deviation is reached by a model that explains the counts; False without a round
         or a wish."""
-        return bool(self.rounds and self.wanted) and reached(self.problem, self.rounds[-1].known, self.wanted)
+        return bool(self.rounds and self.wanted) and is_reached(self.problem, self.rounds[-1].known, self.wanted)
 
     def to_json(self) -> dict[str, object]:
         """The object that `--json` prints."""
@@ -93,8 +93,8 @@ class Commissioning:
             for name in self.problem.names
         }
         travel = float(each.run.y[-1] - each.run.y[0])
-        told = {"inflation": known.inflation, "unexplained": known.unexplained}
-        return {"parameters": values, **told, "travel": travel}
+        doubts = {"inflation": known.inflation, "unexplained": known.unexplained}
+        return {"parameters": values, **doubts, "travel": travel}
 
 
 def sequential(
@@ -117,7 +117,7 @@ def sequential(
     _check_wanted(problem, wanted, rounds)
     done: list[Round] = []
     current = problem
-    while len(done) < rounds and not (done and wanted and reached(problem, done[-1].known, wanted)):
+    while len(done) < rounds and not (done and wanted and is_reached(problem, done[-1].known, wanted)):
         design = solve(current, criterion, combination=combination, starts=starts, seed=seed + len(done))
         chosen = choose(design, combination, starts=_few(starts), seed=seed).design
         run = experiment(chosen)
@@ -137,7 +137,7 @@ def redesign(
     starts: int = 20,
     seed: int = 0,
 ) -> Commissioning:
-    """What recorded runs say, and the design of the next one where they do not yet say enough.
+    """The estimate from recorded runs, and the design of the next run if a wanted deviation is not yet reached.
 
     Without a wanted standard deviation there is always a next design. Raises as `sequential` does.
     """
@@ -157,7 +157,7 @@ def redesign(
     return replace(state, choice=choose(found, combination, starts=_few(starts), seed=seed))
 
 
-def reached(problem: Problem, known: RunsEstimate, wanted: Mapping[str, float]) -> bool:
+def is_reached(problem: Problem, known: RunsEstimate, wanted: Mapping[str, float]) -> bool:
     """Whether every wanted standard deviation is reached, and the model misses no count by more than another half."""
     if known.unexplained > TOLERATED:
         return False
@@ -185,7 +185,7 @@ def simulated_experiment(problem: Problem, truth: Mapping[str, float], rng: np.r
 
 
 def _few(starts: int) -> int:
-    """Starts for the designs beside the best."""
+    """Number of starts for each design other than the best."""
     return max(1, starts // 4)
 
 

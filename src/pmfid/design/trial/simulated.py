@@ -28,7 +28,7 @@ def simulate(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | N
 
     `parameters`: true values, missing ones nominal. The arrays of the motion hold n * samples_per_interval + 1 samples,
     the first at time 0; input, direction and moving of the last one belong to no interval.
-    Raises UsageError for directional friction, which the simulation lacks, and where u has not one value per interval.
+    Raises UsageError for directional friction, which is not simulated, and if u has not one value per interval.
     """
     u = np.asarray(u, float)
     if u.shape != (problem.intervals,):

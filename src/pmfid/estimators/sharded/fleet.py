@@ -13,7 +13,7 @@ from typing import Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmfid.durable.vault import Vault
+from pmfid.durable.vault import CheckpointFolder
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.fleet import runner_of
 from pmfid.estimators.recursive import RecursiveEstimator
@@ -64,13 +64,13 @@ class ShardedFleet:
         self._handles = Handles()
         for estimator in estimators:
             self._group(runner_of(estimator))
-        self._vault = None if folder is None else Vault(Path(folder))
+        self._vault = None if folder is None else CheckpointFolder(Path(folder))
         self.restored: Restored | None = None
         self._closed = False
         if self._vault is not None:
             self._begin(self._vault)
 
-    def _begin(self, vault: Vault) -> None:
+    def _begin(self, vault: CheckpointFolder) -> None:
         try:
             found = restored_from(vault, self._groups, self._each)
         except BaseException:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.durable.envelope import DamagedError, Told, set_aside
-from pmfid.durable.vault import Vault
+from pmfid.durable.envelope import DamagedError, Event, set_aside
+from pmfid.durable.vault import CheckpointFolder
 from pmfid.errors import UsageError
 from pmfid.estimators.sharded.handles import Handles
 from pmfid.estimators.sharded.shard import Shard, ShardGroup
@@ -50,11 +50,11 @@ class Content:
     handles: Handles
 
 
-def restored_from(vault: Vault, groups: Mapping[bytes, ShardGroup], each: Each) -> Content | None:
+def restored_from(vault: CheckpointFolder, groups: Mapping[bytes, ShardGroup], each: Each) -> Content | None:
     """The newest checkpoint with whole shards only. If there is none, the newest checkpoint, with its damaged shards
     reset. None: there is no checkpoint. groups: the configurations by their identity. Raises UsageError for axes of
     another configuration."""
-    reports = list[Told]()
+    reports = list[Event]()
     readable = _listings(vault, reports.append)
     for listing in readable:
         taken = _take_shards(listing, vault.folder, groups, each)
@@ -68,7 +68,7 @@ def restored_from(vault: Vault, groups: Mapping[bytes, ShardGroup], each: Each) 
     return Content(lost, 0, [], Handles()) if reports else None
 
 
-def _listings(vault: Vault, tell: Callable[[Told], None]) -> list[Listing]:
+def _listings(vault: CheckpointFolder, tell: Callable[[Event], None]) -> list[Listing]:
     """Of the checkpoints there are, the newest first."""
     readable = list[Listing]()
     for found in vault.whole(tell):
@@ -102,7 +102,7 @@ def _take_shards(listing: Listing, folder: Path, groups: Mapping[bytes, ShardGro
     return Taken(listing, shards, dict(sorted(broken.items())))
 
 
-def _say(path: Path, problem: str, tell: Callable[[Told], None]) -> None:
+def _say(path: Path, problem: str, tell: Callable[[Event], None]) -> None:
     """Says that a file is not whole, and sets it aside if it is there."""
     if path.exists():
         set_aside(path, problem, tell)

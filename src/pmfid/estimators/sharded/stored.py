@@ -1,9 +1,10 @@
 """Checkpoints of a sharded fleet.
 
 Every shard has two files, its sides. A checkpoint writes the shards that have changed to the sides that the last one
-does not use, has them synced, and then puts a list of all sides in use into a `Vault`, which replaces the older of its
-two by a rename. Until that rename the last checkpoint is whole, then the new one. Files are mapped to be read, not to
-be written: a full disk is then an error and no signal, and no state that is half stepped reaches the disk.
+does not use, has them synced, and then puts a list of all sides in use into a `CheckpointFolder`, which replaces the
+older of its two by a rename. Until that rename the last checkpoint is whole, after it the new one. Files are mapped to
+be read, not to be written: a full disk is then an error and no signal, and no state that is half stepped reaches the
+disk.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.durable.crash import crash_point
-from pmfid.durable.envelope import DamagedError, mapped, put, sync_folder
-from pmfid.durable.vault import Vault
+from pmfid.durable.envelope import DamagedError, map_file, put, sync_folder
+from pmfid.durable.vault import CheckpointFolder
 from pmfid.estimators.sharded.handles import LAST, Handles
 from pmfid.estimators.sharded.shard import Shard, ShardGroup
 
@@ -79,7 +80,9 @@ def place_of(folder: Path, number: int, side: int) -> Path:
     return folder / f"shard-{number:06}-{side}"
 
 
-def write(vault: Vault, shards: Sequence[Shard], handles: Handles, mark: object, each: Each, sync: bool) -> int:
+def write(
+    vault: CheckpointFolder, shards: Sequence[Shard], handles: Handles, mark: object, each: Each, sync: bool
+) -> int:
     """A checkpoint; the bytes of states that it wrote. sync: it shall outlive the power as well. Raises OSError, and
     TypeError for a mark that JSON does not know."""
     sequence, changed = vault.sequence + 1, [shard for shard in shards if shard.changed]
@@ -167,7 +170,7 @@ def read_shard(folder: Path, listed: Listed, shard: Shard) -> None:
     there or not whole, is of another shard or checkpoint, or has numbers that no sample could have made."""
     path = place_of(folder, shard.number, listed.side)
     try:
-        found = mapped(path)
+        found = map_file(path)
     except OSError as error:
         raise DamagedError(error.strerror or str(error)) from None
     head = listed.identity + _SHARD.pack(shard.number, listed.rows)
