@@ -28,7 +28,7 @@ from pmfid.errors import INTERRUPTED, PmfidError, printable
 from pmfid.estimators import METHODS
 from pmfid.session.formats import SPOKEN
 
-EXIT_USAGE, EXIT_NOT_IDENTIFIABLE = 2, 3
+EXIT_USAGE = 2
 #: More threads for products of small matrices only wait for each other: a search took four times as long.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 

@@ -123,7 +123,7 @@ def _context(
         samples = record_run(estimator, *made_up_record(estimator))
     else:
         u, counts = np.asarray(record[0], np.float64), np.asarray(record[1], np.int64)
-        part = moving_part(u, counts)
+        part = moving_part(counts)
         samples = record_run(estimator, u[part], counts[part])
     rows = zip(samples.u, samples.counts, samples.expected, strict=True)
     return {

@@ -64,7 +64,7 @@ def record_run(estimator: RecursiveEstimator, u: ArrayLike, counts: ArrayLike) -
     return Samples(given, counts.astype(np.uint32), np.array(expected, np.uint32), estimate.theta)
 
 
-def moving_part(u: NDArray[np.float64], counts: NDArray[np.int64]) -> slice:
+def moving_part(counts: NDArray[np.int64]) -> slice:
     """The first samples of a record from shortly before it moves."""
     moves = np.flatnonzero(np.diff(counts))
     start = max(0, int(moves[0]) - 10) if moves.size else 0

@@ -50,16 +50,6 @@ class Blocks:
     def __getitem__(self, part: slice) -> Blocks:
         return Blocks(self.score[part], self.cross[part], self.square[part])
 
-    def __add__(self, other: Blocks) -> Blocks:
-        return Blocks(self.score + other.score, self.cross + other.cross, self.square + other.square)
-
-    def __sub__(self, other: Blocks) -> Blocks:
-        return Blocks(self.score - other.score, self.cross - other.cross, self.square - other.square)
-
-    def total(self) -> Blocks:
-        """All as one block."""
-        return Blocks(*(part.sum(axis=0, keepdims=True) for part in (self.score, self.cross, self.square)))
-
     @classmethod
     def concatenate(cls, parts: Iterable[Blocks]) -> Blocks:
         """The blocks of all parts in order."""
