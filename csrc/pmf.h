@@ -80,7 +80,7 @@ enum {
     PMF_OFFSET,
     PMF_STIFFNESS,
     PMF_DELAY, /* [s], of the input */
-    PMF_BODY_ROLES /* behind them a coefficient for each shape */
+    PMF_BODY_ROLES /* then a coefficient for each shape */
 };
 #define PMF_ROLES (7 + (PMF_WITH_DEAD_TIME + PMF_MAX_SHAPES > 0) + PMF_MAX_SHAPES)
 #define PMF_NO_PARAMETER 0xffU
@@ -101,7 +101,7 @@ enum {
     PMF_DEAD_TIME = 2048
 };
 
-/* What becomes of old samples, beside the regularisation. */
+/* Forgetting of old samples, in addition to the regularisation. */
 enum {
     PMF_EXPONENTIAL = 0, /* every sample is forgotten alike */
     PMF_DIRECTIONAL = 1, /* only in the direction of each phi; least squares only */
@@ -124,7 +124,7 @@ typedef struct {
 #endif
 #if PMF_WITH_GUARD
     uint32_t guard; /* samples in motion that it learns from before it judges strictly; 0: none */
-    scalar_t spike; /* an input so many times as large as any lately is suspicious */
+    scalar_t spike; /* factor over the largest recent input from which an input is suspicious */
     scalar_t guard_leak; /* of what it has learned, per sample in motion */
     uint32_t guard_hold; /* samples from a suspicious one on that are left out */
 #endif
@@ -200,7 +200,7 @@ typedef struct {
     uint32_t instrumental; /* 0: least squares, 1: instruments in their own columns */
     uint32_t first_column; /* regressors, target, instruments from here on */
     uint32_t min_updates; /* before the first estimate */
-    uint32_t residual_updates; /* so many steps from the accumulated right-hand side, then from the innovation */
+    uint32_t residual_updates; /* first steps, solved with the accumulated right-hand side; later ones by innovation */
     scalar_t forgetting;
     scalar_t regularization; /* information that is never forgotten, as a part of the largest seen */
     scalar_t pivot; /* smallest relative pivot for a first estimate */
@@ -213,7 +213,7 @@ typedef struct {
     scalar_t target_power; /* and in z^2 */
     uint32_t constant,
         lowest; /* the parameter that the output's level is in, and its share of that; PMF_NO_PARAMETER: none */
-    scalar_t lift; /* ... for the first count: so many times `lowest` */
+    scalar_t lift; /* ... for the first count: a multiple of `lowest` */
 #endif
 #if PMF_WITH_SEPARATE
     scalar_t keep[PMF_MAX_PARAMETERS]; /* root of each parameter's forgetting factor */
@@ -255,7 +255,7 @@ typedef struct {
 } pmf_estimate_t;
 
 #if PMF_WITH_NOISE
-/* Innovations and targets, squared, of so many samples. */
+/* Sums of squared innovations and targets; weight: number of samples. */
 typedef struct {
     real_t weight, innovation, target;
 } pmf_check_t;
@@ -354,7 +354,7 @@ typedef struct {
 #endif
 } pmf_auxiliary_config_t;
 
-/* What the model's velocity lacks of the measured one: products of that, the model's acceleration and its velocity. */
+/* Measured minus modelled velocity (lack): sums of products with the model's acceleration and velocity. */
 typedef struct {
     real_t weight, lack_lack, lack_acceleration, lack_velocity, acceleration, cross, velocity;
 } pmf_lag_t;
@@ -389,7 +389,7 @@ typedef struct {
 #endif
 
 #if PMF_WITH_DEAD_TIME
-/* An input that acts late, by any part of a sample, and perhaps behind a lag. */
+/* An input that acts late, by any part of a sample, and perhaps with a lag. */
 typedef struct {
     uint32_t room; /* whole samples at most; 0: it acts at once */
     scalar_t rate; /* samples per second */
@@ -412,7 +412,7 @@ typedef struct {
     real_t older, newer, part; /* what acts in that interval: `part` of it the older one */
     real_t gathered; /* dead time that what was gathered is for [s] */
 #if PMF_WITH_LAG
-    real_t lagged; /* the input behind the lag, at the end of that interval */
+    real_t lagged; /* output of the lag at the end of that interval */
 #endif
     whole_t at;
 } pmf_late_state_t;
@@ -448,7 +448,7 @@ typedef struct {
     uint32_t input_node; /* held input, as late as the output and its dead time later */
     uint32_t first_column; /* regressors, target, instruments */
     uint32_t update_samples; /* so often are the filters computed from the copy */
-    uint32_t settle_samples; /* beside the settling of the process itself */
+    uint32_t settle_samples; /* in addition to the settling of the process itself */
     uint32_t start_updates; /* of the direct estimate before the model starts from it */
     scalar_t half_dt;
     scalar_t scale[PMF_MAX_ORDER + 1]; /* dt^(n-i) */
@@ -464,7 +464,7 @@ typedef struct {
     real_t step[PMF_MAX_ORDER][PMF_MAX_ORDER], gain[PMF_MAX_ORDER]; /* of a held signal */
 } pmf_linear_filter_t;
 
-/* Signals behind such a filter. */
+/* Signals after such a filter. */
 typedef struct {
     real_t held[PMF_MAX_ORDER], one[PMF_MAX_ORDER]; /* the input and a constant */
     real_t measured[PMF_MAX_ORDER], simulated[PMF_MAX_ORDER];
@@ -482,7 +482,7 @@ typedef struct {
     whole_t since; /* updates of the direct estimate at the start */
     whole_t wait, age, unsettled, settled;
     whole_t running, in_charge;
-    whole_t damped; /* data go behind the fast filters */
+    whole_t damped; /* data go through the fast filters */
 } pmf_linear_state_t;
 #endif
 
@@ -539,13 +539,13 @@ typedef struct {
 } pmf_state_t;
 
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state);
-/* The counter is set anew: it would have read `count` at the last sample. All that is known stays. */
+/* The counter is reset: it would have read `count` at the last sample. Estimate and filters stay. */
 void pmf_rebase(pmf_state_t *state, uint32_t count);
-/* Samples were lost, and the next one, for pmf_step() after this, reads `count`. Filters and model begin anew with its
- * motion; all that was gathered stays. Of a few samples it is better to step through: along straight lines. */
+/* Samples were lost, and the next one, for pmf_step() after this, reads `count`. Filters and model restart with its
+ * motion; the sums of the estimate stay. A few lost samples are better stepped through, along straight lines. */
 void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count);
-/* The last sample was a guess: nothing is learnt from so many (slow motion: some more), at most those in
- * which the filters settle. They go on. */
+/* The last sample was a guess: the next `samples` are not learnt from (in slow motion some more), at most the settling
+ * time of the filters. The filters go on. */
 void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples);
 /* One sample: `input` is applied from now on, `count` is read now. Returns the status bits. */
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
@@ -556,7 +556,7 @@ void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state,
 const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state);
 /* Opens the memory after a change of the plant: of what was gathered on one parameter, or with PMF_NO_PARAMETER on all,
  * only the part root^2 counts on, 0 < root <= 1. The estimate stays where it is; filters and auxiliary model go on.
- * What the innovations said of the error bars counts anew, also with root = 1. */
+ * The inflation of standard errors restarts, also with root = 1. */
 void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter, real_t root);
 /* Variance of a parameter of the estimate, for innovations as coloured as they are; PMF_UNKNOWN until there is one. */
 real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter);

@@ -104,8 +104,8 @@ static void forget_sensitivity(pmf_auxiliary_state_t *state)
     pmf_clear(state->jump, (uint32_t)sizeof state->jump);
 }
 
-/* What of a deviation of velocity is left behind a stop: nothing where friction holds the body, else, as it reverses,
- * the forces behind over those before, for its instant moves with the deviation. */
+/* Part of a deviation of velocity that remains after a stop: 0 if friction holds the body. If the body reverses, it is
+ * the force after the stop over the force before, because the instant of the stop moves with the deviation. */
 static real_t left_behind_stop(const body_t *body, truth_t forward)
 {
     real_t push = PMF_IF(forward, -body->force, body->force);
@@ -115,8 +115,8 @@ static real_t left_behind_stop(const body_t *body, truth_t forward)
 }
 
 /* m w' + d w = -signal for the deviation w of the velocity by each parameter, and at a stop the rest of m w is lost, as
- * if by a blow. The sum of friction and input in the equation changes by the same blow: that is its derivative. Behind
- * the filters of the equation, as two stages of their delay, it is what regressors and target lack. */
+ * if by a blow. The sum of friction and input in the equation changes by the same blow: that is its derivative. After
+ * the filters of the equation, as two stages of their delay, it completes regressors and target. */
 static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const body_t *body,
                              real_t before, real_t after, const real_t *signal)
 {
@@ -256,7 +256,7 @@ void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary
     rest.distance[1] += phase.distance[1];
     rest.moving[0] += phase.moving[0];
     rest.moving[1] += phase.moving[1];
-    /* where it stops in the first part, that part's force decides what is left behind the stop */
+    /* if it stops in the first part, the force of that part decides what remains after the stop */
     conclude(config, state, state->velocity * phase.velocity > PMF_R(0.0) ? &second : &body, &rest, middle, signal);
     signal[PMF_AUXILIARY + PMF_INPUT] = pushed;
 }

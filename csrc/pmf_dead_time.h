@@ -27,7 +27,7 @@ static real_t dead_time_of(const pmf_config_t *config, const pmf_state_t *state)
     return config->late.dead_time;
 }
 
-/* What acts in the interval that the counts speak of, behind a dead time of so many samples. */
+/* The input that acts in the interval of the counts, after a dead time of `samples`. */
 static void acts_behind(const pmf_late_config_t *late, const pmf_late_state_t *state, real_t samples, real_t *older,
                         real_t *newer, real_t *part)
 {

@@ -174,7 +174,7 @@ static void sum_window(pmf_recursion_state_t *state, uint32_t p)
     }
 }
 
-/* The oldest block goes at once and the sums are made anew: no rounding stays. */
+/* The oldest block goes at once and the sums are computed again: no rounding stays. */
 static void slide_window(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
 {
     add_sample(&state->window[state->window_block], PMF_R(1.0), column, config->n_parameters, config->instrumental, 1);
@@ -207,7 +207,7 @@ PMF_SELDOM void discount_sums(pmf_sums_t *sums, uint32_t p, real_t factor)
 
 #if PMF_ENDLESS
 #define MOST_WEIGHT PMF_R(524288.0) /* 2^19 samples in a sum */
-#define LONG_MEMORY PMF_SCALAR(0.999999) /* forgetting from which on there may be so many */
+#define LONG_MEMORY PMF_SCALAR(0.999999) /* forgetting from which a sum may hold MOST_WEIGHT samples */
 
 /* A sum of float32 takes in nothing that is below 2^-24 of it. So what was gathered counts by half before that, again
  * and again: never forgetting means the last millions of samples. Only a sample with more than its share makes it so,

@@ -1,9 +1,9 @@
-/* Samples that were lost: the motion begins anew, and all that was gathered stays.
+/* Samples that were lost: the motion restarts, and the sums of the estimate stay.
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "pmf_internal.h"
 
-#define CREDIT PMF_R(10.0) /* times the power of the model's velocity that it may miss until it is set anew */
+#define CREDIT PMF_R(10.0) /* error of the model's velocity, over its power, from which the velocity is reset */
 
 /* How far the axis moved meanwhile the counter says, unless it wrapped; how fast it moves now, the next samples. */
 static void begin_encoder(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, uint32_t count)
@@ -53,7 +53,7 @@ void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples)
 {
     samples = samples < config->settle_samples ? samples : config->settle_samples;
 #if PMF_WITH_GUARD
-    samples += config->encoder.guard_hold; /* a fast motion ends the wait so many samples early, as behind a glitch */
+    samples += config->encoder.guard_hold; /* a fast motion shortens the wait by `guard_hold`, as after a glitch */
     samples = samples < config->settle_samples ? samples : config->settle_samples;
     state->hold = samples > state->hold ? samples : state->hold;
 #else

@@ -1,4 +1,4 @@
-/* What innovations say: their variance, by how much coloured ones lengthen the error bars, and whether the model
+/* Statistics of innovations: their variance, the inflation of standard errors by their colour, and whether the model
  * explains them. For pmf_recursion.c alone. SPDX-License-Identifier: Apache-2.0
  */
 #ifndef PMF_INNOVATIONS_H
@@ -13,7 +13,7 @@
 #define COMPENSATED(config) (PMF_WITH_NOISE != 0 && (config)->compensated != 0U)
 
 #if PMF_WITH_NOISE
-/* The innovations of another stretch of samples; those of the last one are kept beside. */
+/* The innovations of a stretch of samples; the innovations of the last stretch are kept, too. */
 static void note_unexplained(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                              real_t target)
 {
@@ -30,8 +30,8 @@ static void note_unexplained(const pmf_recursion_config_t *config, pmf_recursion
     state->check.target = PMF_IF(where, state->check.target + target * target, state->check.target);
 }
 
-/* Are the innovations larger than the known noise, and the error bars, make them? In the last two stretches alone: what
- * the start left, however large, is forgotten for good. */
+/* Are the innovations larger than the known noise and the standard errors explain? Only the last two stretches count,
+ * so the transient of the start is forgotten, however large it was. */
 static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                            real_t target)
 {

@@ -133,7 +133,7 @@ PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_au
 /* Do the changes of the input follow the innovations? PMF_FEEDBACK or 0; `where`: the recursion has made a step. */
 PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const pmf_recursion_state_t *recursion,
                                        truth_t where, real_t change);
-/* Is the measured velocity behind the model's, as where the input acts late? PMF_DEAD_TIME or 0. */
+/* Does the measured velocity lag the model's, as if the input acts late? PMF_DEAD_TIME or 0. */
 PMF_API whole_t pmf_auxiliary_late(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                                    const real_t *column, truth_t where);
 /* Moves the copy towards an estimate, whose parameters are found by `index`. */

@@ -1,4 +1,4 @@
-/* An input behind a first-order lag, as that of a current loop: two levels that do to a body what it does.
+/* An input with a first-order lag, as in a current loop: two levels with the same effect on a body.
  * SPDX-License-Identifier: Apache-2.0
  *
  * From one switch to the next it runs as an exponential. A level for each half of the interval, with the same mean and

@@ -3,13 +3,14 @@
  *
  * With a slow copy A, B of the estimate the columns are (Young and Jakeman 1980; Garnier and Young 2008)
  *     s^i / A(s) y   and, for the instruments,   s^i / A(s) x,  x = B(s) / A(s) u,   and   s^j / A(s) u.
- * The filters of y and x are trapezoidal and those of u exact behind its hold: with F_T = 1 / A(s_T) the equation
+ * The filters of y and x are trapezoidal and those of u exact for its hold: with F_T = 1 / A(s_T) the equation
  * A(s_T) F_T y = sum b_j ZOH{s^j / A} u holds without any error of the discretisation at the true A.
  *
- * Any other filters would do as well: the equation holds behind each. Where 1 / A rings for too long, data go behind
- * those of a more damped polynomial, which stay, and the instruments alone keep 1 / A: for a resonance that costs at
- * most a factor 2 of the variance, however fast they are, and nothing that data have to forget comes with them or with
- * a step of the copy. Behind them the equation holds exactly with the coefficients of the copy's sampled form (`bend`).
+ * Any other filters would do as well: the equation holds after each. If 1 / A rings for too long, data go through
+ * filters of a more damped polynomial, which stay, and the instruments alone keep 1 / A. For a resonance that costs at
+ * most a factor 2 of the variance, however fast the filters are. These filters, and a step of the copy, bring no
+ * transient into the data. After them the equation holds exactly with the coefficients of the copy's sampled form
+ * (`bend`).
  *
  * Time counts in samples: state j is dt^(j-n) s^j / A(s) of its signal, and A has the coefficients a_i dt^(n-i). States
  * move by increments, which keeps float32 accurate where poles are slow. When A moves they are carried over. The matrix
@@ -20,7 +21,7 @@
 
 #if PMF_LINEAR
 #define SETTLED PMF_R(0.05)
-#define SETTLED_FAST PMF_R(0.01) /* behind filters that data go through for good, and that forget soon */
+#define SETTLED_FAST PMF_R(0.01) /* after filters that data go through for good, and that forget soon */
 #define DISCOUNT PMF_R(2.0)
 #define WORST PMF_R(1.0) /* mean square error of the model over the mean square output: it explains nothing */
 #define WORST_DAMPED PMF_R(2.0) /* ... without any correlation, at the same power */
@@ -28,13 +29,13 @@
 #define IN_TIME PMF_R(4.5) /* ... and its filters, to settle in as many samples again */
 #define RATE PMF_R(30.0) /* ... and those of data, where its own would not: the faster, the more samples are left */
 #define AGAIN PMF_R(3.0) /* times the samples */
-#define DOUBTFUL PMF_R(0.05) /* of what was gathered behind filters that became too slow */
+#define DOUBTFUL PMF_R(0.05) /* part that stays of the sums after filters that became too slow */
 #define PART PMF_R(0.3) /* of the direct estimate's samples */
-#define LONGER PMF_R(4.0) /* error bars, squared */
+#define LONGER PMF_R(4.0) /* standard errors, squared */
 #define SHORT_BAR PMF_R(0.01) /* of the parameter */
 
-/* Behind filters that are not its own a process obeys the equation of its sampled form, exactly; that is the one of its
- * parameters but for these differences. */
+/* After filters that are not its own a process obeys exactly the equation of its sampled form. Its coefficients are the
+ * parameters of the process plus these differences. */
 static void bend(const pmf_linear_config_t *config, pmf_linear_state_t *state)
 {
     real_t row[M], one = config->offset != 0U ? state->b[config->m + 1U] * config->scale[0] : PMF_R(0.0);
@@ -51,7 +52,7 @@ static void bend(const pmf_linear_config_t *config, pmf_linear_state_t *state)
 }
 
 /* The filters of the copy, and how much less what was gathered with the ones before counts: early ones may have been
- * lightly damped and have large columns. Where data go behind filters that stay, only the instruments were worse. */
+ * lightly damped and have large columns. If data go through filters that stay, only the instruments were worse. */
 static void adopt(const pmf_linear_config_t *config, pmf_linear_state_t *state)
 {
     real_t largest = PMF_R(0.0), a[M];
@@ -74,7 +75,7 @@ static void adopt(const pmf_linear_config_t *config, pmf_linear_state_t *state)
     state->wait = config->update_samples;
 }
 
-/* The filters that data go behind. */
+/* The filters that data go through. */
 static const pmf_linear_filter_t *data_filter(const pmf_linear_state_t *state)
 {
     return state->damped != 0U ? &state->fast : &state->own;
@@ -126,7 +127,7 @@ static real_t model_output(const pmf_linear_config_t *config, const pmf_linear_s
     return config->offset != 0U ? output + state->b[config->m + 1U] * config->scale[0] * signals->one[0] : output;
 }
 
-/* One sample of all signals behind the copy's filters; the simulated output at its end. */
+/* One sample of all signals through the copy's filters; returns the simulated output at its end. */
 static real_t simulate(const pmf_linear_config_t *config, pmf_linear_state_t *state, real_t input)
 {
     pmf_linear_signals_t *signals = &state->behind_own;
@@ -141,7 +142,7 @@ static real_t simulate(const pmf_linear_config_t *config, pmf_linear_state_t *st
     return model;
 }
 
-/* The same of the data behind the fast ones; what to take from the target, for the copy's equation to hold. */
+/* The same of the data through the fast filters; returns the correction of the target for the copy's equation. */
 static real_t bent(const pmf_linear_config_t *config, pmf_linear_state_t *state, real_t input)
 {
     pmf_linear_signals_t *signals = &state->behind_fast;
@@ -232,7 +233,7 @@ static void settle_anew(pmf_linear_state_t *state)
     pmf_clear(state->settling, (uint32_t)sizeof state->settling);
 }
 
-/* Data go behind filters of the copy, damped until they settle in as many samples again as there were. */
+/* Data go through filters of the copy, damped until they settle in as many samples again as there were. */
 static void go_behind_fast(const pmf_linear_config_t *config, pmf_linear_state_t *state, real_t samples)
 {
     real_t a[M];
@@ -245,7 +246,7 @@ static void go_behind_fast(const pmf_linear_config_t *config, pmf_linear_state_t
 }
 
 /* A model from an estimate, and filters for data that settle in as many samples again as there were: its own where they
- * do. Any others of the same order will do, and lose little (the equation holds behind every filter), if the
+ * do. Any others of the same order will do, and lose little (the equation holds after every filter), if the
  * instruments keep the model's: where it rings for long, or noise makes it unstable, they are those of a more damped
  * one. */
 static uint32_t begin(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, real_t samples)
@@ -268,9 +269,9 @@ static uint32_t begin(const pmf_linear_config_t *config, pmf_linear_state_t *sta
     return 1U;
 }
 
-/* Moves the copy towards an estimate, as far as that is stable, where the filters are about to be computed anew. If it
- * turns out that they would not settle in time, data leave them; 1: that is now. Where nothing is forgotten, fast ones
- * are made anew once there is time for slower ones, which tell more of the noise. */
+/* Moves the copy towards an estimate, as far as that is stable, if the filters are about to be computed again. If they
+ * would not settle in time, data leave these filters; 1: that is now. Without forgetting, fast filters are replaced
+ * once there is time for slower ones, which average more of the noise. */
 static uint32_t follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta,
                        real_t samples, uint32_t forgets)
 {
@@ -308,15 +309,15 @@ static void start(const pmf_linear_config_t *config, pmf_linear_state_t *state, 
     }
 }
 
-/* A squared error bar. */
+/* A squared standard error. */
 static real_t bar(const pmf_estimate_t *estimate, uint32_t i, uint32_t inflated)
 {
     real_t inflation = inflated != 0U && estimate->inflation[i] > PMF_R(0.0) ? estimate->inflation[i] : PMF_R(1.0);
     return estimate->variance_factor[i] * estimate->innovation_variance * inflation;
 }
 
-/* The refined estimate takes over once it has gathered a fair part of what the direct one has, if its error bars are
- * not much longer, or short enough. Behind filters that are not its own innovations are not white. */
+/* The refined estimate takes over once it has a fair part of the direct estimate's samples, if its standard errors are
+ * not much larger, or small enough. After filters that are not its own, innovations are not white. */
 static uint32_t refined_enough(const pmf_config_t *config, const pmf_state_t *state)
 {
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;

@@ -1,4 +1,4 @@
-/* Filters 1 / A(s) of a polynomial that changes: exact behind a held signal, trapezoidal behind a sampled one. Included
+/* Filters 1 / A(s) of a polynomial that changes: exact for a held signal, trapezoidal for a sampled one. Included
  * by pmf_linear.c alone. SPDX-License-Identifier: Apache-2.0
  */
 #ifndef PMF_LINEAR_FILTERS_H
@@ -223,7 +223,7 @@ static uint32_t decays(const pmf_linear_config_t *config, const real_t *a, real_
     return plausible(config, moved);
 }
 
-/* Moves all roots to the left until they decay so fast; 0: not within so many steps. */
+/* Moves all roots to the left until they decay at `rate`; 0: the number of steps did not suffice. */
 static uint32_t damp(const pmf_linear_config_t *config, real_t *a, real_t rate)
 {
     uint32_t shifts;

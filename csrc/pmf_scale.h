@@ -6,7 +6,7 @@
 
 #include "pmf_forgetting.h"
 
-#define HALF_MEMORIES 4U /* the same bits of the last half memory are so many times as large */
+#define HALF_MEMORIES 4U /* factor by which the same bits of the last half memory are larger */
 #define SOME PMF_R(0.0625) /* of what the encoder shows, squared: the axis moves */
 #define LITTLE PMF_SCALAR(0.25) /* of what begins the haste ends it */
 

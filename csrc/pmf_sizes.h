@@ -1,5 +1,5 @@
-/* Sizes and parts of this build: here room for every configuration. `pmfid export` writes this file anew, tight for its
- * own. SPDX-License-Identifier: Apache-2.0
+/* Sizes and parts of this build: here room for every configuration. `pmfid export` replaces this file by one that fits
+ * the exported configuration. SPDX-License-Identifier: Apache-2.0
  */
 #ifndef PMF_SIZES_H
 #define PMF_SIZES_H
@@ -11,7 +11,7 @@
 #define PMF_MAX_COLUMNS (5 * PMF_MAX_PARAMETERS + 4)
 #define PMF_MAX_ORDER 6 /* of the linear process that is simulated */
 #define PMF_MAX_LATE 22 /* inputs that are kept for a dead time: one more than its whole samples, and one */
-#define PMF_MAX_SHAPES 6 /* of forces that the auxiliary model has beside the body's; 0 leaves them out */
+#define PMF_MAX_SHAPES 6 /* of forces that the auxiliary model has in addition to the body's; 0 leaves them out */
 #define PMF_MAX_KNOTS 520 /* in the tables of all of them */
 #define PMF_WINDOW_BLOCKS 8 /* of a sliding window; 0 saves their memory where no window is used */
 
@@ -21,7 +21,7 @@
 #define PMF_WITH_PROCESS 1 /* an output that no encoder's friction holds: its start and its own noise */
 #define PMF_WITH_DEAD_TIME 1 /* an input that acts late */
 #define PMF_WITH_DEAD_TIME_FOUND 1 /* and it is estimated */
-#define PMF_WITH_LAG 1 /* the same behind a first-order lag */
+#define PMF_WITH_LAG 1 /* the same with a first-order lag */
 #define PMF_WITH_SEPARATE 1 /* forgetting by parameter */
 #define PMF_WITH_GUARD 1 /* against samples that no motion explains */
 #define PMF_WITH_ENDLESS 1 /* float32 that forgets nothing, or so slowly that its sums may be full */

@@ -8,15 +8,15 @@
 #if PMF_WITH_AUXILIARY
 
 #define FEEDBACK_MEMORY PMF_R(0.999)
-/* Part of what the model's velocity lacks, squared correlation, that its acceleration explains where it is ahead of the
- * plant, and by how much of a sample at least: 0.06 and 0.03 for half a sample of dead time under position control, 0.2
- * in open loop, while chance and a right model stay below one of both. And how sure that must be, in samples alike. */
+/* Least squared correlation of the velocity residual with the model's acceleration if the model leads the plant, and
+ * the least lead in samples: 0.06 and 0.03 for half a sample of dead time under position control, 0.2 in open loop.
+ * Chance and a right model stay below one of both. And the least evidence, in samples alike. */
 #define LATE_PART PMF_R(0.04)
 #define LATE_BY PMF_R(0.02)
 #define LATE_SURE PMF_R(9.0)
 #define FEEDBACK_STARTS \
     250U /* innovations of a young estimate are large and say nothing; as many more make a verdict */
-#define FEEDBACK_TURNS 16U /* so many updates in turn are looked at, and not: that costs half */
+#define FEEDBACK_TURNS 16U /* length of the stretches of updates that are used and skipped in turn: half the cost */
 /* Squared correlation of what the controller makes of the encoder's error with what the equation makes of it: 0.14 to
  * 0.8 under position control, in open loop at most 0.04, however seldom the input changes. */
 #define FEEDBACK_PART PMF_R(0.09)
@@ -51,7 +51,7 @@ static void note_lag(pmf_lag_t *lag, scalar_t memory, real_t lack, real_t accele
     lag->velocity = memory * lag->velocity + velocity * velocity;
 }
 
-/* Of what is lacking, beside what a wrong size of the velocity explains: the acceleration's part in it. */
+/* Does the acceleration explain the velocity residual, without the part that a wrong size of the velocity explains? */
 static truth_t is_behind(const pmf_auxiliary_config_t *config, const pmf_lag_t *lag)
 {
     real_t lack = lag->lack_velocity / lag->velocity, alike = lag->cross / lag->velocity;

@@ -5,8 +5,8 @@
  * What does not mind is the likelihood of the counts: a body moved by the input alone lies between two edges at every
  * sample. Its place and velocity and all parameters have a normal distribution, which the model carries from sample to
  * sample and each count cuts off at its nearest edge; of what is left mean and covariance are kept (assumed density
- * filtering). Far from an edge a count says nothing, near one more than any variance of a twelfth, so that the bars
- * shrink with the number of edges and not with its root.
+ * filtering). A count far from an edge has no information, a count near an edge more than a variance of a twelfth. So
+ * standard errors shrink with the number of edges and not with its root.
  *
  * That believes the model. How far the place was beyond an edge is compared with its own deviation, and where that is
  * too often too much, it begins again.
@@ -86,7 +86,7 @@ static void anchor(const pmf_config_t *config, pmf_state_t *state)
     found->covariance[SPEED][SPEED] = PMF_R(0.25) * step * step;
 }
 
-/* Anew from parameters by roles. */
+/* Starts from parameters by roles. */
 static void begin_at(const pmf_config_t *config, pmf_state_t *state, const real_t *role, uint32_t looks)
 {
     pmf_found_state_t *found = &state->found;

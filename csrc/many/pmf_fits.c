@@ -61,7 +61,7 @@ static uint32_t is_parameter(uint32_t index)
     return index < PMF_MAX_PARAMETERS || index == PMF_NO_PARAMETER ? 1U : 0U;
 }
 
-/* A node that a signal is written to: none, or one behind the encoder's and the body's. */
+/* Whether a signal may be written to a node: none, or a node after the encoder's and the body's. */
 static uint32_t may_be_written(uint32_t node)
 {
     return node == 0U || (node >= PMF_SIGNALS && node < NODES) ? 1U : 0U;

@@ -39,14 +39,14 @@ typedef struct {
     pmf_rows_t input; /* float or double */
     pmf_rows_t counts; /* int32_t or int64_t */
     uint64_t samples;
-    uint64_t every; /* the estimates of so many samples each are kept, and that of the last; 0: of the last alone */
+    uint64_t every; /* samples from one kept estimate to the next; the last estimate is always kept; 0: it alone */
     uint64_t kept; /* estimates of each axis: */
     double *theta, *variance_factor, *inflation; /* axes x kept x parameters */
     double *innovation, *innovation_variance; /* axes x kept */
     uint32_t *status; /* axes x kept */
 } pmf_many_t;
 
-/* What blocks of `size` samples say of a deviation from reference parameters, behind the filters alone: with
+/* Scores of blocks of `size` samples for a deviation from reference parameters, after the filters: with
  * e = z - phi^T theta the sums of zeta e, zeta phi^T and zeta zeta^T, p + 2 p^2 numbers. first: of the columns phi, z,
  * zeta; left_out, disturbed: status of the samples that do not count, and of those that a block must not have alone. */
 typedef struct {
@@ -61,13 +61,13 @@ typedef struct {
     uint64_t samples;
     double *sums; /* of the block under way */
     uint32_t *progress; /* its samples, and how many were disturbed */
-    uint64_t kept; /* room for so many blocks of an axis */
+    uint64_t kept; /* most blocks of an axis */
     double *blocks;
     unsigned char *lost; /* 1: the block had none but disturbed samples */
 } pmf_scored_t;
 
-/* Axes `first` to `end` through all samples, in groups; packed: the states of all axes. Returns the axis behind the
- * last group: those from there on are too few. */
+/* Axes `first` to `end` through all samples, in groups; packed: the states of all axes. Returns the axis after the last
+ * group: the remaining axes are too few for a group. */
 typedef uint64_t pmf_lanes_run_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many,
                                  uint64_t first, uint64_t end, unsigned char *packed);
 /* The same for block scores, of axes 0 to `end`. */

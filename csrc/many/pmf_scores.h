@@ -14,7 +14,7 @@ typedef double pmf_sum_t;
 #define PMF_TO_SUM(x) ((double)(x))
 #endif
 
-/* phi: with z and zeta behind it. */
+/* phi: followed by z and zeta. */
 static inline void pmf_add_sample(uint32_t p, const pmf_sum_t *theta, const real_t *phi, pmf_sum_t *sums)
 {
     uint32_t i, j;

@@ -20,7 +20,7 @@ extern "C" {
 
 typedef struct {
     const char *axis; /* its name, UTF-8 */
-    uint32_t epoch; /* raised when the numbers begin anew, as after a restart */
+    uint32_t epoch; /* raised when the numbers restart, as after a power cycle */
     uint64_t first; /* number of the first sample */
     double time; /* of the first sample [s]; not a number: there is no clock */
     double dt; /* sample period [s] */
