@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from pmfid.door import door
+from pmfid.lazy_imports import make_getattr
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ MOST_LINES, MOST_REMARKS, LONGEST = 8, 3, 300
 #: Of a cell of a table where no notebook has a style: columns must not run into each other.
 CELL = ' style="text-align: left; padding: 0.1em 1em 0.1em 0"'
 #: The one look upward, by name and at the call: a result is below the room that draws it.
-_load = door("pmfid.report", {"figure_of": "plots"})
+_load = make_getattr("pmfid.report", {"figure_of": "plots"})
 
 
 @dataclass(frozen=True)

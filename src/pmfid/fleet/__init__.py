@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pmfid.door import door
+from pmfid.lazy_imports import make_getattr
 
 if TYPE_CHECKING:
     from pmfid.fleet.history import History as History
@@ -29,7 +29,7 @@ _PUBLIC = {
 }
 
 __all__ = sorted(_PUBLIC)
-__getattr__ = door(__name__, _PUBLIC)
+__getattr__ = make_getattr(__name__, _PUBLIC)
 
 
 def __dir__() -> list[str]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pmfid.door import door
+from pmfid.lazy_imports import make_getattr
 
 if TYPE_CHECKING:
     from pmfid.monitor.calibration import Calibration as Calibration
@@ -38,7 +38,7 @@ _PUBLIC = {
 }
 
 __all__ = sorted(_PUBLIC)
-__getattr__ = door(__name__, _PUBLIC)
+__getattr__ = make_getattr(__name__, _PUBLIC)
 
 
 def __dir__() -> list[str]:

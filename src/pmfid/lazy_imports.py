@@ -1,4 +1,4 @@
-"""The public names of a package that loads them when they are used."""
+"""Public names of a package that are imported at their first use."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 
 
-def door(package: str, public: Mapping[str, str]) -> Callable[[str], object]:
-    """The `__getattr__` of a package; public: name -> module below the package in which it is."""
+def make_getattr(package: str, public: Mapping[str, str]) -> Callable[[str], object]:
+    """The `__getattr__` of a package; public: name -> module below the package that defines it."""
 
     def load(name: str) -> object:
         if name not in public:
