@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from pmfid.lazy_imports import make_getattr
 from pmfid.errors import printable
+from pmfid.lazy_imports import make_getattr
 
 if TYPE_CHECKING:
     import polars as pl
