@@ -147,6 +147,9 @@ typedef struct {
     real_t last; /* and that of the last believed count, while the next ones are suspicious */
     real_t lesson; /* what scatter grew by last */
     real_t held; /* input that the filters had last */
+    whole_t sound; /* samples since a suspicious one, saturating; this and the next ones while it learns */
+    real_t earlier; /* what the prediction before the last missed by */
+    real_t fair; /* scatter that motion alone explains */
 } pmf_guard_state_t;
 #endif
 

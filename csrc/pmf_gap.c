@@ -22,11 +22,12 @@ static void begin_encoder(const pmf_encoder_config_t *config, pmf_encoder_state_
     state->position = PMF_R(0.5);
     state->velocity = state->velocity_before = state->innovation = state->mean_velocity = PMF_R(0.0);
 #if PMF_WITH_GUARD
-    state->guard.seen = state->guard.suspect = state->guard.doubt = state->guard.wait =
+    state->guard.seen = state->guard.suspect = state->guard.doubt = state->guard.wait = state->guard.sound =
         0U; /* the guard learns the size of the motion again */
     state->guard.reading = count;
     state->guard.change = 0;
-    state->guard.rate = state->guard.missed = state->guard.last = state->guard.lesson = PMF_R(0.0);
+    state->guard.rate = state->guard.missed = state->guard.last = state->guard.lesson = state->guard.earlier =
+        state->guard.fair = PMF_R(0.0);
 #endif
 }
 

@@ -44,6 +44,9 @@
 #define SPOILT_BAND PMF_R(0.7) /* of what a wrong count spoils; else the next one is rather wrong */
 #define GOES_ON PMF_R(0.3) /* from sample to sample a blow differs by less */
 #define LARGEST_BLOW PMF_R(100.0) /* times the scatter */
+#define BACKWARDS PMF_R(0.25) /* of a miss: a neighbour so large, the other way, comes with a wrong count */
+#define SOUND_SAMPLES 3U /* since a suspicious one: then a miss and its neighbours are the motion's */
+#define DOUBTFUL PMF_R(3.0) /* times what motion alone explains */
 #define CALM(config) ((config)->guard >> 3) /* samples after a suspicious one that teach nothing */
 
 static integer_t signed_count(uint32_t mask, whole_t count); /* of pmf_encoder.c */
@@ -171,6 +174,34 @@ PMF_SELDOM truth_t was_wild(const pmf_encoder_config_t *config, const pmf_guard_
     return wild & (size > MOTION_EDGE) & (guard->seen < config->guard);
 }
 
+/* While it learns: does a neighbour of this miss go back? Motion misses the same way until it is followed. */
+PMF_SELDOM truth_t goes_back(real_t miss, real_t neighbour)
+{
+    return (miss * neighbour < PMF_R(0.0)) & (size_of(neighbour) > BACKWARDS * size_of(miss));
+}
+
+/* What it learned is doubtful if far more was missed than by motion: then wrong counts were believed, and estimates
+ * have them. All begin again, the guard with what motion alone explains. */
+PMF_SELDOM whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, real_t miss,
+                                 real_t scatter, whole_t status)
+{
+    truth_t learns = guard->seen < config->guard, doubtful;
+    truth_t jumped = ((status & PMF_COUNT_JUMP) != 0U) | (guard->suspect != 0U), lesson;
+    real_t fair = size_of(miss) - STEP;
+#if PMF_WITH_PROCESS
+    if (config->process != 0U) { /* its output may step */
+        return PMF_W(0);
+    }
+#endif
+    guard->sound = PMF_IF(jumped, PMF_W(0), guard->sound + PMF_BIT(guard->sound < SOUND_SAMPLES, 1U));
+    lesson = (guard->sound >= SOUND_SAMPLES) & PMF_NOT(goes_back(miss, guard->earlier) | goes_back(miss, guard->missed));
+    guard->fair = PMF_IF(learns & lesson & (fair > guard->fair), fair, guard->fair);
+    guard->earlier = miss;
+    doubtful = learns & (scatter > DOUBTFUL * (guard->fair + STEP));
+    guard->scatter = PMF_IF(doubtful, guard->fair, guard->scatter);
+    return PMF_BIT(doubtful, PMF_BEGIN_AGAIN);
+}
+
 /* What a wrong count taught would hide all others. It does not begin from the start: it might never end. */
 PMF_SELDOM void learn_anew(pmf_guard_state_t *guard, truth_t where, real_t change)
 {
@@ -250,7 +281,8 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     guard->reading = PMF_IF(sound, guard->reading, count);
     guard->suspect = PMF_IF(ends, PMF_W(0), guard->suspect + 1U);
     state->count = PMF_IF(ends, count, (state->count + (whole_t)*change) & 0xffffffffU);
-    return PMF_BIT(PMF_NOT(sound) | undone, PMF_COUNT_JUMP) | PMF_BIT(rough, PMF_SETTLING);
+    return PMF_BIT(PMF_NOT(sound) | undone, PMF_COUNT_JUMP) | PMF_BIT(rough, PMF_SETTLING) |
+           PMF_BIT(undone & PMF_NOT(learned), PMF_BEGIN_AGAIN);
 }
 
 /* The largest input, and with it what a motion may do. */
@@ -325,7 +357,7 @@ static whole_t pmf_guard(const pmf_encoder_config_t *config, pmf_encoder_state_t
     real_t missed = rate - (guard->rate + guard->gain * swing), missed_before = guard->missed;
     real_t edge = REST_EDGE + PMF_IF(state->moving > PMF_R(0.0), CAUTION * guard->scatter, PMF_R(0.0));
     truth_t plain = (missed * missed <= edge * edge) & ((guard->suspect | guard->doubt) == 0U) & PMF_NOT(apart);
-    real_t beyond = guard->scatter + STEP, least = SWINGS * guard->peak;
+    real_t scatter = guard->scatter, beyond = scatter + STEP, least = SWINGS * guard->peak;
     truth_t looks =
         (guard->seen < config->guard) & (missed * missed > REST_EDGE * REST_EDGE); /* the lesson may be wrong */
     whole_t status = PMF_W(0);
@@ -345,6 +377,9 @@ static whole_t pmf_guard(const pmf_encoder_config_t *config, pmf_encoder_state_t
     }
     if (PMF_ANY(swing * swing > least * least)) {
         learn_gain(guard, plain & (swing * swing > least * least), swing, missed);
+    }
+    if (PMF_ANY(guard->seen < config->guard)) {
+        status |= doubt_lessons(config, guard, missed_before, scatter, status);
     }
     return status | guard_input(config, state, missed_before, input);
 }

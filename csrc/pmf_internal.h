@@ -77,6 +77,7 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_SWING_BITS 15U /* what they may show, in this half memory and in the last */
 /* From encoder to filters alone: a wrong count was replaced as well as an encoder can tell. */
 #define PMF_BRIDGED 0x80000000U
+#define PMF_BEGIN_AGAIN 0x40000000U /* wrong counts were believed while the guard learned */
 #define PMF_GUARD_SUSPECTS 16U /* suspicious changes in a row; then the guard restarts */
 #define PMF_GUARD_DOUBTS 3U /* on the last two inputs, as bits; that before the last has the higher one */
 #ifdef PMF_FLOAT32

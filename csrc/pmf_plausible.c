@@ -51,7 +51,8 @@ PMF_SELDOM uint32_t check_guard(const pmf_encoder_config_t *config, const pmf_gu
            within(&state->rate, 1U, -MOST_COUNTS, MOST_COUNTS) & not_negative(&state->scatter, 1U) &
            within(&state->peak, 1U, PMF_R(0.0), PMF_LARGEST_INPUT) & finite(&state->gain, 1U) &
            finite(&state->missed, 1U) & finite(&state->last, 1U) & not_negative(&state->lesson, 1U) &
-           within(&state->held, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT);
+           within(&state->held, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) & at_most(state->sound, 3U) &
+           finite(&state->earlier, 1U) & not_negative(&state->fair, 1U);
 }
 #endif
 

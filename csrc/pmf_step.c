@@ -66,6 +66,36 @@ PMF_API uint32_t pmf_parameters(const pmf_config_t *config)
     return config->direct.n_parameters;
 }
 
+/* A value beyond the number format may sit in the filters as well. */
+static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
+{
+    pmf_clear(&state->network, (uint32_t)sizeof state->network);
+    state->settle = PMF_W(config->settle_samples);
+#if PMF_WITH_AUXILIARY
+    pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
+    state->auxiliary.velocity = PMF_R(0.0);
+    state->auxiliary.position = PMF_R(0.0);
+#endif
+#if PMF_LINEAR
+    pmf_clear(&state->linear, (uint32_t)sizeof state->linear);
+#endif
+}
+
+#if PMF_WITH_GUARD
+/* Wrong counts were believed, and all that was gathered has them. */
+PMF_SELDOM void begin_again(const pmf_config_t *config, pmf_state_t *state)
+{
+    pmf_clear(&state->direct, (uint32_t)sizeof state->direct);
+#if PMF_WITH_AUXILIARY
+    pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument);
+#endif
+#if PMF_FOUND
+    pmf_clear(&state->found, (uint32_t)sizeof state->found);
+#endif
+    restart_filters(config, state);
+}
+#endif
+
 PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
     whole_t status = pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
@@ -76,7 +106,8 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
         ((status & PMF_BRIDGED) != 0U) & (state->hold == config->encoder.guard_hold); /* by the sample before */
     state->hold = PMF_IF(suspicious, PMF_W(config->encoder.guard_hold),
                          PMF_IF(bridged, PMF_W(0), state->hold - PMF_BIT(state->hold > 0U, 1U)));
-    status = status & ~(uint32_t)PMF_BRIDGED;
+    PMF_WHERE((status & PMF_BEGIN_AGAIN) != 0U, state, begin_again(config, state));
+    status = status & ~(uint32_t)(PMF_BRIDGED | PMF_BEGIN_AGAIN);
 #endif
 #if PMF_LATE
     if (config->late.room != 0U) {
@@ -341,21 +372,6 @@ static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, who
     }
 #endif
     return status;
-}
-
-/* A value beyond the number format may sit in the filters as well. */
-static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
-{
-    pmf_clear(&state->network, (uint32_t)sizeof state->network);
-    state->settle = PMF_W(config->settle_samples);
-#if PMF_WITH_AUXILIARY
-    pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
-    state->auxiliary.velocity = PMF_R(0.0);
-    state->auxiliary.position = PMF_R(0.0);
-#endif
-#if PMF_LINEAR
-    pmf_clear(&state->linear, (uint32_t)sizeof state->linear);
-#endif
 }
 
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
