@@ -45,8 +45,8 @@
 #define GOES_ON PMF_R(0.3) /* from sample to sample a blow differs by less */
 #define LARGEST_BLOW PMF_R(100.0) /* times the scatter */
 #define BACKWARDS PMF_R(0.25) /* of a miss: a neighbour so large, the other way, comes with a wrong count */
-#define SOUND_SAMPLES 3U /* since a suspicious one: then a miss and its neighbours are the motion's */
 #define DOUBTFUL PMF_R(3.0) /* times what motion alone explains */
+#define LOOKED_AT(config) ((config)->guard + PMF_GUARD_SOUND) /* the last lessons are, when the next samples are there */
 #define CALM(config) ((config)->guard >> 3) /* samples after a suspicious one that teach nothing */
 
 static integer_t signed_count(uint32_t mask, whole_t count); /* of pmf_encoder.c */
@@ -182,10 +182,10 @@ PMF_SELDOM truth_t goes_back(real_t miss, real_t neighbour)
 
 /* What it learned is doubtful if far more was missed than by motion: then wrong counts were believed, and estimates
  * have them. All begin again, the guard with what motion alone explains. */
-PMF_SELDOM whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, real_t miss,
-                                 real_t scatter, whole_t status)
+PMF_SELDOM whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t looks,
+                                 real_t miss, real_t scatter, whole_t status)
 {
-    truth_t learns = guard->seen < config->guard, doubtful;
+    truth_t doubtful;
     truth_t jumped = ((status & PMF_COUNT_JUMP) != 0U) | (guard->suspect != 0U), lesson;
     real_t fair = size_of(miss) - STEP;
 #if PMF_WITH_PROCESS
@@ -193,11 +193,11 @@ PMF_SELDOM whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_s
         return PMF_W(0);
     }
 #endif
-    guard->sound = PMF_IF(jumped, PMF_W(0), guard->sound + PMF_BIT(guard->sound < SOUND_SAMPLES, 1U));
-    lesson = (guard->sound >= SOUND_SAMPLES) & PMF_NOT(goes_back(miss, guard->earlier) | goes_back(miss, guard->missed));
-    guard->fair = PMF_IF(learns & lesson & (fair > guard->fair), fair, guard->fair);
+    guard->sound = PMF_IF(jumped, PMF_W(0), guard->sound + PMF_BIT(guard->sound < PMF_GUARD_SOUND, 1U));
+    lesson = (guard->sound >= PMF_GUARD_SOUND) & PMF_NOT(goes_back(miss, guard->earlier) | goes_back(miss, guard->missed));
+    guard->fair = PMF_IF(lesson & (fair > guard->fair), fair, guard->fair);
     guard->earlier = miss;
-    doubtful = learns & (scatter > DOUBTFUL * (guard->fair + STEP));
+    doubtful = looks & (scatter > DOUBTFUL * (guard->fair + STEP));
     guard->scatter = PMF_IF(doubtful, guard->fair, guard->scatter);
     return PMF_BIT(doubtful, PMF_BEGIN_AGAIN);
 }
@@ -207,6 +207,7 @@ PMF_SELDOM void learn_anew(pmf_guard_state_t *guard, truth_t where, real_t chang
 {
     guard->scatter = PMF_IF(where, PMF_R(0.0), guard->scatter);
     guard->missed = PMF_IF(where, PMF_R(0.0), guard->missed);
+    guard->sound = PMF_IF(where, PMF_W(0), guard->sound);
     guard->rate = PMF_IF(where, PMF_R(0.0), guard->rate);
     guard->change = PMF_IF(where, rounded(change), guard->change);
 }
@@ -275,8 +276,7 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     guard->scatter = PMF_IF(lost, PMF_R(2.0) * guard->scatter + STEP, guard->scatter);
     guard->wait = PMF_IF(ends & (suspected | undone),
                          PMF_IF(guard->wait > 0U, PMF_W(2U * CALM(config)), PMF_W(CALM(config))), guard->wait);
-    wild = wild & (guard->seen > CALM(config)); /* before, the filters settle anyway */
-    undone = undone | wild;
+    undone = undone | (wild & (guard->seen > CALM(config))); /* before, the filters settle anyway */
     rough = real | undone | (ends & (guard->suspect > 1U));
     guard->reading = PMF_IF(sound, guard->reading, count);
     guard->suspect = PMF_IF(ends, PMF_W(0), guard->suspect + 1U);
@@ -331,7 +331,7 @@ static whole_t guard_input(const pmf_encoder_config_t *config, pmf_encoder_state
     pmf_guard_state_t *guard = &state->guard;
     real_t margin = PEAK_MARGIN * guard->peak;
     truth_t large = input * input > margin * margin, moves = state->moving > PMF_R(0.0),
-            learns = guard->seen < config->guard;
+            learns = guard->seen < LOOKED_AT(config);
     if (PMF_ANY(large | (guard->doubt != 0U))) {
         large = meet_input(config, state, large, missed_before, size_of(input));
     }
@@ -378,8 +378,8 @@ static whole_t pmf_guard(const pmf_encoder_config_t *config, pmf_encoder_state_t
     if (PMF_ANY(swing * swing > least * least)) {
         learn_gain(guard, plain & (swing * swing > least * least), swing, missed);
     }
-    if (PMF_ANY(guard->seen < config->guard)) {
-        status |= doubt_lessons(config, guard, missed_before, scatter, status);
+    if (PMF_ANY(guard->seen < LOOKED_AT(config))) {
+        status |= doubt_lessons(config, guard, guard->seen < LOOKED_AT(config), missed_before, scatter, status);
     }
     return status | guard_input(config, state, missed_before, input);
 }

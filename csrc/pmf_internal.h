@@ -79,6 +79,7 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_BRIDGED 0x80000000U
 #define PMF_BEGIN_AGAIN 0x40000000U /* wrong counts were believed while the guard learned */
 #define PMF_GUARD_SUSPECTS 16U /* suspicious changes in a row; then the guard restarts */
+#define PMF_GUARD_SOUND 3U /* samples since a suspicious one: then a miss and its neighbours are the motion's */
 #define PMF_GUARD_DOUBTS 3U /* on the last two inputs, as bits; that before the last has the higher one */
 #ifdef PMF_FLOAT32
 #define PMF_LARGEST_INPUT PMF_R(1e15)

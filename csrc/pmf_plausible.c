@@ -46,12 +46,12 @@ PMF_SELDOM uint32_t at_most(uint32_t number, uint32_t most)
 #if PMF_WITH_GUARD
 PMF_SELDOM uint32_t check_guard(const pmf_encoder_config_t *config, const pmf_guard_state_t *state)
 {
-    return at_most(state->seen, config->guard) & at_most(state->suspect, PMF_GUARD_SUSPECTS) &
+    return at_most(state->seen, config->guard + PMF_GUARD_SOUND) & at_most(state->suspect, PMF_GUARD_SUSPECTS) &
            at_most(state->wait, config->guard >> 2) & at_most(state->doubt, PMF_GUARD_DOUBTS) &
            within(&state->rate, 1U, -MOST_COUNTS, MOST_COUNTS) & not_negative(&state->scatter, 1U) &
            within(&state->peak, 1U, PMF_R(0.0), PMF_LARGEST_INPUT) & finite(&state->gain, 1U) &
            finite(&state->missed, 1U) & finite(&state->last, 1U) & not_negative(&state->lesson, 1U) &
-           within(&state->held, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) & at_most(state->sound, 3U) &
+           within(&state->held, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) & at_most(state->sound, PMF_GUARD_SOUND) &
            finite(&state->earlier, 1U) & not_negative(&state->fair, 1U);
 }
 #endif
