@@ -15,6 +15,10 @@
  * way, and comes back to the motion before both: the first one is taken out of what is foreseen, and the filters
  * settle. Wrong counts must not widen the limit, or each lets a larger one in. So what swings back is no lesson, nor is
  * anything within CALM samples after a suspicious one, and a lesson that a suspicion follows is taken back.
+ *
+ * While it learns, all but the wildest is believed. Motion is missed the same way, sample after sample, until it is
+ * followed; a wrong count J by J, -3 J, 3 J, -J. So what motion alone explains is the largest miss without a neighbour
+ * that goes back. Where the limit is far beyond that, or a believed count is found wrong, the estimator begins again.
  */
 #ifndef PMF_GUARD_H
 #define PMF_GUARD_H
@@ -46,7 +50,8 @@
 #define LARGEST_BLOW PMF_R(100.0) /* times the scatter */
 #define BACKWARDS PMF_R(0.25) /* of a miss: a neighbour so large, the other way, comes with a wrong count */
 #define DOUBTFUL PMF_R(3.0) /* times what motion alone explains */
-#define LOOKED_AT(config) ((config)->guard + PMF_GUARD_SOUND) /* the last lessons are, when the next samples are there */
+#define LOOKED_AT(config) \
+    ((config)->guard + PMF_GUARD_SOUND) /* the last lessons are, when the next samples are there */
 #define CALM(config) ((config)->guard >> 3) /* samples after a suspicious one that teach nothing */
 
 static integer_t signed_count(uint32_t mask, whole_t count); /* of pmf_encoder.c */
@@ -193,12 +198,15 @@ PMF_SELDOM whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_s
         return PMF_W(0);
     }
 #endif
-    guard->sound = PMF_IF(jumped, PMF_W(0), guard->sound + PMF_BIT(guard->sound < PMF_GUARD_SOUND, 1U));
-    lesson = (guard->sound >= PMF_GUARD_SOUND) & PMF_NOT(goes_back(miss, guard->earlier) | goes_back(miss, guard->missed));
+    guard->sound += PMF_BIT(looks & (guard->sound < PMF_GUARD_SOUND), 1U);
+    guard->sound = PMF_IF(looks & jumped, PMF_W(0), guard->sound);
+    lesson = looks & (guard->sound >= PMF_GUARD_SOUND) &
+             PMF_NOT(goes_back(miss, guard->earlier) | goes_back(miss, guard->missed));
     guard->fair = PMF_IF(lesson & (fair > guard->fair), fair, guard->fair);
-    guard->earlier = miss;
+    guard->earlier = PMF_IF(looks, miss, guard->earlier);
     doubtful = looks & (scatter > DOUBTFUL * (guard->fair + STEP));
     guard->scatter = PMF_IF(doubtful, guard->fair, guard->scatter);
+    guard->gain = PMF_IF(doubtful | ((status & PMF_BEGIN_AGAIN) != 0U), PMF_R(0.0), guard->gain);
     return PMF_BIT(doubtful, PMF_BEGIN_AGAIN);
 }
 
