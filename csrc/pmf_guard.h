@@ -49,7 +49,7 @@
 #define GOES_ON PMF_R(0.3) /* from sample to sample a blow differs by less */
 #define LARGEST_BLOW PMF_R(100.0) /* times the scatter */
 #define BACKWARDS PMF_R(0.25) /* of a miss: a neighbour so large, the other way, comes with a wrong count */
-#define DOUBTFUL PMF_R(3.0) /* times what motion alone explains */
+#define DOUBTFUL PMF_R(2.0) /* times what motion alone explains */
 #define LOOKED_AT(config) \
     ((config)->guard + PMF_GUARD_SOUND) /* the last lessons are, when the next samples are there */
 #define CALM(config) ((config)->guard >> 3) /* samples after a suspicious one that teach nothing */
