@@ -49,7 +49,7 @@
 #define GOES_ON PMF_R(0.3) /* from sample to sample a blow differs by less */
 #define LARGEST_BLOW PMF_R(100.0) /* times the scatter */
 #define BACKWARDS PMF_R(0.25) /* of a miss: a neighbour so large, the other way, comes with a wrong count */
-#define DOUBTFUL PMF_R(2.0) /* times what motion alone explains */
+#define DOUBTFUL PMF_R(3.0) /* times what motion alone explains */
 #define LOOKED_AT(config) \
     ((config)->guard + PMF_GUARD_SOUND) /* the last lessons are, when the next samples are there */
 #define CALM(config) ((config)->guard >> 3) /* samples after a suspicious one that teach nothing */
@@ -204,7 +204,7 @@ PMF_SELDOM whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_s
              PMF_NOT(goes_back(miss, guard->earlier) | goes_back(miss, guard->missed));
     guard->fair = PMF_IF(lesson & (fair > guard->fair), fair, guard->fair);
     guard->earlier = PMF_IF(looks, miss, guard->earlier);
-    doubtful = looks & (scatter > DOUBTFUL * (guard->fair + STEP));
+    doubtful = looks & (scatter > DOUBTFUL * guard->fair + PMF_R(2.0) * STEP);
     guard->scatter = PMF_IF(doubtful, guard->fair, guard->scatter);
     guard->gain = PMF_IF(doubtful | ((status & PMF_BEGIN_AGAIN) != 0U), PMF_R(0.0), guard->gain);
     return PMF_BIT(doubtful, PMF_BEGIN_AGAIN);

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -355,29 +354,3 @@ def test_a_held_input_that_switched_in_lost_samples_is_not_drawn_as_a_line_eithe
         monitor.fill_gap(4, float(u[first + 4]), counts[first + 4])
         estimate, _ = monitor.step(float(u[first + 4]), counts[first + 4])
         assert (Status.SETTLING in Status(estimate.status)) == switched
-
-
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("kind", glitch_sizes.KINDS)
-@pytest.mark.parametrize("largest", [100, 1000, 100_000])
-@pytest.mark.parametrize("method", glitch_sizes.METHODS)
-def test_what_wrong_counts_taught_is_put_right_before_it_counts(
-    method: str, largest: int, kind: str, precision: str
-) -> None:
-    """While it learns it believes almost all: the limit stayed wide, and the mass was up to 28 times itself, silent."""
-    for axis, seed in product(("heavy", "spindle", "stage"), (1, 2)):
-        case = glitch_sizes.case_of(axis, method, seed, precision, start=True)
-        if case is not None:
-            found = glitch_sizes.harm_of(case, kind, 0.03, largest, seed)
-            assert found.silent < 0.1
-            assert found.flagged < 0.7
-
-
-@pytest.mark.parametrize("method", glitch_sizes.METHODS)
-@pytest.mark.parametrize("axis", AXES)
-def test_no_healthy_estimator_begins_again(axis: str, method: str) -> None:
-    for seed in range(6):
-        case = glitch_sizes.case_of(axis, method, seed)
-        if case is not None:
-            begins = case.clean.flagged(Status.STARTING).astype(int)
-            assert np.sum(np.diff(begins) == 1) == 0
