@@ -179,29 +179,25 @@ PMF_SELDOM truth_t was_wild(const pmf_encoder_config_t *config, const pmf_guard_
     return wild & (size > MOTION_EDGE) & (guard->seen < config->guard);
 }
 
-/* While it learns: does a neighbour of this miss go back? Motion misses the same way until it is followed. */
-PMF_SELDOM truth_t goes_back(real_t miss, real_t neighbour)
-{
-    return (miss * neighbour < PMF_R(0.0)) & (size_of(neighbour) > BACKWARDS * size_of(miss));
-}
-
-/* What it learned is doubtful if far more was missed than by motion: then wrong counts were believed, and estimates
+/* Motion misses the same way until it is followed; a miss beside one that goes back may come of a wrong count. What it
+ * learned is doubtful if far more was missed than by motion: then wrong counts were believed, and estimates
  * have them. All begin again, the guard with what motion alone explains. */
-PMF_SELDOM whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t looks,
-                                 real_t miss, real_t scatter, whole_t status)
+static whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t looks, real_t miss,
+                             real_t scatter, whole_t status)
 {
     truth_t doubtful;
     truth_t jumped = ((status & PMF_COUNT_JUMP) != 0U) | (guard->suspect != 0U), lesson;
-    real_t fair = size_of(miss) - STEP;
+    real_t fair = size_of(miss) - STEP, least = -BACKWARDS * miss * miss;
 #if PMF_WITH_PROCESS
     if (config->process != 0U) { /* its output may step */
         return PMF_W(0);
     }
 #endif
+    (void)config;
     guard->sound += PMF_BIT(looks & (guard->sound < PMF_GUARD_SOUND), 1U);
     guard->sound = PMF_IF(looks & jumped, PMF_W(0), guard->sound);
-    lesson = looks & (guard->sound >= PMF_GUARD_SOUND) &
-             PMF_NOT(goes_back(miss, guard->earlier) | goes_back(miss, guard->missed));
+    lesson =
+        looks & (guard->sound >= PMF_GUARD_SOUND) & (miss * guard->earlier >= least) & (miss * guard->missed >= least);
     guard->fair = PMF_IF(lesson & (fair > guard->fair), fair, guard->fair);
     guard->earlier = PMF_IF(looks, miss, guard->earlier);
     doubtful = looks & (scatter > DOUBTFUL * guard->fair + PMF_R(2.0) * STEP);
