@@ -17,7 +17,6 @@ from pmfid.estimators.bridges import Body, bridge_gaps
 from pmfid.estimators.configuration import like
 from pmfid.estimators.encoder_noise import impulse_products
 from pmfid.estimators.identifiable import TINY, check_identifiable
-from pmfid.estimators.lagging import with_lag
 from pmfid.estimators.lattice import lattice_scatter
 from pmfid.estimators.least_squares import inverse_of, solve_with_instruments
 from pmfid.estimators.results import Columns, Fit
@@ -56,8 +55,9 @@ REST_SAMPLES = 5
 JACOBIAN_STEP = 1e-3
 #: Dead times [samples] that are tried before one is estimated.
 TRIED = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0)
-#: Lags, likewise.
+#: Lags, likewise; and the step of the difference quotient by the lag, both in samples.
 TRIED_LAGS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
+LAG_STEP = 1e-3
 #: Settling times of the filters in the shortest block of the scores. Blocks that fade in and out separate the filtered
 #: noise from errors that last longer.
 LASTING = 4
@@ -190,7 +190,9 @@ class Instruments(ProcessSolver, Simulating):
         rests: does it? None: as the counts and theta say.
         """
         if self.equation.lag == ESTIMATE:
-            return with_lag(lambda lag: self._fix_lag(lag).columns_at(theta[:-1], u, counts, rests), theta, self.dt)
+            return linearise_lag(
+                lambda lag: self._fix_lag(lag).columns_at(theta[:-1], u, counts, rests), theta, self.dt
+            )
         columns, used, status = self._filter_record(theta, *check_arrays(u, counts), rests)
         first, p = auxiliary_columns(self)[2], len(self.names)
         columns = columns[used, first:]
@@ -290,3 +292,18 @@ def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
             "signs of input and output, use a lower cutoff, record a livelier motion, or in Python give `initial`"
         )
     return np.where(equation.positive, np.maximum(theta, 0.0), theta)
+
+
+def linearise_lag(columns_at: Callable[[float], Columns], theta: NDArray[np.float64], dt: float) -> Columns:
+    """The columns for theta (p,), the last of which is the lag [s], from the columns at known lags.
+
+    To first order a lag multiplies the change of the equation's error with it. The target counts from the present lag,
+    so an iteration ends where this term is zero. The change of the error has no noise, and is its own instrument.
+    """
+    lag, others = max(float(theta[-1]), 0.0), theta[:-1]
+    low, high = max(lag - LAG_STEP * dt, 0.0), lag + LAG_STEP * dt
+    below, here, above = (columns_at(value) for value in (low, lag, high))
+    change = (below.z - below.phi @ others) - (above.z - above.phi @ others)
+    column = change / (high - low)
+    phi, zeta = (np.column_stack([side, column]) for side in (here.phi, here.zeta))
+    return replace(here, phi=phi, z=here.z + lag * column, zeta=zeta)

@@ -35,8 +35,7 @@ from pmfid.estimators.likelihood import Best, best_of, likeliest_of
 from pmfid.estimators.motion import mean_velocity
 from pmfid.estimators.phases import phase_scatter
 from pmfid.estimators.results import Fit
-from pmfid.estimators.rough import widen_covariance
-from pmfid.estimators.scatter import raise_variances, scatter
+from pmfid.estimators.scatter import raise_variances, scatter, widen_covariance
 from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.srivc import ProcessSolver, solve_by_descent
 from pmfid.estimators.starts import find_least_from_start, fit_at_speeds

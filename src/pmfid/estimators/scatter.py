@@ -12,6 +12,8 @@ its two ends, and blocks with sharp ends would show nothing else.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from pmfid.types import Floats
@@ -19,6 +21,12 @@ from pmfid.types import Floats
 #: Blocks of the longest scale, at least.
 FEWEST = 24
 TINY = 1e-300
+#: Width of the difference quotients that are compared with the fine ones, as a part of a parameter.
+COARSE = 1e-2
+#: Variances that differ by more than this factor are not those of a smooth dependence.
+SMOOTH = 4.0
+#: Further widths for a rough dependence.
+WIDTHS = (1e-3, 3e-2, 0.1, 0.3)
 
 
 def block_scatter(scores: Floats, shortest: int = 1) -> Floats:
@@ -63,3 +71,17 @@ def raise_variances(covariance: Floats, variances: Floats) -> Floats:
     diagonal = np.maximum(np.diagonal(covariance), TINY)
     factor = np.sqrt(np.maximum(variances / diagonal, 1.0))
     return np.asarray(covariance * np.outer(factor, factor))
+
+
+def widen_covariance(covariance: Floats, at: Callable[[float], Floats]) -> Floats:
+    """A covariance (p, p) of fine difference quotients, raised to the variances of wider ones if these are larger.
+
+    A body with friction sticks and breaks away: the simulated motion jumps where a parameter crosses the value at which
+    one more stroke happens. A fine quotient across such a jump takes the parameter for known to the quotient's width,
+    though a change ten times as large may explain the record as well. A smooth dependence gives the same variances at
+    every width; for a rough one the largest counts. `at` gives the covariance at a width. Raises what `at` raises.
+    """
+    variances, coarse = np.diagonal(covariance), np.diagonal(at(COARSE))
+    if np.all((coarse < SMOOTH * variances) & (variances < SMOOTH * coarse)):
+        return covariance
+    return raise_variances(covariance, np.max([coarse, *(np.diagonal(at(width)) for width in WIDTHS)], axis=0))
